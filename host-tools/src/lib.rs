@@ -1,0 +1,2 @@
+//! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
+#![forbid(unsafe_code)]

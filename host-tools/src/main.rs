@@ -1,0 +1,4 @@
+//! The `etherpen` program.
+#![forbid(unsafe_code)]
+
+fn main() {}

@@ -1,0 +1,12 @@
+//! etherpen: a robot controller that fits in a microcontroller.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod config;
+pub mod control;
+pub mod drives;
+pub mod ethercat;
+pub mod io;
+pub mod link;
+pub mod motion;
+pub mod robot;
