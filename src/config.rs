@@ -56,7 +56,11 @@ pub struct WorkArea {
 
 impl Default for WorkArea {
     fn default() -> Self {
-        Self { radius_mm: 565.0, z_low_mm: -960.0, z_high_mm: -700.0 }
+        Self {
+            radius_mm: 565.0,
+            z_low_mm: -960.0,
+            z_high_mm: -700.0,
+        }
     }
 }
 
@@ -76,7 +80,12 @@ pub struct Paper {
 
 impl Default for Paper {
     fn default() -> Self {
-        Self { centre_mm: [0.0, 0.0], size_mm: [200.0, 200.0], pen_down_z_mm: -850.0, pen_lift_mm: 3.0 }
+        Self {
+            centre_mm: [0.0, 0.0],
+            size_mm: [200.0, 200.0],
+            pen_down_z_mm: -850.0,
+            pen_lift_mm: 3.0,
+        }
     }
 }
 
@@ -222,4 +231,309 @@ pub struct Config {
     pub axes: [Axis; AXES],
     /// The bus.
     pub bus: Bus,
+}
+
+/// Longest encoded configuration, bytes.
+pub const CONFIG_BYTES_MAX: usize = 1024;
+
+/// Names a value of the configuration: an index into the table of bounds, and the axis where there are several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Field {
+    /// Row of the table of bounds.
+    pub row: u8,
+    /// Which axis, from 0, for values of [`Axis`].
+    pub axis: Option<u8>,
+}
+
+impl Field {
+    /// The value's name as it stands in `etherpen.toml`.
+    pub fn name(&self) -> &'static str {
+        let config = Config::default();
+        let scalars = config.scalars();
+        let axis = config.axes[0].scalars();
+        let row = usize::from(self.row);
+        match self.axis {
+            None => scalars.get(row).map_or("unknown", |bound| bound.name),
+            Some(_) => axis.get(row).map_or("unknown", |bound| bound.name),
+        }
+    }
+}
+
+/// A value that was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ConfigError {
+    /// Which value.
+    pub field: Field,
+    /// What it is.
+    pub value: f64,
+    /// The lowest value allowed.
+    pub low: f64,
+    /// The highest value allowed.
+    pub high: f64,
+}
+
+struct Bound {
+    name: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+}
+
+const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
+    Bound { name, value, low, high }
+}
+
+impl Axis {
+    fn scalars(&self) -> [Bound; 12] {
+        [
+            bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
+            bound(
+                "axes.increments_per_revolution",
+                f64::from(self.increments_per_revolution),
+                256.0,
+                16_777_216.0,
+            ),
+            bound("axes.digits_per_rpm", self.digits_per_rpm, 0.001, 1.0e6),
+            bound("axes.sync_angle_rad", self.sync_angle_rad, -6300.0, 6300.0),
+            bound(
+                "axes.sync_increments",
+                f64::from(self.sync_increments),
+                0.0,
+                f64::from(self.increments_per_revolution) - 1.0,
+            ),
+            bound("axes.feedback_gain_per_s", self.feedback_gain_per_s, 0.0, 500.0),
+            bound("axes.feed_forward_gain", self.feed_forward_gain, 0.0, 2.0),
+            bound("axes.feed_forward_lead_ms", self.feed_forward_lead_ms, 0.0, 10.0),
+            bound("axes.measurement_age_ms", self.measurement_age_ms, 0.0, 10.0),
+            bound(
+                "axes.following_error_max_rad",
+                self.following_error_max_rad,
+                1.0e-4,
+                1.0,
+            ),
+            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
+            bound("axes.quick_stop_rad_s2", self.quick_stop_rad_s2, 1.0, 2000.0),
+        ]
+    }
+}
+
+impl Config {
+    /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
+    fn scalars(&self) -> [Bound; 32] {
+        let (geometry, area, paper, motion, bus) =
+            (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
+        let reach = geometry.upper_arm_mm + geometry.forearm_mm;
+        [
+            bound("geometry.base_radius_mm", geometry.base_radius_mm, 10.0, 2000.0),
+            bound("geometry.upper_arm_mm", geometry.upper_arm_mm, 10.0, 2000.0),
+            bound(
+                "geometry.forearm_mm",
+                geometry.forearm_mm,
+                geometry.upper_arm_mm,
+                4000.0,
+            ),
+            bound(
+                "geometry.platform_radius_mm",
+                geometry.platform_radius_mm,
+                0.0,
+                geometry.base_radius_mm,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[0]",
+                geometry.arm_azimuths_deg[0],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[1]",
+                geometry.arm_azimuths_deg[1],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[2]",
+                geometry.arm_azimuths_deg[2],
+                -360.0,
+                360.0,
+            ),
+            bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
+            bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
+            bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
+            bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
+            bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
+            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
+            bound(
+                "paper.centre_mm[0]",
+                paper.centre_mm[0],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound(
+                "paper.centre_mm[1]",
+                paper.centre_mm[1],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound("paper.size_mm[0]", paper.size_mm[0], 1.0, 2.0 * area.radius_mm),
+            bound("paper.size_mm[1]", paper.size_mm[1], 1.0, 2.0 * area.radius_mm),
+            bound(
+                "paper.pen_down_z_mm",
+                paper.pen_down_z_mm,
+                area.z_low_mm,
+                area.z_high_mm,
+            ),
+            bound(
+                "paper.pen_lift_mm",
+                paper.pen_lift_mm,
+                0.5,
+                area.z_high_mm - paper.pen_down_z_mm,
+            ),
+            bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
+            bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
+            bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),
+            bound(
+                "motion.joint_speed_rad_s",
+                largest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_speed_rad_s",
+                smallest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                largest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                smallest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
+            bound(
+                "motion.travel_tolerance_mm",
+                motion.travel_tolerance_mm,
+                motion.tolerance_mm,
+                10.0,
+            ),
+            bound("motion.jerk_window_ms", f64::from(motion.jerk_window_ms), 0.0, 32.0),
+            bound(
+                "motion.starve_dwell_ms",
+                f64::from(motion.starve_dwell_ms),
+                0.0,
+                60_000.0,
+            ),
+            bound("bus.drives", f64::from(bus.drives), AXES as f64, AXES as f64),
+            bound(
+                "bus.watchdog_ms",
+                f64::from(bus.watchdog_ms),
+                f64::from(bus.blind_max_ms) + 1.0,
+                1000.0,
+            ),
+        ]
+    }
+
+    /// Checks every value against its hard bounds.
+    ///
+    /// # Errors
+    /// The first value that is not finite or outside its bounds, with the bounds.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        check_rows(&self.scalars(), None)?;
+        for (axis, values) in (0u8..).zip(&self.axes) {
+            check_rows(&values.scalars(), Some(axis))?;
+        }
+        Ok(())
+    }
+
+    /// Hash of the configuration as it travels: FNV-1a, 64 bits, over its postcard encoding.
+    ///
+    /// `None` when the encoding is longer than [`CONFIG_BYTES_MAX`].
+    pub fn hash(&self) -> Option<u64> {
+        let mut buffer = [0u8; CONFIG_BYTES_MAX];
+        let bytes = postcard::to_slice(self, &mut buffer).ok()?;
+        Some(bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        }))
+    }
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::NEG_INFINITY, |a, b| if b.is_nan() || *b > a { *b } else { a })
+}
+
+fn smallest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::INFINITY, |a, b| if b.is_nan() || *b < a { *b } else { a })
+}
+
+fn check_rows(rows: &[Bound], axis: Option<u8>) -> Result<(), ConfigError> {
+    for (row, bound) in (0u8..).zip(rows) {
+        if !(bound.value.is_finite() && bound.value >= bound.low && bound.value <= bound.high) {
+            return Err(ConfigError {
+                field: Field { row, axis },
+                value: bound.value,
+                low: bound.low,
+                high: bound.high,
+            });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_configuration_is_within_its_bounds_and_fits_a_message() {
+        let config = Config::default();
+        assert_eq!(config.check(), Ok(()));
+        assert!(config.hash().is_some());
+    }
+
+    #[test]
+    fn a_value_out_of_bounds_is_named_with_its_bounds() {
+        let mut config = Config::default();
+        config.axes[2].feedback_gain_per_s = 501.0;
+        let error = config.check().unwrap_err();
+        assert_eq!(
+            (error.field.name(), error.field.axis),
+            ("axes.feedback_gain_per_s", Some(2))
+        );
+        assert_eq!((error.value, error.high), (501.0, 500.0));
+    }
+
+    #[test]
+    fn values_that_are_not_numbers_are_refused_wherever_they_stand() {
+        let mut config = Config::default();
+        config.motion.joint_speed_rad_s[3] = f64::NAN;
+        assert_eq!(config.check().unwrap_err().field.name(), "motion.joint_speed_rad_s");
+        let mut config = Config::default();
+        config.work_area.z_low_mm = f64::NAN;
+        assert!(config.check().is_err());
+    }
+
+    #[test]
+    fn the_watchdog_is_longer_than_the_blind_limit() {
+        let mut config = Config::default();
+        config.bus.blind_max_ms = config.bus.watchdog_ms;
+        assert_eq!(config.check().unwrap_err().field.name(), "bus.watchdog_ms");
+    }
+
+    #[test]
+    fn any_changed_value_changes_the_hash() {
+        let mut config = Config::default();
+        let before = config.hash();
+        config.axes[3].gear = 12.000001;
+        assert_ne!(config.hash(), before);
+    }
 }

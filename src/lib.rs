@@ -2,6 +2,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod application;
 pub mod config;
 pub mod control;
 pub mod drives;

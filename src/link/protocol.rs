@@ -1,0 +1,275 @@
+//! Messages of the link: what the host and the firmware say to each other.
+//!
+//! Every message is postcard-encoded, followed by a CRC-32 and framed with COBS (see `frame`). An unknown protocol
+//! version is refused with both versions named; [`Hello`] and [`Welcome`] never change their first field.
+
+use crate::application::{Fault, Mode, Refusal};
+use crate::config::{Config, ConfigError};
+use crate::motion::Pen;
+use crate::robot::{AXES, Position};
+use heapless::{String, Vec};
+use serde::{Deserialize, Serialize};
+
+/// Version of this protocol; both ends must agree.
+pub const PROTOCOL_VERSION: u16 = 1;
+/// Longest encoded message before framing, bytes.
+pub const MESSAGE_BYTES_MAX: usize = 1400;
+/// Vertices in one path message.
+pub const VERTICES_PER_MESSAGE: usize = 16;
+/// Samples in one telemetry message.
+pub const SAMPLES_PER_MESSAGE: usize = 4;
+/// Slaves described in a status.
+pub const SLAVES_REPORTED: usize = 8;
+
+/// The host's greeting.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    /// The host's [`PROTOCOL_VERSION`].
+    pub protocol: u16,
+}
+
+/// The firmware's answer to [`Hello`], also when the versions differ.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Welcome {
+    /// The firmware's [`PROTOCOL_VERSION`].
+    pub protocol: u16,
+    /// Version of the firmware package.
+    pub firmware: String<16>,
+    /// Name of the board: `nucleo`, `emulated` or `simulation`.
+    pub board: String<16>,
+    /// Hash of the configuration in force, if there is one.
+    pub config: Option<u64>,
+    /// Vertices the firmware can hold when nothing is queued.
+    pub capacity: u16,
+}
+
+/// A vertex of the path on the wire: micrometres in the robot's frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PathVertex {
+    /// Position in the robot's frame, micrometres.
+    pub position_um: [i32; 3],
+    /// Whether the leg that leads here is drawn.
+    pub pen: Pen,
+    /// Index of the stroke this vertex belongs to.
+    pub stroke: u32,
+}
+
+/// What an operator can ask for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Command {
+    /// Take the resolvers' angles at the present pose as the reference.
+    Reference,
+    /// Power the drives and hold the pose.
+    Enable,
+    /// Ramp to a standstill, brake, then take the power from the drives.
+    Disable,
+    /// Move while this message is repeated within the dead-man time; velocity in mm/s.
+    Jog {
+        /// Velocity of the platform, mm/s.
+        velocity_mm_s: [f32; 3],
+    },
+    /// Move to a position in a straight line.
+    Move {
+        /// Where to go.
+        position: Position,
+    },
+    /// Begin a drawing: the path's vertices follow, counted from 0.
+    Draw {
+        /// Number chosen by the host, repeated in the acknowledgements.
+        job: u16,
+    },
+    /// Decelerate on the path, lift the pen, keep the state.
+    Hold,
+    /// Go on with a held drawing.
+    Resume,
+    /// End the drawing: decelerate on the path, lift the pen, forget the rest.
+    Cancel,
+    /// Scale the path speed, percent from 10 to 200.
+    Override {
+        /// Percent of the configured speed.
+        percent: u8,
+    },
+    /// Lift or lower the pen where it stands.
+    Pen {
+        /// Where to.
+        pen: Pen,
+    },
+    /// Quick stop of all drives at once, latched as a fault.
+    Stop,
+    /// Acknowledge a fault: the cause is cleared if it has gone, lost slaves are brought back.
+    Acknowledge,
+}
+
+/// From the host to the firmware.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
+pub enum HostMessage {
+    /// First message of a connection.
+    Hello(Hello),
+    /// Nothing to say, still here.
+    Heartbeat,
+    /// Use this configuration; repeated until answered with the same `id`.
+    Configure {
+        /// Number of this request.
+        id: u16,
+        /// The configuration.
+        config: Config,
+    },
+    /// Do this; repeated until answered with the same `id`, carried out once.
+    Command {
+        /// Number of this request.
+        id: u16,
+        /// What to do.
+        command: Command,
+    },
+    /// Part of the path, go-back-N.
+    Path {
+        /// The job of [`Command::Draw`].
+        job: u16,
+        /// Index of the first vertex in `vertices`, counted from 0 within the job.
+        first: u32,
+        /// The vertices.
+        vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
+        /// Whether the last of them ends the path.
+        last: bool,
+    },
+    /// Ask for a [`DeviceMessage::Status`] now.
+    Inquire,
+}
+
+/// One millisecond as the controller saw it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// Milliseconds since the firmware started.
+    pub t_ms: u32,
+    /// Operating mode.
+    pub mode: Mode,
+    /// Stroke being drawn or travelled to.
+    pub stroke: u32,
+    /// Pen as the reference has it.
+    pub pen: Pen,
+    /// Referenced joint positions, rad.
+    pub reference_rad: [f32; AXES],
+    /// Measured joint positions, rad.
+    pub measured_rad: [f32; AXES],
+    /// Referenced joint velocities, rad/s.
+    pub reference_rad_s: [f32; AXES],
+    /// Measured joint velocities, rad/s.
+    pub measured_rad_s: [f32; AXES],
+}
+
+/// What the firmware has counted since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Counters {
+    /// Released samples.
+    pub cycles: u32,
+    /// Output telegram not with the MAC in time.
+    pub cycles_late: u32,
+    /// Telegrams without a reply.
+    pub frames_lost: u32,
+    /// Replies with another working counter than expected, once the bus was operational.
+    pub working_counter_errors: u32,
+    /// Replies that were dropped: late, duplicated, foreign, damaged.
+    pub frames_ignored: u32,
+    /// Milliseconds in which the controller had no reference although it followed them.
+    pub reference_underruns: u32,
+    /// Times the path ran out of data while drawing.
+    pub path_starvations: u32,
+    /// Periods in which the trajectory task was released before it had finished.
+    pub trajectory_overruns: u32,
+    /// Samples that found no room in the telemetry ring or the link.
+    pub telemetry_dropped: u32,
+    /// Damaged frames received on the link.
+    pub link_errors: u32,
+}
+
+/// One slave on the bus.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SlaveStatus {
+    /// Vendor from the SII.
+    pub vendor: u32,
+    /// Product code from the SII.
+    pub product: u32,
+    /// AL state, 1 INIT, 2 PREOP, 4 SAFEOP, 8 OP; bit 4 is the error flag.
+    pub al_state: u8,
+    /// AL status code.
+    pub al_code: u16,
+    /// CiA 402 status word.
+    pub status_word: u16,
+}
+
+/// Where the controller stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Operating mode.
+    pub mode: Mode,
+    /// The latched fault.
+    pub fault: Option<Fault>,
+    /// Whether the joint angles are referenced.
+    pub referenced: bool,
+    /// Hash of the configuration in force.
+    pub config: Option<u64>,
+    /// Path speed override, percent.
+    pub override_percent: u8,
+    /// Counters.
+    pub counters: Counters,
+    /// Slaves in chain order.
+    pub slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
+}
+
+/// Cumulative acknowledgement of the path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PathAck {
+    /// The job.
+    pub job: u16,
+    /// The next vertex wanted; all before it have been taken.
+    pub next: u32,
+    /// How many vertices from `next` on may be sent.
+    pub credit: u16,
+    /// Vertices fully executed.
+    pub executed: u32,
+    /// Whether the end of the path was received.
+    pub complete: bool,
+    /// Whether the path was executed to its end.
+    pub finished: bool,
+}
+
+/// From the firmware to the host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
+pub enum DeviceMessage {
+    /// Answer to [`HostMessage::Hello`].
+    Welcome(Welcome),
+    /// Answer to [`HostMessage::Configure`]: the configuration's hash or what is wrong with it.
+    Configured {
+        /// Number of the request.
+        id: u16,
+        /// The hash, or the value that was refused.
+        result: Result<u64, ConfigError>,
+    },
+    /// Answer to [`HostMessage::Command`].
+    Answer {
+        /// Number of the request.
+        id: u16,
+        /// Accepted, or why not.
+        result: Result<(), Refusal>,
+    },
+    /// Path acknowledgement with credit and progress.
+    Ack(PathAck),
+    /// A vertex was refused; the path is not taken further.
+    VertexRefused {
+        /// The job.
+        job: u16,
+        /// What was refused and why.
+        refusal: crate::motion::Refusal,
+    },
+    /// Status, at every change and at least twice a second.
+    Status(Status),
+    /// Samples, one a millisecond.
+    Telemetry {
+        /// Sequence number of the first sample; gaps are samples that were dropped.
+        sequence: u32,
+        /// The samples.
+        samples: Vec<Sample, SAMPLES_PER_MESSAGE>,
+    },
+}
