@@ -1,6 +1,16 @@
 //! Operating modes: what the robot may do now, and what ends in which standstill.
+//!
+//! `Startup -> BusConfiguring -> DrivesOff -> Unreferenced -> Idle -> Drawing <-> Holding -> Idle`, and `Fault` from
+//! anywhere, with `Stopping` in between while the drives still obey. [`Application`] is the state machine alone: it
+//! is stepped once a millisecond with what the 1 kHz tasks, the trajectory and the bus report, and answers with
+//! [`Action`]s. It decides; the critical tasks have already stopped the drives when it learns of a fault.
+//!
+//! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the power is
+//! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged.
 
-use crate::robot::AXES;
+use crate::motion::MotionCommand;
+use crate::robot::{AXES, JointAngles};
+use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Operating mode.
@@ -103,6 +113,11 @@ pub enum Fault {
     },
     /// The ring of references ran dry.
     ReferenceUnderrun,
+    /// The drives did not take power in time.
+    EnableTimeout {
+        /// How long was waited, ms.
+        waited_ms: u16,
+    },
     /// The bus could not be brought up.
     BusConfiguration {
         /// Position in the chain, from 0.
@@ -142,4 +157,550 @@ pub enum Refusal {
     NotFinite,
 }
 
-const _: () = assert!(AXES == 4);
+/// Time for the brakes to close before the power is taken from the drives, ms.
+pub const BRAKE_DELAY_MS: u32 = 100;
+/// Longest wait for a standstill after a quick stop, ms.
+pub const STANDSTILL_MAX_MS: u32 = 1_000;
+/// Longest wait for the drives to follow a change of their power, ms.
+pub const ENABLE_MAX_MS: u32 = 3_000;
+/// Longest wait for the bus and the drives to recover after an acknowledgement, ms.
+pub const RECOVERY_MAX_MS: u32 = 10_000;
+/// Most actions of one step.
+pub const ACTIONS_MAX: usize = 8;
+
+/// What the drives are asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Power {
+    /// No power.
+    #[default]
+    Off,
+    /// Power, following the references of an epoch.
+    On,
+    /// Quick stop, then standstill under power.
+    QuickStop,
+    /// Reset of a drive's fault.
+    FaultReset,
+}
+
+/// What is to be done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Power of the drives.
+    Power(Power),
+    /// Forget the latched fault of the critical tasks.
+    ClearFault,
+    /// Take the present resolver angles as the reference.
+    TakeReference,
+    /// Start the trajectory from this pose; the references that follow carry the epoch.
+    Place {
+        /// The pose at rest.
+        pose: JointAngles,
+        /// Number of this start.
+        epoch: u8,
+    },
+    /// Follow the references of this epoch and of no other.
+    Follow {
+        /// Number of the start.
+        epoch: u8,
+    },
+    /// Begin a path.
+    BeginPath,
+    /// Pass a command to the trajectory.
+    Motion(MotionCommand),
+    /// Bring lost slaves back.
+    RecoverBus,
+}
+
+/// What the critical tasks report about a millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Condition {
+    /// Measured pose; joint angles are true only when `referenced`.
+    pub pose: JointAngles,
+    /// Whether the angles are referenced.
+    pub referenced: bool,
+    /// Whether all four drives are in operation enabled.
+    pub powered: bool,
+    /// Whether no drive has power.
+    pub unpowered: bool,
+    /// Whether all axes stand still.
+    pub standstill: bool,
+    /// Whether a drive reports a fault.
+    pub drive_fault: bool,
+    /// Whether valid inputs of all drives arrive.
+    pub inputs_valid: bool,
+    /// Fault latched by the critical tasks; the drives are in quick stop already.
+    pub fault: Option<Fault>,
+}
+
+/// What the bus's supervisor reports.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BusCondition {
+    /// All drives are operational.
+    Operational,
+    /// A slave is missing, in another state, or the bus could not be brought up.
+    Failed(Fault),
+}
+
+/// What the trajectory reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Whether it is at rest with nothing left to do.
+    pub idle: bool,
+    /// Whether it stands on a held path.
+    pub held: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Enabling {
+    No,
+    /// The reference is being taken: wait for the angles to be true.
+    Referencing {
+        since_ms: u32,
+    },
+    /// Power is coming.
+    Powering {
+        since_ms: u32,
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stop {
+    /// Braking to a standstill.
+    Ramp { since_ms: u32 },
+    /// Standing, the brakes are closing.
+    Brake { since_ms: u32 },
+    /// Power is being taken.
+    Release { since_ms: u32 },
+}
+
+/// The state machine of the operating modes.
+#[derive(Debug)]
+pub struct Application {
+    mode: Mode,
+    fault: Option<Fault>,
+    now_ms: u32,
+    condition: Condition,
+    bus: Option<BusCondition>,
+    epoch: u8,
+    override_percent: u8,
+    enabling: Enabling,
+    stop: Option<Stop>,
+    recovering_since_ms: Option<u32>,
+    cancelling: bool,
+    motion_started_ms: u32,
+    host_silence_max_ms: u16,
+    actions: Vec<Action, ACTIONS_MAX>,
+}
+
+impl Default for Application {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Time after a motion command within which the trajectory may still report the rest before it, ms.
+const MOTION_SETTLE_MS: u32 = 30;
+
+impl Application {
+    /// The machine before a configuration has come.
+    pub const fn new() -> Self {
+        Self {
+            mode: Mode::Startup,
+            fault: None,
+            now_ms: 0,
+            condition: Condition {
+                pose: JointAngles([0.0; AXES]),
+                referenced: false,
+                powered: false,
+                unpowered: true,
+                standstill: false,
+                drive_fault: false,
+                inputs_valid: false,
+                fault: None,
+            },
+            bus: None,
+            epoch: 0,
+            override_percent: 100,
+            enabling: Enabling::No,
+            stop: None,
+            recovering_since_ms: None,
+            cancelling: false,
+            motion_started_ms: 0,
+            host_silence_max_ms: 500,
+            actions: Vec::new(),
+        }
+    }
+
+    /// The operating mode.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The latched fault.
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// Path speed override, percent.
+    pub fn override_percent(&self) -> u8 {
+        self.override_percent
+    }
+
+    /// What the critical tasks last reported.
+    pub fn condition(&self) -> &Condition {
+        &self.condition
+    }
+
+    /// Whether another configuration may be taken now: the drives are without power and nothing is under way.
+    pub fn may_configure(&self) -> bool {
+        let at_rest = matches!(self.mode, Mode::Startup | Mode::DrivesOff | Mode::Fault);
+        at_rest && self.stop.is_none() && self.enabling == Enabling::No && self.recovering_since_ms.is_none()
+    }
+
+    /// A checked configuration was taken: the bus is being brought up.
+    pub fn configured(&mut self, host_silence_max_ms: u16) {
+        self.host_silence_max_ms = host_silence_max_ms;
+        self.mode = Mode::BusConfiguring;
+        self.fault = None;
+        self.bus = None;
+    }
+
+    /// The bus's supervisor has something to say.
+    pub fn bus(&mut self, condition: BusCondition) {
+        self.bus = Some(condition);
+        match condition {
+            BusCondition::Operational => {
+                if self.mode == Mode::BusConfiguring {
+                    self.mode = Mode::DrivesOff;
+                }
+            }
+            // The supervisor knows which slave and why, the critical tasks only that something is wrong.
+            BusCondition::Failed(fault) => match self.fault {
+                Some(Fault::Blind { .. } | Fault::SlaveLost { .. } | Fault::SlaveState { .. }) => {
+                    self.fault = Some(fault)
+                }
+                Some(_) => {}
+                None => self.enter_fault(fault),
+            },
+        }
+    }
+
+    /// Carries out a command, or refuses it with the reason.
+    ///
+    /// # Errors
+    /// The reason; nothing has changed.
+    pub fn command(&mut self, command: crate::link::protocol::Command) -> Result<(), Refusal> {
+        use crate::link::protocol::Command;
+        match command {
+            Command::Stop => {
+                self.enter_fault(Fault::EmergencyStop(StopSource::Link));
+                Ok(())
+            }
+            Command::Acknowledge => self.acknowledge(),
+            Command::Reference => self.reference(),
+            Command::Enable => self.enable(),
+            Command::Disable => self.disable(),
+            Command::Draw { .. } => {
+                self.require_idle()?;
+                self.act(Action::BeginPath);
+                self.enter_motion(Mode::Drawing);
+                Ok(())
+            }
+            Command::Hold => {
+                self.require(Mode::Drawing)?;
+                self.hold();
+                Ok(())
+            }
+            Command::Resume => {
+                self.require(Mode::Holding)?;
+                self.act(Action::Motion(MotionCommand::Resume));
+                self.enter_motion(Mode::Drawing);
+                Ok(())
+            }
+            Command::Cancel => {
+                if !matches!(self.mode, Mode::Drawing | Mode::Holding | Mode::Moving) {
+                    return Err(Refusal::NotInMode(self.mode));
+                }
+                self.act(Action::Motion(MotionCommand::Cancel));
+                self.enter_motion(Mode::Stopping);
+                self.cancelling = true;
+                Ok(())
+            }
+            Command::Override { percent } => {
+                if !(10..=200).contains(&percent) {
+                    return Err(Refusal::OverrideRange(percent));
+                }
+                self.override_percent = percent;
+                self.act(Action::Motion(MotionCommand::Override(percent)));
+                Ok(())
+            }
+            Command::Move { position } => self.start_move(MotionCommand::MoveTo(position)),
+            Command::Pen { pen } => self.start_move(MotionCommand::Pen(pen)),
+            Command::Jog { velocity_mm_s } => self.jog(velocity_mm_s),
+        }
+    }
+
+    /// One millisecond: takes what was reported and returns what is to be done.
+    pub fn step(
+        &mut self,
+        now_ms: u32,
+        condition: &Condition,
+        progress: Progress,
+        host_silence_ms: u32,
+    ) -> Vec<Action, ACTIONS_MAX> {
+        self.now_ms = now_ms;
+        self.condition = *condition;
+        if let Some(fault) = condition.fault
+            && self.fault.is_none()
+        {
+            self.enter_fault(fault);
+        }
+        self.step_enabling();
+        self.step_stop();
+        self.step_recovery();
+        self.step_motion(progress, host_silence_ms);
+        core::mem::take(&mut self.actions)
+    }
+
+    fn act(&mut self, action: Action) {
+        // At most a handful of transitions can happen in one millisecond; the capacity covers all of them.
+        let _ = self.actions.push(action);
+    }
+
+    fn require(&self, mode: Mode) -> Result<(), Refusal> {
+        if self.mode == mode {
+            Ok(())
+        } else {
+            Err(Refusal::NotInMode(self.mode))
+        }
+    }
+
+    fn require_idle(&self) -> Result<(), Refusal> {
+        match self.mode {
+            Mode::Idle => Ok(()),
+            Mode::Unreferenced => Err(Refusal::NotReferenced),
+            Mode::Startup => Err(Refusal::NotConfigured),
+            mode => Err(Refusal::NotInMode(mode)),
+        }
+    }
+
+    fn enter_motion(&mut self, mode: Mode) {
+        self.mode = mode;
+        self.motion_started_ms = self.now_ms;
+    }
+
+    fn start_move(&mut self, command: MotionCommand) -> Result<(), Refusal> {
+        self.require_idle()?;
+        self.act(Action::Motion(command));
+        self.enter_motion(Mode::Moving);
+        Ok(())
+    }
+
+    fn jog(&mut self, velocity_mm_s: [f32; 3]) -> Result<(), Refusal> {
+        if velocity_mm_s.iter().any(|v| !v.is_finite()) {
+            return Err(Refusal::NotFinite);
+        }
+        if self.mode != Mode::Moving {
+            self.require_idle()?;
+        }
+        self.act(Action::Motion(MotionCommand::Jog(velocity_mm_s.map(f64::from))));
+        self.enter_motion(Mode::Moving);
+        Ok(())
+    }
+
+    fn hold(&mut self) {
+        self.act(Action::Motion(MotionCommand::Hold));
+        self.mode = Mode::Holding;
+    }
+
+    fn enable(&mut self) -> Result<(), Refusal> {
+        match self.mode {
+            Mode::DrivesOff if self.enabling != Enabling::No || self.stop.is_some() => Err(Refusal::Moving),
+            Mode::DrivesOff => {
+                self.follow_from_here();
+                self.act(Action::Power(Power::On));
+                self.enabling = Enabling::Powering { since_ms: self.now_ms };
+                Ok(())
+            }
+            Mode::Startup => Err(Refusal::NotConfigured),
+            Mode::Idle | Mode::Unreferenced => Ok(()),
+            mode => Err(Refusal::NotInMode(mode)),
+        }
+    }
+
+    fn disable(&mut self) -> Result<(), Refusal> {
+        match self.mode {
+            Mode::Idle | Mode::Unreferenced => {
+                self.mode = Mode::Stopping;
+                self.begin_stop();
+                Ok(())
+            }
+            Mode::DrivesOff if self.enabling == Enabling::No => Ok(()),
+            Mode::DrivesOff => Err(Refusal::Moving),
+            mode => Err(Refusal::NotInMode(mode)),
+        }
+    }
+
+    fn reference(&mut self) -> Result<(), Refusal> {
+        if !matches!(self.mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
+            return Err(Refusal::NotInMode(self.mode));
+        }
+        if !self.condition.standstill || self.enabling != Enabling::No {
+            return Err(Refusal::Moving);
+        }
+        self.act(Action::TakeReference);
+        self.enabling = Enabling::Referencing { since_ms: self.now_ms };
+        Ok(())
+    }
+
+    fn acknowledge(&mut self) -> Result<(), Refusal> {
+        self.require(Mode::Fault)?;
+        if self.stop.is_some() || self.recovering_since_ms.is_some() {
+            return Err(Refusal::Moving);
+        }
+        if !matches!(self.bus, Some(BusCondition::Operational)) || !self.condition.inputs_valid {
+            self.act(Action::RecoverBus);
+            self.bus = None;
+        }
+        self.act(Action::ClearFault);
+        self.act(Action::Power(if self.condition.drive_fault {
+            Power::FaultReset
+        } else {
+            Power::Off
+        }));
+        self.recovering_since_ms = Some(self.now_ms);
+        Ok(())
+    }
+
+    fn follow_from_here(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.act(Action::Place {
+            pose: self.condition.pose,
+            epoch: self.epoch,
+        });
+        self.act(Action::Follow { epoch: self.epoch });
+        self.act(Action::Motion(MotionCommand::Override(self.override_percent)));
+    }
+
+    fn enter_fault(&mut self, fault: Fault) {
+        if self.fault.is_none() {
+            self.fault = Some(fault);
+        }
+        self.enabling = Enabling::No;
+        self.cancelling = false;
+        self.recovering_since_ms = None;
+        let has_power = !self.condition.unpowered;
+        if has_power {
+            self.mode = Mode::Stopping;
+            self.begin_stop();
+        } else {
+            self.act(Action::Power(Power::Off));
+            self.mode = Mode::Fault;
+            self.stop = None;
+        }
+    }
+
+    fn begin_stop(&mut self) {
+        self.act(Action::Power(Power::QuickStop));
+        self.stop = Some(Stop::Ramp { since_ms: self.now_ms });
+    }
+
+    fn waited_ms(&self, since_ms: u32) -> u32 {
+        self.now_ms.wrapping_sub(since_ms)
+    }
+
+    fn step_enabling(&mut self) {
+        match self.enabling {
+            Enabling::No => {}
+            Enabling::Referencing { since_ms } => {
+                if self.condition.referenced && self.waited_ms(since_ms) >= 2 {
+                    self.enabling = Enabling::No;
+                    if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
+                        self.follow_from_here();
+                        self.mode = Mode::Idle;
+                    }
+                } else if self.waited_ms(since_ms) > ENABLE_MAX_MS {
+                    self.enabling = Enabling::No;
+                }
+            }
+            Enabling::Powering { since_ms } => {
+                if self.condition.powered {
+                    self.enabling = Enabling::No;
+                    self.mode = if self.condition.referenced {
+                        Mode::Idle
+                    } else {
+                        Mode::Unreferenced
+                    };
+                } else if self.waited_ms(since_ms) > ENABLE_MAX_MS {
+                    self.enter_fault(Fault::EnableTimeout {
+                        waited_ms: ENABLE_MAX_MS as u16,
+                    });
+                }
+            }
+        }
+    }
+
+    fn step_stop(&mut self) {
+        let Some(stop) = self.stop else { return };
+        self.stop = match stop {
+            Stop::Ramp { since_ms } if self.condition.standstill || self.waited_ms(since_ms) > STANDSTILL_MAX_MS => {
+                Some(Stop::Brake { since_ms: self.now_ms })
+            }
+            Stop::Brake { since_ms } if self.waited_ms(since_ms) >= BRAKE_DELAY_MS => {
+                self.act(Action::Power(Power::Off));
+                Some(Stop::Release { since_ms: self.now_ms })
+            }
+            Stop::Release { since_ms } if self.condition.unpowered || self.waited_ms(since_ms) > ENABLE_MAX_MS => {
+                self.mode = if self.fault.is_some() {
+                    Mode::Fault
+                } else {
+                    Mode::DrivesOff
+                };
+                None
+            }
+            waiting => Some(waiting),
+        };
+    }
+
+    fn step_recovery(&mut self) {
+        let Some(since_ms) = self.recovering_since_ms else {
+            return;
+        };
+        if self.waited_ms(since_ms) < MOTION_SETTLE_MS {
+            return;
+        }
+        let bus_is_well = match self.bus {
+            Some(BusCondition::Operational) => self.condition.inputs_valid,
+            Some(BusCondition::Failed(_)) | None => false,
+        };
+        if bus_is_well && self.condition.drive_fault && self.waited_ms(since_ms) < RECOVERY_MAX_MS {
+            self.act(Action::Power(Power::FaultReset));
+        } else if bus_is_well && !self.condition.drive_fault {
+            self.recovering_since_ms = None;
+            self.fault = None;
+            self.act(Action::Power(Power::Off));
+            self.act(Action::ClearFault);
+            self.mode = Mode::DrivesOff;
+        } else if self.waited_ms(since_ms) > RECOVERY_MAX_MS {
+            self.recovering_since_ms = None;
+            if let Some(BusCondition::Failed(fault)) = self.bus {
+                self.fault = Some(fault);
+            }
+        }
+    }
+
+    fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
+        let settled = self.waited_ms(self.motion_started_ms) > MOTION_SETTLE_MS;
+        match self.mode {
+            Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
+            Mode::Drawing | Mode::Moving if settled && progress.idle => self.mode = Mode::Idle,
+            Mode::Stopping if self.cancelling && settled && progress.idle => {
+                self.cancelling = false;
+                self.mode = Mode::Idle;
+            }
+            _ => {}
+        }
+    }
+}
+
+const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);

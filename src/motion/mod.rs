@@ -54,3 +54,24 @@ pub enum RefusalReason {
     /// A coordinate is not a finite number.
     NotFinite,
 }
+
+/// What the trajectory can be told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MotionCommand {
+    /// Begin to execute the path that has been pushed.
+    Start,
+    /// Decelerate on the path, lift the pen, keep the state.
+    Hold,
+    /// Go on with a held path.
+    Resume,
+    /// Decelerate on the path, lift the pen, drop the rest.
+    Cancel,
+    /// Scale the path speed, percent from 10 to 200.
+    Override(u8),
+    /// Move in a straight line to a position.
+    MoveTo(Position),
+    /// Move with this velocity, mm/s, while the command is repeated.
+    Jog([f64; 3]),
+    /// Lift or lower the pen where it stands.
+    Pen(Pen),
+}
