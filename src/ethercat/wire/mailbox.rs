@@ -1,0 +1,202 @@
+//! The mailbox header: length, sender, priority, protocol and counter.
+//!
+//! A mailbox is a window in a slave's memory that is written or read as a whole; header and service data stand at its
+//! start. Layout: IEC 61158-6-12, mailbox.
+//!
+//! Invariant: a view only hands out the bytes that the header announces and that are there.
+
+use super::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
+
+/// Bytes of the header.
+pub const MAILBOX_HEADER_LEN: usize = 6;
+/// Counters run from 1 to this and around; 0 means that none is used.
+pub const COUNTER_MAX: u8 = 7;
+
+/// What kind of message a mailbox holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Protocol {
+    /// The slave could not make use of a mailbox.
+    Error = 0,
+    /// ADS over EtherCAT.
+    Aoe = 1,
+    /// Ethernet over EtherCAT.
+    Eoe = 2,
+    /// CAN application protocol over EtherCAT.
+    Coe = 3,
+    /// File access over EtherCAT.
+    Foe = 4,
+    /// Servo drive profile over EtherCAT.
+    Soe = 5,
+    /// Defined by the vendor.
+    Voe = 15,
+}
+
+impl Protocol {
+    /// The protocol of a number on the wire.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a number without meaning.
+    pub const fn from_number(number: u8) -> Result<Self, Error> {
+        Ok(match number {
+            0 => Self::Error,
+            1 => Self::Aoe,
+            2 => Self::Eoe,
+            3 => Self::Coe,
+            4 => Self::Foe,
+            5 => Self::Soe,
+            15 => Self::Voe,
+            other => {
+                return Err(Error::Value {
+                    actual: other as u16,
+                });
+            }
+        })
+    }
+}
+
+/// A mailbox's header in host form.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MailboxRepr {
+    /// Bytes of service data behind the header.
+    pub length: u16,
+    /// Station address of the other side; 0 is the master.
+    pub address: u16,
+    /// Priority, 0 (lowest) to 3.
+    pub priority: u8,
+    /// What the service data are.
+    pub protocol: Protocol,
+    /// 1 to [`COUNTER_MAX`], or 0.
+    pub counter: u8,
+}
+
+impl MailboxRepr {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// [`Error::Truncated`] or [`Error::Value`] for an unknown protocol.
+    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
+        check_len(bytes, MAILBOX_HEADER_LEN)?;
+        let kind = read_u8(bytes, 5);
+        Ok(Self {
+            length: read_u16(bytes, 0),
+            address: read_u16(bytes, 2),
+            priority: read_u8(bytes, 4) >> 6,
+            protocol: Protocol::from_number(kind & 0x0F)?,
+            counter: kind >> 4 & 0x07,
+        })
+    }
+
+    /// Writes the header.
+    ///
+    /// # Errors
+    /// [`Error::Room`].
+    pub fn emit(&self, bytes: &mut [u8]) -> Result<(), Error> {
+        check_room(bytes, MAILBOX_HEADER_LEN)?;
+        write_bytes(bytes, 0, &self.length.to_le_bytes());
+        write_bytes(bytes, 2, &self.address.to_le_bytes());
+        write_bytes(
+            bytes,
+            4,
+            &[
+                self.priority << 6,
+                self.protocol as u8 | (self.counter & 0x07) << 4,
+            ],
+        );
+        Ok(())
+    }
+}
+
+/// The service data behind a header, as long as the header says.
+///
+/// # Errors
+/// [`Error::Truncated`] when the mailbox is shorter than its header says.
+pub fn service_data(bytes: &[u8]) -> Result<&[u8], Error> {
+    check_len(bytes, MAILBOX_HEADER_LEN)?;
+    let end = MAILBOX_HEADER_LEN + usize::from(read_u16(bytes, 0));
+    bytes.get(MAILBOX_HEADER_LEN..end).ok_or(Error::Truncated {
+        expected: end,
+        actual: bytes.len(),
+    })
+}
+
+/// The reason in the service data of a [`Protocol::Error`] message.
+///
+/// # Errors
+/// [`Error::Truncated`].
+pub fn error_detail(data: &[u8]) -> Result<u16, Error> {
+    check_len(data, 4)?;
+    Ok(read_u16(data, 2))
+}
+
+/// Text of a mailbox error's reason.
+pub const fn error_text(detail: u16) -> &'static str {
+    match detail {
+        1 => "malformed mailbox header",
+        2 => "mailbox protocol not supported",
+        3 => "mailbox channel does not fit the protocol",
+        4 => "service of the protocol not supported",
+        5 => "invalid service header",
+        6 => "message too short",
+        7 => "no memory for the message",
+        8 => "length of the message inconsistent",
+        9 => "service already in use",
+        _ => "unknown mailbox error",
+    }
+}
+
+/// The counter that follows `counter`: 1 to 7 and around.
+pub const fn next_counter(counter: u8) -> u8 {
+    if counter >= COUNTER_MAX {
+        1
+    } else {
+        counter + 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_survives_emit_and_parse() {
+        for counter in 0..=COUNTER_MAX {
+            let repr = MailboxRepr {
+                length: 10,
+                address: 0x1001,
+                priority: 3,
+                protocol: Protocol::Coe,
+                counter,
+            };
+            let mut bytes = [0; 6];
+            repr.emit(&mut bytes).unwrap();
+            assert_eq!(MailboxRepr::parse(&bytes), Ok(repr));
+            assert_eq!(bytes, [10, 0, 0x01, 0x10, 0xC0, 0x03 | counter << 4]);
+        }
+        assert_eq!(
+            MailboxRepr::parse(&[0, 0, 0, 0, 0, 9]),
+            Err(Error::Value { actual: 9 })
+        );
+    }
+
+    #[test]
+    fn service_data_never_reach_past_the_window() {
+        assert_eq!(service_data(&[2, 0, 0, 0, 0, 3, 7, 8, 9]), Ok(&[7, 8][..]));
+        assert_eq!(
+            service_data(&[4, 0, 0, 0, 0, 3, 7, 8, 9]),
+            Err(Error::Truncated {
+                expected: 10,
+                actual: 9
+            })
+        );
+    }
+
+    #[test]
+    fn counters_skip_zero() {
+        let mut counter = 0;
+        for expected in [1, 2, 3, 4, 5, 6, 7, 1, 2] {
+            counter = next_counter(counter);
+            assert_eq!(counter, expected);
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! What travels on an EtherCAT segment, byte by byte.
+//!
+//! Each structure has a view over borrowed bytes, made by `new_checked` and never reading outside them, and a plain
+//! `Repr` with `parse` and `emit`. Numbers are little-endian except those of the Ethernet header. The layouts follow
+//! IEC 61158-4-12 and IEC 61158-6-12 (type 12 fieldbus).
+//!
+//! Invariant: no function in this module panics, whatever bytes it is given.
+
+pub mod coe;
+mod datagram;
+mod frame;
+pub mod mailbox;
+pub mod register;
+pub mod sii;
+
+pub use datagram::{
+    Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, Datagram, DatagramRepr, Datagrams,
+};
+pub use frame::{
+    ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MAX, FRAME_LEN_MIN, FrameBuilder,
+    FrameView, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
+};
+
+/// Why bytes are not what they should be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// Fewer bytes than the structure or its own length field needs.
+    Truncated {
+        /// Bytes needed.
+        expected: usize,
+        /// Bytes there.
+        actual: usize,
+    },
+    /// The Ethernet frame carries another protocol than EtherCAT.
+    EtherType {
+        /// The ethertype found.
+        actual: u16,
+    },
+    /// The EtherCAT header announces something else than datagrams.
+    FrameType {
+        /// The type found, 0 to 15.
+        actual: u8,
+    },
+    /// A command number that is none of EtherCAT's.
+    Command {
+        /// The number found.
+        actual: u8,
+    },
+    /// The last datagram ends elsewhere than the EtherCAT header says.
+    ChainLength {
+        /// Bytes announced by the EtherCAT header.
+        expected: usize,
+        /// Bytes the datagrams take.
+        actual: usize,
+    },
+    /// The room for a structure is too small.
+    Room {
+        /// Bytes needed.
+        expected: usize,
+        /// Bytes there.
+        actual: usize,
+    },
+    /// A field holds a value that has no meaning.
+    Value {
+        /// The value found.
+        actual: u16,
+    },
+}
+
+/// Reads an unsigned 8-bit number; 0 outside of `bytes`.
+pub(crate) fn read_u8(bytes: &[u8], offset: usize) -> u8 {
+    bytes.get(offset).copied().unwrap_or(0)
+}
+
+/// Reads an unsigned little-endian 16-bit number; 0 outside of `bytes`.
+pub(crate) fn read_u16(bytes: &[u8], offset: usize) -> u16 {
+    match bytes.get(offset..).and_then(|rest| rest.first_chunk::<2>()) {
+        Some(chunk) => u16::from_le_bytes(*chunk),
+        None => 0,
+    }
+}
+
+/// Reads an unsigned little-endian 32-bit number; 0 outside of `bytes`.
+pub(crate) fn read_u32(bytes: &[u8], offset: usize) -> u32 {
+    match bytes.get(offset..).and_then(|rest| rest.first_chunk::<4>()) {
+        Some(chunk) => u32::from_le_bytes(*chunk),
+        None => 0,
+    }
+}
+
+/// Writes `value` at `offset`; nothing where it does not fit.
+pub(crate) fn write_bytes(bytes: &mut [u8], offset: usize, value: &[u8]) {
+    if let Some(target) = bytes
+        .get_mut(offset..)
+        .and_then(|rest| rest.get_mut(..value.len()))
+    {
+        target.copy_from_slice(value);
+    }
+}
+
+/// Fails unless `bytes` holds at least `expected` bytes.
+pub(crate) fn check_len(bytes: &[u8], expected: usize) -> Result<(), Error> {
+    if bytes.len() < expected {
+        Err(Error::Truncated {
+            expected,
+            actual: bytes.len(),
+        })
+    } else {
+        Ok(())
+    }
+}
+
+/// Fails unless `bytes` offers room for at least `expected` bytes.
+pub(crate) fn check_room(bytes: &[u8], expected: usize) -> Result<(), Error> {
+    if bytes.len() < expected {
+        Err(Error::Room {
+            expected,
+            actual: bytes.len(),
+        })
+    } else {
+        Ok(())
+    }
+}
