@@ -1,1 +1,3 @@
-//! (under construction)
+//! The 1 kHz side: sampler, position controller and supervision.
+
+pub mod supervision;

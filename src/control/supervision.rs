@@ -1,0 +1,234 @@
+//! Supervision of the axes: what the critical tasks see first and answer with a quick stop.
+//!
+//! One [`Supervision`] is stepped every millisecond in the critical task, with bounded work and without a lock. The
+//! first cause is latched and stays until it is cleared from below; later causes do not replace it.
+
+use crate::application::Fault;
+use crate::config::{Axis, Bus};
+use crate::robot::AXES;
+
+/// Cycles in a row with the output at its clamp that make a fault.
+pub const CLAMPED_CYCLES_MAX: u8 = 5;
+/// Length of the window in which late cycles are counted, ms.
+pub const LATE_WINDOW_MS: u16 = 1_000;
+
+/// What the supervision looks at in one millisecond.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// Whether each axis delivered a valid position in this cycle.
+    pub valid: [bool; AXES],
+    /// Following error of each axis, rad.
+    pub following_error_rad: [f64; AXES],
+    /// Velocity the controller asked for before the clamp, rad/s.
+    pub output_rad_s: [f64; AXES],
+    /// Status word of each axis' drive.
+    pub status_word: [u16; AXES],
+    /// Whether each drive reports a fault or has lost its power although it should have it.
+    pub drive_fault: [bool; AXES],
+    /// Whether each axis' position has been missing too long to know the motor's turn.
+    pub reference_lost: [bool; AXES],
+    /// AL state of all slaves, OR-ed, with the error flag, when the broadcast came back.
+    pub al_status: Option<u8>,
+    /// Whether the drives follow references.
+    pub following: bool,
+    /// Whether the ring of references was empty.
+    pub underrun: bool,
+    /// Whether the last output telegram was late.
+    pub late: bool,
+}
+
+/// AL state OP without the error flag.
+const AL_OPERATIONAL: u8 = 8;
+
+/// Latches the first cause that asks for a quick stop.
+#[derive(Debug)]
+pub struct Supervision {
+    fault: Option<Fault>,
+    blind_ms: [u16; AXES],
+    clamped: [u8; AXES],
+    window_ms: u16,
+    late: u16,
+}
+
+impl Default for Supervision {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Supervision {
+    /// Nothing latched.
+    pub const fn new() -> Self {
+        Self { fault: None, blind_ms: [0; AXES], clamped: [0; AXES], window_ms: 0, late: 0 }
+    }
+
+    /// The latched cause.
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// Forgets the latched cause.
+    pub fn clear(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Latches `fault` unless a cause is latched already.
+    pub fn latch(&mut self, fault: Fault) {
+        self.fault.get_or_insert(fault);
+    }
+
+    /// One millisecond: returns the latched cause, if there is one.
+    pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
+        self.count_late(bus, seen.late);
+        for (axis, number) in (0..AXES).zip(0u8..) {
+            self.blind_ms[axis] = if seen.valid[axis] { 0 } else { self.blind_ms[axis].saturating_add(1) };
+            if seen.reference_lost[axis] && seen.following {
+                self.latch(Fault::ReferenceLost { axis: number });
+            }
+        }
+        if seen.following {
+            self.look_at_bus(bus, seen);
+            self.look_at_axes(axes, seen);
+        } else {
+            self.clamped = [0; AXES];
+        }
+        self.fault
+    }
+
+    fn count_late(&mut self, bus: &Bus, late: bool) {
+        self.late += u16::from(late);
+        if self.late > bus.late_max_per_s {
+            self.latch(Fault::CyclesLate { late: self.late, limit: bus.late_max_per_s });
+        }
+        self.window_ms += 1;
+        if self.window_ms >= LATE_WINDOW_MS {
+            (self.window_ms, self.late) = (0, 0);
+        }
+    }
+
+    fn look_at_bus(&mut self, bus: &Bus, seen: &Observation) {
+        let limit_ms = bus.blind_max_ms;
+        let blind = self.blind_ms.map(|ms| ms > limit_ms);
+        if blind.iter().all(|b| *b) {
+            self.latch(Fault::Blind { blind_ms: self.blind_ms[0], limit_ms });
+        } else if let Some(axis) = blind.iter().position(|b| *b) {
+            self.latch(Fault::SlaveLost { slave: axis as u8 });
+        }
+        if let Some(al_state) = seen.al_status
+            && al_state != AL_OPERATIONAL
+            && seen.valid.iter().all(|valid| *valid)
+        {
+            // Which slave it is, the supervisor finds out; until then the state of all is named with slave 255.
+            self.latch(Fault::SlaveState { slave: u8::MAX, al_state, al_code: 0 });
+        }
+        if seen.underrun {
+            self.latch(Fault::ReferenceUnderrun);
+        }
+    }
+
+    fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+        for (axis, number) in (0..AXES).zip(0u8..) {
+            if seen.drive_fault[axis] {
+                self.latch(Fault::Drive { axis: number, status_word: seen.status_word[axis] });
+            }
+            let (error, limit) = (seen.following_error_rad[axis].abs(), axes[axis].following_error_max_rad);
+            if error.is_nan() || error > limit {
+                self.latch(Fault::FollowingError { axis: number, error_rad: error as f32, limit_rad: limit as f32 });
+            }
+            let (output, limit) = (seen.output_rad_s[axis].abs(), axes[axis].output_max_rad_s);
+            self.clamped[axis] = if output <= limit { 0 } else { self.clamped[axis] + 1 };
+            if self.clamped[axis] >= CLAMPED_CYCLES_MAX {
+                let (output_rad_s, limit_rad_s) = (seen.output_rad_s[axis] as f32, limit as f32);
+                self.latch(Fault::OutputLimit { axis: number, output_rad_s, limit_rad_s });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn well() -> Observation {
+        Observation {
+            valid: [true; AXES],
+            following_error_rad: [0.0; AXES],
+            output_rad_s: [0.0; AXES],
+            status_word: [0x0637; AXES],
+            drive_fault: [false; AXES],
+            reference_lost: [false; AXES],
+            al_status: Some(AL_OPERATIONAL),
+            following: true,
+            underrun: false,
+            late: false,
+        }
+    }
+
+    fn run(cycles: usize, seen: &Observation) -> Option<Fault> {
+        let mut supervision = Supervision::new();
+        let (axes, bus) = ([Axis::default(); AXES], Bus::default());
+        (0..cycles).find_map(|_| supervision.step(&axes, &bus, seen))
+    }
+
+    #[test]
+    fn a_healthy_bus_never_faults() {
+        assert_eq!(run(10_000, &well()), None);
+    }
+
+    #[test]
+    fn blind_motion_lasts_for_the_configured_limit_and_no_longer() {
+        let blind = Observation { valid: [false; AXES], al_status: None, ..well() };
+        let limit_ms = Bus::default().blind_max_ms;
+        assert_eq!(run(usize::from(limit_ms), &blind), None);
+        assert_eq!(run(usize::from(limit_ms) + 1, &blind), Some(Fault::Blind { blind_ms: limit_ms + 1, limit_ms }));
+    }
+
+    #[test]
+    fn one_silent_slave_is_named() {
+        let lost = Observation { valid: [true, true, false, true], ..well() };
+        assert_eq!(run(100, &lost), Some(Fault::SlaveLost { slave: 2 }));
+    }
+
+    #[test]
+    fn a_following_error_above_its_limit_names_axis_value_and_limit() {
+        let far = Observation { following_error_rad: [0.0, -0.06, 0.0, 0.0], ..well() };
+        let expected = Fault::FollowingError { axis: 1, error_rad: 0.06, limit_rad: 0.05 };
+        assert_eq!(run(1, &far), Some(expected));
+    }
+
+    #[test]
+    fn a_position_that_is_not_a_number_stops_the_drives() {
+        let broken = Observation { following_error_rad: [f64::NAN, 0.0, 0.0, 0.0], ..well() };
+        assert!(matches!(run(1, &broken), Some(Fault::FollowingError { axis: 0, .. })));
+    }
+
+    #[test]
+    fn an_output_at_the_clamp_faults_after_a_few_cycles_only() {
+        let high = Observation { output_rad_s: [0.0, 0.0, 0.0, 30.0], ..well() };
+        assert_eq!(run(usize::from(CLAMPED_CYCLES_MAX) - 1, &high), None);
+        assert!(matches!(run(usize::from(CLAMPED_CYCLES_MAX), &high), Some(Fault::OutputLimit { axis: 3, .. })));
+    }
+
+    #[test]
+    fn more_late_cycles_than_configured_within_a_second_fault() {
+        let late = Observation { late: true, following: false, ..well() };
+        assert_eq!(run(10, &late), None);
+        assert_eq!(run(11, &late), Some(Fault::CyclesLate { late: 11, limit: 10 }));
+    }
+
+    #[test]
+    fn the_first_cause_stays_until_it_is_cleared() {
+        let mut supervision = Supervision::new();
+        supervision.latch(Fault::ReferenceUnderrun);
+        supervision.latch(Fault::ReferenceLost { axis: 0 });
+        assert_eq!(supervision.fault(), Some(Fault::ReferenceUnderrun));
+        supervision.clear();
+        assert_eq!(supervision.fault(), None);
+    }
+
+    #[test]
+    fn nothing_that_moves_nothing_is_a_fault() {
+        let idle = Observation { following: false, valid: [false; AXES], drive_fault: [true; AXES], ..well() };
+        assert_eq!(run(100, &idle), None);
+    }
+}
