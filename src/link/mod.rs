@@ -3,4 +3,6 @@
 //! Both ends use the types of [`protocol`]; frames are COBS with a CRC, the path travels in a window with credit,
 //! commands are answered one by one and overtake the path, telemetry is best effort and counts what it drops.
 
+pub mod device;
+pub mod frame;
 pub mod protocol;

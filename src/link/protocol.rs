@@ -26,6 +26,9 @@ pub const SLAVES_REPORTED: usize = 8;
 pub struct Hello {
     /// The host's [`PROTOCOL_VERSION`].
     pub protocol: u16,
+    /// Number of this connection, other than 0 and than the one before: a greeting with the same number again is a
+    /// repetition.
+    pub session: u32,
 }
 
 /// The firmware's answer to [`Hello`], also when the versions differ.
@@ -33,6 +36,8 @@ pub struct Hello {
 pub struct Welcome {
     /// The firmware's [`PROTOCOL_VERSION`].
     pub protocol: u16,
+    /// The connection of the [`Hello`] that is answered; 0 when the firmware has none, for instance after a reset.
+    pub session: u32,
     /// Version of the firmware package.
     pub firmware: String<16>,
     /// Name of the board: `nucleo`, `emulated` or `simulation`.
@@ -226,6 +231,8 @@ pub struct PathAck {
     pub next: u32,
     /// How many vertices from `next` on may be sent.
     pub credit: u16,
+    /// Whether vertices behind `next` arrived and were dropped: `next` was lost on the way.
+    pub missing: bool,
     /// Vertices fully executed.
     pub executed: u32,
     /// Whether the end of the path was received.

@@ -1,0 +1,815 @@
+//! The firmware's end of the link.
+//!
+//! A serial line may lose, damage, repeat and delay, and the host may be restarted at any time; what the application
+//! sees must not depend on that. Invariants: a request is handed out once however often it arrives, and its answer is
+//! kept and repeated; the path comes out complete, in order and never more than the application has room for; a frame
+//! once begun is finished; everything lives in the endpoint's own memory. Bytes come in and go out through
+//! [`DeviceEndpoint::receive`] and [`DeviceEndpoint::transmit`], time is the caller's millisecond.
+
+use super::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
+use super::protocol::{
+    Command, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE, Sample, Status,
+    VERTICES_PER_MESSAGE, Welcome,
+};
+use crate::application::Refusal;
+use crate::config::{Config, ConfigError};
+use heapless::{Deque, String, Vec};
+
+/// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
+pub const SAMPLES_QUEUED: usize = 64;
+/// Requests whose answers are kept for repetition.
+pub const REQUESTS_KEPT: usize = 8;
+/// Shortest time between two acknowledgements that only report progress, ms.
+pub const ACK_PROGRESS_MS: u64 = 12;
+/// Longest time between two acknowledgements while there is a path, ms; it repeats credit that was lost on the way.
+pub const ACK_PERIOD_MS: u64 = 100;
+/// Bytes a millisecond at 921 600 baud, 10 bits a byte.
+pub const LINE_BYTES_PER_MS: usize = 92;
+
+const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAMPLES_PER_MESSAGE);
+const _: () = assert!(ACK_PROGRESS_MS < ACK_PERIOD_MS);
+
+/// What the firmware says about itself in its [`Welcome`].
+#[derive(Clone, Copy, Debug)]
+pub struct Identity {
+    /// Version of the firmware package, at most 16 bytes.
+    pub firmware: &'static str,
+    /// Name of the board, at most 16 bytes.
+    pub board: &'static str,
+    /// Vertices the firmware can hold when nothing is queued.
+    pub capacity: u16,
+}
+
+/// What the host wants of the application.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time
+pub enum DeviceEvent {
+    /// A host has connected; the state of an earlier path is kept. It expects a [`Status`].
+    Connected,
+    /// Check and use this configuration, then call [`DeviceEndpoint::configured`].
+    Configure {
+        /// Number of the request.
+        id: u16,
+        /// The configuration, unchecked.
+        config: Config,
+    },
+    /// Do this or refuse it, then call [`DeviceEndpoint::answer`].
+    Command {
+        /// Number of the request.
+        id: u16,
+        /// What to do.
+        command: Command,
+    },
+    /// The next vertices of the path; there is room for all of them.
+    Path {
+        /// The vertices, possibly none when only the end is announced.
+        vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
+        /// Whether they end the path.
+        last: bool,
+    },
+    /// The host wants a [`Status`] now.
+    Inquire,
+}
+
+/// What the endpoint has counted since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCounts {
+    /// Frames by their CRC.
+    pub frames: FrameCounts,
+    /// Frames with a right CRC that were no message.
+    pub not_understood: u32,
+    /// Messages before a greeting of the right version.
+    pub refused: u32,
+    /// Path messages out of order, repeated or without room.
+    pub path_dropped: u32,
+    /// Samples that were pushed out by newer ones.
+    pub samples_dropped: u32,
+}
+
+struct Request {
+    id: u16,
+    command: Command,
+    result: Option<Result<(), Refusal>>,
+    due: bool,
+}
+
+struct Configuring {
+    id: u16,
+    result: Option<Result<u64, ConfigError>>,
+    due: bool,
+}
+
+#[derive(Default)]
+struct Path {
+    ack: PathAck,
+    open: bool,
+    refusal: Option<crate::motion::Refusal>,
+    refusal_due: bool,
+    ack_due: bool,
+    changed: bool,
+    ack_sent_ms: u64,
+}
+
+/// The firmware's end of the link; `SAMPLES` is the length of the telemetry queue.
+pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
+    identity: Identity,
+    decoder: Decoder,
+    counts: LinkCounts,
+    session: Option<u32>,
+    welcome_due: bool,
+    heard_ms: u64,
+    config: Option<u64>,
+    configuring: Option<Configuring>,
+    requests: Deque<Request, REQUESTS_KEPT>,
+    path: Option<Path>,
+    status: Option<Status>,
+    samples: Deque<Sample, SAMPLES>,
+    sequence_next: u32,
+    frame: [u8; FRAME_BYTES_MAX],
+    frame_length: usize,
+    frame_sent: usize,
+}
+
+impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
+    /// An endpoint that waits for a greeting.
+    pub const fn new(identity: Identity) -> Self {
+        Self {
+            identity,
+            decoder: Decoder::new(),
+            counts: LinkCounts {
+                frames: FrameCounts { good: 0, bad: 0 },
+                not_understood: 0,
+                refused: 0,
+                path_dropped: 0,
+                samples_dropped: 0,
+            },
+            session: None,
+            welcome_due: false,
+            heard_ms: 0,
+            config: None,
+            configuring: None,
+            requests: Deque::new(),
+            path: None,
+            status: None,
+            samples: Deque::new(),
+            sequence_next: 0,
+            frame: [0; FRAME_BYTES_MAX],
+            frame_length: 0,
+            frame_sent: 0,
+        }
+    }
+
+    /// What was counted.
+    pub fn counts(&self) -> LinkCounts {
+        LinkCounts {
+            frames: self.decoder.counts(),
+            ..self.counts
+        }
+    }
+
+    /// Whether a host with the right version has greeted.
+    pub fn connected(&self) -> bool {
+        self.session.is_some()
+    }
+
+    /// Milliseconds since the host's last valid message, `None` before its greeting.
+    pub fn silence_ms(&self, now_ms: u64) -> Option<u64> {
+        self.session.map(|_| now_ms.saturating_sub(self.heard_ms))
+    }
+
+    /// Takes one byte from the line. `free` is the number of vertices the application can take now.
+    pub fn receive(&mut self, byte: u8, now_ms: u64, free: usize) -> Option<DeviceEvent> {
+        let payload = self.decoder.push(byte)?.ok()?;
+        if greeting_version(payload).is_some_and(|version| version != PROTOCOL_VERSION) {
+            self.session = None;
+            self.welcome_due = true;
+            return None;
+        }
+        let Ok(message) = decode::<HostMessage>(payload) else {
+            self.counts.not_understood = self.counts.not_understood.wrapping_add(1);
+            return None;
+        };
+        if let HostMessage::Hello(hello) = message {
+            self.heard_ms = now_ms;
+            return self.greet(hello.session);
+        }
+        if self.session.is_none() {
+            self.welcome_due = true;
+            self.counts.refused = self.counts.refused.wrapping_add(1);
+            return None;
+        }
+        self.heard_ms = now_ms;
+        match message {
+            HostMessage::Hello(_) | HostMessage::Heartbeat => None,
+            HostMessage::Configure { id, config } => self.take_configure(id, config),
+            HostMessage::Command { id, command } => self.take_command(id, command),
+            HostMessage::Path {
+                job,
+                first,
+                vertices,
+                last,
+            } => self.take_path(job, first, vertices, last, free),
+            HostMessage::Inquire => Some(DeviceEvent::Inquire),
+        }
+    }
+
+    fn greet(&mut self, session: u32) -> Option<DeviceEvent> {
+        self.welcome_due = true;
+        if self.session == Some(session) {
+            return None;
+        }
+        self.session = Some(session);
+        self.requests.clear();
+        self.configuring = None;
+        self.samples.clear();
+        if let Some(path) = &mut self.path {
+            path.ack_due = true;
+        }
+        Some(DeviceEvent::Connected)
+    }
+
+    fn take_configure(&mut self, id: u16, config: Config) -> Option<DeviceEvent> {
+        match &mut self.configuring {
+            Some(known) if known.id == id => {
+                known.due = known.result.is_some();
+                None
+            }
+            _ => {
+                self.configuring = Some(Configuring {
+                    id,
+                    result: None,
+                    due: false,
+                });
+                Some(DeviceEvent::Configure { id, config })
+            }
+        }
+    }
+
+    fn take_command(&mut self, id: u16, command: Command) -> Option<DeviceEvent> {
+        if let Some(known) = self.requests.iter_mut().find(|known| known.id == id) {
+            known.due = known.result.is_some();
+            return None;
+        }
+        if self.requests.is_full() {
+            self.requests.pop_front();
+        }
+        let request = Request {
+            id,
+            command,
+            result: None,
+            due: false,
+        };
+        // There is room: the oldest has just made it.
+        let _ = self.requests.push_back(request);
+        Some(DeviceEvent::Command { id, command })
+    }
+
+    fn take_path(
+        &mut self,
+        job: u16,
+        first: u32,
+        mut vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
+        last: bool,
+        free: usize,
+    ) -> Option<DeviceEvent> {
+        let dropped = self.counts.path_dropped.wrapping_add(1);
+        let Some(path) = self.path.as_mut().filter(|path| path.ack.job == job) else {
+            self.counts.path_dropped = dropped;
+            return None;
+        };
+        path.ack_due = true;
+        path.refusal_due = path.refusal.is_some();
+        if !path.open || path.ack.complete || first != path.ack.next {
+            path.ack.missing = path.open && first > path.ack.next;
+            self.counts.path_dropped = dropped;
+            return None;
+        }
+        let offered = vertices.len();
+        vertices.truncate(free);
+        path.ack.missing = false;
+        path.ack.next = path.ack.next.saturating_add(vertices.len() as u32);
+        path.ack.credit = credit(free - vertices.len());
+        path.ack.complete = last && vertices.len() == offered;
+        if vertices.len() < offered {
+            self.counts.path_dropped = dropped;
+        }
+        let last = path.ack.complete;
+        (last || !vertices.is_empty()).then_some(DeviceEvent::Path { vertices, last })
+    }
+
+    /// Answers a command. Accepting [`Command::Draw`] opens its path at vertex 0; accepting [`Command::Cancel`] or
+    /// [`Command::Stop`] closes the path. An answer to a request that is not known is ignored.
+    pub fn answer(&mut self, id: u16, result: Result<(), Refusal>) {
+        let Some(request) = self.requests.iter_mut().find(|request| request.id == id) else {
+            return;
+        };
+        request.result = Some(result);
+        request.due = true;
+        match (request.command, result) {
+            (Command::Draw { job }, Ok(())) => {
+                self.path = Some(Path {
+                    ack: PathAck {
+                        job,
+                        credit: self.identity.capacity,
+                        ..PathAck::default()
+                    },
+                    open: true,
+                    changed: true,
+                    ..Path::default()
+                });
+            }
+            (Command::Cancel | Command::Stop, Ok(())) => self.close_path(),
+            _ => {}
+        }
+    }
+
+    /// Answers a configuration: its hash, or the value that was refused, after which the former one stays in force.
+    pub fn configured(&mut self, id: u16, result: Result<u64, ConfigError>) {
+        if let Ok(hash) = result {
+            self.config = Some(hash);
+        }
+        if let Some(known) = self.configuring.as_mut().filter(|known| known.id == id) {
+            known.result = Some(result);
+            known.due = true;
+        }
+    }
+
+    /// Tells the host how far the path is: vertices fully executed, vertices that find room now, whether the path was
+    /// executed to its end. Call it every millisecond or when something changed; the endpoint decides when to send.
+    pub fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
+        let Some(path) = &mut self.path else { return };
+        let credit = if path.open { credit(free) } else { 0 };
+        let ack = PathAck {
+            credit,
+            executed,
+            finished,
+            ..path.ack
+        };
+        path.changed |= ack != path.ack;
+        path.ack_due |= finished && !path.ack.finished;
+        path.ack = ack;
+    }
+
+    /// Refuses a vertex of the path; the path is not taken further.
+    pub fn refuse_vertex(&mut self, refusal: crate::motion::Refusal) {
+        self.close_path();
+        if let Some(path) = &mut self.path {
+            path.refusal = Some(refusal);
+            path.refusal_due = true;
+        }
+    }
+
+    /// Takes no more of the path, for instance because a fault has ended the drawing.
+    pub fn close_path(&mut self) {
+        if let Some(path) = &mut self.path {
+            path.open = false;
+            path.ack.credit = 0;
+            path.changed = true;
+        }
+    }
+
+    /// Puts a status in line for sending; a newer one replaces one that has not been sent.
+    pub fn status(&mut self, status: Status) {
+        self.status = Some(status);
+    }
+
+    /// Puts a sample in line for sending; when the line is slow the oldest samples are dropped and counted.
+    pub fn sample(&mut self, sample: Sample) {
+        if self.session.is_none() {
+            return;
+        }
+        if self.samples.is_full() {
+            self.samples.pop_front();
+            self.counts.samples_dropped = self.counts.samples_dropped.wrapping_add(1);
+        }
+        // There is room: the oldest has just made it.
+        let _ = self.samples.push_back(sample);
+        self.sequence_next = self.sequence_next.wrapping_add(1);
+    }
+
+    /// Fills `out` with what is to be sent now and returns how many bytes that are.
+    pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
+        let mut filled = 0;
+        loop {
+            let waiting = self.frame.get(self.frame_sent..self.frame_length).unwrap_or(&[]);
+            let room = out.iter_mut().skip(filled);
+            let copied = room.zip(waiting).map(|(place, byte)| *place = *byte).count();
+            filled += copied;
+            self.frame_sent += copied;
+            if self.frame_sent < self.frame_length {
+                return filled;
+            }
+            let Some(message) = self.next_message(now_ms) else {
+                return filled;
+            };
+            self.frame_sent = 0;
+            self.frame_length = encode(&message, &mut self.frame).unwrap_or(0);
+        }
+    }
+
+    /// The message that is due first: answers, acknowledgement, status, telemetry.
+    fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
+        if self.welcome_due {
+            self.welcome_due = false;
+            return Some(DeviceMessage::Welcome(self.welcome()));
+        }
+        self.session?;
+        if let Some(request) = self.requests.iter_mut().find(|request| request.due)
+            && let Some(result) = request.result
+        {
+            request.due = false;
+            return Some(DeviceMessage::Answer { id: request.id, result });
+        }
+        if let Some(known) = self.configuring.as_mut().filter(|known| known.due)
+            && let Some(result) = known.result
+        {
+            known.due = false;
+            return Some(DeviceMessage::Configured { id: known.id, result });
+        }
+        if let Some(message) = self.path.as_mut().and_then(|path| path.next_message(now_ms)) {
+            return Some(message);
+        }
+        if let Some(status) = self.status.take() {
+            return Some(DeviceMessage::Status(status));
+        }
+        self.next_batch()
+    }
+
+    fn welcome(&self) -> Welcome {
+        Welcome {
+            protocol: PROTOCOL_VERSION,
+            session: self.session.unwrap_or(0),
+            firmware: shortened(self.identity.firmware),
+            board: shortened(self.identity.board),
+            config: self.config,
+            capacity: self.identity.capacity,
+        }
+    }
+
+    fn next_batch(&mut self) -> Option<DeviceMessage> {
+        if self.samples.len() < SAMPLES_PER_MESSAGE {
+            return None;
+        }
+        let sequence = self.sequence_next.wrapping_sub(self.samples.len() as u32);
+        let batch = core::iter::from_fn(|| self.samples.pop_front()).take(SAMPLES_PER_MESSAGE);
+        Some(DeviceMessage::Telemetry {
+            sequence,
+            samples: batch.collect(),
+        })
+    }
+}
+
+impl Path {
+    fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
+        if let Some(refusal) = self.refusal.filter(|_| self.refusal_due) {
+            self.refusal_due = false;
+            return Some(DeviceMessage::VertexRefused {
+                job: self.ack.job,
+                refusal,
+            });
+        }
+        let age_ms = now_ms.saturating_sub(self.ack_sent_ms);
+        let due = self.ack_due || (self.changed && age_ms >= ACK_PROGRESS_MS) || age_ms >= ACK_PERIOD_MS;
+        if !due {
+            return None;
+        }
+        let ack = self.ack;
+        self.ack.missing = false;
+        self.ack_due = false;
+        self.changed = false;
+        self.ack_sent_ms = now_ms;
+        Some(DeviceMessage::Ack(ack))
+    }
+}
+
+fn credit(free: usize) -> u16 {
+    u16::try_from(free).unwrap_or(u16::MAX)
+}
+
+fn shortened(text: &str) -> String<16> {
+    let mut short = String::new();
+    for letter in text.chars() {
+        if short.push(letter).is_err() {
+            break;
+        }
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::application::Mode;
+    use crate::link::protocol::{Counters, Hello, SLAVES_REPORTED, SlaveStatus};
+    use crate::motion::Pen;
+
+    const IDENTITY: Identity = Identity {
+        firmware: "0.1.0",
+        board: "simulation",
+        capacity: 512,
+    };
+
+    fn endpoint() -> DeviceEndpoint {
+        let mut endpoint = DeviceEndpoint::new(IDENTITY);
+        assert_eq!(
+            say(&mut endpoint, 0, 9, &hello(1)).as_slice(),
+            &[DeviceEvent::Connected]
+        );
+        endpoint
+    }
+
+    fn hello(session: u32) -> HostMessage {
+        HostMessage::Hello(Hello {
+            protocol: PROTOCOL_VERSION,
+            session,
+        })
+    }
+
+    fn command(id: u16, command: Command) -> HostMessage {
+        HostMessage::Command { id, command }
+    }
+
+    fn path(first: u32, count: usize, last: bool) -> HostMessage {
+        let vertices = (first..).take(count).map(|index| vertex(index as i32)).collect();
+        HostMessage::Path {
+            job: 3,
+            first,
+            vertices,
+            last,
+        }
+    }
+
+    fn vertex(x_um: i32) -> PathVertex {
+        PathVertex {
+            position_um: [x_um, 0, -850_000],
+            pen: Pen::Down,
+            stroke: 0,
+        }
+    }
+
+    fn say(
+        endpoint: &mut DeviceEndpoint,
+        now_ms: u64,
+        free: usize,
+        message: &HostMessage,
+    ) -> heapless::Vec<DeviceEvent, 4> {
+        let mut frame = [0; FRAME_BYTES_MAX];
+        let length = encode(message, &mut frame).unwrap();
+        frame[..length]
+            .iter()
+            .filter_map(|byte| endpoint.receive(*byte, now_ms, free))
+            .collect()
+    }
+
+    fn hear(endpoint: &mut DeviceEndpoint, now_ms: u64) -> heapless::Vec<DeviceMessage, 16> {
+        let mut bytes = [0; 4 * FRAME_BYTES_MAX];
+        let length = endpoint.transmit(now_ms, &mut bytes);
+        let mut decoder: Decoder = Decoder::new();
+        let messages = bytes[..length].iter().filter_map(|byte| {
+            let payload = decoder.push(*byte)?.unwrap();
+            Some(decode(payload).unwrap())
+        });
+        messages.collect()
+    }
+
+    fn acks(messages: &[DeviceMessage]) -> heapless::Vec<PathAck, 16> {
+        let acks = messages.iter().filter_map(|message| match message {
+            DeviceMessage::Ack(ack) => Some(*ack),
+            _ => None,
+        });
+        acks.collect()
+    }
+
+    fn drawing() -> DeviceEndpoint {
+        let mut endpoint = endpoint();
+        say(&mut endpoint, 0, 100, &command(1, Command::Draw { job: 3 }));
+        endpoint.answer(1, Ok(()));
+        hear(&mut endpoint, 0);
+        endpoint
+    }
+
+    #[test]
+    fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_right_greeting() {
+        let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
+        let wrong = HostMessage::Hello(Hello {
+            protocol: PROTOCOL_VERSION + 1,
+            session: 5,
+        });
+        assert!(say(&mut endpoint, 0, 0, &wrong).is_empty());
+        let answer = hear(&mut endpoint, 0);
+        assert!(matches!(&answer[..], [DeviceMessage::Welcome(welcome)]
+            if welcome.protocol == PROTOCOL_VERSION && welcome.session == 0 && welcome.board == "simulation"));
+        assert!(say(&mut endpoint, 1, 0, &command(1, Command::Enable)).is_empty());
+        assert_eq!((endpoint.counts().refused, endpoint.silence_ms(9)), (1, None));
+        assert_eq!(
+            say(&mut endpoint, 2, 0, &hello(5)).as_slice(),
+            &[DeviceEvent::Connected]
+        );
+        assert!(
+            say(&mut endpoint, 3, 0, &hello(5)).is_empty(),
+            "a repeated greeting is no new connection"
+        );
+        assert_eq!(endpoint.silence_ms(13), Some(10));
+    }
+
+    #[test]
+    fn a_repeated_request_is_answered_again_but_handed_out_once() {
+        let mut endpoint = endpoint();
+        hear(&mut endpoint, 0);
+        let enable = command(7, Command::Enable);
+        assert_eq!(say(&mut endpoint, 1, 0, &enable).len(), 1);
+        assert!(say(&mut endpoint, 2, 0, &enable).is_empty());
+        assert!(hear(&mut endpoint, 2).is_empty(), "no answer before the application's");
+        endpoint.answer(7, Err(Refusal::NotReferenced));
+        let answer = DeviceMessage::Answer {
+            id: 7,
+            result: Err(Refusal::NotReferenced),
+        };
+        assert_eq!(&hear(&mut endpoint, 3)[..], core::slice::from_ref(&answer));
+        assert!(say(&mut endpoint, 4, 0, &enable).is_empty());
+        assert_eq!(&hear(&mut endpoint, 4)[..], &[answer]);
+        let configure = HostMessage::Configure {
+            id: 8,
+            config: Config::default(),
+        };
+        assert_eq!(say(&mut endpoint, 5, 0, &configure).len(), 1);
+        endpoint.configured(8, Ok(99));
+        assert!(say(&mut endpoint, 6, 0, &configure).is_empty());
+        assert_eq!(
+            &hear(&mut endpoint, 6)[..],
+            &[DeviceMessage::Configured { id: 8, result: Ok(99) }]
+        );
+    }
+
+    #[test]
+    fn only_the_expected_part_of_the_path_is_taken_and_only_as_much_as_there_is_room() {
+        let mut endpoint = drawing();
+        assert!(say(&mut endpoint, 1, 100, &path(4, 4, false)).is_empty());
+        let ack = acks(&hear(&mut endpoint, 1))[0];
+        assert_eq!((ack.next, ack.missing), (0, true));
+        let events = say(&mut endpoint, 2, 3, &path(0, 4, true));
+        assert!(matches!(&events[..], [DeviceEvent::Path { vertices, last: false }] if vertices.len() == 3));
+        let ack = acks(&hear(&mut endpoint, 2))[0];
+        assert_eq!((ack.next, ack.credit, ack.missing, ack.complete), (3, 0, false, false));
+        let events = say(&mut endpoint, 3, 9, &path(3, 1, true));
+        assert!(matches!(&events[..], [DeviceEvent::Path { vertices, last: true }] if vertices[..] == [vertex(3)]));
+        assert!(say(&mut endpoint, 4, 9, &path(3, 1, true)).is_empty());
+        assert!(acks(&hear(&mut endpoint, 4))[0].complete);
+        assert_eq!(endpoint.counts().path_dropped, 3);
+    }
+
+    #[test]
+    fn a_refused_vertex_closes_the_path_and_is_repeated_while_the_host_goes_on_sending() {
+        let mut endpoint = drawing();
+        let refusal = crate::motion::Refusal {
+            index: 2,
+            reason: crate::motion::RefusalReason::NotFinite,
+        };
+        endpoint.refuse_vertex(refusal);
+        let refused = DeviceMessage::VertexRefused { job: 3, refusal };
+        assert!(hear(&mut endpoint, 1).contains(&refused));
+        assert!(say(&mut endpoint, 2, 100, &path(0, 4, false)).is_empty());
+        let messages = hear(&mut endpoint, 2);
+        assert!(messages.contains(&refused));
+        assert_eq!(acks(&messages)[0].credit, 0);
+    }
+
+    #[test]
+    fn progress_is_acknowledged_at_most_every_12_ms_and_credit_is_repeated() {
+        let mut endpoint = drawing();
+        let mut count = 0;
+        for now_ms in 1..=120 {
+            endpoint.acknowledge(now_ms as u32, 50, false);
+            count += acks(&hear(&mut endpoint, now_ms)).len();
+        }
+        assert_eq!(count, 10);
+        let count: usize = (121..=420).map(|now_ms| acks(&hear(&mut endpoint, now_ms)).len()).sum();
+        assert_eq!(count, 3);
+        endpoint.acknowledge(120, 50, true);
+        assert!(acks(&hear(&mut endpoint, 421))[0].finished, "the end is told at once");
+    }
+
+    fn sample(t_ms: u32) -> Sample {
+        let angle = (t_ms as f32).sin();
+        Sample {
+            t_ms: 100_000_000 + t_ms,
+            mode: Mode::Drawing,
+            stroke: 20_000,
+            pen: Pen::Down,
+            reference_rad: [angle; 4],
+            measured_rad: [angle * 0.999; 4],
+            reference_rad_s: [angle * 7.1; 4],
+            measured_rad_s: [angle * 7.3; 4],
+        }
+    }
+
+    fn full_status() -> Status {
+        let slave = SlaveStatus {
+            vendor: u32::MAX,
+            product: u32::MAX,
+            al_state: 8,
+            al_code: 0,
+            status_word: u16::MAX,
+        };
+        Status {
+            mode: Mode::Drawing,
+            fault: None,
+            referenced: true,
+            config: Some(u64::MAX),
+            override_percent: 100,
+            counters: Counters {
+                cycles: u32::MAX,
+                ..Counters::default()
+            },
+            slaves: core::iter::repeat_n(slave, SLAVES_REPORTED).collect(),
+        }
+    }
+
+    #[test]
+    fn a_sample_every_millisecond_fits_the_line_beside_acknowledgements_answers_and_status() {
+        let mut endpoint = drawing();
+        let mut decoder: Decoder = Decoder::new();
+        let (mut received, mut bytes) = (0u32, 0usize);
+        let duration_ms = 20_000u32;
+        for t_ms in 0..duration_ms {
+            let now_ms = u64::from(t_ms);
+            endpoint.sample(sample(t_ms));
+            if t_ms % 4 == 0 {
+                say(&mut endpoint, now_ms, 500, &path(t_ms * 4, 16, false));
+            }
+            if t_ms % 500 == 0 {
+                endpoint.status(full_status());
+                let id = (t_ms / 500) as u16 + 2;
+                say(
+                    &mut endpoint,
+                    now_ms,
+                    500,
+                    &command(id, Command::Override { percent: 90 }),
+                );
+                endpoint.answer(id, Ok(()));
+            }
+            endpoint.acknowledge(t_ms, 500, false);
+            let mut line = [0; LINE_BYTES_PER_MS];
+            let length = endpoint.transmit(now_ms, &mut line);
+            bytes += length;
+            for byte in &line[..length] {
+                let Some(payload) = decoder.push(*byte) else { continue };
+                if let Ok(DeviceMessage::Telemetry { sequence, samples }) = decode(payload.unwrap()) {
+                    assert_eq!(sequence, received);
+                    received += samples.len() as u32;
+                }
+            }
+        }
+        assert_eq!(endpoint.counts().samples_dropped, 0);
+        assert!(duration_ms - received < 16, "{received} of {duration_ms}");
+        let share = bytes as f64 / (duration_ms as usize * LINE_BYTES_PER_MS) as f64;
+        assert!(share < 0.95, "{share} of the line is used");
+    }
+
+    #[test]
+    fn on_a_slow_line_the_oldest_samples_are_dropped_counted_and_seen_in_the_sequence() {
+        let mut endpoint = endpoint();
+        hear(&mut endpoint, 0);
+        (0..100).for_each(|t_ms| endpoint.sample(sample(t_ms)));
+        assert_eq!(endpoint.counts().samples_dropped, 36);
+        let messages = hear(&mut endpoint, 1);
+        assert!(matches!(&messages[0], DeviceMessage::Telemetry { sequence: 36, samples } if samples.len() == 4));
+    }
+
+    #[test]
+    fn a_frame_once_begun_is_finished_before_a_more_urgent_one() {
+        let mut endpoint = endpoint();
+        hear(&mut endpoint, 0);
+        endpoint.status(full_status());
+        let mut bytes = [0; FRAME_BYTES_MAX];
+        assert_eq!(endpoint.transmit(1, &mut bytes[..10]), 10);
+        say(&mut endpoint, 2, 0, &command(2, Command::Stop));
+        endpoint.answer(2, Ok(()));
+        let length = 10 + endpoint.transmit(2, &mut bytes[10..]);
+        let mut decoder: Decoder = Decoder::new();
+        let mut kinds = bytes[..length].iter().filter_map(|byte| {
+            let payload = decoder.push(*byte)?.unwrap();
+            Some(matches!(decode(payload).unwrap(), DeviceMessage::Status(_)))
+        });
+        assert_eq!((kinds.next(), kinds.next()), (Some(true), Some(false)));
+    }
+
+    #[test]
+    fn garbage_makes_no_panic_and_no_event() {
+        let seed = 0x5eed_0001_u32;
+        let mut state = seed;
+        let mut endpoint = endpoint();
+        for now_ms in 0..100_000 {
+            state ^= state << 13;
+            state ^= state >> 17;
+            state ^= state << 5;
+            let byte = if state.is_multiple_of(20) {
+                0
+            } else {
+                (state >> 8) as u8
+            };
+            assert_eq!(endpoint.receive(byte, now_ms, 10), None, "seed {seed:#x}");
+        }
+        assert!(endpoint.counts().frames.bad > 1000);
+    }
+}
