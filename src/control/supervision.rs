@@ -59,7 +59,13 @@ impl Default for Supervision {
 impl Supervision {
     /// Nothing latched.
     pub const fn new() -> Self {
-        Self { fault: None, blind_ms: [0; AXES], clamped: [0; AXES], window_ms: 0, late: 0 }
+        Self {
+            fault: None,
+            blind_ms: [0; AXES],
+            clamped: [0; AXES],
+            window_ms: 0,
+            late: 0,
+        }
     }
 
     /// The latched cause.
@@ -81,7 +87,11 @@ impl Supervision {
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
         self.count_late(bus, seen.late);
         for (axis, number) in (0..AXES).zip(0u8..) {
-            self.blind_ms[axis] = if seen.valid[axis] { 0 } else { self.blind_ms[axis].saturating_add(1) };
+            self.blind_ms[axis] = if seen.valid[axis] {
+                0
+            } else {
+                self.blind_ms[axis].saturating_add(1)
+            };
             if seen.reference_lost[axis] && seen.following {
                 self.latch(Fault::ReferenceLost { axis: number });
             }
@@ -98,7 +108,10 @@ impl Supervision {
     fn count_late(&mut self, bus: &Bus, late: bool) {
         self.late += u16::from(late);
         if self.late > bus.late_max_per_s {
-            self.latch(Fault::CyclesLate { late: self.late, limit: bus.late_max_per_s });
+            self.latch(Fault::CyclesLate {
+                late: self.late,
+                limit: bus.late_max_per_s,
+            });
         }
         self.window_ms += 1;
         if self.window_ms >= LATE_WINDOW_MS {
@@ -110,7 +123,10 @@ impl Supervision {
         let limit_ms = bus.blind_max_ms;
         let blind = self.blind_ms.map(|ms| ms > limit_ms);
         if blind.iter().all(|b| *b) {
-            self.latch(Fault::Blind { blind_ms: self.blind_ms[0], limit_ms });
+            self.latch(Fault::Blind {
+                blind_ms: self.blind_ms[0],
+                limit_ms,
+            });
         } else if let Some(axis) = blind.iter().position(|b| *b) {
             self.latch(Fault::SlaveLost { slave: axis as u8 });
         }
@@ -119,7 +135,11 @@ impl Supervision {
             && seen.valid.iter().all(|valid| *valid)
         {
             // Which slave it is, the supervisor finds out; until then the state of all is named with slave 255.
-            self.latch(Fault::SlaveState { slave: u8::MAX, al_state, al_code: 0 });
+            self.latch(Fault::SlaveState {
+                slave: u8::MAX,
+                al_state,
+                al_code: 0,
+            });
         }
         if seen.underrun {
             self.latch(Fault::ReferenceUnderrun);
@@ -129,17 +149,28 @@ impl Supervision {
     fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
         for (axis, number) in (0..AXES).zip(0u8..) {
             if seen.drive_fault[axis] {
-                self.latch(Fault::Drive { axis: number, status_word: seen.status_word[axis] });
+                self.latch(Fault::Drive {
+                    axis: number,
+                    status_word: seen.status_word[axis],
+                });
             }
             let (error, limit) = (seen.following_error_rad[axis].abs(), axes[axis].following_error_max_rad);
             if error.is_nan() || error > limit {
-                self.latch(Fault::FollowingError { axis: number, error_rad: error as f32, limit_rad: limit as f32 });
+                self.latch(Fault::FollowingError {
+                    axis: number,
+                    error_rad: error as f32,
+                    limit_rad: limit as f32,
+                });
             }
             let (output, limit) = (seen.output_rad_s[axis].abs(), axes[axis].output_max_rad_s);
             self.clamped[axis] = if output <= limit { 0 } else { self.clamped[axis] + 1 };
             if self.clamped[axis] >= CLAMPED_CYCLES_MAX {
                 let (output_rad_s, limit_rad_s) = (seen.output_rad_s[axis] as f32, limit as f32);
-                self.latch(Fault::OutputLimit { axis: number, output_rad_s, limit_rad_s });
+                self.latch(Fault::OutputLimit {
+                    axis: number,
+                    output_rad_s,
+                    limit_rad_s,
+                });
             }
         }
     }
@@ -177,41 +208,74 @@ mod tests {
 
     #[test]
     fn blind_motion_lasts_for_the_configured_limit_and_no_longer() {
-        let blind = Observation { valid: [false; AXES], al_status: None, ..well() };
+        let blind = Observation {
+            valid: [false; AXES],
+            al_status: None,
+            ..well()
+        };
         let limit_ms = Bus::default().blind_max_ms;
         assert_eq!(run(usize::from(limit_ms), &blind), None);
-        assert_eq!(run(usize::from(limit_ms) + 1, &blind), Some(Fault::Blind { blind_ms: limit_ms + 1, limit_ms }));
+        assert_eq!(
+            run(usize::from(limit_ms) + 1, &blind),
+            Some(Fault::Blind {
+                blind_ms: limit_ms + 1,
+                limit_ms
+            })
+        );
     }
 
     #[test]
     fn one_silent_slave_is_named() {
-        let lost = Observation { valid: [true, true, false, true], ..well() };
+        let lost = Observation {
+            valid: [true, true, false, true],
+            ..well()
+        };
         assert_eq!(run(100, &lost), Some(Fault::SlaveLost { slave: 2 }));
     }
 
     #[test]
     fn a_following_error_above_its_limit_names_axis_value_and_limit() {
-        let far = Observation { following_error_rad: [0.0, -0.06, 0.0, 0.0], ..well() };
-        let expected = Fault::FollowingError { axis: 1, error_rad: 0.06, limit_rad: 0.05 };
+        let far = Observation {
+            following_error_rad: [0.0, -0.06, 0.0, 0.0],
+            ..well()
+        };
+        let expected = Fault::FollowingError {
+            axis: 1,
+            error_rad: 0.06,
+            limit_rad: 0.05,
+        };
         assert_eq!(run(1, &far), Some(expected));
     }
 
     #[test]
     fn a_position_that_is_not_a_number_stops_the_drives() {
-        let broken = Observation { following_error_rad: [f64::NAN, 0.0, 0.0, 0.0], ..well() };
+        let broken = Observation {
+            following_error_rad: [f64::NAN, 0.0, 0.0, 0.0],
+            ..well()
+        };
         assert!(matches!(run(1, &broken), Some(Fault::FollowingError { axis: 0, .. })));
     }
 
     #[test]
     fn an_output_at_the_clamp_faults_after_a_few_cycles_only() {
-        let high = Observation { output_rad_s: [0.0, 0.0, 0.0, 30.0], ..well() };
+        let high = Observation {
+            output_rad_s: [0.0, 0.0, 0.0, 30.0],
+            ..well()
+        };
         assert_eq!(run(usize::from(CLAMPED_CYCLES_MAX) - 1, &high), None);
-        assert!(matches!(run(usize::from(CLAMPED_CYCLES_MAX), &high), Some(Fault::OutputLimit { axis: 3, .. })));
+        assert!(matches!(
+            run(usize::from(CLAMPED_CYCLES_MAX), &high),
+            Some(Fault::OutputLimit { axis: 3, .. })
+        ));
     }
 
     #[test]
     fn more_late_cycles_than_configured_within_a_second_fault() {
-        let late = Observation { late: true, following: false, ..well() };
+        let late = Observation {
+            late: true,
+            following: false,
+            ..well()
+        };
         assert_eq!(run(10, &late), None);
         assert_eq!(run(11, &late), Some(Fault::CyclesLate { late: 11, limit: 10 }));
     }
@@ -228,7 +292,12 @@ mod tests {
 
     #[test]
     fn nothing_that_moves_nothing_is_a_fault() {
-        let idle = Observation { following: false, valid: [false; AXES], drive_fault: [true; AXES], ..well() };
+        let idle = Observation {
+            following: false,
+            valid: [false; AXES],
+            drive_fault: [true; AXES],
+            ..well()
+        };
         assert_eq!(run(100, &idle), None);
     }
 }

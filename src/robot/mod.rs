@@ -3,6 +3,13 @@
 //! Lengths are millimetres, angles radians. The base (shoulder) plane is z = 0, z points up, the platform works at
 //! z < 0, and a positive arm angle turns the upper arm below the horizontal.
 
+mod kinematics;
+pub mod vector;
+mod work_area;
+
+pub use kinematics::{Conditioning, Delta, GeometryError, JointRows, KinematicsError, RATIO_SINGULAR};
+pub use work_area::{DETERMINANT_MIN, Outside, RATIO_MIN, WorkArea};
+
 use serde::{Deserialize, Serialize};
 
 /// Number of axes: three arms and the rotating fourth axis.

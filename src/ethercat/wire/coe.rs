@@ -275,9 +275,7 @@ impl<'a> Sdo<'a> {
     /// Bytes of the message with its CoE header.
     pub fn len(&self) -> usize {
         match self {
-            Self::DownloadNormal { data, .. } | Self::UploadNormal { data, .. } => {
-                SDO_LEN + data.len()
-            }
+            Self::DownloadNormal { data, .. } | Self::UploadNormal { data, .. } => SDO_LEN + data.len(),
             Self::DownloadSegment { data, .. } | Self::UploadSegmentData { data, .. } => {
                 SEGMENT_HEADER_LEN + data.len().max(SEGMENT_DATA_MIN)
             }
@@ -339,15 +337,13 @@ impl<'a> Sdo<'a> {
                 );
                 write_bytes(target, 6, data);
             }
-            Self::DownloadNormal { object, size, data }
-            | Self::UploadNormal { object, size, data } => {
+            Self::DownloadNormal { object, size, data } | Self::UploadNormal { object, size, data } => {
                 let specifier = if self.is_response() { 2 } else { 1 };
                 head(target, specifier << SPECIFIER_SHIFT | SIZE_BIT, object);
                 write_bytes(target, 6, &size.to_le_bytes());
                 write_bytes(target, SDO_LEN, data);
             }
-            Self::DownloadSegment { toggle, last, data }
-            | Self::UploadSegmentData { toggle, last, data } => {
+            Self::DownloadSegment { toggle, last, data } | Self::UploadSegmentData { toggle, last, data } => {
                 let unused = SEGMENT_DATA_MIN.saturating_sub(data.len()) as u8;
                 let command = u8::from(toggle) << 4 | unused << 1 | u8::from(last);
                 write_bytes(target, 2, &[command]);
@@ -508,9 +504,7 @@ mod tests {
             for length in 0..16 {
                 let bytes = [command; 16];
                 let _ = Sdo::parse_request(&bytes[..length]);
-                if let Ok(Sdo::UploadSegmentData { data, .. }) =
-                    Sdo::parse_response(&bytes[..length])
-                {
+                if let Ok(Sdo::UploadSegmentData { data, .. }) = Sdo::parse_response(&bytes[..length]) {
                     assert!(data.len() + SEGMENT_HEADER_LEN <= length);
                 }
             }

@@ -89,18 +89,12 @@ impl Command {
 
     /// Whether slaves put their data into the datagram.
     pub const fn reads(self) -> bool {
-        !matches!(
-            self,
-            Self::Nop | Self::Apwr | Self::Fpwr | Self::Bwr | Self::Lwr
-        )
+        !matches!(self, Self::Nop | Self::Apwr | Self::Fpwr | Self::Bwr | Self::Lwr)
     }
 
     /// Whether slaves take data out of the datagram.
     pub const fn writes(self) -> bool {
-        !matches!(
-            self,
-            Self::Nop | Self::Aprd | Self::Fprd | Self::Brd | Self::Lrd
-        )
+        !matches!(self, Self::Nop | Self::Aprd | Self::Fprd | Self::Brd | Self::Lrd)
     }
 
     /// Whether the address names a place in the logical memory.
@@ -225,9 +219,7 @@ impl DatagramRepr {
     /// [`Error::Room`] when the datagram does not fit, [`Error::Value`] when the length needs more than 11 bits.
     pub fn emit(&self, bytes: &mut [u8]) -> Result<(), Error> {
         if self.length > LENGTH_MASK {
-            return Err(Error::Value {
-                actual: self.length,
-            });
+            return Err(Error::Value { actual: self.length });
         }
         check_room(bytes, self.len())?;
         let mut length = self.length;
@@ -469,12 +461,7 @@ mod tests {
 
         repr.more = true;
         repr.emit(&mut bytes).unwrap();
-        assert_eq!(
-            Datagrams::new(&bytes)
-                .filter(|datagram| datagram.is_ok())
-                .count(),
-            2
-        );
+        assert_eq!(Datagrams::new(&bytes).filter(|datagram| datagram.is_ok()).count(), 2);
         repr.emit(&mut bytes[14..]).unwrap();
         assert!(Datagrams::new(&bytes).nth(2).unwrap().is_err());
     }

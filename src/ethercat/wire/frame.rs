@@ -7,8 +7,7 @@
 //! Invariant: a frame that the builder closes has a consistent chain and is at least [`FRAME_LEN_MIN`] long.
 
 use super::{
-    Address, Command, DATAGRAM_HEADER_LEN, DatagramRepr, Datagrams, Error, check_len, check_room,
-    read_u16, write_bytes,
+    Address, Command, DATAGRAM_HEADER_LEN, DatagramRepr, Datagrams, Error, check_len, check_room, read_u16, write_bytes,
 };
 use smoltcp::wire::{EthernetAddress, EthernetFrame, EthernetProtocol};
 
@@ -135,13 +134,7 @@ impl<'a> FrameBuilder<'a> {
     ///
     /// # Errors
     /// [`Error::Room`] when it does not fit; the frame is then unchanged.
-    pub fn push(
-        &mut self,
-        command: Command,
-        index: u8,
-        address: Address,
-        length: usize,
-    ) -> Result<&mut [u8], Error> {
+    pub fn push(&mut self, command: Command, index: u8, address: Address, length: usize) -> Result<&mut [u8], Error> {
         let actual = self.room().unwrap_or(0);
         if self.room().is_none_or(|room| room < length) {
             return Err(Error::Room {
@@ -151,10 +144,7 @@ impl<'a> FrameBuilder<'a> {
         }
         let start = self.end;
         let repr = DatagramRepr::request(command, index, address, length as u16);
-        let target = self
-            .frame
-            .get_mut(start..start + repr.len())
-            .unwrap_or(&mut []);
+        let target = self.frame.get_mut(start..start + repr.len()).unwrap_or(&mut []);
         target.fill(0);
         repr.emit(target)?;
         if let Some(last) = self.last {
@@ -171,11 +161,7 @@ impl<'a> FrameBuilder<'a> {
     pub fn finish(self) -> usize {
         let length = (self.end - PAYLOAD_OFFSET) as u16 & LENGTH_MASK;
         let header = length | (EtherCatType::Datagrams as u16) << TYPE_SHIFT;
-        write_bytes(
-            self.frame,
-            PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN,
-            &header.to_le_bytes(),
-        );
+        write_bytes(self.frame, PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN, &header.to_le_bytes());
         if let Some(padding) = self.frame.get_mut(self.end..FRAME_LEN_MIN) {
             padding.fill(0);
         }
@@ -204,17 +190,14 @@ mod tests {
             .push(Command::Lrd, 7, Address::logical(0x1_0000), 6)
             .unwrap()
             .copy_from_slice(b"inputs");
-        builder
-            .push(Command::Brd, 7, Address::broadcast(0x0130), 2)
-            .unwrap();
+        builder.push(Command::Brd, 7, Address::broadcast(0x0130), 2).unwrap();
         let length = builder.finish();
         assert_eq!(length, 60);
         let view = FrameView::new_checked(&bytes[..length]).unwrap();
         assert_eq!(view.source(), SOURCE);
         assert_eq!(view.payload().len(), 18 + 14);
-        let reprs: [_; 2] = core::array::from_fn(|n| {
-            DatagramRepr::parse(&view.datagrams().nth(n).unwrap().unwrap()).unwrap()
-        });
+        let reprs: [_; 2] =
+            core::array::from_fn(|n| DatagramRepr::parse(&view.datagrams().nth(n).unwrap().unwrap()).unwrap());
         assert_eq!(
             (reprs[0].command, reprs[0].length, reprs[0].more),
             (Command::Lrd, 6, true)
@@ -234,20 +217,10 @@ mod tests {
         let mut builder = FrameBuilder::new(&mut bytes, SOURCE).unwrap();
         let room = builder.room().unwrap();
         assert_eq!(room, 1486);
-        assert!(
-            builder
-                .push(Command::Fpwr, 0, Address::default(), room + 1)
-                .is_err()
-        );
-        builder
-            .push(Command::Fpwr, 0, Address::default(), room)
-            .unwrap();
+        assert!(builder.push(Command::Fpwr, 0, Address::default(), room + 1).is_err());
+        builder.push(Command::Fpwr, 0, Address::default(), room).unwrap();
         assert_eq!(builder.room(), None);
-        assert!(
-            builder
-                .push(Command::Fpwr, 0, Address::default(), 0)
-                .is_err()
-        );
+        assert!(builder.push(Command::Fpwr, 0, Address::default(), 0).is_err());
         assert_eq!(builder.finish(), FRAME_LEN_MAX);
     }
 
@@ -255,9 +228,7 @@ mod tests {
     fn other_protocols_types_and_cut_frames_are_told_apart() {
         let mut bytes = [0; 60];
         let mut builder = FrameBuilder::new(&mut bytes, SOURCE).unwrap();
-        builder
-            .push(Command::Brd, 0, Address::broadcast(0), 40 - 12)
-            .unwrap();
+        builder.push(Command::Brd, 0, Address::broadcast(0), 40 - 12).unwrap();
         builder.finish();
         let cut = FrameView::new_checked(&bytes[..50]).err();
         assert_eq!(

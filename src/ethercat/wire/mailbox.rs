@@ -47,9 +47,7 @@ impl Protocol {
             5 => Self::Soe,
             15 => Self::Voe,
             other => {
-                return Err(Error::Value {
-                    actual: other as u16,
-                });
+                return Err(Error::Value { actual: other as u16 });
             }
         })
     }
@@ -98,10 +96,7 @@ impl MailboxRepr {
         write_bytes(
             bytes,
             4,
-            &[
-                self.priority << 6,
-                self.protocol as u8 | (self.counter & 0x07) << 4,
-            ],
+            &[self.priority << 6, self.protocol as u8 | (self.counter & 0x07) << 4],
         );
         Ok(())
     }
@@ -147,11 +142,7 @@ pub const fn error_text(detail: u16) -> &'static str {
 
 /// The counter that follows `counter`: 1 to 7 and around.
 pub const fn next_counter(counter: u8) -> u8 {
-    if counter >= COUNTER_MAX {
-        1
-    } else {
-        counter + 1
-    }
+    if counter >= COUNTER_MAX { 1 } else { counter + 1 }
 }
 
 #[cfg(test)]
@@ -173,10 +164,7 @@ mod tests {
             assert_eq!(MailboxRepr::parse(&bytes), Ok(repr));
             assert_eq!(bytes, [10, 0, 0x01, 0x10, 0xC0, 0x03 | counter << 4]);
         }
-        assert_eq!(
-            MailboxRepr::parse(&[0, 0, 0, 0, 0, 9]),
-            Err(Error::Value { actual: 9 })
-        );
+        assert_eq!(MailboxRepr::parse(&[0, 0, 0, 0, 0, 9]), Err(Error::Value { actual: 9 }));
     }
 
     #[test]

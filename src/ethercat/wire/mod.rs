@@ -13,12 +13,10 @@ pub mod mailbox;
 pub mod register;
 pub mod sii;
 
-pub use datagram::{
-    Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, Datagram, DatagramRepr, Datagrams,
-};
+pub use datagram::{Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, Datagram, DatagramRepr, Datagrams};
 pub use frame::{
-    ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MAX, FRAME_LEN_MIN, FrameBuilder,
-    FrameView, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
+    ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MAX, FRAME_LEN_MIN, FrameBuilder, FrameView, MacAddress,
+    PAYLOAD_OFFSET, SOURCE_BIT,
 };
 
 /// Why bytes are not what they should be.
@@ -90,10 +88,7 @@ pub(crate) fn read_u32(bytes: &[u8], offset: usize) -> u32 {
 
 /// Writes `value` at `offset`; nothing where it does not fit.
 pub(crate) fn write_bytes(bytes: &mut [u8], offset: usize, value: &[u8]) {
-    if let Some(target) = bytes
-        .get_mut(offset..)
-        .and_then(|rest| rest.get_mut(..value.len()))
-    {
+    if let Some(target) = bytes.get_mut(offset..).and_then(|rest| rest.get_mut(..value.len())) {
         target.copy_from_slice(value);
     }
 }

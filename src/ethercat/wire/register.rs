@@ -192,11 +192,7 @@ impl SyncManagerRepr {
         check_room(bytes, SYNC_MANAGER_LEN)?;
         write_bytes(bytes, 0, &self.start.to_le_bytes());
         write_bytes(bytes, 2, &self.length.to_le_bytes());
-        write_bytes(
-            bytes,
-            4,
-            &[self.control, self.status, self.activate, self.pdi_control],
-        );
+        write_bytes(bytes, 4, &[self.control, self.status, self.activate, self.pdi_control]);
         Ok(())
     }
 }
@@ -273,14 +269,7 @@ impl FmmuRepr {
         write_bytes(
             bytes,
             10,
-            &[
-                self.physical_start_bit,
-                direction,
-                u8::from(self.active),
-                0,
-                0,
-                0,
-            ],
+            &[self.physical_start_bit, direction, u8::from(self.active), 0, 0, 0],
         );
         Ok(())
     }
@@ -307,10 +296,7 @@ mod tests {
 
         let fmmu = FmmuRepr::bytes(0x0001_0006, 6, 0x1140, true);
         fmmu.emit(&mut bytes).unwrap();
-        assert_eq!(
-            bytes,
-            [6, 0, 1, 0, 6, 0, 0, 7, 0x40, 0x11, 0, 1, 1, 0, 0, 0]
-        );
+        assert_eq!(bytes, [6, 0, 1, 0, 6, 0, 0, 7, 0x40, 0x11, 0, 1, 1, 0, 0, 0]);
         assert_eq!(FmmuRepr::parse(&bytes), Ok(fmmu));
         assert_eq!(
             FmmuRepr::parse(&bytes[..15]),

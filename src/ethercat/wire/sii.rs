@@ -128,11 +128,7 @@ impl FixedPart {
 pub fn checksum(bytes: &[u8]) -> u8 {
     (0..2 * usize::from(WORD_CHECKSUM)).fold(0xFF, |crc, offset| {
         (0..8).fold(crc ^ read_u8(bytes, offset), |crc, _| {
-            if crc & 0x80 != 0 {
-                (crc << 1) ^ 0x07
-            } else {
-                crc << 1
-            }
+            if crc & 0x80 != 0 { (crc << 1) ^ 0x07 } else { crc << 1 }
         })
     })
 }
@@ -143,20 +139,16 @@ mod tests {
 
     /// The first 29 words of a Kollmorgen AKD's SII.
     const AKD: [u8; 58] = [
-        0x09, 0x00, 0x00, 0x08, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x10, 0x00, 0x6A, 0, 0, 0, 0x44,
-        0x4B, 0x41, 0, 0x02, 0, 0, 0, 0x93, 0, 0x83, 0x99, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
-        0, 0, 0, 0x00, 0x18, 0x00, 0x04, 0x00, 0x1C, 0x00, 0x04, 0x0E, 0x00,
+        0x09, 0x00, 0x00, 0x08, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x10, 0x00, 0x6A, 0, 0, 0, 0x44, 0x4B, 0x41, 0, 0x02, 0,
+        0, 0, 0x93, 0, 0x83, 0x99, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x00, 0x18, 0x00, 0x04, 0x00, 0x1C,
+        0x00, 0x04, 0x0E, 0x00,
     ];
 
     #[test]
     fn a_real_drives_fixed_part_is_read() {
         let part = FixedPart::parse(&AKD).unwrap();
         assert_eq!(
-            (
-                part.identity.vendor,
-                part.identity.product,
-                part.identity.revision
-            ),
+            (part.identity.vendor, part.identity.product, part.identity.revision),
             (0x6A, 0x0041_4B44, 2)
         );
         assert_eq!(

@@ -1,0 +1,452 @@
+//! Kinematics of the delta robot: positions, joint angles and their derivatives.
+//!
+//! Each arm is solved in its own vertical plane, where the shoulder is the origin: u outwards, w upwards, y across
+//! (design notes, motion, section 3). The derivatives along a path need no trigonometry. Forward kinematics
+//! intersects three spheres in a frame built from their centres, so equal heights are no special case.
+//!
+//! Invariant: a result is finite or an error; no input panics.
+
+use super::vector::{Vector, add_scaled, cross, dot, length, root, scale, subtract};
+use super::{ARMS, JointAngles, Position};
+use crate::config::Geometry;
+use serde::{Deserialize, Serialize};
+
+/// Smallest D/A that inverse kinematics answers: below it the derivatives have no value.
+pub const RATIO_SINGULAR: f64 = 1.0e-6;
+/// Smallest difference between the azimuths of two arms, as the sine of it.
+const AZIMUTH_SINE_MIN: f64 = 0.1;
+
+/// A geometry that is no delta robot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum GeometryError {
+    /// A value is not a finite number.
+    NotFinite,
+    /// An arm's length is not positive, or the forearm is not longer than the upper arm.
+    Lengths {
+        /// Upper arm, mm.
+        upper_arm_mm: f64,
+        /// Forearm, mm.
+        forearm_mm: f64,
+    },
+    /// Two arms lie in the same or in opposite directions.
+    Azimuths {
+        /// The first of the two, degrees.
+        first_deg: f64,
+        /// The second, degrees.
+        second_deg: f64,
+    },
+    /// The arm range is empty.
+    Range {
+        /// Lower end, rad.
+        low_rad: f64,
+        /// Upper end, rad.
+        high_rad: f64,
+    },
+}
+
+/// A position or pose without a solution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum KinematicsError {
+    /// An input is not a finite number.
+    NotFinite,
+    /// The arm does not reach the position.
+    Unreachable {
+        /// Arm, from 0.
+        arm: u8,
+        /// D squared over A squared; negative, the more so the farther the position.
+        ratio_squared: f64,
+    },
+    /// Upper arm and forearm are in line: the angle has no derivative.
+    Singular {
+        /// Arm, from 0.
+        arm: u8,
+        /// D/A, below [`RATIO_SINGULAR`].
+        ratio: f64,
+    },
+    /// The arm's angle is outside its range.
+    Range {
+        /// Arm, from 0.
+        arm: u8,
+        /// The angle, rad.
+        angle_rad: f64,
+        /// Lowest angle, rad.
+        low_rad: f64,
+        /// Highest angle, rad.
+        high_rad: f64,
+    },
+    /// Forward: with these angles the forearms do not meet in one platform.
+    Apart,
+}
+
+/// Derivatives of the arm angles along a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointRows {
+    /// dq/ds, rad/mm.
+    pub slope: [f64; ARMS],
+    /// d2q/ds2, rad/mm2.
+    pub bend: [f64; ARMS],
+}
+
+/// How far a position is from the singularities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditioning {
+    /// Smallest D/A of the arms and which arm has it.
+    pub ratio: (u8, f64),
+    /// Absolute determinant of the forearms' unit vectors.
+    pub determinant: f64,
+}
+
+/// A delta robot of known shape.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delta {
+    azimuths: [(f64, f64); ARMS],
+    offset_mm: f64,
+    upper_arm_mm: f64,
+    forearm_mm: f64,
+    range_rad: [f64; 2],
+}
+
+/// One arm solved for a position, in the arm's plane.
+#[derive(Clone, Copy)]
+struct ArmPose {
+    cosine: f64,
+    sine: f64,
+    forearm: Vector,
+    ratio_squared: f64,
+}
+
+impl Delta {
+    /// Takes over the geometry.
+    ///
+    /// # Errors
+    /// What makes the geometry no delta robot, see [`GeometryError`].
+    pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
+        let lengths = [
+            geometry.base_radius_mm,
+            geometry.upper_arm_mm,
+            geometry.forearm_mm,
+            geometry.platform_radius_mm,
+        ];
+        let angles = geometry.arm_azimuths_deg.iter().chain(&geometry.arm_range_rad);
+        if !lengths.iter().chain(angles).all(|value| value.is_finite()) {
+            return Err(GeometryError::NotFinite);
+        }
+        let (upper_arm_mm, forearm_mm) = (geometry.upper_arm_mm, geometry.forearm_mm);
+        if !(upper_arm_mm > 0.0 && forearm_mm > upper_arm_mm) {
+            return Err(GeometryError::Lengths {
+                upper_arm_mm,
+                forearm_mm,
+            });
+        }
+        let [low_rad, high_rad] = geometry.arm_range_rad;
+        if low_rad >= high_rad {
+            return Err(GeometryError::Range { low_rad, high_rad });
+        }
+        let [first, second, third] = geometry.arm_azimuths_deg;
+        for (first_deg, second_deg) in [(first, second), (second, third), (third, first)] {
+            if libm::sin((second_deg - first_deg).to_radians()).abs() < AZIMUTH_SINE_MIN {
+                return Err(GeometryError::Azimuths { first_deg, second_deg });
+            }
+        }
+        Ok(Self {
+            azimuths: geometry.arm_azimuths_deg.map(|azimuth_deg| {
+                let azimuth = azimuth_deg.to_radians();
+                (libm::cos(azimuth), libm::sin(azimuth))
+            }),
+            offset_mm: geometry.platform_radius_mm - geometry.base_radius_mm,
+            upper_arm_mm,
+            forearm_mm,
+            range_rad: geometry.arm_range_rad,
+        })
+    }
+
+    fn arm_pose(&self, (cosine, sine): (f64, f64), point: &Vector) -> ArmPose {
+        let upper = self.upper_arm_mm;
+        let u = point[0] * cosine + point[1] * sine + self.offset_mm;
+        let y = point[1] * cosine - point[0] * sine;
+        let w = point[2];
+        let distance_squared = u * u + w * w;
+        let k = (distance_squared + y * y + upper * upper - self.forearm_mm * self.forearm_mm) / (2.0 * upper);
+        let difference = distance_squared - k * k;
+        let d = root(difference);
+        let inverse = 1.0 / distance_squared;
+        let cosine = (k * u - w * d) * inverse;
+        let sine = -(k * w + u * d) * inverse;
+        ArmPose {
+            cosine,
+            sine,
+            forearm: [u - upper * cosine, y, w + upper * sine],
+            ratio_squared: difference * inverse,
+        }
+    }
+
+    /// Arm angles for a position, rad.
+    ///
+    /// # Errors
+    /// The first arm that cannot take the position and why.
+    pub fn inverse(&self, position: &Position) -> Result<[f64; ARMS], KinematicsError> {
+        let point = Vector::from(*position);
+        if !point.iter().all(|value| value.is_finite()) {
+            return Err(KinematicsError::NotFinite);
+        }
+        let [low_rad, high_rad] = self.range_rad;
+        let mut angles = [0.0; ARMS];
+        for (arm, (azimuth, angle)) in (0u8..).zip(self.azimuths.iter().zip(&mut angles)) {
+            let pose = self.arm_pose(*azimuth, &point);
+            let ratio_squared = pose.ratio_squared;
+            if ratio_squared.is_nan() || ratio_squared < 0.0 {
+                return Err(KinematicsError::Unreachable { arm, ratio_squared });
+            }
+            if ratio_squared < RATIO_SINGULAR * RATIO_SINGULAR {
+                let ratio = root(ratio_squared);
+                return Err(KinematicsError::Singular { arm, ratio });
+            }
+            let angle_rad = libm::atan2(pose.sine, pose.cosine);
+            if !(angle_rad >= low_rad && angle_rad <= high_rad) {
+                return Err(KinematicsError::Range {
+                    arm,
+                    angle_rad,
+                    low_rad,
+                    high_rad,
+                });
+            }
+            *angle = angle_rad;
+        }
+        Ok(angles)
+    }
+
+    /// Arm angles without any check, for points that have been admitted: the nearest real pose where there is none.
+    pub fn angles(&self, point: &Vector) -> [f64; ARMS] {
+        self.azimuths.map(|azimuth| {
+            let pose = self.arm_pose(azimuth, point);
+            libm::atan2(pose.sine, pose.cosine)
+        })
+    }
+
+    /// Derivatives of the arm angles where the path's position is `point`, its unit tangent `tangent` and its
+    /// curvature vector `bend` (1/mm). Finite wherever [`Delta::inverse`] has an answer.
+    pub fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
+        let mut rows = JointRows::default();
+        for ((azimuth, slope), second) in self.azimuths.iter().zip(&mut rows.slope).zip(&mut rows.bend) {
+            let ArmPose {
+                cosine, sine, forearm, ..
+            } = self.arm_pose(*azimuth, point);
+            let upper = self.upper_arm_mm;
+            let elbow = [-upper * sine, -upper * cosine];
+            let turned = [-upper * cosine, upper * sine];
+            let inverse = 1.0 / (forearm[0] * elbow[0] + forearm[2] * elbow[1]);
+            let first = into_plane(*azimuth, tangent);
+            let change = into_plane(*azimuth, bend);
+            *slope = dot(&forearm, &first) * inverse;
+            let relative = [first[0] - elbow[0] * *slope, first[1], first[2] - elbow[1] * *slope];
+            let turning = (forearm[0] * turned[0] + forearm[2] * turned[1]) * *slope * *slope;
+            *second = (dot(&forearm, &change) + dot(&relative, &relative) - turning) * inverse;
+        }
+        rows
+    }
+
+    /// Distance from the singularities at a position; the ratio is negative where an arm does not reach.
+    pub fn conditioning(&self, position: &Position) -> Conditioning {
+        let point = Vector::from(*position);
+        let poses = self.azimuths.map(|azimuth| self.arm_pose(azimuth, &point));
+        let mut ratio = (0, f64::INFINITY);
+        let mut units = [[0.0; 3]; ARMS];
+        for (arm, ((pose, azimuth), unit)) in (0u8..).zip(poses.iter().zip(&self.azimuths).zip(&mut units)) {
+            let signed = if pose.ratio_squared < 0.0 {
+                -root(-pose.ratio_squared)
+            } else {
+                root(pose.ratio_squared)
+            };
+            if signed < ratio.1 {
+                ratio = (arm, signed);
+            }
+            let (cosine, sine) = *azimuth;
+            let [u, y, w] = pose.forearm;
+            *unit = scale(
+                &[u * cosine - y * sine, u * sine + y * cosine, w],
+                1.0 / self.forearm_mm,
+            );
+        }
+        Conditioning {
+            ratio,
+            determinant: dot(&units[0], &cross(&units[1], &units[2])).abs(),
+        }
+    }
+
+    /// Position of the platform for joint angles; any angles are taken, the fourth axis does not move the position.
+    ///
+    /// # Errors
+    /// [`KinematicsError::NotFinite`], or [`KinematicsError::Apart`] where the forearms do not meet.
+    pub fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
+        let [first, second, third, fourth] = joints.0;
+        if ![first, second, third, fourth].iter().all(|angle| angle.is_finite()) {
+            return Err(KinematicsError::NotFinite);
+        }
+        let centre = |(cosine, sine): (f64, f64), angle: f64| -> Vector {
+            let outwards = self.upper_arm_mm * libm::cos(angle) - self.offset_mm;
+            [
+                outwards * cosine,
+                outwards * sine,
+                -self.upper_arm_mm * libm::sin(angle),
+            ]
+        };
+        let [one, two, three] = self.azimuths;
+        let origin = centre(one, first);
+        let (to_second, to_third) = (
+            subtract(&centre(two, second), &origin),
+            subtract(&centre(three, third), &origin),
+        );
+        let side = length(&to_second);
+        let x_axis = scale(&to_second, 1.0 / side);
+        let along = dot(&x_axis, &to_third);
+        let across = add_scaled(&to_third, &x_axis, -along);
+        let height = length(&across);
+        let y_axis = scale(&across, 1.0 / height);
+        let z_axis = cross(&x_axis, &y_axis);
+        let x = 0.5 * side;
+        let y = (along * along + height * height - 2.0 * along * x) / (2.0 * height);
+        let depth_squared = self.forearm_mm * self.forearm_mm - x * x - y * y;
+        if !(depth_squared >= 0.0 && depth_squared.is_finite()) {
+            return Err(KinematicsError::Apart);
+        }
+        let depth = if z_axis[2] > 0.0 {
+            -root(depth_squared)
+        } else {
+            root(depth_squared)
+        };
+        let point = add_scaled(
+            &add_scaled(&add_scaled(&origin, &x_axis, x), &y_axis, y),
+            &z_axis,
+            depth,
+        );
+        if point.iter().all(|value| value.is_finite()) {
+            Ok(point.into())
+        } else {
+            Err(KinematicsError::Apart)
+        }
+    }
+}
+
+fn into_plane((cosine, sine): (f64, f64), vector: &Vector) -> Vector {
+    [
+        vector[0] * cosine + vector[1] * sine,
+        vector[1] * cosine - vector[0] * sine,
+        vector[2],
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::AXES;
+
+    fn robot() -> Delta {
+        Delta::new(&Geometry::default()).unwrap()
+    }
+
+    fn positions() -> impl Iterator<Item = Position> {
+        (0..24_000u32).map(|index| {
+            let turn = f64::from(index % 60) * 0.1047;
+            let radius = f64::from(index / 60 % 20) * 28.0;
+            Position {
+                x_mm: radius * libm::cos(turn),
+                y_mm: radius * libm::sin(turn),
+                z_mm: -960.0 + 13.0 * f64::from(index / 1200),
+            }
+        })
+    }
+
+    #[test]
+    fn inverse_and_forward_agree_over_the_work_area() {
+        let (robot, mut reached) = (robot(), 0);
+        for position in positions() {
+            let Ok([a, b, c]) = robot.inverse(&position) else {
+                continue;
+            };
+            reached += 1;
+            let back = robot.forward(&JointAngles([a, b, c, 1.7])).unwrap();
+            let error = length(&subtract(&back.into(), &position.into()));
+            assert!(error < 1.0e-9, "{position:?} comes back {error} mm away");
+        }
+        assert!(reached > 20_000, "only {reached} positions were reached");
+    }
+
+    #[test]
+    fn equal_arm_angles_put_the_platform_on_the_axis() {
+        let position = robot().forward(&JointAngles([0.5, 0.5, 0.5, 0.0])).unwrap();
+        let expected = -350.0 * libm::sin(0.5) - libm::sqrt(640_000.0 - libm::pow(155.0 + 350.0 * libm::cos(0.5), 2.0));
+        assert!(position.x_mm.abs() < 1.0e-9 && position.y_mm.abs() < 1.0e-9);
+        assert!((position.z_mm - expected).abs() < 1.0e-9);
+    }
+
+    #[test]
+    fn derivatives_along_a_path_agree_with_finite_differences() {
+        let (robot, step) = (robot(), 1.0e-2);
+        let bend = [0.004, -0.002, 0.003];
+        let tangent = {
+            let raw = cross(&bend, &[0.3, 1.0, 0.2]);
+            scale(&raw, 1.0 / length(&raw))
+        };
+        for position in positions().step_by(37) {
+            let point = Vector::from(position);
+            let at = |s: f64| {
+                let moved = add_scaled(&add_scaled(&point, &tangent, s), &bend, 0.5 * s * s);
+                robot.inverse(&moved.into())
+            };
+            let (Ok(before), Ok(here), Ok(after)) = (at(-step), at(0.0), at(step)) else {
+                continue;
+            };
+            if robot.conditioning(&position).ratio.1 < 0.3 {
+                continue;
+            }
+            let rows = robot.rows(&point, &tangent, &bend);
+            for arm in 0..ARMS {
+                let slope = (after[arm] - before[arm]) / (2.0 * step);
+                let second = (after[arm] - 2.0 * here[arm] + before[arm]) / (step * step);
+                assert!((slope - rows.slope[arm]).abs() < 1.0e-9, "{position:?} arm {arm}");
+                assert!((second - rows.bend[arm]).abs() < 1.0e-8, "{position:?} arm {arm}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_reached_names_the_arm_and_the_reason() {
+        let robot = robot();
+        let at = |x_mm, y_mm, z_mm| robot.inverse(&Position { x_mm, y_mm, z_mm });
+        assert_eq!(at(f64::NAN, 0.0, -800.0), Err(KinematicsError::NotFinite));
+        assert!(matches!(
+            at(-1500.0, 0.0, -800.0),
+            Err(KinematicsError::Unreachable { arm: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, -430.0),
+            Err(KinematicsError::Range { arm: 0, .. })
+        ));
+        assert_eq!(
+            robot.forward(&JointAngles([f64::INFINITY; AXES])),
+            Err(KinematicsError::NotFinite)
+        );
+    }
+
+    #[test]
+    fn a_geometry_that_is_no_delta_robot_is_refused() {
+        let refuse = |change: fn(&mut Geometry)| {
+            let mut geometry = Geometry::default();
+            change(&mut geometry);
+            Delta::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.forearm_mm = f64::NAN), GeometryError::NotFinite);
+        assert!(matches!(
+            refuse(|g| g.forearm_mm = 300.0),
+            GeometryError::Lengths { .. }
+        ));
+        assert!(matches!(
+            refuse(|g| g.arm_azimuths_deg = [0.0, 120.0, 120.0]),
+            GeometryError::Azimuths { .. }
+        ));
+        assert!(matches!(
+            refuse(|g| g.arm_range_rad = [1.0, -1.0]),
+            GeometryError::Range { .. }
+        ));
+    }
+}
