@@ -1,3 +1,4 @@
 //! The 1 kHz side: sampler, position controller and supervision.
 
+pub mod position;
 pub mod supervision;

@@ -1,0 +1,167 @@
+//! The position controller: v = Kfb (x_ref(t - age) - x) + Kff v_ff(t + lead).
+//!
+//! A measurement is older than the moment it is used, and a command acts later than the moment it is computed. The
+//! controller compares the measurement with the reference as old as the measurement, and feeds forward the velocity
+//! that will be wanted when the drive follows (design notes, motion, section 4). Fractions of a millisecond are
+//! interpolated between neighbouring references.
+//!
+//! Invariant: a finite reference and measurement give a finite command within plus and minus the axis's output limit;
+//! anything else gives 0.
+
+use crate::config::Axis;
+
+/// Greatest age of a measurement, ms; the bound of `axes.measurement_age_ms`.
+pub const AGE_MAX_MS: usize = 10;
+/// Greatest lead of the feed-forward, ms; the bound of `axes.feed_forward_lead_ms`.
+pub const LEAD_MAX_MS: usize = 10;
+/// A velocity reference is the difference over the millisecond that ends at its time: its centre lies this far back.
+const DIFFERENCE_CENTRE_MS: f64 = 0.5;
+/// References kept: the present one, the oldest whole age, and one more to interpolate to.
+const HISTORY: usize = AGE_MAX_MS + 2;
+/// Upcoming references that [`PositionController::step`] looks at, counted from the present one.
+pub const REFERENCES_AHEAD: usize = LEAD_MAX_MS + 3;
+
+/// Position controller of one axis, stepped once a millisecond.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionController {
+    feedback_gain_per_s: f64,
+    feed_forward_gain: f64,
+    lead_ms: f64,
+    age_ms: f64,
+    output_max_rad_s: f64,
+    history: [f64; HISTORY],
+    newest: usize,
+    filled: bool,
+}
+
+impl PositionController {
+    /// Controller with the gains and delays of an axis.
+    pub fn new(axis: &Axis) -> Self {
+        let within = |value: f64, limit: usize| if value > 0.0 { value.min(limit as f64) } else { 0.0 };
+        Self {
+            feedback_gain_per_s: axis.feedback_gain_per_s,
+            feed_forward_gain: axis.feed_forward_gain,
+            lead_ms: within(axis.feed_forward_lead_ms, LEAD_MAX_MS),
+            age_ms: within(axis.measurement_age_ms, AGE_MAX_MS),
+            output_max_rad_s: axis.output_max_rad_s,
+            history: [0.0; HISTORY],
+            newest: 0,
+            filled: false,
+        }
+    }
+
+    /// Forgets the references: the next one counts as having always been there. Used when the axis is enabled.
+    pub fn reset(&mut self) {
+        self.filled = false;
+    }
+
+    /// One millisecond.
+    ///
+    /// `reference_rad` is the position reference of this millisecond, `measured_rad` the latest measurement. `ahead`
+    /// gives the velocity references from this millisecond on; where it ends, its last value goes on.
+    ///
+    /// Returns the velocity command, rad/s at the joint.
+    pub fn step(&mut self, reference_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
+        self.remember(reference_rad);
+        let error = self.reference_at_age() - measured_rad;
+        let forward = interpolate(ahead, self.lead_ms + DIFFERENCE_CENTRE_MS);
+        let command = self.feedback_gain_per_s * error + self.feed_forward_gain * forward;
+        if command.is_finite() {
+            command.min(self.output_max_rad_s).max(0.0 - self.output_max_rad_s)
+        } else {
+            0.0
+        }
+    }
+
+    /// The reference that the latest measurement is compared with, rad.
+    pub fn reference_at_age(&self) -> f64 {
+        let back = (1..=HISTORY).map(|age| {
+            let slot = (self.newest + HISTORY + 1 - age) % HISTORY;
+            self.history.get(slot).copied().unwrap_or(0.0)
+        });
+        interpolate(back, self.age_ms)
+    }
+
+    fn remember(&mut self, reference_rad: f64) {
+        if !self.filled {
+            self.history = [reference_rad; HISTORY];
+            self.filled = true;
+        }
+        self.newest = (self.newest + 1) % HISTORY;
+        if let Some(slot) = self.history.get_mut(self.newest) {
+            *slot = reference_rad;
+        }
+    }
+}
+
+/// The value at `place` of a sequence with one value a millisecond, from 0; its last value goes on for ever.
+fn interpolate(values: impl IntoIterator<Item = f64>, place: f64) -> f64 {
+    let whole = place as usize;
+    let mut values = values.into_iter();
+    let mut low = 0.0;
+    for _ in 0..=whole {
+        match values.next() {
+            Some(value) => low = value,
+            None => return low,
+        }
+    }
+    let high = values.next().unwrap_or(low);
+    low + (high - low) * (place - whole as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn axis(age_ms: f64, lead_ms: f64) -> Axis {
+        Axis {
+            measurement_age_ms: age_ms,
+            feed_forward_lead_ms: lead_ms,
+            ..Axis::default()
+        }
+    }
+
+    #[test]
+    fn a_measurement_is_compared_with_the_reference_of_its_age() {
+        let mut controller = PositionController::new(&axis(2.25, 0.0));
+        for ms in 0..40 {
+            let reference = 0.01 * f64::from(ms);
+            let command = controller.step(reference, reference - 0.0225, [0.0; 2]);
+            assert!(ms < 4 || command.abs() < 1.0e-9, "{command} at {ms} ms");
+        }
+    }
+
+    #[test]
+    fn the_feed_forward_is_the_velocity_at_the_lead() {
+        let mut controller = PositionController::new(&axis(1.0, 3.1));
+        let velocity_at = |t_ms: f64| 2.0 + 0.1 * t_ms;
+        let ahead = (0..20).map(|ms| velocity_at(f64::from(ms) - 0.5));
+        let command = controller.step(1.0, 1.0, ahead);
+        assert!((command - velocity_at(3.1)).abs() < 1.0e-12);
+    }
+
+    #[test]
+    fn references_that_end_early_go_on_with_the_last_one() {
+        let mut controller = PositionController::new(&axis(1.0, 3.1));
+        assert_eq!(controller.step(1.0, 1.0, [0.5, 0.25]), 0.25);
+        assert_eq!(controller.step(1.0, 1.0, []), 0.0);
+    }
+
+    #[test]
+    fn the_command_is_limited_and_never_not_a_number() {
+        let mut controller = PositionController::new(&axis(1.0, 3.1));
+        assert_eq!(controller.step(10.0, 0.0, [0.0]), 27.0);
+        assert_eq!(controller.step(-90.0, 50.0, [0.0]), -27.0);
+        assert_eq!(controller.step(0.0, f64::NAN, [0.0]), 0.0);
+    }
+
+    #[test]
+    fn enabling_forgets_old_references() {
+        let mut controller = PositionController::new(&axis(5.0, 0.0));
+        controller.step(3.0, 3.0, [0.0]);
+        controller.reset();
+        assert_eq!(controller.step(1.0, 1.0, [0.0]), 0.0);
+    }
+
+    const _: () = assert!(REFERENCES_AHEAD > LEAD_MAX_MS + 1 && HISTORY > AGE_MAX_MS);
+}
