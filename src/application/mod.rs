@@ -704,3 +704,6 @@ impl Application {
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);
+
+#[cfg(test)]
+mod tests;
