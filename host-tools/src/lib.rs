@@ -1,2 +1,4 @@
 //! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
 #![forbid(unsafe_code)]
+
+pub mod link;

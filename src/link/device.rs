@@ -8,11 +8,11 @@
 
 use super::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
 use super::protocol::{
-    Command, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE, Sample, Status,
+    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE, Sample, Status,
     VERTICES_PER_MESSAGE, Welcome,
 };
 use crate::application::Refusal;
-use crate::config::{Config, ConfigError};
+use crate::config::Config;
 use heapless::{Deque, String, Vec};
 
 /// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
@@ -95,7 +95,7 @@ struct Request {
 
 struct Configuring {
     id: u16,
-    result: Option<Result<u64, ConfigError>>,
+    result: Option<Result<u64, ConfigRefusal>>,
     due: bool,
 }
 
@@ -323,8 +323,8 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    /// Answers a configuration: its hash, or the value that was refused, after which the former one stays in force.
-    pub fn configured(&mut self, id: u16, result: Result<u64, ConfigError>) {
+    /// Answers a configuration: its hash, or why it was refused, after which the former one stays in force.
+    pub fn configured(&mut self, id: u16, result: Result<u64, ConfigRefusal>) {
         if let Ok(hash) = result {
             self.config = Some(hash);
         }

@@ -241,6 +241,21 @@ pub struct PathAck {
     pub finished: bool,
 }
 
+/// Why a configuration was not taken; the former one stays in force.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ConfigRefusal {
+    /// A value is out of its bounds.
+    Bounds(ConfigError),
+    /// The mode does not allow another configuration.
+    NotInMode(Mode),
+}
+
+impl From<ConfigError> for ConfigRefusal {
+    fn from(error: ConfigError) -> Self {
+        Self::Bounds(error)
+    }
+}
+
 /// From the firmware to the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
@@ -251,8 +266,8 @@ pub enum DeviceMessage {
     Configured {
         /// Number of the request.
         id: u16,
-        /// The hash, or the value that was refused.
-        result: Result<u64, ConfigError>,
+        /// The hash, or why it was refused.
+        result: Result<u64, ConfigRefusal>,
     },
     /// Answer to [`HostMessage::Command`].
     Answer {

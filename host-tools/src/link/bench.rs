@@ -1,0 +1,260 @@
+//! Both ends on one bench: a line with faults and a small firmware around the real endpoint, in virtual time.
+
+use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
+use etherpen::motion::Pen;
+
+/// One direction of a serial line that spoils bytes.
+pub(crate) struct Line {
+    state: u64,
+    /// Faults of each kind in a million bytes.
+    faults_per_million: u64,
+}
+
+impl Line {
+    pub(crate) fn new(seed: u64, faults_per_million: u64) -> Self {
+        Self {
+            state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            faults_per_million,
+        }
+    }
+
+    pub(crate) fn random(&mut self) -> u64 {
+        self.state ^= self.state << 13;
+        self.state ^= self.state >> 7;
+        self.state ^= self.state << 17;
+        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11
+    }
+
+    /// Carries bytes: each may be lost, damaged, doubled, or followed by a repetition of the eight before it.
+    pub(crate) fn carry(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut out = Vec::new();
+        for byte in bytes {
+            match self.random() % 1_000_000 / self.faults_per_million.max(1) {
+                _ if self.faults_per_million == 0 => out.push(*byte),
+                0 => {}
+                1 => out.push(byte ^ (1 << (self.random() % 8))),
+                2 => out.extend([*byte, *byte]),
+                3 => {
+                    out.push(*byte);
+                    let again = out[out.len().saturating_sub(8)..].to_vec();
+                    out.extend(again);
+                }
+                _ => out.push(*byte),
+            }
+        }
+        out
+    }
+}
+
+/// A firmware that does what it is told after a while: it executes one vertex a millisecond.
+pub(crate) struct Bench {
+    pub(crate) endpoint: DeviceEndpoint,
+    pub(crate) mode: Mode,
+    pub(crate) fault: Option<Fault>,
+    pub(crate) fault_at_vertex: Option<u32>,
+    pub(crate) referenced: bool,
+    pub(crate) config: Option<u64>,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) vertices: Vec<PathVertex>,
+    pub(crate) executed: u32,
+    pub(crate) lines: [Line; 2],
+    complete: bool,
+    then: Option<(u64, Mode)>,
+    status_due_ms: u64,
+    told: Option<Mode>,
+}
+
+pub(crate) const CAPACITY: usize = 200;
+
+impl Bench {
+    pub(crate) fn new(seed: u64, faults_per_million: u64) -> Self {
+        Self {
+            endpoint: DeviceEndpoint::new(Identity {
+                firmware: "0.1.0",
+                board: "bench",
+                capacity: CAPACITY as u16,
+            }),
+            mode: Mode::Startup,
+            fault: None,
+            fault_at_vertex: None,
+            referenced: false,
+            config: None,
+            commands: Vec::new(),
+            vertices: Vec::new(),
+            executed: 0,
+            lines: [
+                Line::new(seed, faults_per_million),
+                Line::new(seed + 1, faults_per_million),
+            ],
+            complete: false,
+            then: None,
+            status_due_ms: 0,
+            told: None,
+        }
+    }
+
+    /// One millisecond of the line in both directions and of the firmware; `host` takes what arrives and how much
+    /// room there is, and returns what it sends.
+    pub(crate) fn step(&mut self, now_ms: u64, mut host: impl FnMut(&[u8], usize) -> Vec<u8>) {
+        self.run(now_ms);
+        let mut out = [0; LINE_BYTES_PER_MS];
+        let length = self.endpoint.transmit(now_ms, &mut out);
+        let arrived = self.lines[0].carry(&out[..length]);
+        let sent = host(&arrived, LINE_BYTES_PER_MS);
+        assert!(sent.len() <= LINE_BYTES_PER_MS);
+        for byte in self.lines[1].carry(&sent) {
+            let free = self.free();
+            if let Some(event) = self.endpoint.receive(byte, now_ms, free) {
+                self.take(event, now_ms);
+            }
+        }
+    }
+
+    fn free(&self) -> usize {
+        CAPACITY - (self.vertices.len() - self.executed as usize)
+    }
+
+    fn take(&mut self, event: DeviceEvent, now_ms: u64) {
+        match event {
+            DeviceEvent::Connected | DeviceEvent::Inquire => self.status_due_ms = now_ms,
+            DeviceEvent::Configure { id, config } => {
+                let result = config.check().map(|()| config.hash().unwrap_or(0));
+                if let Ok(hash) = result {
+                    self.config = Some(hash);
+                    self.mode = Mode::BusConfiguring;
+                    self.then = Some((now_ms + 50, Mode::DrivesOff));
+                }
+                self.endpoint.configured(id, result.map_err(Into::into));
+            }
+            DeviceEvent::Command { id, command } => {
+                let result = self.command(command, now_ms);
+                if result.is_ok() {
+                    self.commands.push(command);
+                }
+                self.endpoint.answer(id, result);
+            }
+            DeviceEvent::Path { vertices, last } => {
+                self.vertices.extend(vertices);
+                assert!(self.vertices.len() - self.executed as usize <= CAPACITY);
+                self.complete = last;
+            }
+        }
+    }
+
+    fn command(&mut self, command: Command, now_ms: u64) -> Result<(), Refusal> {
+        let require = |mode: Mode, now: Mode| {
+            if mode == now {
+                Ok(())
+            } else {
+                Err(Refusal::NotInMode(now))
+            }
+        };
+        match command {
+            Command::Reference => self.referenced = true,
+            Command::Enable => {
+                require(Mode::DrivesOff, self.mode)?;
+                self.then = Some((now_ms + 30, Mode::Idle));
+            }
+            Command::Disable if self.mode == Mode::DrivesOff && self.then.is_some() => return Err(Refusal::Moving),
+            Command::Disable if self.mode == Mode::DrivesOff => {}
+            Command::Disable => {
+                require(Mode::Idle, self.mode)?;
+                self.mode = Mode::Stopping;
+                self.then = Some((now_ms + 100, Mode::DrivesOff));
+            }
+            Command::Draw { .. } => {
+                require(Mode::Idle, self.mode)?;
+                self.mode = Mode::Drawing;
+            }
+            Command::Hold => {
+                require(Mode::Drawing, self.mode)?;
+                self.mode = Mode::Holding;
+            }
+            Command::Resume => {
+                require(Mode::Holding, self.mode)?;
+                self.mode = Mode::Drawing;
+            }
+            Command::Cancel => {
+                self.mode = Mode::Stopping;
+                self.then = Some((now_ms + 20, Mode::Idle));
+            }
+            Command::Stop => self.stop(Fault::EmergencyStop(etherpen::application::StopSource::Link), now_ms),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn stop(&mut self, fault: Fault, now_ms: u64) {
+        self.fault = Some(fault);
+        self.mode = Mode::Stopping;
+        self.then = Some((now_ms + 100, Mode::Fault));
+    }
+
+    fn run(&mut self, now_ms: u64) {
+        if let Some((_, mode)) = self.then.take_if(|(at_ms, _)| now_ms >= *at_ms) {
+            self.mode = mode;
+        }
+        if self.mode == Mode::Drawing {
+            self.executed = (self.executed + 1).min(self.vertices.len() as u32);
+            if self.fault_at_vertex.is_some_and(|vertex| self.executed >= vertex) {
+                self.stop(Fault::SlaveLost { slave: 2 }, now_ms);
+            }
+        }
+        let finished = self.complete && self.executed as usize == self.vertices.len();
+        if finished && self.mode == Mode::Drawing {
+            self.mode = Mode::Idle;
+        }
+        self.endpoint.acknowledge(self.executed, self.free(), finished);
+        self.endpoint.sample(self.sample(now_ms));
+        if now_ms >= self.status_due_ms || self.told != Some(self.mode) {
+            self.told = Some(self.mode);
+            self.status_due_ms = now_ms + 500;
+            self.endpoint.status(Status {
+                mode: self.mode,
+                fault: self.fault,
+                referenced: self.referenced,
+                config: self.config,
+                override_percent: 100,
+                counters: Counters::default(),
+                slaves: four_slaves(),
+            });
+        }
+    }
+
+    fn sample(&self, now_ms: u64) -> Sample {
+        let angle = (now_ms as f32).sin();
+        Sample {
+            t_ms: now_ms as u32,
+            mode: self.mode,
+            stroke: 1000,
+            pen: Pen::Down,
+            reference_rad: [angle; 4],
+            measured_rad: [angle; 4],
+            reference_rad_s: [angle; 4],
+            measured_rad_s: [angle; 4],
+        }
+    }
+}
+
+fn four_slaves() -> heapless::Vec<etherpen::link::protocol::SlaveStatus, 8> {
+    let slave = etherpen::link::protocol::SlaveStatus {
+        vendor: 2,
+        product: 0x07d0_6014,
+        al_state: 8,
+        al_code: 0,
+        status_word: 0x1237,
+    };
+    std::iter::repeat_n(slave, 4).collect()
+}
+
+/// A path of `count` vertices, all different.
+pub(crate) fn path(count: usize) -> Vec<PathVertex> {
+    let vertices = (0..count as i32).map(|index| PathVertex {
+        position_um: [index * 37 % 100_000, index * 100, -850_000],
+        pen: if index % 10 == 0 { Pen::Up } else { Pen::Down },
+        stroke: index as u32 / 10,
+    });
+    vertices.collect()
+}

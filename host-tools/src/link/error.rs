@@ -1,0 +1,209 @@
+//! How a drawing can end otherwise than drawn, each with what to try.
+
+use super::text;
+use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::link::protocol::{Command, ConfigRefusal};
+use std::fmt;
+
+/// What a job is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Waiting for the firmware's answer to the greeting.
+    Connecting,
+    /// Waiting for the first status.
+    Inspecting,
+    /// Waiting for the configuration's hash.
+    Configuring,
+    /// Waiting for the bus to be operational.
+    BusUp,
+    /// Waiting for the joint angles to be referenced.
+    Referencing,
+    /// Waiting for the drives to hold the pose.
+    Enabling,
+    /// Waiting for the drawing to begin.
+    Starting,
+    /// Drawing.
+    Drawing,
+    /// Coming to rest and giving up the power.
+    Resting,
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Connecting => "connecting",
+            Self::Inspecting => "asking for the status",
+            Self::Configuring => "sending the configuration",
+            Self::BusUp => "bringing up the bus",
+            Self::Referencing => "taking the reference",
+            Self::Enabling => "enabling the drives",
+            Self::Starting => "starting the drawing",
+            Self::Drawing => "drawing",
+            Self::Resting => "coming to rest",
+        })
+    }
+}
+
+/// Why a job ended without the whole drawing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum JobError {
+    /// Firmware and program speak different versions.
+    Version {
+        /// This program's version.
+        host: u16,
+        /// The firmware's version.
+        firmware: u16,
+    },
+    /// Nothing answered the greeting.
+    NoAnswer {
+        /// How long was waited, ms.
+        waited_ms: u64,
+    },
+    /// The firmware has fallen silent.
+    LinkLost {
+        /// Since when, ms.
+        silent_ms: u64,
+    },
+    /// The firmware was reset or another program has taken over.
+    Restarted,
+    /// The configuration was refused.
+    Config(ConfigRefusal),
+    /// The firmware computed another hash of the configuration.
+    ConfigHash {
+        /// This program's hash.
+        ours: Option<u64>,
+        /// The firmware's.
+        firmware: u64,
+    },
+    /// The robot was already doing something.
+    Busy(Mode),
+    /// A command of the job was refused.
+    Refused(Command, Refusal),
+    /// A vertex of the path was refused.
+    Vertex(etherpen::motion::Refusal),
+    /// A fault was latched.
+    Fault {
+        /// Its cause.
+        fault: Fault,
+        /// Whether it was there before the job did anything.
+        before: bool,
+    },
+    /// A phase took too long.
+    Timeout {
+        /// Which.
+        phase: Phase,
+        /// How long was waited, ms.
+        waited_ms: u64,
+    },
+    /// The robot came to rest before the path's end.
+    EndedEarly {
+        /// Vertices executed.
+        executed: u32,
+        /// Vertices of the path.
+        total: usize,
+    },
+    /// The operator ended it.
+    Cancelled,
+}
+
+impl fmt::Display for JobError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Version { host, firmware } => write!(
+                f,
+                "the firmware speaks link protocol version {firmware}, this program version {host}; flash the firmware \
+                 that belongs to this program (etherpen flash), or use the program of the firmware's version"
+            ),
+            Self::NoAnswer { waited_ms } => write!(
+                f,
+                "no firmware answered within {:.1} s; check that the board runs, that this is its port, and that no \
+                 other program has it open",
+                seconds(*waited_ms)
+            ),
+            Self::LinkLost { silent_ms } => write!(
+                f,
+                "nothing came from the firmware for {:.1} s; the robot holds by itself: check the cable, then connect \
+                 again and resume or cancel",
+                seconds(*silent_ms)
+            ),
+            Self::Restarted => f.write_str(
+                "the firmware does not know this connection any more: it was reset, or another program has taken the \
+                 port; close the other program, and look for the cause of the reset before drawing again",
+            ),
+            Self::Config(refusal) => f.write_str(&text::config_refusal(refusal)),
+            Self::ConfigHash { ours, firmware } => write!(
+                f,
+                "the firmware took another configuration than was sent (hash {firmware:016x}, sent {:016x}); program and \
+                 firmware differ: flash the firmware that belongs to this program",
+                ours.unwrap_or_default()
+            ),
+            Self::Busy(mode) => write!(
+                f,
+                "the robot is busy: {}; wait for it, or cancel what it does",
+                text::mode(*mode)
+            ),
+            Self::Refused(command, refusal) => {
+                write!(f, "{} was refused: {}", text::command(command), text::refusal(refusal))
+            }
+            Self::Vertex(refusal) => f.write_str(&text::vertex(refusal)),
+            Self::Fault { fault, before } => {
+                let when = if *before {
+                    "a fault is latched from before"
+                } else {
+                    "fault"
+                };
+                write!(f, "{when}: {}", text::fault(fault))
+            }
+            Self::Timeout { phase, waited_ms } => write!(
+                f,
+                "{phase} did not end within {:.0} s; look at the bus and the drives (etherpen bus state)",
+                seconds(*waited_ms)
+            ),
+            Self::EndedEarly { executed, total } => write!(
+                f,
+                "the robot came to rest after {executed} of {total} vertices; another program may have cancelled the \
+                 drawing"
+            ),
+            Self::Cancelled => f.write_str("the drawing was cancelled"),
+        }
+    }
+}
+
+impl std::error::Error for JobError {}
+
+fn seconds(ms: u64) -> f64 {
+    ms as f64 / 1000.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_version_names_both_and_what_to_do() {
+        let error = JobError::Version { host: 1, firmware: 7 };
+        let text = error.to_string();
+        assert!(text.contains("version 7") && text.contains("version 1") && text.contains("flash"));
+    }
+
+    #[test]
+    fn every_error_is_one_sentence_without_debug_syntax() {
+        let errors = [
+            JobError::NoAnswer { waited_ms: 5000 },
+            JobError::LinkLost { silent_ms: 3001 },
+            JobError::Restarted,
+            JobError::Busy(Mode::Holding),
+            JobError::Refused(Command::Enable, Refusal::NotConfigured),
+            JobError::Timeout {
+                phase: Phase::BusUp,
+                waited_ms: 60_000,
+            },
+            JobError::EndedEarly { executed: 3, total: 9 },
+            JobError::Cancelled,
+        ];
+        for error in errors {
+            let text = error.to_string();
+            assert!(!text.contains(['{', '}', '\n']) && !text.contains("  "), "{text}");
+        }
+    }
+}

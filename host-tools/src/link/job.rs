@@ -1,0 +1,712 @@
+//! One drawing from the first greeting to drives without power.
+//!
+//! Connect, look, configure, wait for the bus, reference, enable, draw, bring to rest: each phase waits for what the
+//! firmware reports, never for a time to pass, and has a limit after which the job says what it waited for.
+//! Invariants: a fault that is found is reported and never acknowledged from here; progress counts executed vertices,
+//! not sent ones; whatever ends the job early, the robot is asked to come to rest and to give up its power first.
+
+use super::error::{JobError, Phase};
+use super::progress::{PathMeasure, Progress};
+use super::session::{Event, Session, SessionCounts};
+use etherpen::application::{Mode, Refusal};
+use etherpen::config::Config;
+use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Longest silence of the firmware once connected, ms.
+pub const SILENCE_MAX_MS: u64 = 3_000;
+/// Longest wait for the bus, ms.
+pub const BUS_MAX_MS: u64 = 60_000;
+/// Longest wait for an answer, a reference, power or a standstill, ms.
+pub const STEP_MAX_MS: u64 = 15_000;
+/// Time between two inquiries while a mode is waited for, ms.
+const INQUIRE_MS: u64 = 250;
+/// Time before a command that was refused because something still moves is tried again, ms.
+const RETRY_MS: u64 = 100;
+/// Longest time at rest without the path's end before a drawing counts as ended early, ms.
+const EARLY_END_MS: u64 = 3_000;
+
+/// What a job is given besides configuration and path.
+#[derive(Clone, Copy, Debug)]
+pub struct JobOptions {
+    /// Number of the connection, see [`Session::new`].
+    pub session: u32,
+    /// Number of the job, repeated in acknowledgements.
+    pub job: u16,
+    /// Longest wait for the firmware's answer to the greeting, ms.
+    pub connect_max_ms: u64,
+}
+
+impl Default for JobOptions {
+    fn default() -> Self {
+        Self {
+            session: 1,
+            job: 1,
+            connect_max_ms: 5_000,
+        }
+    }
+}
+
+/// What an operator can do with a running job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// Decelerate on the path, lift the pen, wait.
+    Hold,
+    /// Go on.
+    Resume,
+    /// End the drawing, park, take the power.
+    Cancel,
+    /// Scale the path speed, percent from 10 to 200.
+    Override(u8),
+    /// Quick stop, latched as a fault.
+    Stop,
+}
+
+/// What there is to show to a person.
+#[derive(Clone, Debug, PartialEq)]
+pub enum JobEvent {
+    /// The firmware has answered.
+    Connected(Welcome),
+    /// The job has come to this phase.
+    Phase(Phase),
+    /// The robot's mode has changed.
+    Mode(Mode),
+    /// A fault was latched; the job ends when the robot stands.
+    Fault(etherpen::application::Fault),
+    /// An operator's command was refused.
+    Refused(Command, Refusal),
+    /// Samples of the telemetry were lost right before the one with this time.
+    SamplesMissing {
+        /// How many.
+        missing: u32,
+        /// Firmware time of the first sample after the gap, ms.
+        t_ms: u32,
+    },
+}
+
+/// What a job leaves behind, also when it failed.
+#[derive(Clone, Debug, Default)]
+pub struct JobReport {
+    /// The firmware that was talked to.
+    pub welcome: Option<Welcome>,
+    /// Telemetry of the whole job, one sample a millisecond, in order.
+    pub samples: Vec<Sample>,
+    /// What the session counted; `samples_missing` are the gaps in `samples`.
+    pub link: SessionCounts,
+    /// The last status, with the firmware's counters.
+    pub status: Option<Status>,
+    /// How far the drawing came.
+    pub progress: Progress,
+    /// Time from the accepted start to the end of the path, s.
+    pub drawn_s: f64,
+}
+
+/// A whole drawing as a state machine.
+pub struct DrawJob {
+    session: Session,
+    options: JobOptions,
+    config: Config,
+    vertices: Arc<[PathVertex]>,
+    measure: PathMeasure,
+    now_ms: u64,
+    phase: Phase,
+    entered_ms: u64,
+    /// The phase's own command, until it is answered.
+    awaited: Option<u16>,
+    /// Whether the phase's command was accepted.
+    accepted: bool,
+    retry_ms: u64,
+    inquired_ms: u64,
+    fault_since_ms: Option<u64>,
+    /// Whether a status came since the last accepted command.
+    fresh: bool,
+    /// Why the job comes to rest early.
+    ending: Option<JobError>,
+    outcome: Option<Result<(), JobError>>,
+    welcome: Option<Welcome>,
+    status: Option<Status>,
+    ack: PathAck,
+    drawing_ms: Option<u64>,
+    drawn_ms: u64,
+    samples: Vec<Sample>,
+    events: VecDeque<JobEvent>,
+}
+
+impl DrawJob {
+    /// A job that draws `vertices` with this configuration.
+    pub fn new(config: Config, vertices: impl Into<Arc<[PathVertex]>>, options: JobOptions) -> Self {
+        let vertices = vertices.into();
+        let mut session = Session::new(options.session);
+        session.connect();
+        Self {
+            session,
+            options,
+            measure: PathMeasure::new(&vertices, &config),
+            config,
+            vertices,
+            now_ms: 0,
+            phase: Phase::Connecting,
+            entered_ms: 0,
+            awaited: None,
+            accepted: false,
+            retry_ms: 0,
+            inquired_ms: 0,
+            fault_since_ms: None,
+            fresh: false,
+            ending: None,
+            outcome: None,
+            welcome: None,
+            status: None,
+            ack: PathAck::default(),
+            drawing_ms: None,
+            drawn_ms: 0,
+            samples: Vec::new(),
+            events: VecDeque::new(),
+        }
+    }
+
+    /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
+    ///
+    /// `now_ms` starts near 0 and does not go back; in lockstep it is the firmware's millisecond.
+    pub fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
+        self.now_ms = now_ms;
+        self.session.receive(incoming, now_ms);
+        while let Some(event) = self.session.next_event() {
+            self.take(event);
+        }
+        if self.outcome.is_none() {
+            self.supervise();
+        }
+        if self.outcome.is_none() {
+            self.advance();
+        }
+        let before = outgoing.len();
+        outgoing.resize(before + room, 0);
+        let filled = self.session.transmit(now_ms, &mut outgoing[before..]);
+        outgoing.truncate(before + filled);
+    }
+
+    /// How the job ended, `None` while it runs.
+    pub fn outcome(&self) -> Option<&Result<(), JobError>> {
+        self.outcome.as_ref()
+    }
+
+    /// What was collected, whether the job has succeeded, failed or is still running.
+    pub fn into_report(self) -> JobReport {
+        let progress = self.progress();
+        JobReport {
+            progress,
+            drawn_s: progress.elapsed_s,
+            welcome: self.welcome,
+            samples: self.samples,
+            link: self.session.counts(),
+            status: self.status,
+        }
+    }
+
+    /// The phase the job is in.
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// The last status.
+    pub fn status(&self) -> Option<&Status> {
+        self.status.as_ref()
+    }
+
+    /// The samples so far.
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// How far the drawing is.
+    pub fn progress(&self) -> Progress {
+        let elapsed_ms = match self.drawing_ms {
+            Some(_) if self.drawn_ms > 0 => self.drawn_ms,
+            Some(since_ms) => self.now_ms.saturating_sub(since_ms),
+            None => 0,
+        };
+        self.measure.progress(self.ack.executed, elapsed_ms as f64 / 1000.0)
+    }
+
+    /// The oldest event that was not taken yet.
+    pub fn next_event(&mut self) -> Option<JobEvent> {
+        self.events.pop_front()
+    }
+
+    /// Does what an operator asks for.
+    pub fn control(&mut self, control: Control) {
+        let command = match control {
+            Control::Hold => Command::Hold,
+            Control::Resume => Command::Resume,
+            Control::Override(percent) => Command::Override { percent },
+            Control::Stop => {
+                self.awaited = None;
+                Command::Stop
+            }
+            Control::Cancel => {
+                self.ending.get_or_insert(JobError::Cancelled);
+                return;
+            }
+        };
+        self.session.command(command);
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Connected(welcome) => {
+                self.events.push_back(JobEvent::Connected(welcome.clone()));
+                self.welcome = Some(welcome);
+                self.enter(Phase::Inspecting);
+            }
+            Event::VersionRefused { host, firmware } => self.fail(JobError::Version { host, firmware }),
+            Event::Restarted => self.fail(JobError::Restarted),
+            Event::Configured(Ok(hash)) => match self.config.hash() {
+                Some(ours) if ours == hash => self.enter(Phase::BusUp),
+                ours => self.fail(JobError::ConfigHash { ours, firmware: hash }),
+            },
+            Event::Configured(Err(refusal)) => self.fail(JobError::Config(refusal)),
+            Event::Answered { id, command, result } => self.take_answer(id, command, result),
+            Event::Ack(ack) => {
+                if ack.finished && !self.ack.finished {
+                    self.drawn_ms = self.now_ms.saturating_sub(self.drawing_ms.unwrap_or(self.now_ms));
+                }
+                self.ack = ack;
+            }
+            Event::VertexRefused(refusal) => {
+                self.ending.get_or_insert(JobError::Vertex(refusal));
+            }
+            Event::Status(status) => self.take_status(status),
+            Event::Samples { missing, samples } => {
+                if let Some(first) = samples.first().filter(|_| missing > 0) {
+                    let t_ms = first.t_ms;
+                    self.events.push_back(JobEvent::SamplesMissing { missing, t_ms });
+                }
+                self.samples.extend(samples);
+            }
+        }
+    }
+
+    fn take_answer(&mut self, id: u16, command: Command, result: Result<(), Refusal>) {
+        let own = self.awaited.take_if(|awaited| *awaited == id).is_some();
+        match result {
+            Ok(()) => {
+                self.fresh = false;
+                self.accepted |= own;
+                self.inquired_ms = self.now_ms;
+                self.session.inquire();
+                if let Command::Draw { job } = command
+                    && self.phase == Phase::Starting
+                {
+                    self.session.start_path(job, self.vertices.clone());
+                    self.drawing_ms = Some(self.now_ms);
+                    self.enter(Phase::Drawing);
+                }
+            }
+            Err(_) if own && self.phase == Phase::Resting => self.retry_ms = self.now_ms + RETRY_MS,
+            Err(Refusal::Moving) if own => self.retry_ms = self.now_ms + RETRY_MS,
+            Err(refusal) if own => {
+                self.ending.get_or_insert(JobError::Refused(command, refusal));
+            }
+            Err(refusal) => self.events.push_back(JobEvent::Refused(command, refusal)),
+        }
+    }
+
+    fn take_status(&mut self, status: Status) {
+        let before = self.status.as_ref();
+        if before.map(|before| before.mode) != Some(status.mode) {
+            self.events.push_back(JobEvent::Mode(status.mode));
+        }
+        if let Some(fault) = status.fault
+            && before.and_then(|before| before.fault) != status.fault
+        {
+            self.events.push_back(JobEvent::Fault(fault));
+        }
+        self.fresh = true;
+        self.status = Some(status);
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.entered_ms = self.now_ms;
+        self.awaited = None;
+        self.accepted = false;
+        self.retry_ms = self.now_ms;
+        self.fresh = false;
+        self.inquired_ms = self.now_ms;
+        self.session.inquire();
+        self.events.push_back(JobEvent::Phase(phase));
+    }
+
+    fn fail(&mut self, error: JobError) {
+        self.session.end_path();
+        self.outcome.get_or_insert(Err(error));
+    }
+
+    /// Limits of silence and time, and faults: what ends any phase.
+    fn supervise(&mut self) {
+        let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
+        if self.phase == Phase::Connecting {
+            if self.ending.is_some() {
+                return self.fail(JobError::Cancelled);
+            }
+            if waited_ms > self.options.connect_max_ms {
+                return self.fail(JobError::NoAnswer { waited_ms });
+            }
+            return;
+        }
+        if let Some(silent_ms) = self.session.silence_ms(self.now_ms).filter(|ms| *ms > SILENCE_MAX_MS) {
+            return self.fail(JobError::LinkLost { silent_ms });
+        }
+        if self.faulted() {
+            return;
+        }
+        if self.ending.is_some() && self.phase != Phase::Resting {
+            self.session.end_path();
+            self.enter(Phase::Resting);
+            return;
+        }
+        let limit_ms = match self.phase {
+            Phase::Drawing => return,
+            Phase::BusUp => BUS_MAX_MS,
+            _ => STEP_MAX_MS,
+        };
+        if waited_ms > limit_ms {
+            let late = JobError::Timeout {
+                phase: self.phase,
+                waited_ms,
+            };
+            let error = self.ending.take().unwrap_or(late);
+            if self.phase == Phase::Resting {
+                self.fail(error);
+            } else {
+                self.ending = Some(error);
+            }
+        }
+    }
+
+    /// Whether there is a fault; the job ends with it once the robot stands.
+    fn faulted(&mut self) -> bool {
+        let Some(status) = self.status.as_ref().filter(|_| self.fresh) else {
+            return self.fault_since_ms.is_some();
+        };
+        let mode = status.mode;
+        let Some(fault) = status.fault else {
+            self.fault_since_ms = None;
+            return false;
+        };
+        let since_ms = *self.fault_since_ms.get_or_insert(self.now_ms);
+        if mode == Mode::Fault || self.now_ms.saturating_sub(since_ms) > STEP_MAX_MS {
+            let before = self.phase == Phase::Inspecting;
+            self.fail(JobError::Fault { fault, before });
+        }
+        true
+    }
+
+    fn advance(&mut self) {
+        if self.phase == Phase::Connecting || self.fault_since_ms.is_some() {
+            return;
+        }
+        if self.now_ms.saturating_sub(self.inquired_ms) >= INQUIRE_MS && self.phase != Phase::Drawing {
+            self.inquired_ms = self.now_ms;
+            self.session.inquire();
+        }
+        let Some(mode) = self.status.as_ref().filter(|_| self.fresh).map(|status| status.mode) else {
+            return;
+        };
+        let referenced = self.status.as_ref().is_some_and(|status| status.referenced);
+        match self.phase {
+            Phase::Connecting | Phase::Configuring => {}
+            Phase::Inspecting => self.inspect(mode),
+            Phase::BusUp => {
+                if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
+                    self.enter(Phase::Referencing);
+                }
+            }
+            Phase::Referencing if referenced => self.enter(Phase::Enabling),
+            Phase::Referencing => self.request(Command::Reference),
+            Phase::Enabling if mode == Mode::Idle => self.enter(Phase::Starting),
+            Phase::Enabling => self.request(Command::Enable),
+            Phase::Starting => self.request(Command::Draw { job: self.options.job }),
+            Phase::Drawing => self.watch_drawing(mode),
+            Phase::Resting => self.rest(mode),
+        }
+    }
+
+    fn inspect(&mut self, mode: Mode) {
+        if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping) {
+            return self.fail(JobError::Busy(mode));
+        }
+        let in_force = self.status.as_ref().and_then(|status| status.config);
+        if in_force.is_some() && in_force == self.config.hash() {
+            return self.enter(Phase::BusUp);
+        }
+        self.enter(Phase::Configuring);
+        self.session.configure(self.config.clone());
+    }
+
+    fn watch_drawing(&mut self, mode: Mode) {
+        if self.ack.finished && mode != Mode::Holding {
+            return self.enter(Phase::Resting);
+        }
+        let over = matches!(mode, Mode::Idle | Mode::DrivesOff | Mode::Unreferenced);
+        if over && self.now_ms.saturating_sub(self.entered_ms) > EARLY_END_MS {
+            self.ending.get_or_insert(JobError::EndedEarly {
+                executed: self.ack.executed,
+                total: self.vertices.len(),
+            });
+        }
+    }
+
+    /// Brings the robot to rest without power, whatever it does now.
+    fn rest(&mut self, mode: Mode) {
+        match mode {
+            Mode::Drawing | Mode::Holding | Mode::Moving if self.ending.is_some() => {
+                self.request(Command::Cancel);
+            }
+            Mode::Idle | Mode::Unreferenced => {
+                self.accepted = false;
+                self.request(Command::Disable);
+            }
+            // Power may still be on its way; the firmware accepts this only when it is not.
+            Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
+            Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
+                let result = self.ending.take().map_or(Ok(()), Err);
+                self.outcome.get_or_insert(result);
+            }
+            Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Stopping => {}
+        }
+    }
+
+    /// Makes the phase's request unless it is under way or was accepted.
+    fn request(&mut self, command: Command) {
+        if self.awaited.is_none() && !self.accepted && self.now_ms >= self.retry_ms {
+            self.awaited = Some(self.session.command(command));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::bench::{Bench, path};
+    use super::*;
+    use etherpen::application::Fault;
+
+    fn job(count: usize) -> DrawJob {
+        DrawJob::new(Config::default(), path(count), JobOptions::default())
+    }
+
+    /// Runs until the job ends, with `at` called every millisecond before the job's step.
+    fn run(bench: &mut Bench, job: &mut DrawJob, limit_ms: u64, mut at: impl FnMut(u64, &mut Bench, &mut DrawJob)) {
+        for now_ms in 0..limit_ms {
+            at(now_ms, bench, job);
+            bench.step(now_ms, |arrived, room| {
+                let mut out = Vec::new();
+                job.step(now_ms, arrived, &mut out, room);
+                out
+            });
+            if job.outcome().is_some() {
+                return;
+            }
+        }
+        panic!("still {} after {limit_ms} ms", job.phase());
+    }
+
+    fn events(job: &mut DrawJob) -> Vec<JobEvent> {
+        std::iter::from_fn(|| job.next_event()).collect()
+    }
+
+    #[test]
+    fn a_whole_drawing_ends_without_power_and_leaves_every_sample() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(2_000));
+        let mut executed_mm = 0.0;
+        run(&mut bench, &mut job, 10_000, |_, bench, job| {
+            let progress = job.progress();
+            assert!(progress.vertices <= bench.executed as usize && progress.executed_mm >= executed_mm);
+            executed_mm = progress.executed_mm;
+        });
+        assert_eq!(job.outcome(), Some(&Ok(())));
+        assert_eq!((bench.mode, bench.vertices.len()), (Mode::DrivesOff, 2_000));
+        let expected = [
+            Command::Reference,
+            Command::Enable,
+            Command::Draw { job: 1 },
+            Command::Disable,
+        ];
+        assert_eq!(bench.commands, expected);
+        let report = job.into_report();
+        let in_order = report.samples.windows(2).all(|pair| pair[1].t_ms == pair[0].t_ms + 1);
+        assert!(in_order && report.link.samples_missing == 0 && report.samples.len() > 2_000);
+        assert!((2.0..2.2).contains(&report.drawn_s), "{}", report.drawn_s);
+        assert_eq!((report.progress.vertices, report.progress.left_s), (2_000, 0.0));
+        assert_eq!(
+            report.welcome.map(|welcome| welcome.board.as_str().to_owned()),
+            Some("bench".into())
+        );
+    }
+
+    #[test]
+    fn two_runs_are_the_same_byte_by_byte() {
+        let bytes = || {
+            let (mut bench, mut job, mut all) = (Bench::new(5, 200), job(300), Vec::new());
+            for now_ms in 0..3_000 {
+                bench.step(now_ms, |arrived, room| {
+                    let mut out = Vec::new();
+                    job.step(now_ms, arrived, &mut out, room);
+                    all.extend_from_slice(&out);
+                    out
+                });
+            }
+            all
+        };
+        assert_eq!(bytes(), bytes());
+    }
+
+    #[test]
+    fn over_a_bad_line_the_drawing_is_complete_and_the_gaps_are_told() {
+        for seed in [3, 0xbad] {
+            println!("seed {seed:#x}");
+            let (mut bench, mut job) = (Bench::new(seed, 500), job(1_000));
+            run(&mut bench, &mut job, 60_000, |_, _, _| {});
+            assert_eq!(job.outcome(), Some(&Ok(())), "seed {seed:#x}");
+            assert_eq!(bench.vertices, path(1_000), "seed {seed:#x}");
+            let missing: u64 = events(&mut job)
+                .iter()
+                .map(|event| match event {
+                    JobEvent::SamplesMissing { missing, .. } => u64::from(*missing),
+                    _ => 0,
+                })
+                .sum();
+            let report = job.into_report();
+            assert!(missing > 0 && missing == report.link.samples_missing);
+        }
+    }
+
+    #[test]
+    fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(10));
+        let fault = Fault::Drive {
+            axis: 1,
+            status_word: 8,
+        };
+        (bench.mode, bench.fault) = (Mode::Fault, Some(fault));
+        run(&mut bench, &mut job, 1_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
+        assert!(bench.commands.is_empty() && bench.config.is_none());
+    }
+
+    #[test]
+    fn a_fault_while_drawing_is_told_at_once_and_ends_the_job_when_the_robot_stands() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        bench.fault_at_vertex = Some(500);
+        let mut told_in = None;
+        run(&mut bench, &mut job, 10_000, |_, bench, job| {
+            if events(job).iter().any(|event| matches!(event, JobEvent::Fault(_))) {
+                told_in = Some(bench.mode);
+            }
+        });
+        assert_eq!(told_in, Some(Mode::Stopping));
+        let fault = Fault::SlaveLost { slave: 2 };
+        assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: false })));
+        assert_eq!(bench.mode, Mode::Fault);
+        assert!(
+            job.into_report().samples.len() > 500,
+            "the telemetry of a failed drawing is kept"
+        );
+    }
+
+    #[test]
+    fn cancel_stops_the_drawing_and_takes_the_power_before_the_job_ends() {
+        for cancel_ms in [0, 5, 30, 75, 80, 110, 130, 500, 1_000] {
+            let (mut bench, mut job) = (Bench::new(1, 0), job(3_000));
+            run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
+                if now_ms == cancel_ms {
+                    job.control(Control::Cancel);
+                }
+            });
+            assert_eq!(
+                job.outcome(),
+                Some(&Err(JobError::Cancelled)),
+                "cancelled at {cancel_ms} ms"
+            );
+            let without_power = matches!(bench.mode, Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff);
+            assert!(without_power, "cancelled at {cancel_ms} ms: {:?}", bench.mode);
+            assert!(bench.executed < 1_000);
+        }
+    }
+
+    #[test]
+    fn hold_waits_without_a_limit_and_resume_completes() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        run(&mut bench, &mut job, 60_000, |now_ms, bench, job| match now_ms {
+            500 => job.control(Control::Hold),
+            600..40_000 => assert_eq!(bench.mode, Mode::Holding),
+            40_000 => job.control(Control::Resume),
+            _ => {}
+        });
+        assert_eq!(job.outcome(), Some(&Ok(())));
+    }
+
+    #[test]
+    fn stop_is_a_fault_and_an_operators_refused_command_is_only_told() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        let mut refused = 0;
+        run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
+            match now_ms {
+                300 => job.control(Control::Resume),
+                500 => job.control(Control::Stop),
+                _ => {}
+            }
+            let told = events(job);
+            refused += told
+                .iter()
+                .filter(|event| matches!(event, JobEvent::Refused(Command::Resume, _)))
+                .count();
+        });
+        let by_link = Fault::EmergencyStop(etherpen::application::StopSource::Link);
+        let expected = JobError::Fault {
+            fault: by_link,
+            before: false,
+        };
+        assert_eq!((job.outcome(), refused), (Some(&Err(expected)), 1));
+    }
+
+    #[test]
+    fn a_silent_port_another_configuration_in_bounds_and_a_busy_robot_are_told() {
+        let mut silent = job(1);
+        for now_ms in 0..6_000 {
+            silent.step(now_ms, &[], &mut Vec::new(), 92);
+        }
+        assert_eq!(silent.outcome(), Some(&Err(JobError::NoAnswer { waited_ms: 5_001 })));
+        let mut config = Config::default();
+        config.axes[0].gear = 0.0;
+        let (mut bench, mut refused) = (Bench::new(1, 0), DrawJob::new(config, path(1), JobOptions::default()));
+        run(&mut bench, &mut refused, 1_000, |_, _, _| {});
+        assert!(matches!(refused.outcome(), Some(Err(JobError::Config(_)))));
+        let (mut bench, mut busy) = (Bench::new(1, 0), job(1));
+        bench.mode = Mode::Holding;
+        run(&mut bench, &mut busy, 1_000, |_, _, _| {});
+        assert_eq!(busy.outcome(), Some(&Err(JobError::Busy(Mode::Holding))));
+    }
+
+    #[test]
+    fn a_lost_link_ends_the_job_and_commands_nothing_more() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(3_000));
+        let mut now_ms = 0;
+        while job.outcome().is_none() {
+            let mut out = Vec::new();
+            if now_ms < 1_000 {
+                bench.step(now_ms, |arrived, room| {
+                    job.step(now_ms, arrived, &mut out, room);
+                    std::mem::take(&mut out)
+                });
+            } else {
+                job.step(now_ms, &[], &mut out, 92);
+            }
+            now_ms += 1;
+        }
+        assert!(matches!(job.outcome(), Some(Err(JobError::LinkLost { .. }))));
+        assert!((4_000..4_010).contains(&now_ms), "{now_ms}");
+    }
+}

@@ -1,0 +1,143 @@
+//! How far a drawing is, from what the firmware executed.
+//!
+//! Vertices are weighted by the time their legs take at the configured speeds, because millimetres with the pen up
+//! are faster than millimetres with it down and short strokes cost lifts. The time left is the weight left, scaled by
+//! how the weight done compares with the time it took.
+
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use etherpen::motion::Pen;
+
+/// Share of the path after which the time it took corrects the estimate.
+const CALIBRATED_FROM: f64 = 0.02;
+
+/// How far a drawing is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Progress {
+    /// Vertices executed.
+    pub vertices: usize,
+    /// Vertices of the path.
+    pub vertices_total: usize,
+    /// Length executed, pen up and down, mm.
+    pub executed_mm: f64,
+    /// Length of the path, mm.
+    pub total_mm: f64,
+    /// Strokes begun.
+    pub strokes: u32,
+    /// Strokes of the path.
+    pub strokes_total: u32,
+    /// Time since the drawing began, s.
+    pub elapsed_s: f64,
+    /// Estimated time left, s.
+    pub left_s: f64,
+}
+
+/// Lengths and times along a path, measured once.
+#[derive(Clone, Debug)]
+pub struct PathMeasure {
+    /// For each number of executed vertices: length so far in mm, estimated time so far in s, strokes begun.
+    marks: Vec<(f64, f64, u32)>,
+}
+
+impl PathMeasure {
+    /// Measures a path at the speeds of a configuration.
+    pub fn new(vertices: &[PathVertex], config: &Config) -> Self {
+        let motion = &config.motion;
+        let lift_s = 2.0 * (config.paper.pen_lift_mm / motion.acceleration_mm_s2).sqrt();
+        let mut marks = vec![(0.0, 0.0, 0)];
+        let (mut length_mm, mut time_s, mut strokes) = (0.0, 0.0, 0u32);
+        let mut last: Option<&PathVertex> = None;
+        for vertex in vertices {
+            let leg_mm = last.map_or(0.0, |last| distance_mm(last, vertex));
+            let speed_mm_s = match vertex.pen {
+                Pen::Down => motion.speed_mm_s,
+                Pen::Up => motion.travel_speed_mm_s,
+            };
+            let pen_moves = last.is_some_and(|last| last.pen != vertex.pen);
+            length_mm += leg_mm;
+            time_s += leg_mm / speed_mm_s + if pen_moves { lift_s } else { 0.0 };
+            strokes = strokes.max(vertex.stroke.saturating_add(1));
+            marks.push((length_mm, time_s, strokes));
+            last = Some(vertex);
+        }
+        Self { marks }
+    }
+
+    /// Progress with this many vertices executed, `elapsed_s` after the beginning.
+    pub fn progress(&self, executed: u32, elapsed_s: f64) -> Progress {
+        let total = self.marks.last().copied().unwrap_or_default();
+        let vertices_total = self.marks.len().saturating_sub(1);
+        let vertices = usize::try_from(executed).unwrap_or(usize::MAX).min(vertices_total);
+        let done = self.marks.get(vertices).copied().unwrap_or_default();
+        let scale = if done.1 > CALIBRATED_FROM * total.1 && elapsed_s > 0.0 {
+            elapsed_s / done.1
+        } else {
+            1.0
+        };
+        Progress {
+            vertices,
+            vertices_total,
+            executed_mm: done.0,
+            total_mm: total.0,
+            strokes: done.2,
+            strokes_total: total.2,
+            elapsed_s,
+            left_s: (total.1 - done.1) * scale,
+        }
+    }
+}
+
+fn distance_mm(a: &PathVertex, b: &PathVertex) -> f64 {
+    let squares = a.position_um.iter().zip(&b.position_um).map(|(a, b)| {
+        let difference_mm = (f64::from(*b) - f64::from(*a)) / 1000.0;
+        difference_mm * difference_mm
+    });
+    squares.sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn path() -> Vec<PathVertex> {
+        [
+            (0, Pen::Up, 0),
+            (40, Pen::Down, 0),
+            (140, Pen::Up, 1),
+            (180, Pen::Down, 1),
+        ]
+        .map(|(x_mm, pen, stroke)| PathVertex {
+            position_um: [x_mm * 1000, 0, -850_000],
+            pen,
+            stroke,
+        })
+        .to_vec()
+    }
+
+    #[test]
+    fn lengths_and_strokes_follow_the_executed_vertices() {
+        let measure = PathMeasure::new(&path(), &Config::default());
+        let at = |executed| {
+            let progress = measure.progress(executed, 0.0);
+            (progress.executed_mm, progress.strokes)
+        };
+        assert_eq!(
+            [at(0), at(1), at(2), at(3)],
+            [(0.0, 0), (0.0, 1), (40.0, 1), (140.0, 2)]
+        );
+        assert_eq!(at(4), (180.0, 2));
+        assert_eq!(at(99), at(4), "more than the path has is the whole path");
+        assert_eq!(measure.progress(0, 0.0).total_mm, 180.0);
+    }
+
+    #[test]
+    fn the_time_left_is_corrected_by_the_time_taken_and_ends_at_zero() {
+        let measure = PathMeasure::new(&path(), &Config::default());
+        let before = measure.progress(0, 0.0).left_s;
+        let estimated_done = before - measure.progress(2, 0.0).left_s;
+        let slow = measure.progress(2, 2.0 * estimated_done);
+        assert!((slow.left_s - 2.0 * (before - estimated_done)).abs() < 1e-9, "{slow:?}");
+        assert_eq!(measure.progress(4, 3.0).left_s, 0.0);
+        assert_eq!(PathMeasure::new(&[], &Config::default()).progress(5, 1.0).left_s, 0.0);
+    }
+}
