@@ -1,0 +1,223 @@
+//! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
+//!
+//! One step up at a time, any step down; what is refused sets the error bit and an AL status code, and upward
+//! requests wait until the master has acknowledged. States and codes: IEC 61158-6-12, AL control and AL status.
+
+/// How long a request for OP waits for outputs, ms.
+const OUTPUTS_WAIT_MS: u32 = 200;
+
+const ACKNOWLEDGE: u16 = 0x10;
+const STATE_MASK: u16 = 0x0F;
+const ERROR: u16 = 0x10;
+
+/// AL status codes.
+pub(super) mod code {
+    /// The requested state cannot follow the present one.
+    pub(in crate::cell) const INVALID_CHANGE: u16 = 0x0011;
+    /// No such state.
+    pub(in crate::cell) const UNKNOWN_STATE: u16 = 0x0012;
+    /// Bootstrap is not supported.
+    pub(in crate::cell) const NO_BOOTSTRAP: u16 = 0x0013;
+    /// Mailbox sync managers are not as they must be.
+    pub(in crate::cell) const MAILBOX: u16 = 0x0016;
+    /// The process-data watchdog expired, or outputs never came.
+    pub(in crate::cell) const WATCHDOG: u16 = 0x001B;
+    /// The output sync manager is not as it must be.
+    pub(in crate::cell) const OUTPUTS: u16 = 0x001D;
+    /// The input sync manager is not as it must be.
+    pub(in crate::cell) const INPUTS: u16 = 0x001E;
+}
+
+/// State of a slave's application layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum AlState {
+    /// No communication with the application.
+    Init = 1,
+    /// Mailbox only.
+    PreOperational = 2,
+    /// Mailbox and inputs, outputs safe.
+    SafeOperational = 4,
+    /// Everything.
+    Operational = 8,
+}
+
+/// What the checks of a transition look at.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Readiness {
+    pub(super) mailbox: bool,
+    pub(super) outputs: bool,
+    pub(super) inputs: bool,
+    pub(super) outputs_received: bool,
+}
+
+/// State, error bit and code.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Application {
+    state: AlState,
+    error: bool,
+    code: u16,
+    waiting_ms: Option<u32>,
+}
+
+impl Default for Application {
+    fn default() -> Self {
+        Self {
+            state: AlState::Init,
+            error: false,
+            code: 0,
+            waiting_ms: None,
+        }
+    }
+}
+
+impl Application {
+    /// The present state.
+    pub(super) fn state(&self) -> AlState {
+        self.state
+    }
+
+    /// Content of the AL status register.
+    pub(super) fn status(&self) -> u16 {
+        self.state as u16 | if self.error { ERROR } else { 0 }
+    }
+
+    /// Content of the AL status code register.
+    pub(super) fn code(&self) -> u16 {
+        self.code
+    }
+
+    /// Falls back by itself, with a code.
+    pub(super) fn retreat(&mut self, to: AlState, code: u16) {
+        self.state = self.state.min(to);
+        self.refuse(code);
+    }
+
+    /// One millisecond: a waiting request for OP.
+    pub(super) fn step(&mut self, ready: Readiness) {
+        let Some(waited_ms) = self.waiting_ms else { return };
+        if ready.outputs_received {
+            self.waiting_ms = None;
+            self.state = AlState::Operational;
+        } else if waited_ms + 1 >= OUTPUTS_WAIT_MS {
+            self.refuse(code::WATCHDOG);
+        } else {
+            self.waiting_ms = Some(waited_ms + 1);
+        }
+    }
+
+    /// The master has written the AL control register.
+    pub(super) fn request(&mut self, control: u16, ready: Readiness) {
+        if control & ACKNOWLEDGE != 0 {
+            self.error = false;
+            self.code = 0;
+        }
+        let target = match control & STATE_MASK {
+            1 => AlState::Init,
+            2 => AlState::PreOperational,
+            3 => return self.refuse(code::NO_BOOTSTRAP),
+            4 => AlState::SafeOperational,
+            8 => AlState::Operational,
+            _ => return self.refuse(code::UNKNOWN_STATE),
+        };
+        if target < self.state {
+            self.waiting_ms = None;
+            self.error = false;
+            self.code = 0;
+            self.state = target;
+        } else if target > self.state && !self.error {
+            self.waiting_ms = None;
+            self.climb(target, ready);
+        }
+    }
+
+    fn climb(&mut self, target: AlState, ready: Readiness) {
+        use AlState::{Init, Operational, PreOperational, SafeOperational};
+        match (self.state, target) {
+            (Init, PreOperational) if !ready.mailbox => self.refuse(code::MAILBOX),
+            (PreOperational, SafeOperational) if !ready.outputs => self.refuse(code::OUTPUTS),
+            (PreOperational, SafeOperational) if !ready.inputs => self.refuse(code::INPUTS),
+            (SafeOperational, Operational) if !ready.outputs_received => self.waiting_ms = Some(0),
+            (Init, PreOperational) | (PreOperational, SafeOperational) | (SafeOperational, Operational) => {
+                self.code = 0;
+                self.state = target;
+            }
+            _ => self.refuse(code::INVALID_CHANGE),
+        }
+    }
+
+    fn refuse(&mut self, code: u16) {
+        self.waiting_ms = None;
+        self.error = true;
+        self.code = code;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const READY: Readiness = Readiness {
+        mailbox: true,
+        outputs: true,
+        inputs: true,
+        outputs_received: true,
+    };
+
+    fn after(requests: &[u16], ready: Readiness) -> (u16, u16) {
+        let mut application = Application::default();
+        for request in requests {
+            application.request(*request, ready);
+        }
+        (application.status(), application.code())
+    }
+
+    #[test]
+    fn the_way_to_op_has_no_short_cut() {
+        assert_eq!(after(&[2, 4, 8], READY), (8, 0));
+        assert_eq!(after(&[4], READY), (0x11, code::INVALID_CHANGE));
+        assert_eq!(after(&[2, 8], READY), (0x12, code::INVALID_CHANGE));
+        assert_eq!(after(&[3], READY), (0x11, code::NO_BOOTSTRAP));
+        assert_eq!(after(&[2, 7], READY), (0x12, code::UNKNOWN_STATE));
+    }
+
+    #[test]
+    fn each_step_up_checks_what_it_needs() {
+        let no_mailbox = Readiness {
+            mailbox: false,
+            ..READY
+        };
+        assert_eq!(after(&[2], no_mailbox), (0x11, code::MAILBOX));
+        let no_outputs = Readiness {
+            outputs: false,
+            ..READY
+        };
+        assert_eq!(after(&[2, 4], no_outputs), (0x12, code::OUTPUTS));
+        let no_inputs = Readiness { inputs: false, ..READY };
+        assert_eq!(after(&[2, 4], no_inputs), (0x12, code::INPUTS));
+    }
+
+    #[test]
+    fn an_error_blocks_the_way_up_until_it_is_acknowledged() {
+        assert_eq!(after(&[4, 2], READY), (0x11, code::INVALID_CHANGE));
+        assert_eq!(after(&[4, 0x11, 2], READY), (0x02, 0));
+        assert_eq!(after(&[2, 8, 1], READY), (0x01, 0), "a step down clears it");
+    }
+
+    #[test]
+    fn op_without_outputs_ends_in_the_watchdog_code() {
+        let silent = Readiness {
+            outputs_received: false,
+            ..READY
+        };
+        let mut application = Application::default();
+        for request in [2, 4, 8] {
+            application.request(request, silent);
+        }
+        for _ in 0..OUTPUTS_WAIT_MS - 1 {
+            application.step(silent);
+            assert_eq!(application.status(), 4);
+        }
+        application.step(silent);
+        assert_eq!((application.status(), application.code()), (0x14, code::WATCHDOG));
+    }
+}

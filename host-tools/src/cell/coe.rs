@@ -1,0 +1,305 @@
+//! Mailbox server: CANopen over EtherCAT as a slave speaks it.
+//!
+//! Takes one mailbox message, queues the answers. SDO upload and download in expedited, normal and segmented form;
+//! what is not spoken is refused by an abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
+//! coding; abort codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
+
+use std::collections::VecDeque;
+
+const MAILBOX_HEADER: usize = 6;
+const COE_HEADER: usize = 2;
+const SDO_HEADER: usize = 8;
+const SEGMENT_HEADER: usize = 1;
+const SEGMENT_DATA_MIN: usize = 7;
+const TYPE_ERROR: u8 = 0;
+const TYPE_COE: u8 = 3;
+const SERVICE_EMERGENCY: u8 = 1;
+const SERVICE_SDO_REQUEST: u8 = 2;
+const SERVICE_SDO_RESPONSE: u8 = 3;
+const ERROR_PROTOCOL: u16 = 2;
+const ERROR_SERVICE: u16 = 4;
+const ERROR_SHORT: u16 = 6;
+const ERROR_LENGTH: u16 = 8;
+const TOGGLE: u8 = 0x10;
+/// Largest value that is taken in segments, bytes.
+const DOWNLOAD_BYTES_MAX: usize = 64 * 1024;
+/// Messages that wait for the master at most; the oldest emergency gives way.
+const QUEUE_MAX: usize = 16;
+
+/// Why an SDO was refused: the number of CiA 301.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Abort(pub(super) u32);
+
+impl Abort {
+    pub(super) const TOGGLE: Self = Self(0x0503_0000);
+    pub(super) const COMMAND: Self = Self(0x0504_0001);
+    pub(super) const MEMORY: Self = Self(0x0504_0005);
+    pub(super) const UNSUPPORTED_ACCESS: Self = Self(0x0601_0000);
+    pub(super) const READ_ONLY: Self = Self(0x0601_0002);
+    pub(super) const SUB_INDEX_ZERO_FIRST: Self = Self(0x0601_0003);
+    pub(super) const NO_OBJECT: Self = Self(0x0602_0000);
+    pub(super) const NOT_MAPPABLE: Self = Self(0x0604_0041);
+    pub(super) const LENGTH: Self = Self(0x0607_0010);
+    pub(super) const TOO_LONG: Self = Self(0x0607_0012);
+    pub(super) const TOO_SHORT: Self = Self(0x0607_0013);
+    pub(super) const NO_SUB_INDEX: Self = Self(0x0609_0011);
+    pub(super) const VALUE: Self = Self(0x0609_0030);
+    pub(super) const STATE: Self = Self(0x0800_0022);
+}
+
+/// What an object dictionary can be asked.
+pub(super) trait ObjectDictionary {
+    /// The value of an object, little-endian.
+    fn upload(&self, index: u16, sub: u8) -> Result<Vec<u8>, Abort>;
+    /// Writes an object.
+    fn download(&mut self, index: u16, sub: u8, value: &[u8]) -> Result<(), Abort>;
+}
+
+#[derive(Clone, Debug, Default)]
+enum Transfer {
+    #[default]
+    None,
+    Upload {
+        rest: VecDeque<u8>,
+        toggle: bool,
+    },
+    Download {
+        object: [u8; 3],
+        expected: usize,
+        value: Vec<u8>,
+        toggle: bool,
+    },
+}
+
+/// State of one slave's mailbox.
+#[derive(Clone, Debug, Default)]
+pub(super) struct MailboxServer {
+    counter: u8,
+    received_counter: u8,
+    queue: VecDeque<Vec<u8>>,
+    last_sent: Option<Vec<u8>>,
+    transfer: Transfer,
+}
+
+impl MailboxServer {
+    /// Handles one message of the master; `capacity` is the length of the mailbox the answers go through.
+    pub(super) fn receive(&mut self, message: &[u8], capacity: usize, dictionary: &mut impl ObjectDictionary) {
+        let Some((&[length_low, length_high, _, _, _, kind], rest)) = message.split_first_chunk() else {
+            return self.refuse(ERROR_SHORT);
+        };
+        let counter = kind >> 4 & 0x07;
+        if counter != 0 && counter == self.received_counter {
+            return;
+        }
+        self.received_counter = counter;
+        let Some(body) = rest.get(..usize::from(u16::from_le_bytes([length_low, length_high]))) else {
+            return self.refuse(ERROR_LENGTH);
+        };
+        if kind & 0x0F != TYPE_COE {
+            return self.refuse(ERROR_PROTOCOL);
+        }
+        match body.split_first_chunk::<COE_HEADER>() {
+            Some(([_, service], sdo)) if service >> 4 == SERVICE_SDO_REQUEST => {
+                self.sdo(sdo, capacity, dictionary);
+            }
+            Some(_) => self.refuse(ERROR_SERVICE),
+            None => self.refuse(ERROR_SHORT),
+        }
+    }
+
+    /// Queues an emergency message: error code, error register, five bytes of the manufacturer.
+    pub(super) fn emergency(&mut self, code: u16, register: u8, detail: [u8; 5]) {
+        let mut body = Vec::from(code.to_le_bytes());
+        body.push(register);
+        body.extend_from_slice(&detail);
+        self.coe(SERVICE_EMERGENCY, &body);
+    }
+
+    /// The next message for the master.
+    pub(super) fn next(&mut self) -> Option<Vec<u8>> {
+        let message = self.queue.pop_front()?;
+        self.last_sent = Some(message.clone());
+        Some(message)
+    }
+
+    /// The message that was sent last, for a repeat.
+    pub(super) fn last_sent(&self) -> Option<&[u8]> {
+        self.last_sent.as_deref()
+    }
+
+    fn sdo(&mut self, request: &[u8], capacity: usize, dictionary: &mut impl ObjectDictionary) {
+        let Some((&[command, index_low, index_high, sub, ..], data)) = request.split_first_chunk::<SDO_HEADER>() else {
+            return self.refuse(ERROR_SHORT);
+        };
+        let object = [index_low, index_high, sub];
+        let index = u16::from_le_bytes([index_low, index_high]);
+        let complete_access = command & TOGGLE != 0;
+        let result = match command >> 5 {
+            0 => self.download_segment(request, dictionary),
+            1 | 2 if complete_access => Err(Abort::UNSUPPORTED_ACCESS),
+            1 => self.download(request, data, dictionary),
+            2 => dictionary
+                .upload(index, sub)
+                .map(|value| self.answer_upload(object, value, capacity)),
+            3 => self.upload_segment(command, capacity),
+            4 => {
+                self.transfer = Transfer::None;
+                Ok(())
+            }
+            _ => Err(Abort::COMMAND),
+        };
+        if let Err(Abort(code)) = result {
+            self.transfer = Transfer::None;
+            let mut body = vec![0x80];
+            body.extend_from_slice(&object);
+            body.extend_from_slice(&code.to_le_bytes());
+            self.coe(SERVICE_SDO_REQUEST, &body);
+        }
+    }
+
+    fn answer_upload(&mut self, object: [u8; 3], value: Vec<u8>, capacity: usize) {
+        let mut body = Vec::new();
+        if (1..=4).contains(&value.len()) {
+            body.push(0x43 | (4 - value.len() as u8) << 2);
+            body.extend_from_slice(&object);
+            body.extend_from_slice(&value);
+            body.resize(SDO_HEADER, 0);
+        } else {
+            let room = capacity.saturating_sub(MAILBOX_HEADER + COE_HEADER + SDO_HEADER);
+            body.push(0x41);
+            body.extend_from_slice(&object);
+            body.extend_from_slice(&(value.len() as u32).to_le_bytes());
+            let mut rest = VecDeque::from(value);
+            body.extend(rest.drain(..room.min(rest.len())));
+            if !rest.is_empty() {
+                self.transfer = Transfer::Upload { rest, toggle: false };
+            }
+        }
+        self.coe(SERVICE_SDO_RESPONSE, &body);
+    }
+
+    fn upload_segment(&mut self, command: u8, capacity: usize) -> Result<(), Abort> {
+        let Transfer::Upload { rest, toggle } = &mut self.transfer else {
+            return Err(Abort::COMMAND);
+        };
+        if *toggle != (command & TOGGLE != 0) {
+            return Err(Abort::TOGGLE);
+        }
+        let room = capacity
+            .saturating_sub(MAILBOX_HEADER + COE_HEADER + SEGMENT_HEADER)
+            .max(SEGMENT_DATA_MIN);
+        let part: Vec<u8> = rest.drain(..room.min(rest.len())).collect();
+        let last = rest.is_empty();
+        let unused = SEGMENT_DATA_MIN.saturating_sub(part.len()) as u8;
+        let mut body = vec![(command & TOGGLE) | unused << 1 | u8::from(last)];
+        *toggle = !*toggle;
+        body.extend_from_slice(&part);
+        body.resize(body.len().max(SEGMENT_HEADER + SEGMENT_DATA_MIN), 0);
+        if last {
+            self.transfer = Transfer::None;
+        }
+        self.coe(SERVICE_SDO_RESPONSE, &body);
+        Ok(())
+    }
+
+    fn download(&mut self, request: &[u8], data: &[u8], dictionary: &mut impl ObjectDictionary) -> Result<(), Abort> {
+        let Some(&[command, index_low, index_high, sub, b0, b1, b2, b3]) = request.first_chunk() else {
+            return Err(Abort::COMMAND);
+        };
+        let object = [index_low, index_high, sub];
+        let index = u16::from_le_bytes([index_low, index_high]);
+        if command & 0x02 != 0 {
+            let unused = if command & 0x01 != 0 {
+                usize::from(command >> 2 & 3)
+            } else {
+                0
+            };
+            let value = [b0, b1, b2, b3];
+            dictionary.download(index, sub, value.get(..4 - unused).unwrap_or(&value))?;
+            self.confirm_download(object);
+            return Ok(());
+        }
+        let expected = u32::from_le_bytes([b0, b1, b2, b3]) as usize;
+        if expected > DOWNLOAD_BYTES_MAX {
+            return Err(Abort::MEMORY);
+        }
+        let value = data.get(..expected.min(data.len())).unwrap_or_default().to_vec();
+        if value.len() == expected {
+            dictionary.download(index, sub, &value)?;
+        } else {
+            self.transfer = Transfer::Download {
+                object,
+                expected,
+                value,
+                toggle: false,
+            };
+        }
+        self.confirm_download(object);
+        Ok(())
+    }
+
+    fn download_segment(&mut self, request: &[u8], dictionary: &mut impl ObjectDictionary) -> Result<(), Abort> {
+        let Transfer::Download {
+            object,
+            expected,
+            value,
+            toggle,
+        } = &mut self.transfer
+        else {
+            return Err(Abort::COMMAND);
+        };
+        let (&command, data) = request.split_first().ok_or(Abort::COMMAND)?;
+        if *toggle != (command & TOGGLE != 0) {
+            return Err(Abort::TOGGLE);
+        }
+        let unused = if data.len() <= SEGMENT_DATA_MIN {
+            usize::from(command >> 1 & 7)
+        } else {
+            0
+        };
+        let data = data.get(..data.len().saturating_sub(unused)).unwrap_or_default();
+        if value.len() + data.len() > *expected {
+            return Err(Abort::TOO_LONG);
+        }
+        value.extend_from_slice(data);
+        *toggle = !*toggle;
+        if command & 0x01 != 0 {
+            if value.len() < *expected {
+                return Err(Abort::TOO_SHORT);
+            }
+            let [index_low, index_high, sub] = *object;
+            let value = std::mem::take(value);
+            self.transfer = Transfer::None;
+            dictionary.download(u16::from_le_bytes([index_low, index_high]), sub, &value)?;
+        }
+        self.coe(SERVICE_SDO_RESPONSE, &[0x20 | (command & TOGGLE), 0, 0, 0, 0, 0, 0, 0]);
+        Ok(())
+    }
+
+    fn confirm_download(&mut self, object: [u8; 3]) {
+        let [index_low, index_high, sub] = object;
+        self.coe(SERVICE_SDO_RESPONSE, &[0x60, index_low, index_high, sub, 0, 0, 0, 0]);
+    }
+
+    fn coe(&mut self, service: u8, body: &[u8]) {
+        let mut message = vec![0, service << 4];
+        message.extend_from_slice(body);
+        self.send(TYPE_COE, &message);
+    }
+
+    fn refuse(&mut self, detail: u16) {
+        let [low, high] = detail.to_le_bytes();
+        self.send(TYPE_ERROR, &[1, 0, low, high]);
+    }
+
+    fn send(&mut self, kind: u8, body: &[u8]) {
+        self.counter = self.counter % 7 + 1;
+        let mut message = Vec::from((body.len() as u16).to_le_bytes());
+        message.extend_from_slice(&[0, 0, 0, kind | self.counter << 4]);
+        message.extend_from_slice(body);
+        if self.queue.len() >= QUEUE_MAX {
+            self.queue.pop_front();
+        }
+        self.queue.push_back(message);
+    }
+}

@@ -1,0 +1,424 @@
+//! A servo drive: CiA 402 state machine, digital speed mode, brake, resolver and the motor behind it.
+//!
+//! Position and speed are updated every millisecond, control and status word every second one, as in the real drive.
+//! The motor only ever moves under the velocity loop (operation enabled), under a ramp (quick stop, fault reaction)
+//! or against the closed brake (everything else).
+
+use super::motor::{self, Motor};
+use etherpen::config::Axis;
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+
+/// Digital speed: the only mode in which this drive obeys a velocity demand.
+pub(super) const MODE_DIGITAL_SPEED: i8 = -2;
+/// Error code when cyclic data stopped coming.
+const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
+/// Deceleration of a motor against its closed brake, rad/s2 at the joint.
+const BRAKE_RAD_S2: f64 = 400.0;
+
+const CONTROL_SWITCH_ON: u16 = 0x0001;
+const CONTROL_ENABLE_VOLTAGE: u16 = 0x0002;
+const CONTROL_NO_QUICK_STOP: u16 = 0x0004;
+const CONTROL_ENABLE_OPERATION: u16 = 0x0008;
+const CONTROL_FAULT_RESET: u16 = 0x0080;
+
+const STATUS_VOLTAGE: u16 = 0x0010;
+const STATUS_REMOTE: u16 = 0x0200;
+
+/// State of the drive as CiA 402 names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DriveState {
+    /// No torque; the main voltage may be off.
+    SwitchOnDisabled,
+    /// No torque; the main voltage may be switched on.
+    ReadyToSwitchOn,
+    /// Main voltage on, no torque.
+    SwitchedOn,
+    /// The motor follows its command.
+    OperationEnabled,
+    /// Ramping down on request.
+    QuickStopActive,
+    /// Ramping down after a fault.
+    FaultReactionActive,
+    /// Standing after a fault.
+    Fault,
+}
+
+impl DriveState {
+    fn status_bits(self) -> u16 {
+        match self {
+            Self::SwitchOnDisabled => 0x0040,
+            Self::ReadyToSwitchOn => 0x0021,
+            Self::SwitchedOn => 0x0023,
+            Self::OperationEnabled => 0x0027,
+            Self::QuickStopActive => 0x0007,
+            Self::FaultReactionActive => 0x000F,
+            Self::Fault => 0x0008,
+        }
+    }
+}
+
+/// What the fieldbus demands of the drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Demand {
+    /// Velocity in digits of object 0x606B.
+    pub(super) velocity_digits: i32,
+    /// Control word.
+    pub(super) control: u16,
+}
+
+/// One drive with its motor.
+#[derive(Clone, Debug)]
+pub(super) struct Drive {
+    axis: Axis,
+    motor: Motor,
+    state: DriveState,
+    /// Requested and active mode of operation.
+    pub(super) mode: i8,
+    pub(super) mode_display: i8,
+    /// Quick-stop deceleration, velocity digits per second.
+    pub(super) quick_stop_digits_s: u32,
+    control: u16,
+    status: u16,
+    error_code: u16,
+    second_millisecond: bool,
+    mains: bool,
+    stuck_position: Option<i32>,
+    emergencies: VecDeque<u16>,
+}
+
+impl Drive {
+    /// A drive at rest with its joint at `joint_rad`.
+    pub(super) fn new(axis: Axis, joint_rad: f64, bandwidth_hz: f64) -> Self {
+        let motor_rad = (joint_rad - axis.sync_angle_rad) * axis.gear;
+        let mut drive = Self {
+            axis,
+            motor: Motor::new(motor_rad, bandwidth_hz),
+            state: DriveState::SwitchOnDisabled,
+            mode: 0,
+            mode_display: 0,
+            quick_stop_digits_s: 0,
+            control: 0,
+            status: 0,
+            error_code: 0,
+            second_millisecond: false,
+            mains: true,
+            stuck_position: None,
+            emergencies: VecDeque::new(),
+        };
+        drive.power_up();
+        drive
+    }
+
+    /// Everything but the motor back to its state after power-up.
+    pub(super) fn power_up(&mut self) {
+        self.state = DriveState::SwitchOnDisabled;
+        self.mode = 0;
+        self.mode_display = 0;
+        let quick_stop_rad_s2 = self.axis.quick_stop_rad_s2.abs() * self.axis.gear.abs();
+        self.quick_stop_digits_s = (quick_stop_rad_s2 * self.digits_per_rad_s()) as u32;
+        self.control = 0;
+        self.error_code = 0;
+        self.emergencies.clear();
+        self.status = self.state.status_bits();
+    }
+
+    /// State of CiA 402.
+    pub(super) fn state(&self) -> DriveState {
+        self.state
+    }
+
+    /// Status word, object 0x6041.
+    pub(super) fn status(&self) -> u16 {
+        self.status
+    }
+
+    /// Control word in effect, object 0x6040.
+    pub(super) fn control(&self) -> u16 {
+        self.control
+    }
+
+    /// Error code of the present fault, object 0x603F; 0 without.
+    pub(super) fn error_code(&self) -> u16 {
+        self.error_code
+    }
+
+    /// Joint angle, radians.
+    pub(super) fn joint_rad(&self) -> f64 {
+        self.axis.sync_angle_rad + self.motor.angle_rad() / self.axis.gear
+    }
+
+    /// Joint speed, rad/s.
+    pub(super) fn joint_rad_s(&self) -> f64 {
+        self.motor.speed_rad_s() / self.axis.gear
+    }
+
+    /// Position within one motor turn as the resolver shows it, increments.
+    pub(super) fn position(&self) -> i32 {
+        self.stuck_position.unwrap_or_else(|| self.true_position())
+    }
+
+    /// Speed in the velocity demand's digits.
+    pub(super) fn velocity_digits(&self) -> i32 {
+        (self.motor.speed_rad_s() * self.digits_per_rad_s()).round() as i32
+    }
+
+    /// The next emergency: an error code, 0 when the error is gone.
+    pub(super) fn take_emergency(&mut self) -> Option<u16> {
+        self.emergencies.pop_front()
+    }
+
+    /// Stops the joint at this angle: a mechanical end stop.
+    pub(super) fn block_at(&mut self, joint_rad: f64) {
+        self.motor
+            .block_at((joint_rad - self.axis.sync_angle_rad) * self.axis.gear);
+    }
+
+    /// Lets the resolver freeze at its present position, or move again.
+    pub(super) fn set_stuck(&mut self, stuck: bool) {
+        self.stuck_position = stuck.then(|| self.true_position());
+    }
+
+    /// Switches the main voltage; without it an enabled drive faults.
+    pub(super) fn set_mains(&mut self, on: bool) {
+        self.mains = on;
+        if !on && self.obeys() {
+            self.fault(0x3220);
+        }
+    }
+
+    /// A fault with this error code.
+    pub(super) fn fault(&mut self, error_code: u16) {
+        if matches!(self.state, DriveState::Fault | DriveState::FaultReactionActive) {
+            return;
+        }
+        self.error_code = error_code;
+        self.emergencies.push_back(error_code);
+        self.state = DriveState::FaultReactionActive;
+    }
+
+    /// Cyclic data stopped coming: a switched-on drive faults, with its emergency ramp.
+    pub(super) fn cyclic_data_lost(&mut self) {
+        match self.state {
+            DriveState::SwitchOnDisabled | DriveState::Fault | DriveState::FaultReactionActive => {}
+            _ => self.fault(ERROR_CYCLIC_DATA_LOST),
+        }
+    }
+
+    /// One millisecond; no demand means that the fieldbus is not in OP.
+    pub(super) fn step(&mut self, demand: Option<Demand>) {
+        self.second_millisecond = !self.second_millisecond;
+        if self.second_millisecond {
+            self.mode_display = self.mode;
+            self.obey(demand.map(|demand| demand.control));
+        }
+        let ramp_rad_s2 = f64::from(self.quick_stop_digits_s) / self.digits_per_rad_s();
+        let action = match self.state {
+            DriveState::OperationEnabled => {
+                let digits = demand.map_or(0, |demand| demand.velocity_digits);
+                let digits = if self.mode_display == MODE_DIGITAL_SPEED {
+                    digits
+                } else {
+                    0
+                };
+                motor::Drive::Speed(f64::from(digits) / self.digits_per_rad_s())
+            }
+            DriveState::QuickStopActive | DriveState::FaultReactionActive => motor::Drive::Ramp(ramp_rad_s2),
+            _ => motor::Drive::Ramp(BRAKE_RAD_S2 * self.axis.gear.abs()),
+        };
+        self.motor.step(action);
+        if self.motor.is_still() {
+            self.state = match self.state {
+                DriveState::QuickStopActive => DriveState::SwitchOnDisabled,
+                DriveState::FaultReactionActive => DriveState::Fault,
+                state => state,
+            };
+        }
+        if self.second_millisecond {
+            let voltage = if self.mains { STATUS_VOLTAGE } else { 0 };
+            let remote = if demand.is_some() { STATUS_REMOTE } else { 0 };
+            self.status = self.state.status_bits() | voltage | remote;
+        }
+    }
+
+    fn obey(&mut self, control: Option<u16>) {
+        let Some(control) = control else {
+            self.control = 0;
+            self.state = match self.state {
+                DriveState::OperationEnabled => DriveState::QuickStopActive,
+                DriveState::ReadyToSwitchOn | DriveState::SwitchedOn => DriveState::SwitchOnDisabled,
+                state => state,
+            };
+            return;
+        };
+        let reset = control & !self.control & CONTROL_FAULT_RESET != 0;
+        self.control = control;
+        if self.state == DriveState::Fault {
+            if reset {
+                self.error_code = 0;
+                self.emergencies.push_back(0);
+                self.state = DriveState::SwitchOnDisabled;
+            }
+            return;
+        }
+        self.state = self.next_state(control);
+    }
+
+    fn next_state(&self, control: u16) -> DriveState {
+        use DriveState as S;
+        let has = |bit| control & bit != 0;
+        let state = self.state;
+        if matches!(state, S::Fault | S::FaultReactionActive) {
+            return state;
+        }
+        if !has(CONTROL_ENABLE_VOLTAGE) {
+            return S::SwitchOnDisabled;
+        }
+        if !has(CONTROL_NO_QUICK_STOP) {
+            return match state {
+                S::OperationEnabled | S::QuickStopActive => S::QuickStopActive,
+                _ => S::SwitchOnDisabled,
+            };
+        }
+        match (state, has(CONTROL_SWITCH_ON), has(CONTROL_ENABLE_OPERATION)) {
+            (S::QuickStopActive, ..) => S::QuickStopActive,
+            (S::SwitchOnDisabled, false, _) if self.mains => S::ReadyToSwitchOn,
+            (S::SwitchOnDisabled, ..) => S::SwitchOnDisabled,
+            (_, false, _) => S::ReadyToSwitchOn,
+            (S::ReadyToSwitchOn, true, _) | (_, true, false) => S::SwitchedOn,
+            (_, true, true) => S::OperationEnabled,
+        }
+    }
+
+    fn obeys(&self) -> bool {
+        matches!(self.state, DriveState::OperationEnabled | DriveState::QuickStopActive)
+    }
+
+    /// Velocity digits for one rad/s at the motor.
+    fn digits_per_rad_s(&self) -> f64 {
+        self.axis.digits_per_rpm * 60.0 / TAU
+    }
+
+    fn true_position(&self) -> i32 {
+        let increments = f64::from(self.axis.increments_per_revolution);
+        let turn = self.motor.angle_rad() / TAU * increments + f64::from(self.axis.sync_increments);
+        turn.floor().rem_euclid(increments) as i32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive() -> Drive {
+        Drive::new(Axis::default(), Axis::default().sync_angle_rad, 100.0)
+    }
+
+    fn hold(drive: &mut Drive, control: u16, velocity_digits: i32, milliseconds: u32) {
+        for _ in 0..milliseconds {
+            drive.step(Some(Demand {
+                velocity_digits,
+                control,
+            }));
+        }
+    }
+
+    fn enabled() -> Drive {
+        let mut drive = drive();
+        drive.mode = MODE_DIGITAL_SPEED;
+        for control in [0x06, 0x07, 0x0F] {
+            hold(&mut drive, control, 0, 2);
+        }
+        drive
+    }
+
+    #[test]
+    fn three_control_words_enable_the_drive_one_state_at_a_time() {
+        let mut drive = drive();
+        assert_eq!(drive.status() & 0x4F, 0x40);
+        for (control, mask, bits) in [(0x06, 0x6F, 0x21), (0x07, 0x6F, 0x23), (0x0F, 0x6F, 0x27)] {
+            hold(&mut drive, control, 0, 2);
+            assert_eq!(drive.status() & mask, bits, "control word {control:#x}");
+        }
+    }
+
+    #[test]
+    fn the_status_word_changes_only_every_second_millisecond() {
+        let mut drive = drive();
+        hold(&mut drive, 0, 0, 1);
+        let before = drive.status();
+        hold(&mut drive, 0x06, 0, 1);
+        assert_eq!(drive.status(), before);
+        hold(&mut drive, 0x06, 0, 1);
+        assert_eq!(drive.status() & 0x6F, 0x21);
+    }
+
+    #[test]
+    fn a_velocity_of_one_turn_a_second_is_the_documented_number_of_digits() {
+        let mut drive = enabled();
+        let digits = (60.0 * 262_144.0 / 1_875.0) as i32;
+        hold(&mut drive, 0x0F, digits, 200);
+        let start = drive.motor.angle_rad();
+        hold(&mut drive, 0x0F, digits, 1000);
+        assert!(((drive.motor.angle_rad() - start) / TAU - 1.0).abs() < 1e-4);
+        assert!((drive.joint_rad_s() - TAU / 12.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn another_mode_than_digital_speed_does_not_move() {
+        let mut drive = enabled();
+        drive.mode = -3;
+        hold(&mut drive, 0x0F, 100_000, 100);
+        assert_eq!(drive.velocity_digits(), 0);
+    }
+
+    #[test]
+    fn a_quick_stop_ramps_down_with_the_written_deceleration() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x0F, 100_000, 100);
+        drive.quick_stop_digits_s = 1_000_000;
+        let mut milliseconds = 0;
+        while drive.state() != DriveState::SwitchOnDisabled && milliseconds < 1000 {
+            hold(&mut drive, 0x02, 100_000, 1);
+            milliseconds += 1;
+        }
+        assert!((100..=102).contains(&milliseconds), "{milliseconds} ms");
+        assert_eq!(drive.joint_rad_s(), 0.0);
+    }
+
+    #[test]
+    fn a_fault_stops_tells_and_needs_a_rising_edge() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x8F, 50_000, 50);
+        drive.fault(0x2310);
+        assert_eq!(drive.take_emergency(), Some(0x2310));
+        hold(&mut drive, 0x80, 0, 500);
+        assert_eq!((drive.state(), drive.status() & 0x4F), (DriveState::Fault, 0x08));
+        assert_eq!(drive.error_code(), 0x2310);
+        hold(&mut drive, 0x00, 0, 2);
+        hold(&mut drive, 0x80, 0, 2);
+        assert_eq!((drive.state(), drive.error_code()), (DriveState::SwitchOnDisabled, 0));
+        assert_eq!(drive.take_emergency(), Some(0));
+    }
+
+    #[test]
+    fn without_main_voltage_the_drive_is_never_ready() {
+        let mut drive = drive();
+        drive.set_mains(false);
+        hold(&mut drive, 0x06, 0, 10);
+        assert_eq!(drive.status() & 0x50, 0x40);
+    }
+
+    #[test]
+    fn the_resolver_shows_one_turn_and_the_mark_where_it_was_set() {
+        let axis = Axis {
+            sync_increments: 1000,
+            ..Axis::default()
+        };
+        let at_mark = Drive::new(axis, axis.sync_angle_rad, 100.0);
+        assert_eq!(at_mark.position(), 1000);
+        let one_motor_turn = TAU / axis.gear;
+        let around = Drive::new(axis, axis.sync_angle_rad - one_motor_turn / 4.0, 100.0);
+        assert!((around.position() - (1000 + (1 << 20) * 3 / 4)).abs() <= 1);
+    }
+}

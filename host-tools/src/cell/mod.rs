@@ -1,0 +1,255 @@
+//! The virtual cell: an EtherCAT segment with drives, motors, the delta robot and its pen.
+//!
+//! It stands for the hardware, for any master: Ethernet frames go in at a time of the caller's clock, replies come
+//! out, and what the motors did is on the sheet of paper. It knows nothing of the master and shares no logic with it,
+//! only names of registers and commands.
+//!
+//! Time: the first call sets the start. Drives, watchdogs, robot and paper advance at boundaries half a millisecond
+//! beside the whole milliseconds since then, so frames that come once a millisecond may jitter by almost half of one
+//! without any effect. At each boundary a drive takes the outputs of `output_delay_cycles` milliseconds ago, moves
+//! its motor over one millisecond, and shows the position of `input_delay_cycles` milliseconds ago: with delays of
+//! zero a command in one frame is seen, a millisecond long, in the next frame's position.
+//!
+//! Invariant: the same configuration, options and frames give the same ink, and no input panics.
+
+mod application;
+mod ax2000;
+pub mod capture;
+mod coe;
+mod controller;
+mod datagram;
+mod drive;
+mod eeprom;
+mod faults;
+mod fmmu;
+mod motor;
+mod paper;
+mod random;
+mod registers;
+mod robot;
+mod segment;
+mod sii;
+mod slave;
+mod sync_manager;
+
+pub use application::AlState;
+pub use ax2000::NAME;
+pub use drive::DriveState;
+pub use faults::{Fault, Script, ScriptError, ScriptProblem};
+pub use paper::{InkStroke, PEN_SPRING_MM};
+
+use ax2000::Ax2000;
+use drive::Drive;
+use etherpen::config::Config;
+use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
+use faults::Schedule;
+use paper::Sheet;
+use random::Random;
+use robot::Robot;
+use segment::Segment;
+use slave::Slave;
+
+/// Length of the cell's step, microseconds.
+const STEP_US: u64 = 1000;
+/// Distance of the boundaries from the whole milliseconds, microseconds.
+const BOUNDARY_US: u64 = STEP_US / 2;
+/// Longest time that one call catches up, steps; a longer jump of the clock is passed over.
+const CATCH_UP_STEPS_MAX: u64 = 3_600_000;
+/// Longest delay between bus and motor, steps.
+const DELAY_CYCLES_MAX: usize = 100;
+
+/// What the cell is made of, beyond the configuration.
+#[derive(Clone, Debug)]
+pub struct CellOptions {
+    /// Bandwidth of the drives' velocity loops, Hz.
+    pub drive_bandwidth_hz: f64,
+    /// Age of a position when the bus can read it, milliseconds.
+    pub input_delay_cycles: usize,
+    /// Age of a command when the motor obeys it, milliseconds.
+    pub output_delay_cycles: usize,
+    /// Seed of everything that is random: the starting pose and the script's chances.
+    pub seed: u64,
+    /// Largest distance of a joint from its synchronisation angle at the start, radians.
+    pub start_offset_max_rad: f64,
+    /// What goes wrong.
+    pub faults: Script,
+}
+
+impl Default for CellOptions {
+    fn default() -> Self {
+        Self {
+            drive_bandwidth_hz: 100.0,
+            input_delay_cycles: 1,
+            output_delay_cycles: 1,
+            seed: 1,
+            start_offset_max_rad: 0.1,
+            faults: Script::default(),
+        }
+    }
+}
+
+/// One slave as it is, for tests and displays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveState {
+    /// State of the application layer.
+    pub al_state: AlState,
+    /// AL status code; 0 without an error.
+    pub al_status_code: u16,
+    /// State of the drive.
+    pub drive: DriveState,
+    /// Error code of the drive; 0 without a fault.
+    pub drive_error: u16,
+    /// Whether it has power.
+    pub powered: bool,
+}
+
+/// The cell as it is, for tests and displays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CellState {
+    /// Milliseconds since the start.
+    pub time_ms: u64,
+    /// True joint angles, radians.
+    pub joints: JointAngles,
+    /// True joint speeds, rad/s.
+    pub velocities: JointVelocities,
+    /// The platform; nothing where the arms cannot hold one.
+    pub platform: Option<Position>,
+    /// Whether the pen touches.
+    pub pen_touches: bool,
+    /// Milliseconds of contact beside the sheet.
+    pub contacts_outside: u64,
+    /// Milliseconds without a possible platform position.
+    pub unreachable_ms: u64,
+    /// Milliseconds in which an end stop held an arm.
+    pub end_stop_ms: u64,
+    /// EtherCAT frames that came from the master.
+    pub frames: u64,
+    /// The slaves in the order of the chain.
+    pub slaves: Vec<SlaveState>,
+}
+
+/// The virtual cell.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    segment: Segment,
+    robot: Robot,
+    sheet: Sheet,
+    schedule: Schedule,
+    start_us: Option<u64>,
+    steps: u64,
+}
+
+impl Cell {
+    /// A cell at rest, after power-up, with one drive for each of the configured axes (at most `bus.drives`).
+    #[must_use]
+    pub fn new(config: &Config, options: CellOptions) -> Self {
+        let mut random = Random::new(options.seed);
+        let output_delay = options.output_delay_cycles.min(DELAY_CYCLES_MAX);
+        let input_delay = options.input_delay_cycles.min(DELAY_CYCLES_MAX);
+        let slaves = config
+            .axes
+            .iter()
+            .take(usize::from(config.bus.drives))
+            .zip(1..)
+            .map(|(axis, serial)| {
+                let offset_rad = (2.0 * random.unit() - 1.0) * options.start_offset_max_rad;
+                let drive = Drive::new(*axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz);
+                Slave::new(Ax2000::new(drive, serial, output_delay, input_delay))
+            });
+        let segment = Segment::new(slaves.collect());
+        let mut robot = Robot::new(&config.geometry);
+        robot.step(&joints(&segment));
+        Self {
+            segment,
+            robot,
+            sheet: Sheet::new(config.paper),
+            schedule: Schedule::new(&options.faults, random.next()),
+            start_us: None,
+            steps: 0,
+        }
+    }
+
+    /// Lets time pass up to `time_us` on the caller's clock; an earlier time than before does nothing.
+    pub fn advance_to(&mut self, time_us: u64) {
+        let start_us = *self.start_us.get_or_insert(time_us);
+        let elapsed_us = time_us.saturating_sub(start_us);
+        let due = elapsed_us.saturating_add(STEP_US - BOUNDARY_US) / STEP_US;
+        self.steps = self.steps.max(due.saturating_sub(CATCH_UP_STEPS_MAX));
+        while self.steps < due {
+            self.step();
+        }
+    }
+
+    /// Lets an Ethernet frame pass at this time; gives what comes back, in order: usually one reply, none for a lost
+    /// or foreign frame, more where the script says so.
+    pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.advance_to(time_us);
+        self.segment.frame(frame, self.steps, &mut self.schedule)
+    }
+
+    /// Lets a fault happen: to the next frame, or at the next millisecond. Slaves count from 1.
+    pub fn inject(&mut self, fault: Fault) {
+        self.schedule.inject(fault);
+    }
+
+    /// The ink on the paper; the last stroke may still grow.
+    #[must_use]
+    pub fn ink(&self) -> &[InkStroke] {
+        self.sheet.ink()
+    }
+
+    /// The cell as it is now.
+    #[must_use]
+    pub fn state(&self) -> CellState {
+        let mut velocities = [0.0; AXES];
+        for (velocity, slave) in velocities.iter_mut().zip(self.segment.slaves()) {
+            *velocity = slave.device.drive.joint_rad_s();
+        }
+        let slaves = self.segment.slaves().iter().map(|slave| SlaveState {
+            al_state: slave.state(),
+            al_status_code: slave.al_status_code(),
+            drive: slave.device.drive.state(),
+            drive_error: slave.device.drive.error_code(),
+            powered: slave.is_powered(),
+        });
+        CellState {
+            time_ms: self.steps,
+            joints: joints(&self.segment),
+            velocities: JointVelocities(velocities),
+            platform: self.robot.platform(),
+            pen_touches: self.sheet.touching(),
+            contacts_outside: self.sheet.contacts_outside(),
+            unreachable_ms: self.robot.unreachable_ms(),
+            end_stop_ms: self.robot.end_stop_ms(),
+            frames: self.segment.frames(),
+            slaves: slaves.collect(),
+        }
+    }
+
+    fn step(&mut self) {
+        self.steps += 1;
+        for fault in self.schedule.at_time(self.steps) {
+            self.segment.apply(fault, self.steps);
+        }
+        self.segment.step();
+        for (arm, slave) in self.segment.slaves_mut().iter_mut().enumerate() {
+            self.robot.limit(arm, &mut slave.device.drive);
+        }
+        if let Some(platform) = self.robot.step(&joints(&self.segment)) {
+            self.sheet.step(self.steps, platform);
+        }
+    }
+}
+
+fn joints(segment: &Segment) -> JointAngles {
+    let mut joints = [0.0; AXES];
+    for (joint, slave) in joints.iter_mut().zip(segment.slaves()) {
+        *joint = slave.device.drive.joint_rad();
+    }
+    JointAngles(joints)
+}
+
+#[cfg(test)]
+mod test_bench;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,132 @@
+//! The sheet of paper: where the spring-loaded pen touched it.
+//!
+//! The pen leaves one sample a millisecond while it touches. Coordinates are the sheet's: millimetres, x to the
+//! right, y downwards, the origin in the top left corner.
+
+use etherpen::config::Paper;
+use etherpen::robot::Position;
+
+/// How far above its drawing height the spring-loaded pen still touches, mm.
+pub const PEN_SPRING_MM: f64 = 0.3;
+
+/// One uninterrupted line of ink.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct InkStroke {
+    /// Cell time of the first point, milliseconds since the cell's start.
+    pub start_ms: u64,
+    /// The points, one for each millisecond, mm in the sheet.
+    pub points_mm: Vec<[f64; 2]>,
+    /// How many of the points lie beside the sheet.
+    pub points_outside: usize,
+}
+
+/// The sheet and the ink on it.
+#[derive(Clone, Debug)]
+pub(super) struct Sheet {
+    paper: Paper,
+    strokes: Vec<InkStroke>,
+    touching: bool,
+    contacts_outside: u64,
+}
+
+impl Sheet {
+    pub(super) fn new(paper: Paper) -> Self {
+        Self {
+            paper,
+            strokes: Vec::new(),
+            touching: false,
+            contacts_outside: 0,
+        }
+    }
+
+    /// The ink so far; the last stroke may still grow.
+    pub(super) fn ink(&self) -> &[InkStroke] {
+        &self.strokes
+    }
+
+    /// Whether the pen touches.
+    pub(super) fn touching(&self) -> bool {
+        self.touching
+    }
+
+    /// Milliseconds during which the pen touched something beside the sheet.
+    pub(super) fn contacts_outside(&self) -> u64 {
+        self.contacts_outside
+    }
+
+    /// Notes the platform's position at one millisecond.
+    pub(super) fn step(&mut self, time_ms: u64, platform: Position) {
+        let touches = platform.z_mm <= self.paper.pen_down_z_mm + PEN_SPRING_MM;
+        if touches {
+            let [x_mm, y_mm] = self.on_sheet(platform);
+            let [width_mm, height_mm] = self.paper.size_mm;
+            let inside = (0.0..=width_mm).contains(&x_mm) && (0.0..=height_mm).contains(&y_mm);
+            if !self.touching {
+                self.strokes.push(InkStroke {
+                    start_ms: time_ms,
+                    ..InkStroke::default()
+                });
+            }
+            if let Some(stroke) = self.strokes.last_mut() {
+                stroke.points_mm.push([x_mm, y_mm]);
+                stroke.points_outside += usize::from(!inside);
+            }
+            self.contacts_outside += u64::from(!inside);
+        }
+        self.touching = touches;
+    }
+
+    fn on_sheet(&self, platform: Position) -> [f64; 2] {
+        let [centre_x_mm, centre_y_mm] = self.paper.centre_mm;
+        let [width_mm, height_mm] = self.paper.size_mm;
+        [
+            platform.x_mm - centre_x_mm + 0.5 * width_mm,
+            centre_y_mm + 0.5 * height_mm - platform.y_mm,
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x_mm: f64, y_mm: f64, z_mm: f64) -> Position {
+        Position { x_mm, y_mm, z_mm }
+    }
+
+    fn sheet() -> Sheet {
+        Sheet::new(Paper {
+            centre_mm: [10.0, 20.0],
+            size_mm: [200.0, 100.0],
+            pen_down_z_mm: -850.0,
+            pen_lift_mm: 3.0,
+        })
+    }
+
+    #[test]
+    fn ink_is_left_only_while_the_pen_touches() {
+        let mut sheet = sheet();
+        for (ms, z) in [-847.0, -849.6, -849.8, -850.0, -849.0, -850.0].into_iter().enumerate() {
+            sheet.step(ms as u64, at(0.0, 0.0, z));
+        }
+        let lengths: Vec<_> = sheet.ink().iter().map(|s| (s.start_ms, s.points_mm.len())).collect();
+        assert_eq!(lengths, [(2, 2), (5, 1)]);
+    }
+
+    #[test]
+    fn the_sheet_has_its_origin_at_the_top_left() {
+        let mut sheet = sheet();
+        sheet.step(0, at(-90.0, 70.0, -850.0));
+        sheet.step(1, at(110.0, -30.0, -850.0));
+        assert_eq!(sheet.ink()[0].points_mm, [[0.0, 0.0], [200.0, 100.0]]);
+        assert_eq!(sheet.contacts_outside(), 0);
+    }
+
+    #[test]
+    fn contact_beside_the_sheet_is_flagged() {
+        let mut sheet = sheet();
+        sheet.step(0, at(-90.5, 0.0, -851.0));
+        sheet.step(1, at(0.0, 0.0, -851.0));
+        assert_eq!((sheet.contacts_outside(), sheet.ink()[0].points_outside), (1, 1));
+    }
+}

@@ -1,0 +1,59 @@
+//! Register addresses of the slave controller as offsets into its memory, and who may change which byte.
+
+use etherpen::ethercat::wire::register as wire;
+
+/// Type, revision, build, numbers of units, RAM size, port descriptor.
+pub(super) const TYPE: usize = wire::TYPE as usize;
+/// Station address given by the master.
+pub(super) const STATION_ADDRESS: usize = wire::STATION_ADDRESS as usize;
+/// Station alias.
+pub(super) const STATION_ALIAS: usize = wire::STATION_ALIAS as usize;
+/// Data-link control.
+pub(super) const DL_CONTROL: usize = wire::DL_CONTROL as usize;
+/// Data-link status.
+pub(super) const DL_STATUS: usize = wire::DL_STATUS as usize;
+/// Requested application-layer state.
+pub(super) const AL_CONTROL: usize = wire::AL_CONTROL as usize;
+/// Actual application-layer state.
+pub(super) const AL_STATUS: usize = wire::AL_STATUS as usize;
+/// Why a state was refused or left.
+pub(super) const AL_STATUS_CODE: usize = wire::AL_STATUS_CODE as usize;
+/// Watchdog clock divider.
+pub(super) const WATCHDOG_DIVIDER: usize = wire::WATCHDOG_DIVIDER as usize;
+/// Process-data watchdog time in periods of the divided clock.
+pub(super) const WATCHDOG_PROCESS_DATA: usize = wire::WATCHDOG_SYNC_MANAGER as usize;
+/// Process-data watchdog status: bit 0 is set while it has not expired.
+pub(super) const WATCHDOG_STATUS: usize = wire::WATCHDOG_STATUS as usize;
+/// Expiries of the process-data watchdog.
+pub(super) const WATCHDOG_COUNTER: usize = wire::WATCHDOG_COUNTER as usize;
+/// First register of the information memory's interface.
+pub(super) const SII_CONFIG: usize = wire::SII_CONFIG as usize;
+/// Control and status of the information memory.
+pub(super) const SII_CONTROL: usize = wire::SII_CONTROL as usize;
+/// First fieldbus memory management unit.
+pub(super) const FMMU: usize = wire::FMMU as usize;
+/// First sync manager.
+pub(super) const SYNC_MANAGER: usize = wire::SYNC_MANAGER as usize;
+
+const ERROR_COUNTERS: usize = wire::RECEIVE_ERRORS as usize;
+const ERROR_COUNTERS_END: usize = ERROR_COUNTERS + wire::ERROR_COUNTERS_LEN;
+const SYNC_MANAGER_END: usize = SYNC_MANAGER + 8 * wire::SYNC_MANAGER_LEN;
+const STATUS_OFFSET: usize = wire::SYNC_MANAGER_STATUS_OFFSET as usize;
+const PDI_OFFSET: usize = wire::SYNC_MANAGER_PDI_OFFSET as usize;
+
+/// Whether the bus cannot change this byte.
+pub(super) fn is_read_only(at: usize) -> bool {
+    let in_manager = at % wire::SYNC_MANAGER_LEN;
+    let manager_flag =
+        (SYNC_MANAGER..SYNC_MANAGER_END).contains(&at) && (in_manager == STATUS_OFFSET || in_manager == PDI_OFFSET);
+    at < STATION_ADDRESS
+        || (DL_STATUS..DL_STATUS + 2).contains(&at)
+        || (AL_STATUS..AL_STATUS_CODE + 2).contains(&at)
+        || (WATCHDOG_STATUS..WATCHDOG_STATUS + 2).contains(&at)
+        || manager_flag
+}
+
+/// Whether writing any value clears this byte.
+pub(super) fn is_counter(at: usize) -> bool {
+    (ERROR_COUNTERS..ERROR_COUNTERS_END).contains(&at) || (WATCHDOG_COUNTER..WATCHDOG_COUNTER + 2).contains(&at)
+}

@@ -1,0 +1,63 @@
+//! The delta robot between motors and pen: joint angles to platform, and the mechanical end stops of the arms.
+
+use super::drive::Drive;
+use etherpen::config::Geometry;
+use etherpen::robot::{ARMS, Delta, JointAngles, Position};
+
+/// How far behind the arm range the mechanical end stops stand, radians.
+const END_STOP_RAD: f64 = 0.05;
+
+/// The mechanism; without a valid geometry it has no platform.
+#[derive(Clone, Debug)]
+pub(super) struct Robot {
+    delta: Option<Delta>,
+    arm_range_rad: [f64; 2],
+    platform: Option<Position>,
+    unreachable_ms: u64,
+    end_stop_ms: u64,
+}
+
+impl Robot {
+    pub(super) fn new(geometry: &Geometry) -> Self {
+        Self {
+            delta: Delta::new(geometry).ok(),
+            arm_range_rad: geometry.arm_range_rad,
+            platform: None,
+            unreachable_ms: 0,
+            end_stop_ms: 0,
+        }
+    }
+
+    /// Where the platform is; nothing while the arms stand as no platform can connect them.
+    pub(super) fn platform(&self) -> Option<Position> {
+        self.platform
+    }
+
+    /// Milliseconds without a possible platform position.
+    pub(super) fn unreachable_ms(&self) -> u64 {
+        self.unreachable_ms
+    }
+
+    /// Milliseconds in which an end stop held an arm.
+    pub(super) fn end_stop_ms(&self) -> u64 {
+        self.end_stop_ms
+    }
+
+    /// Holds an arm at its end stop when it has reached it.
+    pub(super) fn limit(&mut self, arm: usize, drive: &mut Drive) {
+        let [low_rad, high_rad] = self.arm_range_rad;
+        let joint_rad = drive.joint_rad();
+        let inside_rad = joint_rad.max(low_rad - END_STOP_RAD).min(high_rad + END_STOP_RAD);
+        if arm < ARMS && inside_rad != joint_rad {
+            drive.block_at(inside_rad);
+            self.end_stop_ms += 1;
+        }
+    }
+
+    /// Moves the platform to where the joints put it.
+    pub(super) fn step(&mut self, joints: &JointAngles) -> Option<Position> {
+        self.platform = self.delta.as_ref().and_then(|delta| delta.forward(joints).ok());
+        self.unreachable_ms += u64::from(self.platform.is_none());
+        self.platform
+    }
+}

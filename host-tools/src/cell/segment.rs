@@ -1,0 +1,242 @@
+//! The chain of slaves and the cables between them: what a frame meets on its way out and back.
+//!
+//! A frame passes the slaves in order, whole, and comes back; the first controller marks its source address. Cables
+//! and power decide how far it gets, the script what else happens to it.
+
+use super::datagram::{Datagrams, mark_processed};
+use super::faults::{Fault, Schedule};
+use super::slave::Slave;
+use std::collections::VecDeque;
+
+/// Port bits of the data-link status: towards the master, and away from it.
+const PORT_IN: u8 = 0x01;
+const PORT_OUT: u8 = 0x02;
+/// A frame of a local experimental ethertype, as another station might send it.
+const FOREIGN_FRAME: [u8; 60] = {
+    let mut frame = [0; 60];
+    let header = [
+        0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0x00, 0x00, 0x00, 0x00, 0x99, 0x88, 0xB5,
+    ];
+    let mut at = 0;
+    while at < header.len() {
+        frame[at] = header[at];
+        at += 1;
+    }
+    frame
+};
+
+/// Slaves, cables and frames under way.
+#[derive(Clone, Debug)]
+pub(super) struct Segment {
+    slaves: Vec<Slave>,
+    /// Cable k is the one behind slave k, cable 0 the master's.
+    cut: Vec<bool>,
+    removed: Vec<bool>,
+    mains_off_ms: Vec<u64>,
+    stalled_until_ms: u64,
+    frames: u64,
+    delayed: VecDeque<(u64, Vec<u8>)>,
+}
+
+impl Segment {
+    pub(super) fn new(slaves: Vec<Slave>) -> Self {
+        let count = slaves.len();
+        let mut segment = Self {
+            slaves,
+            cut: vec![false; count + 1],
+            removed: vec![false; count],
+            mains_off_ms: vec![0; count],
+            stalled_until_ms: 0,
+            frames: 0,
+            delayed: VecDeque::new(),
+        };
+        segment.show_links();
+        segment
+    }
+
+    /// The slaves in the order of the chain.
+    pub(super) fn slaves(&self) -> &[Slave] {
+        &self.slaves
+    }
+
+    /// The same, to be changed.
+    pub(super) fn slaves_mut(&mut self) -> &mut [Slave] {
+        &mut self.slaves
+    }
+
+    /// EtherCAT frames that came from the master.
+    pub(super) fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// One millisecond.
+    pub(super) fn step(&mut self) {
+        for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
+            if *off_ms > 0 {
+                *off_ms -= 1;
+                slave.device.drive.set_mains(*off_ms == 0);
+            }
+            slave.step();
+        }
+        self.show_links();
+    }
+
+    /// Something happens to the segment.
+    pub(super) fn apply(&mut self, fault: Fault, now_ms: u64) {
+        match fault {
+            Fault::Stall(milliseconds) => self.stalled_until_ms = now_ms.saturating_add(milliseconds),
+            Fault::Cut(cable) => self.cut.iter_mut().skip(cable).take(1).for_each(|cut| *cut = true),
+            Fault::Join => self.cut.fill(false),
+            Fault::Remove(slave) => self.set_removed(slave, true),
+            Fault::Insert(slave) => self.set_removed(slave, false),
+            Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
+            Fault::Retreat(slave, code) => self.with(slave, |slave| slave.retreat(code)),
+            Fault::Silence(slave, ms) => self.with(slave, |slave| slave.silence(ms)),
+            Fault::Drive(slave, code) => self.with(slave, |slave| slave.device.drive.fault(code)),
+            Fault::Stuck(slave, ms) => self.with(slave, |slave| slave.stick(ms)),
+            Fault::Mains(slave, ms) => {
+                self.with(slave, |slave| slave.device.drive.set_mains(ms == 0));
+                let at = slave.wrapping_sub(1);
+                self.mains_off_ms
+                    .iter_mut()
+                    .skip(at)
+                    .take(1)
+                    .for_each(|off_ms| *off_ms = ms);
+            }
+            Fault::Drop
+            | Fault::Lose
+            | Fault::Delay(_)
+            | Fault::Duplicate
+            | Fault::Truncate(_)
+            | Fault::Index(_)
+            | Fault::Foreign
+            | Fault::Counter(_) => {}
+        }
+        self.show_links();
+    }
+
+    /// Lets a frame pass; gives what comes back, in order.
+    pub(super) fn frame(&mut self, frame: &[u8], now_ms: u64, schedule: &mut Schedule) -> Vec<Vec<u8>> {
+        let mut passing = frame.to_vec();
+        if Datagrams::of_frame(&mut passing).is_none() {
+            return Vec::new();
+        }
+        self.frames += 1;
+        let mut faults = schedule.at_frame(self.frames, now_ms);
+        for fault in faults.iter().filter(|fault| !fault.is_of_frame()) {
+            self.apply(*fault, now_ms);
+        }
+        faults.retain(|fault| fault.is_of_frame());
+        let mut replies = Vec::new();
+        while self.delayed.front().is_some_and(|(due, _)| *due <= self.frames) {
+            replies.extend(self.delayed.pop_front().map(|(_, reply)| reply));
+        }
+        let stalled = now_ms < self.stalled_until_ms;
+        if stalled || faults.contains(&Fault::Drop) || !self.pass(&mut passing) {
+            return replies;
+        }
+        self.answer(passing, &faults, &mut replies);
+        replies
+    }
+
+    /// Lets a frame pass the slaves it can reach; false where it does not come back.
+    fn pass(&mut self, frame: &mut [u8]) -> bool {
+        let reached = self.reached();
+        if reached.is_empty() {
+            return false;
+        }
+        for index in reached {
+            let (Some(slave), Some(mut datagrams)) = (self.slaves.get_mut(index), Datagrams::of_frame(frame)) else {
+                continue;
+            };
+            while let Some(mut datagram) = datagrams.next() {
+                slave.pass(&mut datagram);
+            }
+        }
+        mark_processed(frame);
+        true
+    }
+
+    /// Hands the reply back as the script has it.
+    fn answer(&mut self, mut reply: Vec<u8>, faults: &[Fault], replies: &mut Vec<Vec<u8>>) {
+        let (mut delay, mut copies) = (0, 1);
+        for fault in faults {
+            match *fault {
+                Fault::Lose => return,
+                Fault::Delay(frames) => delay = frames,
+                Fault::Duplicate => copies = 2,
+                Fault::Foreign => replies.push(FOREIGN_FRAME.to_vec()),
+                Fault::Index(by) => damage(&mut reply, |datagram| datagram.change_index(by)),
+                Fault::Counter(by) => damage(&mut reply, |datagram| datagram.count(by as u16)),
+                _ => {}
+            }
+        }
+        for fault in faults {
+            if let Fault::Truncate(length) = fault {
+                reply.truncate(*length);
+            }
+        }
+        for _ in 0..copies {
+            if delay == 0 {
+                replies.push(reply.clone());
+            } else {
+                self.delayed
+                    .push_back((self.frames.saturating_add(delay), reply.clone()));
+            }
+        }
+    }
+
+    /// The slaves a frame reaches, in order.
+    fn reached(&self) -> Vec<usize> {
+        let mut reached = Vec::new();
+        for (index, slave) in self.slaves.iter().enumerate() {
+            if self.cut.get(index).copied().unwrap_or(true) {
+                break;
+            }
+            if self.removed.get(index).copied().unwrap_or(true) {
+                continue;
+            }
+            if !slave.is_powered() {
+                break;
+            }
+            reached.push(index);
+        }
+        reached
+    }
+
+    fn show_links(&mut self) {
+        let reached = self.reached();
+        let last = reached.last().copied();
+        for (index, slave) in self.slaves.iter_mut().enumerate() {
+            let links = match (reached.contains(&index), last == Some(index)) {
+                (true, true) => PORT_IN,
+                (true, false) => PORT_IN | PORT_OUT,
+                (false, _) => 0,
+            };
+            slave.set_links(links);
+        }
+    }
+
+    fn set_removed(&mut self, slave: usize, removed: bool) {
+        let at = slave.wrapping_sub(1);
+        self.removed
+            .iter_mut()
+            .skip(at)
+            .take(1)
+            .for_each(|flag| *flag = removed);
+    }
+
+    fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {
+        if let Some(slave) = slave.checked_sub(1).and_then(|index| self.slaves.get_mut(index)) {
+            work(slave);
+        }
+    }
+}
+
+fn damage(frame: &mut [u8], mut change: impl FnMut(&mut super::datagram::Datagram)) {
+    if let Some(mut datagrams) = Datagrams::of_frame(frame) {
+        while let Some(mut datagram) = datagrams.next() {
+            change(&mut datagram);
+        }
+    }
+}

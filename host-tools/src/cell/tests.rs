@@ -1,0 +1,419 @@
+//! The cell as a whole, driven by hand-made frames.
+
+use super::test_bench::*;
+use super::*;
+
+#[test]
+fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
+    let mut bench = bench();
+    let replies = bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+    let (data, count) = content(&replies[0], 2);
+    assert_eq!((data, count), (vec![1, 0], 4));
+    assert_eq!(replies[0][6], 0x12);
+    assert_eq!(
+        replies[0][DATA - 8..DATA - 6],
+        [4, 0],
+        "each slave counts the position up"
+    );
+}
+
+#[test]
+fn a_broken_or_foreign_frame_is_ignored() {
+    let good = frame_of(&[(BRD, 0, 0x0130, &[0, 0]), (LRW, 0, 0, &[0; 30])]);
+    let mut bench = bench();
+    let mut random = Random::new(11);
+    for length in 0..good.len() {
+        bench.cell.frame(0, &good[..length]);
+    }
+    for _ in 0..20_000 {
+        let mut frame = good.clone();
+        for _ in 0..=random.next() % 4 {
+            let at = (random.next() % frame.len() as u64) as usize;
+            frame[at] = random.next() as u8;
+        }
+        bench.cell.frame(0, &frame);
+    }
+    let mut arp = good;
+    (arp[12], arp[13]) = (0x08, 0x06);
+    assert!(bench.send(&arp).is_empty());
+}
+
+#[test]
+fn the_information_memory_is_read_through_its_registers() {
+    let mut bench = bench();
+    bench.addresses();
+    for (word, expected) in [
+        (0x08u32, [2, 0, 0, 0, 0x14, 0x60, 0xD0, 0x07]),
+        (0x0C, [0x0A, 0x11, 0, 0, 3, 0, 0, 0]),
+    ] {
+        let mut command = vec![0x00, 0x01];
+        command.extend_from_slice(&word.to_le_bytes());
+        bench.write(0x1003, 0x0502, &command);
+        assert_eq!(bench.read(0x1003, 0x0502, 2), [0x40, 0x00]);
+        assert_eq!(bench.read(0x1003, 0x0508, 8), expected);
+    }
+}
+
+#[test]
+fn hand_made_frames_bring_the_drives_from_init_to_op() {
+    let mut bench = bench();
+    bench.bring_up();
+    let state = bench.cell.state();
+    assert!(state.slaves.iter().all(|slave| slave.al_state == AlState::Operational));
+    let (positions, status) = bench.cycle([0; 4], 0x0F);
+    assert!(status.iter().all(|status| status & 0x6F == 0x27), "{status:x?}");
+    for (axis, (position, joint)) in positions.iter().zip(state.joints.0).enumerate() {
+        let turns = (joint + 0.5) * 12.0 / std::f64::consts::TAU;
+        let expected = (turns * f64::from(1 << 20)).floor().rem_euclid(f64::from(1 << 20));
+        assert_eq!(f64::from(*position), expected, "axis {axis}");
+    }
+}
+
+#[test]
+fn a_step_up_without_its_configuration_is_refused_with_its_code() {
+    let mut bench = bench();
+    bench.addresses();
+    bench.request(2);
+    assert_eq!(bench.al_status(0x1001), (0x11, 0x0016));
+    bench.mailboxes();
+    bench.request(0x11);
+    bench.request(2);
+    bench.request(4);
+    assert_eq!(bench.al_status(0x1001), (0x12, 0x001D));
+    bench.request(0x12);
+    bench.process_data();
+    bench.request(4);
+    bench.request(8);
+    for _ in 0..250 {
+        bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+    }
+    assert_eq!(bench.al_status(0x1001), (0x14, 0x001B));
+}
+
+#[test]
+fn silence_of_the_bus_stops_the_motors_and_leaves_op() {
+    let mut bench = bench();
+    bench.bring_up();
+    for _ in 0..50 {
+        bench.cycle([60_000; 4], 0x0F);
+    }
+    let before = bench.cell.state();
+    assert!(before.velocities.0.iter().all(|speed| *speed > 3.0), "{before:?}");
+    let last_us = bench.time_us - 1000;
+    bench.cell.advance_to(last_us + 9_600);
+    assert!(
+        bench
+            .cell
+            .state()
+            .slaves
+            .iter()
+            .all(|s| s.drive == DriveState::OperationEnabled)
+    );
+    bench.cell.advance_to(last_us + 10_600);
+    let expired = bench.cell.state();
+    assert!(expired.slaves.iter().all(|s| s.al_state == AlState::SafeOperational));
+    assert!(expired.slaves.iter().all(|s| s.al_status_code == 0x001B));
+    bench.cell.advance_to(last_us + 100_000);
+    let stopped = bench.cell.state();
+    assert_eq!(stopped.velocities.0, [0.0; AXES]);
+    assert!(
+        stopped
+            .slaves
+            .iter()
+            .all(|s| (s.drive, s.drive_error) == (DriveState::Fault, 0x8130))
+    );
+    bench.time_us = last_us + 101_000;
+    assert_eq!(bench.al_status(0x1002), (0x14, 0x001B));
+    let ramp_rad = before.velocities.0[0].powi(2) / (2.0 * 100.0);
+    let way_rad = stopped.joints.0[0] - expired.joints.0[0];
+    assert!(
+        (way_rad - ramp_rad).abs() < 0.1 * ramp_rad,
+        "{way_rad} after a ramp of {ramp_rad}"
+    );
+}
+
+#[test]
+fn a_velocity_step_answers_with_the_bandwidth_and_the_delays() {
+    for (bandwidth_hz, delay) in [(50.0, 0), (100.0, 1), (200.0, 2)] {
+        let mut bench = Bench::new(CellOptions {
+            drive_bandwidth_hz: bandwidth_hz,
+            input_delay_cycles: delay,
+            output_delay_cycles: delay,
+            ..CellOptions::default()
+        });
+        bench.bring_up();
+        let digits = 20_000;
+        let start = bench.cycle([0; 4], 0x0F).0[0];
+        let rate = std::f64::consts::TAU * bandwidth_hz;
+        let increments_s = f64::from(digits) * 1_875.0 / 262_144.0 / 60.0 * f64::from(1 << 20);
+        for cycle in 0..30 {
+            let (positions, _) = bench.cycle([digits; 4], 0x0F);
+            let time_s = (f64::from(cycle) - 2.0 * delay as f64).max(0.0) * 1e-3;
+            let expected = increments_s * (time_s - (1.0 - (-rate * time_s).exp()) / rate);
+            let moved = f64::from((positions[0] - start).rem_euclid(1 << 20));
+            assert!(
+                (moved - expected).abs() < 2.0,
+                "{bandwidth_hz} Hz, cycle {cycle}: {moved} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn objects_are_read_written_and_refused_with_the_right_codes() {
+    let mut bench = bench();
+    bench.addresses();
+    bench.mailboxes();
+    bench.request(2);
+    let station = 0x1001;
+    assert_eq!(
+        bench.upload(station, 0x1018, 2),
+        [0x43, 0x18, 0x10, 2, 0x14, 0x60, 0xD0, 0x07]
+    );
+    let name = bench.upload(station, 0x1008, 0);
+    assert_eq!((name[0], &name[8..]), (0x41, NAME.as_bytes()));
+    assert_eq!(outcome(&bench.upload(station, 0x1018, 9)), 0x0609_0011);
+    assert_eq!(outcome(&bench.upload(station, 0x5555, 0)), 0x0602_0000);
+    assert_eq!(bench.download(station, 0x1000, 0, &[0; 4]), 0x0601_0002);
+    assert_eq!(bench.download(station, 0x6060, 0, &[0, 0]), 0x0607_0012);
+    assert_eq!(bench.download(station, 0x6085, 0, &[1]), 0x0607_0013);
+    assert_eq!(bench.download(station, 0x6060, 0, &[9]), 0x0609_0030);
+    assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0x0601_0003);
+    assert_eq!(bench.download(station, 0x1C12, 0, &[0]), 0);
+    assert_eq!(bench.download(station, 0x1C12, 1, &[3, 0x17]), 0x0604_0041);
+    assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0);
+    assert_eq!(bench.download(station, 0x1C12, 0, &[1]), 0);
+    assert_eq!(
+        outcome(&bench.sdo(station, &[0x50, 0x18, 0x10, 0, 0, 0, 0, 0])),
+        0x0601_0000
+    );
+}
+
+#[test]
+fn a_long_object_travels_in_segments_both_ways() {
+    let mut bench = bench();
+    bench.addresses();
+    bench.mailboxes();
+    bench.request(2);
+    let station = 0x1002;
+    let text: Vec<u8> = (0..1200u32).map(|n| (n * 7) as u8).collect();
+    let mut sdo = vec![0x21, 0xFE, 0x2F, 0];
+    sdo.extend_from_slice(&1200u32.to_le_bytes());
+    sdo.extend_from_slice(&text[..400]);
+    assert_eq!(bench.sdo(station, &sdo)[0], 0x60);
+    for (command, part) in [(0x00, &text[400..800]), (0x11, &text[800..])] {
+        let mut sdo = vec![command];
+        sdo.extend_from_slice(part);
+        assert_eq!(bench.sdo(station, &sdo)[0], 0x20 | command & 0x10);
+    }
+    let first = bench.upload(station, 0x2FFE, 0);
+    let mut read = first[8..].to_vec();
+    for toggle in [0x00, 0x10] {
+        let part = bench.sdo(station, &[0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(part[0] & 0x10, toggle);
+        read.extend_from_slice(&part[1..]);
+        assert_eq!(part[0] & 1 != 0, read.len() == 1200, "the last part says so");
+    }
+    assert_eq!(read, text);
+    assert_eq!(outcome(&bench.sdo(station, &[0x60, 0, 0, 0, 0, 0, 0, 0])), 0x0504_0001);
+}
+
+#[test]
+fn a_lost_answer_is_fetched_again_by_the_repeat_bit() {
+    let mut bench = bench();
+    bench.addresses();
+    bench.mailboxes();
+    bench.request(2);
+    let answer = bench.upload(0x1001, 0x1000, 0);
+    bench.write(0x1001, 0x080E, &[0x03]);
+    assert_eq!(bench.read(0x1001, 0x080F, 1)[0] & 0x02, 0x02);
+    assert_eq!(bench.fetch(0x1001)[2..], answer);
+}
+
+#[test]
+fn a_drive_fault_sends_an_emergency_and_stops_that_drive() {
+    let mut bench = bench();
+    bench.bring_up();
+    bench.cell.inject(Fault::Drive(2, 0x2310));
+    for _ in 0..20 {
+        bench.cycle([0; 4], 0x0F);
+    }
+    let (_, status) = bench.cycle([0; 4], 0x0F);
+    assert_eq!(status.map(|status| status & 0x4F), [0x07, 0x08, 0x07, 0x07]);
+    assert_eq!(bench.fetch(0x1002), [0, 0x10, 0x10, 0x23, 1, 0, 0, 0, 0, 0]);
+}
+
+#[test]
+fn logical_reads_and_writes_count_three_and_one_reads_others_write() {
+    let mut bench = bench();
+    bench.bring_up();
+    let frame = frame_of(&[(LRW, 0, 1, &[0; 0x40 + 24])]);
+    let replies = bench.send(&frame);
+    assert_eq!(content(&replies[0], 0x40 + 24).1, 12);
+    let (_, count) = bench.ask(FRMW, 0x1002, 0x0910, &[0; 4]);
+    assert_eq!(count, 4);
+    let (data, count) = bench.ask(APRD, 0u16.wrapping_sub(3), 0x0010, &[0, 0]);
+    assert_eq!((data, count), (vec![0x04, 0x10], 1));
+}
+
+#[test]
+fn a_pulled_cable_a_bypass_and_a_power_cycle_shorten_the_chain() {
+    let mut bench = script("ms 10 cut 2\nms 20 join\nms 30 remove 1\nms 40 insert 1\nms 50 power 4 15");
+    bench.addresses();
+    let mut counts = Vec::new();
+    while bench.cell.state().time_ms < 70 {
+        let count = bench.ask(BRD, 0, 0x0130, &[0, 0]).1;
+        counts.push((bench.cell.state().time_ms, count));
+    }
+    let at = |ms: u64| {
+        counts
+            .iter()
+            .find(|(time_ms, _)| *time_ms == ms)
+            .map(|(_, count)| *count)
+    };
+    assert_eq!([9, 12, 22, 32, 42, 52, 68].map(at), [4, 2, 4, 3, 4, 3, 4].map(Some));
+    assert_eq!(
+        bench.ask(FPRD, 0x1004, 0x0130, &[0, 0]).1,
+        0,
+        "the station address is gone"
+    );
+    assert_eq!(bench.ask(FPRD, 0x1003, 0x0130, &[0, 0]).1, 1);
+    cut_at_the_master();
+}
+
+fn cut_at_the_master() {
+    let mut bench = script("frame 1 cut 0");
+    assert!(bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])])).is_empty());
+}
+
+#[test]
+fn frame_faults_do_what_they_say() {
+    let text = "frame 1 drop\nframe 2 lose\nframe 3 duplicate\nframe 4 truncate 30\nframe 5 index 3\n\
+                frame 6 foreign\nframe 7 counter -1\nframe 8 delay 2\nframe 11..12 drop\nms 14 stall 3";
+    let mut bench = script(text);
+    let ask = frame_of(&[(BRD, 0, 0x0130, &[0, 0])]);
+    let replies: Vec<_> = (0..20).map(|_| bench.send(&ask)).collect();
+    let counts: Vec<_> = replies.iter().map(Vec::len).collect();
+    assert_eq!(counts[..12], [0, 0, 2, 1, 1, 2, 1, 0, 1, 2, 0, 0]);
+    assert_eq!(counts[12..], [1, 1, 0, 0, 0, 1, 1, 1], "three milliseconds of silence");
+    assert_eq!(replies[3][0].len(), 30);
+    assert_eq!(replies[4][0][17], 3);
+    assert_eq!(replies[5][0][12..14], [0x88, 0xB5]);
+    assert_eq!(content(&replies[6][0], 2).1, 3);
+}
+
+#[test]
+fn a_silent_mailbox_a_stuck_resolver_and_a_retreat_are_scripted() {
+    let mut bench = bench();
+    bench.bring_up();
+    bench.cell.inject(Fault::Stuck(1, 10));
+    bench.cell.inject(Fault::Silence(2, 20));
+    bench.cycle([20_000; 4], 0x0F);
+    let stuck: Vec<i32> = (0..8).map(|_| bench.cycle([20_000; 4], 0x0F).0[0]).collect();
+    assert!(stuck[3..].iter().all(|position| *position == stuck[3]), "{stuck:?}");
+    for _ in 0..10 {
+        bench.cycle([20_000; 4], 0x0F);
+    }
+    assert_ne!(bench.cycle([20_000; 4], 0x0F).0[0], stuck[7]);
+    bench.cell.inject(Fault::Retreat(3, 0x0027));
+    bench.cycle([0; 4], 0x0F);
+    assert_eq!(bench.al_status(0x1003), (0x14, 0x0027));
+    assert_eq!(bench.al_status(0x1001), (8, 0));
+}
+
+/// Drives the arms down and around, with the pen on the paper for a part of it.
+fn draw(mut bench: Bench) -> (Vec<InkStroke>, CellState) {
+    bench.bring_up();
+    for cycle in 0..1500i32 {
+        let phase = f64::from(cycle) * 0.01;
+        let down = if cycle < 600 { 18_000 } else { 0 };
+        let velocity = [0.0, 2.0, 4.0].map(|shift| (9_000.0 * (phase + shift).sin()) as i32 + down);
+        bench.cycle([velocity[0], velocity[1], velocity[2], 5_000], 0x0F);
+    }
+    (bench.cell.ink().to_vec(), bench.cell.state())
+}
+
+fn paper_below(options: CellOptions) -> Bench {
+    let mut config = Config::default();
+    config.paper.pen_down_z_mm = -690.0;
+    let mut bench = Bench::new(options.clone());
+    bench.cell = Cell::new(&config, options);
+    bench
+}
+
+#[test]
+fn the_same_frames_leave_the_same_ink() {
+    let (ink, state) = draw(paper_below(CellOptions::default()));
+    assert!(!ink.is_empty(), "{state:?}");
+    assert_eq!((ink, state), draw(paper_below(CellOptions::default())));
+}
+
+#[test]
+fn jitter_of_frames_below_half_a_millisecond_changes_nothing() {
+    let still = draw(paper_below(CellOptions::default()));
+    for seed in 1..=3 {
+        let mut bench = paper_below(CellOptions::default());
+        bench.cell.advance_to(bench.time_us);
+        bench.jitter = Some(Random::new(seed));
+        assert_eq!(draw(bench), still, "seed {seed}");
+    }
+}
+
+#[test]
+fn the_seed_moves_the_starting_pose() {
+    let pose = |seed| {
+        Cell::new(
+            &Config::default(),
+            CellOptions {
+                seed,
+                ..CellOptions::default()
+            },
+        )
+        .state()
+        .joints
+    };
+    assert_eq!(pose(1), pose(1));
+    assert_ne!(pose(1), pose(2));
+    assert!(pose(2).0.iter().all(|joint| (joint + 0.5).abs() <= 0.1));
+}
+
+#[test]
+fn a_clock_that_jumps_or_runs_back_is_survived() {
+    let mut cell = Cell::new(&Config::default(), CellOptions::default());
+    cell.advance_to(1_000_000);
+    cell.advance_to(1_010_000);
+    cell.advance_to(0);
+    assert_eq!(cell.state().time_ms, 10);
+}
+
+#[test]
+fn tshark_finds_ethercat_and_nothing_malformed_in_a_capture() {
+    let mut bench = bench();
+    bench.capture = Some(capture::Capture::new(Vec::new()).expect("memory"));
+    bench.bring_up();
+    for _ in 0..20 {
+        bench.cycle([1000; 4], 0x0F);
+    }
+    let file = bench.capture.take().expect("set").finish().expect("memory");
+    let path = std::env::temp_dir().join(format!("cell-capture-{}.pcapng", std::process::id()));
+    std::fs::write(&path, file).expect("a temporary file");
+    let count = |filter: &str| {
+        let output = std::process::Command::new("tshark")
+            .arg("-r")
+            .arg(&path)
+            .args(["-Y", filter, "-T", "fields", "-e", "frame.number"])
+            .output();
+        output.ok().map(|output| {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            String::from_utf8_lossy(&output.stdout).lines().count()
+        })
+    };
+    let counts = (count("_ws.malformed"), count("ecat"), count("ecat_mailbox.coe"));
+    std::fs::remove_file(&path).expect("the file just written");
+    let (Some(malformed), Some(frames), Some(mails)) = counts else {
+        eprintln!("tshark is not installed: nothing was dissected");
+        return;
+    };
+    assert_eq!(malformed, 0);
+    assert!(frames > 100 && mails > 8, "{frames} frames, {mails} with mail");
+}
