@@ -1,5 +1,5 @@
 //! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
 #![forbid(unsafe_code)]
 
-pub mod link;
 pub mod cell;
+pub mod link;
