@@ -8,8 +8,8 @@
 
 use super::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
 use super::protocol::{
-    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE, Sample, Status,
-    VERTICES_PER_MESSAGE, Welcome,
+    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE,
+    Sample, Status, VERTICES_PER_MESSAGE, Welcome,
 };
 use crate::application::Refusal;
 use crate::config::Config;

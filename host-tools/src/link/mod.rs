@@ -1,12 +1,13 @@
 //! The host's end of the link: session, drawing job, ports and texts.
 //!
 //! [`Session`](session::Session) and [`DrawJob`](job::DrawJob) are state machines without clock or input and output:
-//! the emulator's lockstep loop and a real port drive the same code, and a run in virtual time repeats exactly.
+//! the emulator's lockstep loop and a real [`port`] drive the same code, and a run in virtual time repeats exactly.
 
 #[cfg(test)]
 mod bench;
 pub mod error;
 pub mod job;
+pub mod port;
 pub mod progress;
 pub mod session;
 pub mod text;

@@ -632,7 +632,7 @@ mod tests {
             session.connect();
             let bytes: Vec<u8> = (0..100_000)
                 .map(|_| {
-                    if line.random() % 16 == 0 {
+                    if line.random().is_multiple_of(16) {
                         0
                     } else {
                         line.random() as u8

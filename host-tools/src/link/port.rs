@@ -1,0 +1,421 @@
+//! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives a job over one.
+//!
+//! One reader thread hands over what arrives; the calling thread steps the job about once a millisecond and writes
+//! no faster than the line carries, so that nothing queues in front of a stop. Invariant: a port that has gone is an
+//! error with its name and what to try, never a wait.
+
+use super::error::JobError;
+use super::job::{Control, DrawJob, JobEvent};
+use super::progress::Progress;
+use etherpen::link::device::LINE_BYTES_PER_MS;
+use std::fmt;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Baud rate of serial ports.
+pub const BAUD: u32 = 921_600;
+/// Longest block of a read before it looks whether the job has ended.
+const READ_MAX: Duration = Duration::from_millis(100);
+/// Longest block of a write before the port counts as stuck.
+const WRITE_MAX: Duration = Duration::from_millis(1_000);
+/// Time between two reports of progress, ms.
+const PROGRESS_MS: u64 = 100;
+/// Most milliseconds of line time that are made up for at once after the program was not scheduled.
+const BURST_MS: u64 = 20;
+
+const _: () = assert!(BAUD as usize / 10_000 == LINE_BYTES_PER_MS);
+
+/// Where the firmware is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PortName {
+    /// A serial device, for instance `/dev/ttyACM0`.
+    Serial(PathBuf),
+    /// `tcp:host:port`.
+    Tcp(String),
+    /// `unix:path`.
+    Unix(PathBuf),
+}
+
+impl FromStr for PortName {
+    type Err = PortError;
+
+    fn from_str(text: &str) -> Result<Self, PortError> {
+        let name = match text.split_once(':') {
+            Some(("tcp", address)) if address.contains(':') => Self::Tcp(address.into()),
+            Some(("unix", path)) if !path.is_empty() => Self::Unix(path.into()),
+            Some(("tcp" | "unix", _)) => return Err(PortError::Name(text.into())),
+            _ if text.is_empty() => return Err(PortError::Name(text.into())),
+            _ => Self::Serial(text.into()),
+        };
+        Ok(name)
+    }
+}
+
+impl fmt::Display for PortName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial(path) => write!(f, "{}", path.display()),
+            Self::Tcp(address) => write!(f, "tcp:{address}"),
+            Self::Unix(path) => write!(f, "unix:{}", path.display()),
+        }
+    }
+}
+
+/// What can go wrong with a port.
+#[derive(Debug)]
+pub enum PortError {
+    /// The name is none of a port.
+    Name(String),
+    /// It could not be opened.
+    Open {
+        /// Which.
+        port: PortName,
+        /// Why.
+        source: io::Error,
+    },
+    /// The other side has closed it, or the cable was pulled.
+    Closed {
+        /// Which.
+        port: PortName,
+    },
+    /// It could not be read or written.
+    Failed {
+        /// Which.
+        port: PortName,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl fmt::Display for PortError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Name(name) => {
+                write!(f, "'{name}' is no port; use /dev/tty.., tcp:host:port or unix:path")
+            }
+            Self::Open { port, source } => write!(f, "{port} could not be opened ({source}); {}", remedy(port, source)),
+            Self::Closed { port } => write!(
+                f,
+                "{port} was closed by the other side; check cable and board (or that the emulator still runs), then \
+                 connect again"
+            ),
+            Self::Failed { port, source } => {
+                write!(f, "{port} failed ({source}); check the cable, then connect again")
+            }
+        }
+    }
+}
+
+impl std::error::Error for PortError {}
+
+fn remedy(port: &PortName, error: &io::Error) -> String {
+    match (port, error.kind()) {
+        (PortName::Serial(_), ErrorKind::PermissionDenied) => {
+            "add yourself to the port's group (sudo usermod -aG dialout $USER) and log in again".into()
+        }
+        (PortName::Unix(_), ErrorKind::PermissionDenied) => "the socket belongs to another user".into(),
+        (PortName::Serial(_), ErrorKind::NotFound) => format!("plug in the board; {}", ports_present()),
+        (PortName::Serial(_), ErrorKind::ResourceBusy) => "close the other program that has it open".into(),
+        (_, ErrorKind::NotFound | ErrorKind::ConnectionRefused) => {
+            "nothing listens there; start etherpen emulate and use the port it prints".into()
+        }
+        _ => "check the name and the cable".into(),
+    }
+}
+
+fn ports_present() -> String {
+    let ports = serial2::SerialPort::available_ports().unwrap_or_default();
+    let names: Vec<String> = ports.iter().map(|port| port.display().to_string()).collect();
+    if names.is_empty() {
+        "there is no serial port now".into()
+    } else {
+        format!("present are {}", names.join(", "))
+    }
+}
+
+/// An open port: its two directions.
+pub struct Port {
+    name: PortName,
+    reader: Box<dyn Read + Send>,
+    writer: Box<dyn Write + Send>,
+}
+
+impl Port {
+    /// Opens a port; a serial one with [`BAUD`], 8 data bits, no parity, 1 stop bit, no flow control.
+    ///
+    /// # Errors
+    /// [`PortError::Open`].
+    pub fn open(name: &PortName) -> Result<Self, PortError> {
+        let opened = match name {
+            PortName::Serial(path) => open_serial(path),
+            PortName::Tcp(address) => open_tcp(address),
+            PortName::Unix(path) => open_unix(path),
+        };
+        let (reader, writer) = opened.map_err(|source| PortError::Open {
+            port: name.clone(),
+            source,
+        })?;
+        Ok(Self {
+            name: name.clone(),
+            reader,
+            writer,
+        })
+    }
+}
+
+type Directions = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
+fn open_serial(path: &PathBuf) -> io::Result<Directions> {
+    let mut writer = serial2::SerialPort::open(path, BAUD)?;
+    writer.set_read_timeout(READ_MAX)?;
+    writer.set_write_timeout(WRITE_MAX)?;
+    writer.discard_buffers()?;
+    let reader = writer.try_clone()?;
+    Ok((Box::new(reader), Box::new(writer)))
+}
+
+fn open_tcp(address: &str) -> io::Result<Directions> {
+    let writer = TcpStream::connect(address)?;
+    writer.set_nodelay(true)?;
+    writer.set_read_timeout(Some(READ_MAX))?;
+    writer.set_write_timeout(Some(WRITE_MAX))?;
+    Ok((Box::new(writer.try_clone()?), Box::new(writer)))
+}
+
+fn open_unix(path: &PathBuf) -> io::Result<Directions> {
+    let writer = UnixStream::connect(path)?;
+    writer.set_read_timeout(Some(READ_MAX))?;
+    writer.set_write_timeout(Some(WRITE_MAX))?;
+    Ok((Box::new(writer.try_clone()?), Box::new(writer)))
+}
+
+/// Why a job over a port has not drawn everything.
+#[derive(Debug)]
+pub enum RunError {
+    /// The job's own reason.
+    Job(JobError),
+    /// The port.
+    Port(PortError),
+}
+
+impl fmt::Display for RunError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Job(error) => error.fmt(f),
+            Self::Port(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for RunError {}
+
+/// What a running job shows.
+#[derive(Clone, Copy, Debug)]
+pub enum Show<'a> {
+    /// Something happened.
+    Event(&'a JobEvent),
+    /// How far the drawing is, ten times a second.
+    Progress(&'a Progress),
+}
+
+/// Runs a job over a port by the wall clock until it ends; [`DrawJob::into_report`] tells what was collected.
+///
+/// What comes in `control` is done at once; a closed `control` means that nobody interferes.
+///
+/// # Errors
+/// The job's reason, or the port's.
+pub fn run_job(
+    port: Port,
+    job: &mut DrawJob,
+    control: &Receiver<Control>,
+    show: &mut dyn FnMut(Show<'_>),
+) -> Result<(), RunError> {
+    let Port {
+        name,
+        reader,
+        mut writer,
+    } = port;
+    let ended = Arc::new(AtomicBool::new(false));
+    let (sender, arrived) = mpsc::channel();
+    let reading = thread::spawn({
+        let ended = ended.clone();
+        move || read_until_ended(reader, &sender, &ended)
+    });
+    let result = drive(&name, &mut writer, job, &arrived, control, show);
+    ended.store(true, Ordering::Relaxed);
+    // A reader that panicked has closed its channel, which the loop has seen as the end of the port.
+    let _ = reading.join();
+    result
+}
+
+/// Hands over what arrives; the last thing sent is an error, or an empty block when the other side has closed.
+fn read_until_ended(mut reader: Box<dyn Read + Send>, sender: &mpsc::Sender<io::Result<Vec<u8>>>, ended: &AtomicBool) {
+    let mut block = [0; 4096];
+    while !ended.load(Ordering::Relaxed) {
+        let result = match reader.read(&mut block) {
+            Err(error) if is_pause(&error) => continue,
+            Err(error) => Err(error),
+            Ok(length) => Ok(block[..length].to_vec()),
+        };
+        let last = !matches!(&result, Ok(bytes) if !bytes.is_empty());
+        if sender.send(result).is_err() || last {
+            return;
+        }
+    }
+}
+
+fn is_pause(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+    )
+}
+
+fn drive(
+    name: &PortName,
+    writer: &mut Box<dyn Write + Send>,
+    job: &mut DrawJob,
+    arrived: &Receiver<io::Result<Vec<u8>>>,
+    control: &Receiver<Control>,
+    show: &mut dyn FnMut(Show<'_>),
+) -> Result<(), RunError> {
+    let failed = |source| {
+        RunError::Port(PortError::Failed {
+            port: name.clone(),
+            source,
+        })
+    };
+    let begun = Instant::now();
+    let (mut stepped_ms, mut shown_ms) = (0u64, 0u64);
+    let mut outgoing = Vec::new();
+    loop {
+        let incoming = match arrived.recv_timeout(Duration::from_millis(1)) {
+            Ok(Ok(bytes)) if !bytes.is_empty() => bytes,
+            Err(RecvTimeoutError::Timeout) => Vec::new(),
+            Ok(Err(source)) => return Err(failed(source)),
+            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => {
+                return Err(RunError::Port(PortError::Closed { port: name.clone() }));
+            }
+        };
+        control.try_iter().for_each(|control| job.control(control));
+        let now_ms = begun.elapsed().as_millis() as u64;
+        let room = (now_ms - stepped_ms).min(BURST_MS) as usize * LINE_BYTES_PER_MS;
+        stepped_ms = now_ms;
+        outgoing.clear();
+        job.step(now_ms, &incoming, &mut outgoing, room);
+        writer.write_all(&outgoing).map_err(failed)?;
+        while let Some(event) = job.next_event() {
+            show(Show::Event(&event));
+        }
+        let outcome = job.outcome().copied();
+        if outcome.is_some() || now_ms.saturating_sub(shown_ms) >= PROGRESS_MS {
+            shown_ms = now_ms;
+            show(Show::Progress(&job.progress()));
+        }
+        if let Some(outcome) = outcome {
+            return outcome.map_err(RunError::Job);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::bench::{Bench, path};
+    use super::super::job::JobOptions;
+    use super::*;
+    use etherpen::config::Config;
+    use std::net::TcpListener;
+    use std::os::unix::net::UnixListener;
+
+    fn job(count: usize) -> DrawJob {
+        DrawJob::new(Config::default(), path(count), JobOptions::default())
+    }
+
+    /// The bench's firmware behind a stream, by the wall clock, until the stream is closed.
+    fn serve(stream: UnixStream) -> Bench {
+        let (mut bench, begun) = (Bench::new(1, 0), Instant::now());
+        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let mut waiting = Vec::new();
+        for now_ms in 0.. {
+            let mut block = [0; 1024];
+            match (&stream).read(&mut block) {
+                Ok(0) => break,
+                Ok(length) => waiting.extend_from_slice(&block[..length]),
+                Err(error) => assert!(is_pause(&error)),
+            }
+            let mut written = Ok(());
+            bench.step(now_ms, |bytes, room| {
+                written = (&stream).write_all(bytes);
+                waiting.drain(..waiting.len().min(room)).collect()
+            });
+            if written.is_err() {
+                break;
+            }
+            thread::sleep(Duration::from_millis(now_ms).saturating_sub(begun.elapsed()));
+        }
+        bench
+    }
+
+    #[test]
+    fn a_drawing_goes_over_a_socket_by_the_wall_clock() {
+        let place = std::env::temp_dir().join(format!("etherpen-port-{}", std::process::id()));
+        let _ = std::fs::remove_file(&place);
+        let listener = UnixListener::bind(&place).unwrap();
+        let firmware = thread::spawn(move || serve(listener.accept().unwrap().0));
+        let port = Port::open(&format!("unix:{}", place.display()).parse().unwrap()).unwrap();
+        let (mut job, mut last) = (job(100), Progress::default());
+        let (_, control) = mpsc::channel();
+        run_job(port, &mut job, &control, &mut |show| {
+            if let Show::Progress(progress) = show {
+                last = *progress;
+            }
+        })
+        .unwrap();
+        std::fs::remove_file(&place).unwrap();
+        assert_eq!(firmware.join().unwrap().vertices, path(100));
+        assert_eq!((last.vertices, last.vertices_total), (100, 100));
+    }
+
+    #[test]
+    fn a_port_that_the_other_side_closes_is_an_error_at_once() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let name = PortName::Tcp(listener.local_addr().unwrap().to_string());
+        let port = Port::open(&name).unwrap();
+        drop(listener.accept().unwrap());
+        let (_, control) = mpsc::channel();
+        let error = run_job(port, &mut job(1), &control, &mut |_| {}).unwrap_err();
+        assert!(matches!(
+            error,
+            RunError::Port(PortError::Closed { .. } | PortError::Failed { .. })
+        ));
+    }
+
+    #[test]
+    fn a_port_that_cannot_be_opened_names_itself_and_what_to_try() {
+        let open = |name: &str| Port::open(&name.parse().unwrap()).err().unwrap().to_string();
+        assert!(open("/dev/etherpen-absent").contains("plug in the board"));
+        assert!(open("unix:/absent/socket").contains("etherpen emulate"));
+        let denied = PortError::Open {
+            port: PortName::Serial("/dev/ttyACM0".into()),
+            source: ErrorKind::PermissionDenied.into(),
+        };
+        assert!(denied.to_string().contains("dialout"));
+    }
+
+    #[test]
+    fn names_of_ports_are_told_apart() {
+        let name = |text: &str| text.parse::<PortName>().ok();
+        assert_eq!(name("tcp:localhost:7000"), Some(PortName::Tcp("localhost:7000".into())));
+        assert_eq!(name("unix:/run/a"), Some(PortName::Unix("/run/a".into())));
+        assert_eq!(name("/dev/ttyACM0"), Some(PortName::Serial("/dev/ttyACM0".into())));
+        assert_eq!([name(""), name("tcp:7000"), name("unix:")], [None, None, None]);
+    }
+}
