@@ -165,7 +165,7 @@ impl Default for Axis {
             gear: 12.0,
             increments_per_revolution: 1 << 20,
             digits_per_rpm: 262_144.0 / 1_875.0,
-            sync_angle_rad: -0.5,
+            sync_angle_rad: 0.0,
             sync_increments: 0,
             feedback_gain_per_s: 80.0,
             feed_forward_gain: 1.0,
@@ -216,7 +216,7 @@ impl Default for Bus {
 }
 
 /// The whole configuration.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Shape of the robot.
@@ -231,6 +231,25 @@ pub struct Config {
     pub axes: [Axis; AXES],
     /// The bus.
     pub bus: Bus,
+}
+
+/// Arm angle at the synchronisation marks of the default configuration, radians: the platform hangs in the work area's
+/// upper part. The mark that public descriptions give, -0.78191 rad, lies outside the arm range they give.
+const ARM_SYNC_ANGLE_RAD: f64 = 0.3;
+
+impl Default for Config {
+    /// The IRB 340 with four AX2006 drives.
+    fn default() -> Self {
+        let arm = Axis { sync_angle_rad: ARM_SYNC_ANGLE_RAD, ..Axis::default() };
+        Self {
+            geometry: Geometry::default(),
+            work_area: WorkArea::default(),
+            paper: Paper::default(),
+            motion: Motion::default(),
+            axes: [arm, arm, arm, Axis::default()],
+            bus: Bus::default(),
+        }
+    }
 }
 
 /// Longest encoded configuration, bytes.
