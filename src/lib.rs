@@ -10,6 +10,7 @@ pub mod config;
 pub mod control;
 pub mod drives;
 pub mod ethercat;
+pub mod ethercat_robot;
 pub mod io;
 pub mod link;
 pub mod motion;

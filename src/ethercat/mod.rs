@@ -1,7 +1,100 @@
 //! EtherCAT master: finds, configures, exchanges with and repairs the slaves of one segment.
 //!
-//! Two sides share it. The critical side ([`wire`] only) exchanges process data once a millisecond; the slow side is
-//! `async` code that is polled once a millisecond. They meet in lock-free queues, and nothing here allocates, blocks or
-//! panics, whatever the wire brings.
+//! Two sides share it. The critical side ([`cyclic::Exchange`] over [`transport`]) exchanges process data once a
+//! millisecond; the slow side ([`supervisor::Supervisor`]) is `async` code that is polled once a millisecond. They meet
+//! in the lock-free queues of [`BusQueues`], and nothing here allocates, blocks or panics, whatever the wire brings.
+//!
+//! Deliberately absent: cable redundancy, and every use of a waker. A pending future is polled again every millisecond.
 
+pub mod acyclic;
+#[cfg(test)]
+mod bringup_tests;
+pub mod coe;
+pub mod configure;
+pub mod cyclic;
+pub mod error;
+pub mod event;
+pub mod factory;
+#[cfg(test)]
+mod fake;
+pub mod mailbox;
+pub mod slave;
+pub mod state;
+pub mod supervisor;
+mod telegram;
+pub mod transport;
 pub mod wire;
+
+use acyclic::{AcyclicPort, IN_FLIGHT_MAX, Reply, Request};
+use cyclic::{CyclicPlan, ExchangeEnd, Observation};
+use event::{BusCommand, BusEvent};
+use heapless::spsc::{Consumer, Producer, Queue};
+use supervisor::SupervisorEnd;
+
+/// Room of a queue that holds `IN_FLIGHT_MAX` entries; one place of a queue stays empty.
+const ACYCLIC_PLACES: usize = IN_FLIGHT_MAX + 1;
+
+/// The queues between critical side, supervisor and application; they live in static memory.
+#[derive(Debug)]
+pub struct BusQueues {
+    plans: Queue<CyclicPlan, 3>,
+    requests: Queue<Request, ACYCLIC_PLACES>,
+    replies: Queue<Reply, ACYCLIC_PLACES>,
+    observations: Queue<Observation, 17>,
+    commands: Queue<BusCommand, 3>,
+    events: Queue<BusEvent, 33>,
+}
+
+/// The application's ends of the queues.
+pub struct ApplicationEnd<'a> {
+    /// Orders to the supervisor.
+    pub commands: Producer<'a, BusCommand>,
+    /// Its reports; to be taken at least every few milliseconds.
+    pub events: Consumer<'a, BusEvent>,
+}
+
+impl BusQueues {
+    /// Empty queues.
+    pub const fn new() -> Self {
+        Self {
+            plans: Queue::new(),
+            requests: Queue::new(),
+            replies: Queue::new(),
+            observations: Queue::new(),
+            commands: Queue::new(),
+            events: Queue::new(),
+        }
+    }
+
+    /// The ends for the three sides.
+    pub fn split(&mut self) -> (ExchangeEnd<'_>, SupervisorEnd<'_>, ApplicationEnd<'_>) {
+        let (plans_in, plans) = self.plans.split();
+        let (requests_in, requests) = self.requests.split();
+        let (replies, replies_out) = self.replies.split();
+        let (observations, observations_out) = self.observations.split();
+        let (commands, commands_out) = self.commands.split();
+        let (events_in, events) = self.events.split();
+        (
+            ExchangeEnd {
+                plans,
+                requests,
+                replies,
+                observations,
+            },
+            SupervisorEnd {
+                plans: plans_in,
+                port: AcyclicPort::new(requests_in, replies_out),
+                observations: observations_out,
+                commands: commands_out,
+                events: events_in,
+            },
+            ApplicationEnd { commands, events },
+        )
+    }
+}
+
+impl Default for BusQueues {
+    fn default() -> Self {
+        Self::new()
+    }
+}

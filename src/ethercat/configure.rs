@@ -1,0 +1,335 @@
+//! Finding slaves and preparing them: addresses, SII, sync managers, FMMUs, watchdog, objects.
+//!
+//! Each function is one step of the way from an unknown chain to a slave in SAFEOP. Most slaves need a step only once,
+//! but every step may be repeated, so that a repair uses the same code as the first bring-up.
+//!
+//! Invariant: steps for one slave touch no other slave, except [`reset_all`].
+
+use super::acyclic::{AcyclicPort, Bytes, Request, bytes, zeros};
+use super::coe::ObjectDictionary;
+use super::cyclic::{CyclicSlave, DriveRole, PROCESS_BYTES_MAX};
+use super::error::BusError;
+use super::slave::Slave;
+use super::state::{AlState, STATE_TIMEOUT_MS};
+use super::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
+use super::wire::sii::{self, FixedPart};
+use super::wire::{Address, Command, read_u16};
+use crate::config::Axis;
+use crate::drives::Setting;
+
+/// Longest wait for the SII to become free, ms.
+pub const SII_TIMEOUT_MS: u32 = 100;
+/// How often an unacknowledged SII command is repeated.
+const SII_TRIES_MAX: u8 = 3;
+/// Logical address of the outputs; each slave has [`PROCESS_BYTES_MAX`] bytes.
+pub const LOGICAL_OUTPUTS: u32 = 0x0001_0000;
+/// Logical address of the inputs.
+pub const LOGICAL_INPUTS: u32 = 0x0002_0000;
+/// Watchdog units (100 us) in a millisecond.
+const WATCHDOG_UNITS_PER_MS: u16 = 10;
+/// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
+const WATCHDOG_PDI_UNITS: u16 = 1_000;
+/// Sync managers and FMMUs that are cleared at the start.
+const CLEARED: usize = 4;
+
+const _: () = {
+    assert!(LOGICAL_OUTPUTS + (super::cyclic::SLAVES_MAX * PROCESS_BYTES_MAX) as u32 <= LOGICAL_INPUTS);
+};
+
+/// Counts the slaves and brings all of them to INIT with nothing configured; error counters start at 0.
+///
+/// # Errors
+/// [`BusError::StateTimeout`] when a slave does not go to INIT, or [`BusError::Lost`].
+pub async fn reset_all(port: &mut AcyclicPort<'_>) -> Result<(), BusError> {
+    let init = AlState::Init as u16 | register::AL_ERROR_BIT;
+    port.broadcast_write(register::AL_CONTROL, &init.to_le_bytes()).await?;
+    let started_ms = port.now_ms();
+    loop {
+        let (status, _) = port.broadcast_read_u16(register::AL_STATUS).await?;
+        let seen = status & (register::AL_STATE_MASK | register::AL_ERROR_BIT);
+        if seen == AlState::Init as u16 {
+            break;
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > STATE_TIMEOUT_MS {
+            return Err(BusError::StateTimeout {
+                expected: AlState::Init as u8,
+                actual: seen as u8,
+                waited_ms,
+            });
+        }
+    }
+    port.broadcast_write(register::STATION_ADDRESS, &[0; 2]).await?;
+    port.broadcast_write(register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
+    port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
+        .await?;
+    port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
+        .await?;
+    Ok(())
+}
+
+/// Reads the station address of the slave at a place in the chain.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn station_at(port: &mut AcyclicPort<'_>, position: u16) -> Result<u16, BusError> {
+    let address = Address::position(position, register::STATION_ADDRESS);
+    let request = Request {
+        command: Command::Aprd,
+        address,
+        data: zeros(2),
+    };
+    Ok(read_u16(&port.insist(&request, 1).await?, 0))
+}
+
+/// Gives the slave at a place in the chain its station address.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn assign_station(port: &mut AcyclicPort<'_>, position: u16, station: u16) -> Result<(), BusError> {
+    let address = Address::position(position, register::STATION_ADDRESS);
+    let request = Request {
+        command: Command::Apwr,
+        address,
+        data: bytes(&station.to_le_bytes()),
+    };
+    port.insist(&request, 1).await.map(|_| ())
+}
+
+/// Waits until the SII is free and gives its status.
+async fn sii_free(port: &mut AcyclicPort<'_>, station: u16) -> Result<u16, BusError> {
+    let started_ms = port.now_ms();
+    loop {
+        let status = port.read_u16(station, register::SII_CONTROL).await?;
+        if status & register::SII_BUSY == 0 {
+            return Ok(status);
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > SII_TIMEOUT_MS {
+            return Err(BusError::SiiBusy { waited_ms });
+        }
+    }
+}
+
+/// Takes the SII for the master, by force if the slave's own side holds it.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn take_sii(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+    let config = port.read_u16(station, register::SII_CONFIG).await?;
+    if config != 0 {
+        port.write(station, register::SII_CONFIG, &[register::SII_FORCE])
+            .await?;
+        port.write(station, register::SII_CONFIG, &[0]).await?;
+    }
+    Ok(())
+}
+
+/// Reads 4 or 8 bytes of the SII, as many as the slave gives at a time, from a word address on.
+async fn read_sii(port: &mut AcyclicPort<'_>, station: u16, word: u16) -> Result<Bytes, BusError> {
+    let mut status = sii_free(port, station).await?;
+    for _ in 0..SII_TRIES_MAX {
+        let [control_low, control_high] = register::SII_READ.to_le_bytes();
+        let [low, high] = word.to_le_bytes();
+        let command = [control_low, control_high, low, high, 0, 0];
+        port.write(station, register::SII_CONTROL, &command).await?;
+        status = sii_free(port, station).await?;
+        if status & register::SII_ACKNOWLEDGE_ERROR == 0 {
+            let length = if status & register::SII_READS_8_BYTES != 0 {
+                8
+            } else {
+                4
+            };
+            return port.read(station, register::SII_DATA, length).await;
+        }
+    }
+    Err(BusError::Sii { status })
+}
+
+/// Reads the fixed part of a slave's SII: identity and mailboxes.
+///
+/// # Errors
+/// [`BusError::SiiBusy`], [`BusError::Sii`], or as [`AcyclicPort::insist`].
+pub async fn fixed_part(port: &mut AcyclicPort<'_>, station: u16) -> Result<FixedPart, BusError> {
+    const BYTES: usize = 2 * sii::FIXED_PART_WORDS;
+    take_sii(port, station).await?;
+    let mut image = [0; BYTES + 8];
+    for (from, to) in [
+        (sii::WORD_VENDOR, sii::WORD_SERIAL + 2),
+        (sii::WORD_MAILBOX_OUT, sii::WORD_PROTOCOLS + 1),
+    ] {
+        let mut word = from;
+        while word < to {
+            let part = read_sii(port, station, word).await?;
+            super::wire::write_bytes(&mut image, usize::from(word) * 2, &part);
+            word += (part.len() as u16 / 2).max(1);
+        }
+    }
+    FixedPart::parse(&image).map_err(|_| BusError::Sii { status: 0 })
+}
+
+/// Sets up the mailbox's sync managers, in INIT.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn mailbox_managers(port: &mut AcyclicPort<'_>, slave: &Slave) -> Result<(), BusError> {
+    let window = |window: sii::MailboxWindow, control: u8| SyncManagerRepr {
+        start: window.start,
+        length: window.length,
+        control,
+        activate: register::SYNC_MANAGER_ENABLE,
+        ..SyncManagerRepr::default()
+    };
+    let managers = [
+        window(slave.fixed.mailbox_out, register::CONTROL_MAILBOX_OUT),
+        window(slave.fixed.mailbox_in, register::CONTROL_MAILBOX_IN),
+    ];
+    write_managers(port, slave.station(), 0, &managers).await
+}
+
+async fn write_managers(
+    port: &mut AcyclicPort<'_>,
+    station: u16,
+    first: u8,
+    managers: &[SyncManagerRepr; 2],
+) -> Result<(), BusError> {
+    for (number, manager) in (first..).zip(managers) {
+        let mut registers = [0; SYNC_MANAGER_LEN];
+        // The array is as long as the structure.
+        let _ = manager.emit(&mut registers);
+        port.write(station, register::sync_manager(number), &registers).await?;
+    }
+    Ok(())
+}
+
+/// Writes a drive's settings through CoE, in PREOP, and reads back those that matter.
+///
+/// # Errors
+/// [`BusError::SdoAbort`], [`BusError::ReadBack`], [`BusError::Range`], or those of the mailbox.
+pub async fn objects(port: &mut AcyclicPort<'_>, slave: &mut Slave, axis: &Axis) -> Result<(), BusError> {
+    let Some(kind) = slave.kind else { return Ok(()) };
+    let object = super::wire::coe::Object::new(0x6085, 0);
+    let settings = (kind.description().settings)(axis).ok_or(BusError::Range { object })?;
+    let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
+    for setting in &settings {
+        apply(&mut dictionary, setting).await?;
+    }
+    Ok(())
+}
+
+async fn apply(dictionary: &mut ObjectDictionary<'_, '_>, setting: &Setting) -> Result<(), BusError> {
+    let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
+    let expected = setting.value & mask;
+    match dictionary.write(setting.object, setting.value, setting.length).await {
+        Err(BusError::SdoAbort { .. }) if setting.may_be_fixed => {
+            // A device that keeps its process data fixed refuses even what it has; sub-index 0 may not become 0.
+            let actual = dictionary.read(setting.object, setting.length).await?;
+            let counts = setting.object.sub == 0 && expected == 0;
+            if actual != expected && !counts {
+                return Err(BusError::ReadBack {
+                    object: setting.object,
+                    expected,
+                    actual,
+                });
+            }
+        }
+        other => other?,
+    }
+    if let Some(object) = setting.verify {
+        let actual = dictionary.read(object, setting.length).await?;
+        if actual != expected {
+            return Err(BusError::ReadBack {
+                object,
+                expected,
+                actual,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// A slave's share of the logical memory; without process data for slaves that are not used.
+pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
+    let (Some(kind), Some(axis)) = (slave.kind, slave.axis) else {
+        return CyclicSlave::default();
+    };
+    let description = kind.description();
+    let offset = u32::from(slave.position) * PROCESS_BYTES_MAX as u32;
+    CyclicSlave {
+        input_address: LOGICAL_INPUTS + offset,
+        input_length: description.input_length,
+        output_address: LOGICAL_OUTPUTS + offset,
+        output_length: description.output_length,
+        watched: false,
+        role: Some(DriveRole { axis, kind }),
+        generation: slave.generation,
+    }
+}
+
+/// Sets up process-data sync managers, FMMUs and watchdogs, in PREOP.
+///
+/// `watchdog_ms` is the sync managers' watchdog; 0 switches it off.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn process_data(port: &mut AcyclicPort<'_>, slave: &Slave, watchdog_ms: u16) -> Result<(), BusError> {
+    let Some(kind) = slave.kind else { return Ok(()) };
+    let (station, description, share) = (slave.station(), kind.description(), cyclic_slave(slave));
+    let units = watchdog_ms.saturating_mul(WATCHDOG_UNITS_PER_MS);
+    port.write(
+        station,
+        register::WATCHDOG_DIVIDER,
+        &register::WATCHDOG_DIVIDER_100_US.to_le_bytes(),
+    )
+    .await?;
+    port.write(station, register::WATCHDOG_PDI, &WATCHDOG_PDI_UNITS.to_le_bytes())
+        .await?;
+    port.write(station, register::WATCHDOG_SYNC_MANAGER, &units.to_le_bytes())
+        .await?;
+    let window = |start: u16, length: u16, control: u8| SyncManagerRepr {
+        start,
+        length,
+        control,
+        activate: register::SYNC_MANAGER_ENABLE,
+        ..SyncManagerRepr::default()
+    };
+    let managers = [
+        window(
+            description.output_start,
+            description.output_length,
+            register::CONTROL_OUTPUTS,
+        ),
+        window(
+            description.input_start,
+            description.input_length,
+            register::CONTROL_INPUTS,
+        ),
+    ];
+    write_managers(port, station, 2, &managers).await?;
+    let mappings = [
+        FmmuRepr::bytes(
+            share.output_address,
+            share.output_length,
+            description.output_start,
+            false,
+        ),
+        FmmuRepr::bytes(share.input_address, share.input_length, description.input_start, true),
+    ];
+    for (number, mapping) in (0..).zip(&mappings) {
+        let mut registers = [0; FMMU_LEN];
+        // The array is as long as the structure.
+        let _ = mapping.emit(&mut registers);
+        port.write(station, register::fmmu(number), &registers).await?;
+    }
+    Ok(())
+}
+
+/// Clears all of a slave's sync managers and FMMUs, in INIT.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn clear(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+    port.write(station, register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
+    port.write(station, register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
+        .await
+}

@@ -1,0 +1,60 @@
+//! What the master knows about one slave.
+//!
+//! Invariant: plain data; the supervisor is the only one to change it.
+
+use super::mailbox::Mailbox;
+use super::state::AlReport;
+use super::wire::sii::{FixedPart, Identity};
+use crate::drives::DriveKind;
+
+/// Station address of the first slave; the others follow in chain order.
+pub const STATION_BASE: u16 = 0x1001;
+
+/// How a slave is doing, as far as it is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Condition {
+    /// Visible, not used.
+    #[default]
+    Unused,
+    /// Being configured.
+    Configuring,
+    /// In OP, exchanging process data.
+    Operational,
+    /// Does not answer.
+    Lost,
+    /// Answers, but is not in OP.
+    LeftOperational,
+}
+
+/// One slave in the chain.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Slave {
+    /// Place in the chain, from 0.
+    pub position: u16,
+    /// Fixed part of its SII.
+    pub fixed: FixedPart,
+    /// Its drive type, if it is a drive.
+    pub kind: Option<DriveKind>,
+    /// The axis it drives, if it is used.
+    pub axis: Option<u8>,
+    /// Its mailbox, once configured.
+    pub mailbox: Mailbox,
+    /// How it is doing.
+    pub condition: Condition,
+    /// Its AL status when it was last asked.
+    pub report: AlReport,
+    /// How often it was configured from INIT, wrapping.
+    pub generation: u8,
+}
+
+impl Slave {
+    /// Its station address.
+    pub const fn station(&self) -> u16 {
+        STATION_BASE.wrapping_add(self.position)
+    }
+
+    /// Who it is.
+    pub const fn identity(&self) -> Identity {
+        self.fixed.identity
+    }
+}

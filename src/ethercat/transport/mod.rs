@@ -1,0 +1,3 @@
+//! Ways for EtherCAT frames to reach the segment.
+
+pub mod raw;

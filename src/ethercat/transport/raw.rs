@@ -1,0 +1,159 @@
+//! EtherCAT directly in Ethernet frames, over any `embassy_net_driver::Driver`.
+//!
+//! Made for the critical tasks: the driver is asked with a waker that does nothing, so neither a lock nor a wake-up is
+//! taken here, and a frame is handed over or dropped at once.
+//!
+//! Invariant: no call waits.
+
+use crate::ethercat::wire::FRAME_LEN_MAX;
+use core::task::{Context, Waker};
+use embassy_net_driver::{Driver, HardwareAddress, RxToken, TxToken};
+
+/// What became of a frame that was to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sending {
+    /// The driver has it.
+    Sent {
+        /// Bytes of the frame.
+        length: usize,
+    },
+    /// There was nothing to send.
+    Nothing,
+    /// The driver has no room: the frame is lost.
+    Busy,
+}
+
+/// A driver and room for one frame.
+#[derive(Debug)]
+pub struct RawTransport<D> {
+    driver: D,
+    frame: [u8; FRAME_LEN_MAX],
+}
+
+impl<D: Driver> RawTransport<D> {
+    /// A transport over `driver`.
+    pub const fn new(driver: D) -> Self {
+        Self {
+            driver,
+            frame: [0; FRAME_LEN_MAX],
+        }
+    }
+
+    /// The driver's Ethernet address; a locally administered one for drivers that have none.
+    pub fn mac_address(&self) -> [u8; 6] {
+        match self.driver.hardware_address() {
+            HardwareAddress::Ethernet(address) => address,
+            _ => [0x10, 0, 0, 0, 0, 1],
+        }
+    }
+
+    /// The driver, for its own functions.
+    pub fn driver_mut(&mut self) -> &mut D {
+        &mut self.driver
+    }
+
+    /// Sends the frame that `build` writes; `build` gives its length, 0 for none.
+    pub fn send(&mut self, build: impl FnOnce(&mut [u8]) -> usize) -> Sending {
+        let length = build(&mut self.frame);
+        let Some(frame) = self.frame.get(..length) else {
+            return Sending::Nothing;
+        };
+        if frame.is_empty() {
+            return Sending::Nothing;
+        }
+        match self.driver.transmit(&mut Context::from_waker(Waker::noop())) {
+            Some(token) => {
+                token.consume(length, |buffer| {
+                    if let Some(target) = buffer.get_mut(..length) {
+                        target.copy_from_slice(frame);
+                    }
+                });
+                Sending::Sent { length }
+            }
+            None => Sending::Busy,
+        }
+    }
+
+    /// Hands the next received frame to `take`; `None` when there is none.
+    pub fn receive<R>(&mut self, take: impl FnOnce(&[u8]) -> R) -> Option<R> {
+        let (token, _) = self.driver.receive(&mut Context::from_waker(Waker::noop()))?;
+        Some(token.consume(|frame| take(frame)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embassy_net_driver::{Capabilities, LinkState};
+    use heapless::Vec;
+
+    #[derive(Default)]
+    struct Loopback {
+        frames: Vec<Vec<u8, 64>, 1>,
+    }
+
+    struct Received(Vec<u8, 64>);
+
+    impl RxToken for Received {
+        fn consume<R, F: FnOnce(&mut [u8]) -> R>(mut self, f: F) -> R {
+            f(&mut self.0)
+        }
+    }
+
+    struct ToSend<'a>(&'a mut Loopback);
+
+    impl TxToken for ToSend<'_> {
+        fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, f: F) -> R {
+            let mut frame = Vec::new();
+            frame.resize(len, 0).unwrap();
+            let result = f(&mut frame);
+            self.0.frames.push(frame).unwrap();
+            result
+        }
+    }
+
+    impl Driver for Loopback {
+        type RxToken<'a> = Received;
+        type TxToken<'a> = ToSend<'a>;
+
+        fn receive(&mut self, _: &mut Context) -> Option<(Received, ToSend<'_>)> {
+            let frame = self.frames.pop()?;
+            Some((Received(frame), ToSend(self)))
+        }
+
+        fn transmit(&mut self, _: &mut Context) -> Option<ToSend<'_>> {
+            if self.frames.is_full() {
+                None
+            } else {
+                Some(ToSend(self))
+            }
+        }
+
+        fn link_state(&mut self, _: &mut Context) -> LinkState {
+            LinkState::Up
+        }
+
+        fn capabilities(&self) -> Capabilities {
+            Capabilities::default()
+        }
+
+        fn hardware_address(&self) -> HardwareAddress {
+            HardwareAddress::Ethernet([1, 2, 3, 4, 5, 6])
+        }
+    }
+
+    #[test]
+    fn a_frame_goes_out_and_comes_in_and_a_full_driver_drops_it() {
+        let mut transport = RawTransport::new(Loopback::default());
+        assert_eq!(transport.mac_address(), [1, 2, 3, 4, 5, 6]);
+        assert_eq!(transport.send(|_| 0), Sending::Nothing);
+        let build = |frame: &mut [u8]| {
+            frame[..60].fill(7);
+            60
+        };
+        assert_eq!(transport.send(build), Sending::Sent { length: 60 });
+        assert_eq!(transport.send(build), Sending::Busy);
+        assert_eq!(transport.receive(|frame| (frame.len(), frame[59])), Some((60, 7)));
+        assert_eq!(transport.receive(|frame| frame.len()), None);
+    }
+}
