@@ -240,7 +240,10 @@ const ARM_SYNC_ANGLE_RAD: f64 = 0.3;
 impl Default for Config {
     /// The IRB 340 with four AX2006 drives.
     fn default() -> Self {
-        let arm = Axis { sync_angle_rad: ARM_SYNC_ANGLE_RAD, ..Axis::default() };
+        let arm = Axis {
+            sync_angle_rad: ARM_SYNC_ANGLE_RAD,
+            ..Axis::default()
+        };
         Self {
             geometry: Geometry::default(),
             work_area: WorkArea::default(),

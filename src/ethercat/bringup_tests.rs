@@ -39,7 +39,7 @@ impl Bench<'_> {
         self.frames += 1;
         // Even frames are lost on the way there, odd ones on the way back.
         let lost = (self.losses)(self.frames);
-        if lost && self.frames % 2 == 0 {
+        if lost && self.frames.is_multiple_of(2) {
             return;
         }
         self.segment.process(&mut frame[..length]);
@@ -304,7 +304,7 @@ fn a_power_cycled_slave_is_found_at_its_place_and_configured_again() {
         FakeSlave::power_up,
         |event| *event == BusEvent::SlaveLost { position: 1 },
         |_| {},
-        |event| is_repaired(event),
+        is_repaired,
     );
 }
 

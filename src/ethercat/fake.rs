@@ -167,7 +167,7 @@ impl FakeSlave {
             return;
         }
         self.mailbox_counter = header.counter;
-        let answer = self.answer_sdo(&mailbox::service_data(message).unwrap().to_vec());
+        let answer = self.answer_sdo(mailbox::service_data(message).unwrap());
         let reply = MailboxRepr {
             length: answer.len() as u16,
             protocol: Protocol::Coe,
