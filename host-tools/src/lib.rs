@@ -2,4 +2,5 @@
 #![forbid(unsafe_code)]
 
 pub mod cell;
+pub mod drawing;
 pub mod link;

@@ -1,0 +1,225 @@
+//! Lists of coordinates: strokes on a sheet, or a path in the robot's frame.
+//!
+//! The heading says which of the two it is. A pen of 1 means that the leg leading to the point is drawn; a first drawn
+//! point starts where it is, so a list of drawn points alone is one stroke. Errors name the line.
+
+use super::photo::Input;
+use super::{Drawing, DrawingError, Stroke};
+
+/// Heading of strokes on a sheet.
+const SHEET_HEADING: [&str; 3] = ["x_mm", "y_mm", "pen"];
+/// Heading of a path in the robot's frame.
+const ROBOT_HEADING: [&str; 4] = ["x_mm", "y_mm", "z_mm", "pen"];
+/// Width and height of the sheet when a list of coordinates names none, mm.
+const SHEET_MM: [f64; 2] = [200.0, 200.0];
+
+/// A point of a path in the robot's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathVertex {
+    /// Position of the pen, mm.
+    pub position_mm: [f64; 3],
+    /// Whether the leg leading to this point is drawn.
+    pub pen_down: bool,
+}
+
+/// A path in the robot's frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Path3d {
+    /// The path's corners in order.
+    pub vertices: Vec<PathVertex>,
+}
+
+/// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot).
+///
+/// # Errors
+///
+/// The `Csv...` variants of [`DrawingError`], with the line.
+pub fn read_csv(text: &str) -> Result<Input, DrawingError> {
+    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate();
+    let heading: Vec<&str> = lines
+        .next()
+        .map(|(_, line)| line.split(',').map(str::trim).collect())
+        .unwrap_or_default();
+    let columns = if heading == SHEET_HEADING || heading == ROBOT_HEADING {
+        heading.len()
+    } else {
+        return Err(DrawingError::CsvHeading);
+    };
+    let mut rows = Vec::new();
+    for (number, line) in lines {
+        if !line.trim().is_empty() {
+            rows.push(read_row(line, number + 1, columns)?);
+        }
+    }
+    if columns == ROBOT_HEADING.len() {
+        let vertices = rows.iter().map(|row| PathVertex {
+            position_mm: row.position_mm,
+            pen_down: row.pen_down,
+        });
+        let path = Path3d {
+            vertices: vertices.collect(),
+        };
+        let drawn = path.vertices.iter().skip(1).any(|vertex| vertex.pen_down);
+        return if drawn {
+            Ok(Input::Path(path))
+        } else {
+            Err(DrawingError::CsvNothingDrawn)
+        };
+    }
+    strokes(&rows).map(Input::Drawing)
+}
+
+struct Row {
+    position_mm: [f64; 3],
+    pen_down: bool,
+}
+
+fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingError> {
+    let fields: Vec<&str> = line.split(',').map(str::trim).collect();
+    if fields.len() != columns {
+        return Err(DrawingError::CsvColumns {
+            line: number,
+            expected: columns,
+            actual: fields.len(),
+        });
+    }
+    let (pen, coordinates) = fields
+        .split_last()
+        .ok_or(DrawingError::CsvPen { line: number })?;
+    let mut position_mm = [0.0; 3];
+    for (k, (field, value)) in coordinates.iter().zip(&mut position_mm).enumerate() {
+        *value = (field.parse().ok().filter(|value: &f64| value.is_finite())).ok_or(
+            DrawingError::CsvNumber {
+                line: number,
+                column: k + 1,
+            },
+        )?;
+    }
+    let pen_down = match *pen {
+        "1" => true,
+        "0" => false,
+        _ => return Err(DrawingError::CsvPen { line: number }),
+    };
+    Ok(Row {
+        position_mm,
+        pen_down,
+    })
+}
+
+fn strokes(rows: &[Row]) -> Result<Drawing, DrawingError> {
+    let mut drawing = Drawing {
+        sheet_mm: SHEET_MM,
+        strokes: Vec::new(),
+    };
+    let mut points = Vec::new();
+    for row in rows {
+        let [x, y, _] = row.position_mm;
+        if !row.pen_down {
+            drawing.strokes.push(Stroke {
+                points: std::mem::take(&mut points),
+            });
+        }
+        points.push([x, y]);
+    }
+    drawing.strokes.push(Stroke { points });
+    drawing.strokes.retain(|stroke| stroke.points.len() > 1);
+    if drawing.strokes.is_empty() {
+        Err(DrawingError::CsvNothingDrawn)
+    } else {
+        Ok(drawing)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pen_column_separates_strokes() {
+        let text = "x_mm,y_mm,pen\n1,1,0\n2,1,1\n3,1,1\n\n5,5,0\n9,9,0\n9,8,1\n";
+        let Ok(Input::Drawing(drawing)) = read_csv(text) else {
+            panic!("refused")
+        };
+        let points: Vec<_> = drawing
+            .strokes
+            .iter()
+            .map(|stroke| stroke.points.clone())
+            .collect();
+        assert_eq!(
+            points,
+            [
+                vec![[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]],
+                vec![[9.0, 9.0], [9.0, 8.0]]
+            ]
+        );
+    }
+
+    #[test]
+    fn points_that_are_all_drawn_are_one_stroke() {
+        let Ok(Input::Drawing(drawing)) = read_csv("x_mm, y_mm, pen\r\n1,2,1\r\n3,4,1\r\n") else {
+            panic!("refused")
+        };
+        assert_eq!(
+            drawing.strokes,
+            [Stroke {
+                points: vec![[1.0, 2.0], [3.0, 4.0]]
+            }]
+        );
+    }
+
+    #[test]
+    fn a_fourth_column_makes_it_a_path_of_the_robot() {
+        let Ok(Input::Path(path)) =
+            read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n")
+        else {
+            panic!("refused")
+        };
+        assert_eq!(path.vertices.len(), 3);
+        assert_eq!(
+            path.vertices[2],
+            PathVertex {
+                position_mm: [9.5, 0.0, -850.0],
+                pen_down: true
+            }
+        );
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        let failure = |text: &str| read_csv(text).err();
+        assert_eq!(failure(""), Some(DrawingError::CsvHeading));
+        assert_eq!(failure("x,y,pen\n1,1,1\n"), Some(DrawingError::CsvHeading));
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,1,1\n1,1\n"),
+            Some(DrawingError::CsvColumns {
+                line: 3,
+                expected: 3,
+                actual: 2
+            })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,one,1\n"),
+            Some(DrawingError::CsvNumber { line: 2, column: 2 })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\nNaN,1,1\n"),
+            Some(DrawingError::CsvNumber { line: 2, column: 1 })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,1,1\n1,1e999,1\n"),
+            Some(DrawingError::CsvNumber { line: 3, column: 2 })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,1,down\n"),
+            Some(DrawingError::CsvPen { line: 2 })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,1,0\n2,2,0\n"),
+            Some(DrawingError::CsvNothingDrawn)
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,z_mm,pen\n1,1,0,1\n"),
+            Some(DrawingError::CsvNothingDrawn)
+        );
+    }
+}

@@ -1,0 +1,171 @@
+//! What can be wrong with a drawing's file, and what to try.
+//!
+//! One flat error for the whole subsystem. It carries no path: the caller knows which file it asked for and names it.
+
+use std::fmt;
+use std::io;
+
+/// Why a file did not become a drawing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DrawingError {
+    /// There is no such file.
+    Missing,
+    /// The file exists and cannot be read or written.
+    Unreadable(io::ErrorKind),
+    /// The file has no bytes.
+    Empty,
+    /// Neither a PNG or JPEG picture nor a list of coordinates.
+    UnknownContent,
+    /// It begins as a picture of a known kind, and its data are damaged or cut off.
+    Damaged,
+    /// The picture is of a kind that this program does not decode.
+    Unsupported,
+    /// More pixels than are accepted.
+    TooLarge {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Most pixels accepted.
+        pixels_max: u64,
+    },
+    /// Fewer pixels on a side than a drawing can be made of.
+    TooSmall {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Fewest pixels accepted on either side.
+        side_min: u32,
+    },
+    /// The file is larger than is accepted.
+    FileTooLarge {
+        /// Size of the file, bytes.
+        bytes: u64,
+        /// Largest size accepted, bytes.
+        bytes_max: u64,
+    },
+    /// Nothing can be drawn: the picture is of one tone.
+    Blank,
+    /// The sheet has no room inside its margins, or a number of the options is not positive and finite.
+    BadOptions,
+    /// A line of a coordinate file has another number of columns than its heading.
+    CsvColumns {
+        /// Line of the file, the first is 1.
+        line: usize,
+        /// Columns of the heading.
+        expected: usize,
+        /// Columns found.
+        actual: usize,
+    },
+    /// A value of a coordinate file is no finite number.
+    CsvNumber {
+        /// Line of the file, the first is 1.
+        line: usize,
+        /// Column, the first is 1.
+        column: usize,
+    },
+    /// A pen value of a coordinate file is neither 0 nor 1.
+    CsvPen {
+        /// Line of the file, the first is 1.
+        line: usize,
+    },
+    /// A coordinate file's first line is not `x_mm,y_mm,pen` or `x_mm,y_mm,z_mm,pen`.
+    CsvHeading,
+    /// A coordinate file with no point drawn.
+    CsvNothingDrawn,
+}
+
+impl fmt::Display for DrawingError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Missing => write!(f, "no such file; check the path"),
+            Self::Unreadable(kind) => write!(
+                f,
+                "cannot be opened ({kind}); check the path and its permissions"
+            ),
+            Self::Empty => write!(f, "the file is empty; copy or export it again"),
+            Self::UnknownContent => {
+                write!(
+                    f,
+                    "neither a PNG or JPEG picture nor a CSV of coordinates; convert the picture to PNG or JPEG"
+                )
+            }
+            Self::Damaged => write!(
+                f,
+                "the picture is damaged or cut off; copy or export it again"
+            ),
+            Self::Unsupported => write!(
+                f,
+                "this kind of picture is not decoded; convert it to an 8-bit RGB PNG"
+            ),
+            Self::TooLarge {
+                width,
+                height,
+                pixels_max,
+            } => write!(
+                f,
+                "{width} x {height} pixels are more than the {} million accepted; scale the picture down \
+                 (2000 pixels a side are plenty)",
+                pixels_max / 1_000_000
+            ),
+            Self::TooSmall {
+                width,
+                height,
+                side_min,
+            } => write!(
+                f,
+                "{width} x {height} pixels are too few for a drawing; take a picture of at least \
+                 {side_min} pixels a side"
+            ),
+            Self::FileTooLarge { bytes, bytes_max } => write!(
+                f,
+                "{bytes} bytes are more than the {bytes_max} accepted; scale the picture down or split the path"
+            ),
+            Self::Blank => write!(
+                f,
+                "the picture has one tone only, nothing can be drawn; take another picture"
+            ),
+            Self::BadOptions => {
+                write!(
+                    f,
+                    "sheet, margin, pen width and budgets must be positive and leave room inside the margins"
+                )
+            }
+            Self::CsvColumns {
+                line,
+                expected,
+                actual,
+            } => {
+                write!(
+                    f,
+                    "line {line}: {actual} columns where the heading has {expected}"
+                )
+            }
+            Self::CsvNumber { line, column } => {
+                write!(f, "line {line}: column {column} is no finite number")
+            }
+            Self::CsvPen { line } => write!(f, "line {line}: the pen is 1 (down) or 0 (up)"),
+            Self::CsvHeading => {
+                write!(
+                    f,
+                    "line 1: the heading must be x_mm,y_mm,pen (sheet) or x_mm,y_mm,z_mm,pen (robot)"
+                )
+            }
+            Self::CsvNothingDrawn => {
+                write!(f, "no stroke: at least two points in a row need pen 1")
+            }
+        }
+    }
+}
+
+impl std::error::Error for DrawingError {}
+
+impl From<io::Error> for DrawingError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::NotFound => Self::Missing,
+            kind => Self::Unreadable(kind),
+        }
+    }
+}

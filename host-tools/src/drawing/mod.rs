@@ -1,0 +1,73 @@
+//! From a file to ordered strokes on a sheet, and from strokes to pictures.
+//!
+//! A photograph becomes lines that a pen can draw ([`vectorize`]), the lines are put into an order that costs little
+//! drawing time ([`order`]), and leave as a path in the robot's frame ([`to_path`]) or as a picture ([`render_png`],
+//! [`write_svg`]). Lists of coordinates enter through [`load`] as well. Everything is a pure function of its input and
+//! its options: the same photograph gives the same strokes on every machine and in every run.
+//!
+//! Invariant: a [`Drawing`] that leaves this module has finite points inside its sheet, and every stroke has at least
+//! two of them.
+
+mod csv;
+mod edges;
+mod error;
+mod focus;
+mod join;
+mod line;
+mod order;
+mod path;
+mod photo;
+mod raster;
+mod render;
+mod tone;
+mod vectorize;
+
+pub use csv::{Path3d, PathVertex, read_csv};
+pub use error::DrawingError;
+pub use order::{OrderOptions, OrderReport, order};
+pub use path::{PathPoint, to_path};
+pub use photo::{Input, load};
+pub use render::{render_png, render_rgb, tone_correlation, write_svg};
+pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
+
+/// One line drawn without lifting the pen.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stroke {
+    /// Corners of the line on the sheet, mm: x to the right, y down, origin at the top left.
+    pub points: Vec<[f64; 2]>,
+}
+
+impl Stroke {
+    /// Length of the line, mm.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        line::length(&self.points)
+    }
+}
+
+/// Strokes on a sheet, in the order in which they are drawn.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Drawing {
+    /// Width and height of the sheet, mm.
+    pub sheet_mm: [f64; 2],
+    /// The strokes, first drawn first.
+    pub strokes: Vec<Stroke>,
+}
+
+impl Drawing {
+    /// Length of all strokes, mm.
+    #[must_use]
+    pub fn pen_down_mm(&self) -> f64 {
+        self.strokes.iter().map(Stroke::length_mm).sum()
+    }
+
+    /// Straight distances from each stroke's end to the next one's start, mm.
+    #[must_use]
+    pub fn pen_up_mm(&self) -> f64 {
+        let gap = |pair: &[Stroke]| match (pair[0].points.last(), pair[1].points.first()) {
+            (Some(&from), Some(&to)) => line::distance(from, to),
+            _ => 0.0,
+        };
+        self.strokes.windows(2).map(gap).sum()
+    }
+}

@@ -1,0 +1,307 @@
+//! Files by their content: photographs and lists of coordinates.
+//!
+//! What a file is follows from its bytes, never from its name. Sizes are checked before anything is decoded, and
+//! decoding has limits of its own, so that no file can take more than a known amount of memory.
+
+use super::csv::{Path3d, read_csv};
+use super::{Drawing, DrawingError};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, RgbImage};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Largest file read, bytes.
+const FILE_BYTES_MAX: u64 = 256 << 20;
+/// Most pixels decoded.
+const PIXELS_MAX: u64 = 64_000_000;
+/// Most memory a decoder may take, bytes.
+const DECODER_BYTES_MAX: u64 = 1 << 30;
+/// Fewest pixels on a side that a drawing can be made of.
+pub(super) const SIDE_MIN: u32 = 16;
+/// Start of a scan and end of the picture in a JPEG file.
+const JPEG_SCAN: [u8; 2] = [0xFF, 0xDA];
+const JPEG_END: [u8; 2] = [0xFF, 0xD9];
+
+const _: () = assert!(PIXELS_MAX * 8 <= DECODER_BYTES_MAX);
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A picture, upright, on white where it was transparent.
+    Photograph(RgbImage),
+    /// Strokes on a sheet.
+    Drawing(Drawing),
+    /// A path in the robot's frame.
+    Path(Path3d),
+}
+
+/// Reads a file: a PNG or JPEG picture, or a CSV of coordinates.
+///
+/// # Errors
+///
+/// [`DrawingError`] says what is wrong with the file and what to try.
+pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
+    let path = path.as_ref();
+    let metadata = std::fs::metadata(path)?;
+    if metadata.len() > FILE_BYTES_MAX {
+        return Err(DrawingError::FileTooLarge {
+            bytes: metadata.len(),
+            bytes_max: FILE_BYTES_MAX,
+        });
+    }
+    let bytes = std::fs::read(path)?;
+    if bytes.is_empty() {
+        return Err(DrawingError::Empty);
+    }
+    match image::guess_format(&bytes) {
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => {
+            decode(&bytes, format).map(Input::Photograph)
+        }
+        Ok(_) => Err(DrawingError::Unsupported),
+        Err(_) => match std::str::from_utf8(&bytes) {
+            Ok(text) if is_csv(path, text) => read_csv(text),
+            _ => Err(DrawingError::UnknownContent),
+        },
+    }
+}
+
+/// Whether a text is meant as a list of coordinates: by its heading, or by its name where the heading is wrong.
+fn is_csv(path: &Path, text: &str) -> bool {
+    text.trim_start_matches('\u{feff}')
+        .trim_start()
+        .starts_with("x_mm")
+        || path
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
+}
+
+/// Decodes a picture within limits, turns it upright and lays it on white.
+fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, DrawingError> {
+    if format == ImageFormat::Jpeg && !is_jpeg_complete(bytes) {
+        return Err(DrawingError::Damaged);
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(DECODER_BYTES_MAX);
+    reader.limits(limits);
+    let mut decoder = reader.into_decoder().map_err(what_failed)?;
+    let (width, height) = decoder.dimensions();
+    check_size(width, height)?;
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(what_failed)?;
+    picture.apply_orientation(orientation);
+    Ok(on_white(picture))
+}
+
+/// Refuses pictures that are too small or too large to work on.
+pub(super) fn check_size(width: u32, height: u32) -> Result<(), DrawingError> {
+    if width.min(height) < SIDE_MIN {
+        return Err(DrawingError::TooSmall {
+            width,
+            height,
+            side_min: SIDE_MIN,
+        });
+    }
+    if u64::from(width) * u64::from(height) > PIXELS_MAX {
+        return Err(DrawingError::TooLarge {
+            width,
+            height,
+            pixels_max: PIXELS_MAX,
+        });
+    }
+    Ok(())
+}
+
+fn what_failed(error: ImageError) -> DrawingError {
+    match error {
+        ImageError::Unsupported(_) => DrawingError::Unsupported,
+        ImageError::Limits(_) => DrawingError::TooLarge {
+            width: 0,
+            height: 0,
+            pixels_max: PIXELS_MAX,
+        },
+        _ => DrawingError::Damaged,
+    }
+}
+
+/// A decoder may fill what is missing with grey; a whole file has an end marker after its last scan.
+fn is_jpeg_complete(bytes: &[u8]) -> bool {
+    let last = |marker: [u8; 2]| bytes.windows(2).rposition(|pair| pair == marker);
+    last(JPEG_END) > last(JPEG_SCAN)
+}
+
+fn on_white(picture: DynamicImage) -> RgbImage {
+    if !picture.color().has_alpha() {
+        return picture.into_rgb8();
+    }
+    let picture = picture.into_rgba8();
+    let mut result = RgbImage::new(picture.width(), picture.height());
+    for (to, from) in result.pixels_mut().zip(picture.pixels()) {
+        let [red, green, blue, alpha] = from.0.map(u32::from);
+        to.0 = [red, green, blue]
+            .map(|value| ((value * alpha + 255 * (255 - alpha) + 127) / 255) as u8);
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
+
+    fn sample() -> Vec<u8> {
+        std::fs::read(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../samples/astronaut.png"
+        ))
+        .unwrap_or_default()
+    }
+
+    fn load_bytes(name: &str, bytes: &[u8]) -> Result<Input, DrawingError> {
+        let folder = std::env::temp_dir().join(format!("etherpen-drawing-{}", std::process::id()));
+        std::fs::create_dir_all(&folder)?;
+        let path = folder.join(name);
+        std::fs::write(&path, bytes)?;
+        let result = load(&path);
+        std::fs::remove_file(&path)?;
+        result
+    }
+
+    fn encoded(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        picture
+            .write_to(&mut bytes, format)
+            .expect("encoding into memory");
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn files_that_are_no_pictures_are_named_as_such() {
+        assert_eq!(load("/no/such/file.png").err(), Some(DrawingError::Missing));
+        assert!(matches!(
+            load(std::env::temp_dir()),
+            Err(DrawingError::Unreadable(_))
+        ));
+        assert_eq!(
+            load_bytes("empty.png", b"").err(),
+            Some(DrawingError::Empty)
+        );
+        assert_eq!(
+            load_bytes("text.png", b"not a picture\n").err(),
+            Some(DrawingError::UnknownContent)
+        );
+        assert_eq!(
+            load_bytes("noise.bin", &[0xFE; 300]).err(),
+            Some(DrawingError::UnknownContent)
+        );
+        assert_eq!(
+            load_bytes("text.csv", b"hello\n").err(),
+            Some(DrawingError::CsvHeading)
+        );
+        assert_eq!(
+            load_bytes("small.gif", b"GIF89a\x01\x00\x01\x00").err(),
+            Some(DrawingError::Unsupported)
+        );
+    }
+
+    #[test]
+    fn a_picture_cut_off_anywhere_is_refused() {
+        let png = sample();
+        assert!(load_bytes("whole.png", &png).is_ok());
+        for length in [9, 40, 1000, png.len() / 2, png.len() - 100] {
+            let result = load_bytes("cut.png", &png[..length]);
+            assert_eq!(
+                result.err(),
+                Some(DrawingError::Damaged),
+                "after {length} bytes"
+            );
+        }
+        let picture = DynamicImage::ImageRgb8(RgbImage::from_fn(200, 200, |x, y| {
+            image::Rgb([x as u8, y as u8, 9])
+        }));
+        let jpeg = encoded(&picture, ImageFormat::Jpeg);
+        assert!(load_bytes("whole.jpg", &jpeg).is_ok());
+        for length in [12, 300, jpeg.len() / 2, jpeg.len() - 2] {
+            let result = load_bytes("cut.jpg", &jpeg[..length]);
+            assert_eq!(
+                result.err(),
+                Some(DrawingError::Damaged),
+                "after {length} bytes"
+            );
+        }
+    }
+
+    #[test]
+    fn damaged_bytes_never_panic() {
+        let png = sample();
+        for seed in 0..40_usize {
+            let mut damaged = png.clone();
+            for k in 0..20 {
+                let at = (seed * 7919 + k * 104_729) % damaged.len().min(6000);
+                damaged[at] ^= (seed + k + 1) as u8;
+            }
+            if let Ok(input) = load_bytes("damaged.png", &damaged) {
+                assert!(matches!(input, Input::Photograph(_)), "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn depth_and_transparency_do_not_change_the_picture() {
+        let grey = GrayImage::from_fn(64, 64, |x, _| Luma([(x * 4) as u8]));
+        let deep: ImageBuffer<Luma<u16>, _> =
+            ImageBuffer::from_fn(64, 64, |x, _| Luma([(x * 4 * 257) as u16]));
+        let clear = RgbaImage::from_fn(64, 64, |x, _| Rgba([0, 0, 0, 255 - (x * 4) as u8]));
+        let pictures = [
+            DynamicImage::ImageLuma8(grey),
+            DynamicImage::ImageLuma16(deep),
+            DynamicImage::ImageRgba8(clear),
+        ];
+        for picture in pictures {
+            let Ok(Input::Photograph(loaded)) =
+                load_bytes("kind.png", &encoded(&picture, ImageFormat::Png))
+            else {
+                panic!("{:?} was refused", picture.color());
+            };
+            for x in [0_u32, 10, 63] {
+                assert!(
+                    loaded
+                        .get_pixel(x, 5)
+                        .0
+                        .iter()
+                        .all(|value| value.abs_diff((x * 4) as u8) <= 1)
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn sizes_out_of_range_are_refused_before_decoding() {
+        let dot = encoded(&DynamicImage::new_luma8(1, 1), ImageFormat::Png);
+        let expected = DrawingError::TooSmall {
+            width: 1,
+            height: 1,
+            side_min: SIDE_MIN,
+        };
+        assert_eq!(load_bytes("dot.png", &dot).err(), Some(expected));
+        let mut huge = encoded(&DynamicImage::new_luma8(20, 20), ImageFormat::Png);
+        huge[16..24].copy_from_slice(&[0, 0, 0xC3, 0x50, 0, 0, 0xC3, 0x50]);
+        let checksum = crc32(&huge[12..29]);
+        huge[29..33].copy_from_slice(&checksum.to_be_bytes());
+        let expected = DrawingError::TooLarge {
+            width: 50_000,
+            height: 50_000,
+            pixels_max: PIXELS_MAX,
+        };
+        assert_eq!(load_bytes("huge.png", &huge).err(), Some(expected));
+    }
+
+    /// Checksum of a PNG chunk.
+    fn crc32(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(u32::MAX, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |crc, _| {
+                (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg())
+            })
+        })
+    }
+}

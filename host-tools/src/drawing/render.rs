@@ -1,0 +1,225 @@
+//! Strokes as pictures: what the pen leaves on the paper, and how well its tone matches a photograph.
+//!
+//! Used for what was meant to be drawn and for what the virtual robot's pen drew alike. A picture shows the whole sheet,
+//! no more, so that it lies on a photograph that fills the sheet.
+
+use super::line::{self, Point};
+use super::raster::Plane;
+use super::{DrawingError, Stroke};
+use image::imageops::{FilterType, resize};
+use image::{ImageFormat, Rgb, RgbImage};
+use std::fmt::Write as _;
+use std::io::Cursor;
+
+/// Colour of untouched paper.
+const PAPER: [f32; 3] = [252.0, 251.0, 247.0];
+/// Colour of a single layer of ink.
+const INK: [f32; 3] = [24.0, 26.0, 38.0];
+/// Largest side of a rendered picture, pixels.
+const SIDE_PX_MAX: f64 = 20_000.0;
+/// Width at which tones are compared, pixels.
+const COMPARE_WIDTH_PX: u32 = 512;
+/// Blur with which tones are compared, pixels.
+const COMPARE_SIGMA_PX: f32 = 12.0;
+
+/// The sheet with the strokes on it, dark ink on white paper, antialiased.
+///
+/// `sheet_mm` is width and height, `pen_width_mm` the width of a line, `px_per_mm` the scale; a side is at least one and
+/// at most 20 000 pixels.
+#[must_use]
+pub fn render_rgb(
+    strokes: &[Stroke],
+    sheet_mm: [f64; 2],
+    pen_width_mm: f64,
+    px_per_mm: f64,
+) -> RgbImage {
+    let side = |mm: f64| (mm * px_per_mm).round().clamp(1.0, SIDE_PX_MAX) as usize;
+    let mut ink = Plane::filled(side(sheet_mm[0]), side(sheet_mm[1]), 0.0);
+    for stroke in strokes {
+        let points: Vec<Point> = stroke
+            .points
+            .iter()
+            .map(|p| p.map(|mm| mm * px_per_mm - 0.5))
+            .collect();
+        draw_line(&mut ink, &points, pen_width_mm * px_per_mm);
+    }
+    RgbImage::from_fn(ink.width() as u32, ink.height() as u32, |x, y| {
+        let ink = ink.at(x as isize, y as isize);
+        Rgb([0, 1, 2].map(|k| (PAPER[k] + (INK[k] - PAPER[k]) * ink).round() as u8))
+    })
+}
+
+/// [`render_rgb`] as the bytes of a PNG file.
+///
+/// # Errors
+///
+/// [`DrawingError::Unsupported`] if the picture cannot be encoded.
+pub fn render_png(
+    strokes: &[Stroke],
+    sheet_mm: [f64; 2],
+    pen_width_mm: f64,
+    px_per_mm: f64,
+) -> Result<Vec<u8>, DrawingError> {
+    let mut bytes = Cursor::new(Vec::new());
+    render_rgb(strokes, sheet_mm, pen_width_mm, px_per_mm)
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|_| DrawingError::Unsupported)?;
+    Ok(bytes.into_inner())
+}
+
+/// Covers what a round pen of `width` pixels covers on its way along the line; 1 is full ink.
+pub(super) fn draw_line(ink: &mut Plane, points: &[Point], width: f64) {
+    let radius = 0.5 * width;
+    let reach = radius + 1.0;
+    let (columns, rows) = (ink.width() as f64, ink.height() as f64);
+    for pair in points.windows(2) {
+        let span = |axis: usize, end: f64| {
+            let (a, b) = (pair[0][axis], pair[1][axis]);
+            (
+                (a.min(b) - reach).floor().max(0.0) as isize,
+                (a.max(b) + reach).ceil().min(end - 1.0) as isize,
+            )
+        };
+        let ((left, right), (top, bottom)) = (span(0, columns), span(1, rows));
+        for y in top..=bottom {
+            for x in left..=right {
+                let away = line::distance_to_segment([x as f64, y as f64], pair[0], pair[1]);
+                let covered = (radius + 0.5 - away).clamp(0.0, width.min(1.0)) as f32;
+                if covered > ink.at(x, y) {
+                    ink.set(x, y, covered);
+                }
+            }
+        }
+    }
+}
+
+/// The strokes as an SVG document in true scale: one unit is one millimetre.
+#[must_use]
+pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> String {
+    let [width, height] = sheet_mm;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" \
+         viewBox=\"0 0 {width} {height}\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"#fcfbf7\"/>\n\
+         <g fill=\"none\" stroke=\"#181a26\" stroke-width=\"{pen_width_mm}\" stroke-linecap=\"round\" \
+         stroke-linejoin=\"round\">\n"
+    );
+    for stroke in strokes {
+        svg.push_str("<polyline points=\"");
+        for (k, [x, y]) in stroke.points.iter().enumerate() {
+            let separator = if k == 0 { "" } else { " " };
+            // Writing into a string cannot fail.
+            let _ = write!(svg, "{separator}{x:.3},{y:.3}");
+        }
+        svg.push_str("\"/>\n");
+    }
+    svg.push_str("</g>\n</svg>\n");
+    svg
+}
+
+/// How well the tones of a drawing follow a photograph: correlation (-1 to 1) of both in grey, blurred.
+///
+/// The rendered sheet is compared with the photograph as a whole: both are resized to 512 pixels in width, the drawing
+/// to the photograph's shape, and blurred with sigma 12 pixels. Pictures of one tone give 0.
+#[must_use]
+pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
+    let (width, height) = photograph.dimensions();
+    let height = (u64::from(height) * u64::from(COMPARE_WIDTH_PX) / u64::from(width.max(1)))
+        .clamp(1, 8192) as u32;
+    let tone = |picture: &RgbImage| {
+        let small = resize(picture, COMPARE_WIDTH_PX, height, FilterType::Triangle);
+        grey(&small).blurred(COMPARE_SIGMA_PX)
+    };
+    correlation(&tone(photograph), &tone(rendered))
+}
+
+/// Luma of a picture, 0 to 1 (Rec. 601 weights).
+pub(super) fn grey(picture: &RgbImage) -> Plane {
+    Plane::from_fn(
+        picture.width() as usize,
+        picture.height() as usize,
+        |x, y| {
+            let [red, green, blue] = picture.get_pixel(x as u32, y as u32).0.map(f32::from);
+            (0.299 * red + 0.587 * green + 0.114 * blue) / 255.0
+        },
+    )
+}
+
+fn correlation(a: &Plane, b: &Plane) -> f64 {
+    let (mean_a, mean_b) = (f64::from(a.mean()), f64::from(b.mean()));
+    let (mut product, mut square_a, mut square_b) = (0.0, 0.0, 0.0);
+    for (&a, &b) in a.values().iter().zip(b.values()) {
+        let (a, b) = (f64::from(a) - mean_a, f64::from(b) - mean_b);
+        product += a * b;
+        square_a += a * a;
+        square_b += b * b;
+    }
+    if square_a * square_b > 1e-12 {
+        product / (square_a * square_b).sqrt()
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cross() -> Vec<Stroke> {
+        vec![
+            Stroke {
+                points: vec![[2.0, 5.0], [8.0, 5.0]],
+            },
+            Stroke {
+                points: vec![[5.0, 2.0], [5.0, 8.0]],
+            },
+        ]
+    }
+
+    #[test]
+    fn a_line_covers_its_length_times_the_pens_width() {
+        let picture = render_rgb(&cross()[..1], [10.0, 10.0], 0.5, 20.0);
+        let full = f64::from(PAPER[0] - INK[0]);
+        let ink: f64 = picture
+            .pixels()
+            .map(|pixel| (f64::from(PAPER[0]) - f64::from(pixel.0[0])) / full)
+            .sum();
+        let expected_mm2 = 6.0 * 0.5 + std::f64::consts::PI * 0.25 * 0.25;
+        assert!(
+            (ink / 400.0 / expected_mm2 - 1.0).abs() < 0.02,
+            "{}",
+            ink / 400.0
+        );
+        assert_eq!(picture.get_pixel(100, 100).0, INK.map(|value| value as u8));
+        assert_eq!(picture.get_pixel(10, 10).0, PAPER.map(|value| value as u8));
+    }
+
+    #[test]
+    fn points_outside_the_sheet_are_clipped() {
+        let stroke = Stroke {
+            points: vec![[-50.0, 5.0], [50.0, 5.0], [f64::NAN, 3.0]],
+        };
+        assert_eq!(
+            render_rgb(&[stroke], [10.0, 10.0], 0.5, 4.0).dimensions(),
+            (40, 40)
+        );
+    }
+
+    #[test]
+    fn the_svg_is_in_true_scale() {
+        let svg = write_svg(&cross(), [200.0, 100.0], 0.4);
+        assert!(svg.contains("width=\"200mm\" height=\"100mm\" viewBox=\"0 0 200 100\""));
+        assert!(svg.contains("<polyline points=\"2.000,5.000 8.000,5.000\"/>"));
+        assert_eq!(svg.matches("<polyline").count(), 2);
+    }
+
+    #[test]
+    fn a_picture_correlates_with_itself_and_not_with_its_negative() {
+        let picture = RgbImage::from_fn(300, 200, |x, y| Rgb([(x / 2 + y / 4) as u8; 3]));
+        let negative = RgbImage::from_fn(300, 200, |x, y| {
+            Rgb(picture.get_pixel(x, y).0.map(|value| 255 - value))
+        });
+        assert!(tone_correlation(&picture, &picture) > 0.999);
+        assert!(tone_correlation(&picture, &negative) < -0.999);
+        assert_eq!(tone_correlation(&picture, &RgbImage::new(20, 20)), 0.0);
+    }
+}
