@@ -5,6 +5,8 @@
 
 use super::photo::Input;
 use super::{Drawing, DrawingError, Stroke};
+use etherpen::motion::{Pen, Vertex};
+use etherpen::robot::Position;
 
 /// Heading of strokes on a sheet.
 const SHEET_HEADING: [&str; 3] = ["x_mm", "y_mm", "pen"];
@@ -13,20 +15,11 @@ const ROBOT_HEADING: [&str; 4] = ["x_mm", "y_mm", "z_mm", "pen"];
 /// Width and height of the sheet when a list of coordinates names none, mm.
 const SHEET_MM: [f64; 2] = [200.0, 200.0];
 
-/// A point of a path in the robot's frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathVertex {
-    /// Position of the pen, mm.
-    pub position_mm: [f64; 3],
-    /// Whether the leg leading to this point is drawn.
-    pub pen_down: bool,
-}
-
 /// A path in the robot's frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path3d {
     /// The path's corners in order.
-    pub vertices: Vec<PathVertex>,
+    pub vertices: Vec<Vertex>,
 }
 
 /// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot).
@@ -52,14 +45,10 @@ pub fn read_csv(text: &str) -> Result<Input, DrawingError> {
         }
     }
     if columns == ROBOT_HEADING.len() {
-        let vertices = rows.iter().map(|row| PathVertex {
-            position_mm: row.position_mm,
-            pen_down: row.pen_down,
-        });
         let path = Path3d {
-            vertices: vertices.collect(),
+            vertices: vertices(&rows),
         };
-        let drawn = path.vertices.iter().skip(1).any(|vertex| vertex.pen_down);
+        let drawn = path.vertices.iter().skip(1).any(|vertex| vertex.pen == Pen::Down);
         return if drawn {
             Ok(Input::Path(path))
         } else {
@@ -83,27 +72,38 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
             actual: fields.len(),
         });
     }
-    let (pen, coordinates) = fields
-        .split_last()
-        .ok_or(DrawingError::CsvPen { line: number })?;
+    let (pen, coordinates) = fields.split_last().ok_or(DrawingError::CsvPen { line: number })?;
     let mut position_mm = [0.0; 3];
     for (k, (field, value)) in coordinates.iter().zip(&mut position_mm).enumerate() {
-        *value = (field.parse().ok().filter(|value: &f64| value.is_finite())).ok_or(
-            DrawingError::CsvNumber {
-                line: number,
-                column: k + 1,
-            },
-        )?;
+        *value = (field.parse().ok().filter(|value: &f64| value.is_finite())).ok_or(DrawingError::CsvNumber {
+            line: number,
+            column: k + 1,
+        })?;
     }
     let pen_down = match *pen {
         "1" => true,
         "0" => false,
         _ => return Err(DrawingError::CsvPen { line: number }),
     };
-    Ok(Row {
-        position_mm,
-        pen_down,
-    })
+    Ok(Row { position_mm, pen_down })
+}
+
+/// A pen raised after a drawn leg ends a stroke.
+fn vertices(rows: &[Row]) -> Vec<Vertex> {
+    let (mut stroke, mut was_down) = (0, false);
+    let mut result = Vec::with_capacity(rows.len());
+    for row in rows {
+        let [x_mm, y_mm, z_mm] = row.position_mm;
+        let pen = if row.pen_down { Pen::Down } else { Pen::Up };
+        result.push(Vertex {
+            position: Position { x_mm, y_mm, z_mm },
+            pen,
+            stroke,
+        });
+        stroke += u32::from(was_down && !row.pen_down);
+        was_down = row.pen_down;
+    }
+    result
 }
 
 fn strokes(rows: &[Row]) -> Result<Drawing, DrawingError> {
@@ -140,17 +140,10 @@ mod tests {
         let Ok(Input::Drawing(drawing)) = read_csv(text) else {
             panic!("refused")
         };
-        let points: Vec<_> = drawing
-            .strokes
-            .iter()
-            .map(|stroke| stroke.points.clone())
-            .collect();
+        let points: Vec<_> = drawing.strokes.iter().map(|stroke| stroke.points.clone()).collect();
         assert_eq!(
             points,
-            [
-                vec![[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]],
-                vec![[9.0, 9.0], [9.0, 8.0]]
-            ]
+            [vec![[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], vec![[9.0, 9.0], [9.0, 8.0]]]
         );
     }
 
@@ -169,17 +162,21 @@ mod tests {
 
     #[test]
     fn a_fourth_column_makes_it_a_path_of_the_robot() {
-        let Ok(Input::Path(path)) =
-            read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n")
-        else {
+        let Ok(Input::Path(path)) = read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n") else {
             panic!("refused")
         };
         assert_eq!(path.vertices.len(), 3);
+        let position = Position {
+            x_mm: 9.5,
+            y_mm: 0.0,
+            z_mm: -850.0,
+        };
         assert_eq!(
             path.vertices[2],
-            PathVertex {
-                position_mm: [9.5, 0.0, -850.0],
-                pen_down: true
+            Vertex {
+                position,
+                pen: Pen::Down,
+                stroke: 0
             }
         );
     }

@@ -71,10 +71,7 @@ pub(crate) fn line_strength(light: &Plane, flow: &Flow, sigma: f32) -> Plane {
     let weights: Vec<(f32, f32)> = {
         let bell = |t: i32, sigma: f32| (-0.5 * (t as f32 / sigma).powi(2)).exp();
         let sums = (-reach..=reach).fold((0.0, 0.0), |sum, t| {
-            (
-                sum.0 + bell(t, sigma),
-                sum.1 + bell(t, SURROUND_RATIO * sigma),
-            )
+            (sum.0 + bell(t, sigma), sum.1 + bell(t, SURROUND_RATIO * sigma))
         });
         (-reach..=reach)
             .map(|t| {
@@ -118,12 +115,7 @@ pub(crate) struct Edge {
 }
 
 /// Lines along the maxima of `strength`, from `high` (a plane of upper thresholds) down to `low_ratio` of it.
-pub(crate) fn trace_lines(
-    strength: &Plane,
-    flow: &Flow,
-    high: &Plane,
-    low_ratio: f32,
-) -> Vec<Edge> {
+pub(crate) fn trace_lines(strength: &Plane, flow: &Flow, high: &Plane, low_ratio: f32) -> Vec<Edge> {
     let relative = strength.zip(high, |value, limit| value / limit);
     let mut skeleton = Skeleton::new(&relative, flow, low_ratio);
     skeleton.keep_connected_to_strong();
@@ -141,16 +133,7 @@ struct Skeleton {
     centres: Vec<Point>,
 }
 
-const NEIGHBOURS: [(isize, isize); 8] = [
-    (0, -1),
-    (1, -1),
-    (1, 0),
-    (1, 1),
-    (0, 1),
-    (-1, 1),
-    (-1, 0),
-    (-1, -1),
-];
+const NEIGHBOURS: [(isize, isize); 8] = [(0, -1), (1, -1), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1)];
 
 impl Skeleton {
     fn new(relative: &Plane, flow: &Flow, low_ratio: f32) -> Self {
@@ -194,11 +177,7 @@ impl Skeleton {
     }
 
     fn is_set(&self, x: isize, y: isize) -> bool {
-        x >= 0
-            && y >= 0
-            && x < self.width
-            && y < self.height
-            && self.pixels[(y * self.width + x) as usize]
+        x >= 0 && y >= 0 && x < self.width && y < self.height && self.pixels[(y * self.width + x) as usize]
     }
 
     fn keep_connected_to_strong(&mut self) {
@@ -238,14 +217,12 @@ impl Skeleton {
         let (x, y) = (k % self.width, k / self.width);
         let around = NEIGHBOURS.map(|(dx, dy)| self.is_set(x + dx, y + dy));
         let count = around.iter().filter(|&&set| set).count();
-        let changes = (0..8)
-            .filter(|&n| !around[n] && around[(n + 1) % 8])
-            .count();
+        let changes = (0..8).filter(|&n| !around[n] && around[(n + 1) % 8]).count();
         let [north, _, east, _, south, _, west, _] = around;
         let sides = if pass == 0 {
-            !(north && east && south) && !(east && south && west)
+            !(east && south && (north || west))
         } else {
-            !(north && east && west) && !(north && south && west)
+            !(north && west && (east || south))
         };
         (2..=6).contains(&count) && changes == 1 && sides
     }
@@ -271,10 +248,7 @@ impl Skeleton {
             self.follow(&mut pixels);
             pixels.reverse();
             self.follow(&mut pixels);
-            let weight = pixels
-                .iter()
-                .map(|&k| f64::from(relative.values()[k]))
-                .sum();
+            let weight = pixels.iter().map(|&k| f64::from(relative.values()[k])).sum();
             edges.push(Edge {
                 points: pixels.iter().map(|&k| self.centres[k]).collect(),
                 weight,
@@ -322,8 +296,7 @@ pub(crate) fn join_by_direction(mut edges: Vec<Edge>, gap: f64) -> Vec<Edge> {
         used[first] = true;
         let mut whole = edges[first].clone();
         for _ in 0..2 {
-            while let Some((next, reversed)) = best_continuation(&whole.points, &edges, &used, gap)
-            {
+            while let Some((next, reversed)) = best_continuation(&whole.points, &edges, &used, gap) {
                 used[next] = true;
                 whole.weight += edges[next].weight;
                 let points = edges[next].points.iter().copied();
@@ -341,12 +314,7 @@ pub(crate) fn join_by_direction(mut edges: Vec<Edge>, gap: f64) -> Vec<Edge> {
 }
 
 /// The unused line that goes on best from the end of `points`, and whether it has to be turned round.
-fn best_continuation(
-    points: &[Point],
-    edges: &[Edge],
-    used: &[bool],
-    gap: f64,
-) -> Option<(usize, bool)> {
+fn best_continuation(points: &[Point], edges: &[Edge], used: &[bool], gap: f64) -> Option<(usize, bool)> {
     let end = *points.last()?;
     let heading = line::direction(*points.get(points.len().saturating_sub(7))?, end);
     let mut best = None;

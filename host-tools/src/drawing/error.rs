@@ -80,10 +80,7 @@ impl fmt::Display for DrawingError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Missing => write!(f, "no such file; check the path"),
-            Self::Unreadable(kind) => write!(
-                f,
-                "cannot be opened ({kind}); check the path and its permissions"
-            ),
+            Self::Unreadable(kind) => write!(f, "cannot be opened ({kind}); check the path and its permissions"),
             Self::Empty => write!(f, "the file is empty; copy or export it again"),
             Self::UnknownContent => {
                 write!(
@@ -91,14 +88,8 @@ impl fmt::Display for DrawingError {
                     "neither a PNG or JPEG picture nor a CSV of coordinates; convert the picture to PNG or JPEG"
                 )
             }
-            Self::Damaged => write!(
-                f,
-                "the picture is damaged or cut off; copy or export it again"
-            ),
-            Self::Unsupported => write!(
-                f,
-                "this kind of picture is not decoded; convert it to an 8-bit RGB PNG"
-            ),
+            Self::Damaged => write!(f, "the picture is damaged or cut off; copy or export it again"),
+            Self::Unsupported => write!(f, "this kind of picture is not decoded; convert it to an 8-bit RGB PNG"),
             Self::TooLarge {
                 width,
                 height,
@@ -132,15 +123,8 @@ impl fmt::Display for DrawingError {
                     "sheet, margin, pen width and budgets must be positive and leave room inside the margins"
                 )
             }
-            Self::CsvColumns {
-                line,
-                expected,
-                actual,
-            } => {
-                write!(
-                    f,
-                    "line {line}: {actual} columns where the heading has {expected}"
-                )
+            Self::CsvColumns { line, expected, actual } => {
+                write!(f, "line {line}: {actual} columns where the heading has {expected}")
             }
             Self::CsvNumber { line, column } => {
                 write!(f, "line {line}: column {column} is no finite number")

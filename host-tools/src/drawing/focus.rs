@@ -22,9 +22,7 @@ const ROUNDS: usize = 12;
 pub(crate) fn focus(picture: &RgbImage, detail: &Plane) -> Plane {
     let (width, height) = (detail.width() as f32, detail.height() as f32);
     let shorter = width.min(height);
-    let skin = Plane::from_fn(detail.width(), detail.height(), |x, y| {
-        skin_likeness(picture, x, y)
-    });
+    let skin = Plane::from_fn(detail.width(), detail.height(), |x, y| skin_likeness(picture, x, y));
     let coloured = skin.mean() > 0.005;
     let detail = detail.blurred(0.02 * shorter);
     let detail_top = detail.percentile(0.98).max(1e-6);
@@ -82,10 +80,7 @@ fn rest_of_window(evidence: &Plane, shorter: f32) -> ([f32; 2], f32) {
             sum_y += weight * f64::from(dy);
             sum_away += weight * f64::from(away);
         }
-        centre = [
-            centre[0] + (sum_x / sum) as f32,
-            centre[1] + (sum_y / sum) as f32,
-        ];
+        centre = [centre[0] + (sum_x / sum) as f32, centre[1] + (sum_y / sum) as f32];
         let spread = (sum_away / sum).sqrt() as f32;
         radius = spread.clamp(RADIUS_RANGE[0] * shorter, RADIUS_RANGE[1] * shorter);
     }

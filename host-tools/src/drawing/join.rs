@@ -17,17 +17,10 @@ impl Near {
     /// An index of `points` with about two points a cell.
     pub(crate) fn of(points: &[Point]) -> Self {
         let low = [0, 1].map(|axis| points.iter().map(|p| p[axis]).fold(f64::INFINITY, f64::min));
-        let high = [0, 1].map(|axis| {
-            points
-                .iter()
-                .map(|p| p[axis])
-                .fold(f64::NEG_INFINITY, f64::max)
-        });
+        let high = [0, 1].map(|axis| points.iter().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max));
         let size = [0, 1].map(|axis| (high[axis] - low[axis]).max(1e-6));
         let per_cell = 2.0 / points.len().max(1) as f64;
-        let cell = (size[0] * size[1] * per_cell)
-            .sqrt()
-            .max(size[0].max(size[1]) / 2000.0);
+        let cell = (size[0] * size[1] * per_cell).sqrt().max(size[0].max(size[1]) / 2000.0);
         let (columns, rows) = ((size[0] / cell) as usize + 1, (size[1] / cell) as usize + 1);
         let mut result = Self {
             origin: low,
@@ -69,10 +62,7 @@ impl Near {
     /// Calls `visit` with each point in the cells that are `ring` cells away from the point's own.
     pub(crate) fn visit_ring(&self, point: Point, ring: usize, mut visit: impl FnMut(usize)) {
         let (column, row) = self.cell_of(point);
-        let (left, top) = (
-            column as isize - ring as isize,
-            row as isize - ring as isize,
-        );
+        let (left, top) = (column as isize - ring as isize, row as isize - ring as isize);
         let (right, bottom) = (column + ring, row + ring);
         for y in top.max(0) as usize..=bottom.min(self.rows - 1) {
             let edge_row = y as isize == top || y == bottom;
@@ -80,9 +70,7 @@ impl Near {
             let mut x = left;
             while x <= right as isize {
                 if x >= 0 && (x as usize) < self.columns {
-                    self.cells[y * self.columns + x as usize]
-                        .iter()
-                        .for_each(|&k| visit(k));
+                    self.cells[y * self.columns + x as usize].iter().for_each(|&k| visit(k));
                 }
                 x += step as isize;
             }
@@ -102,17 +90,12 @@ impl Near {
 pub(crate) fn ends(lines: &[Vec<Point>]) -> Vec<Point> {
     lines
         .iter()
-        .flat_map(|points| {
-            [0, points.len().saturating_sub(1)].map(|k| points.get(k).copied().unwrap_or_default())
-        })
+        .flat_map(|points| [0, points.len().saturating_sub(1)].map(|k| points.get(k).copied().unwrap_or_default()))
         .collect()
 }
 
 /// Joins lines across bridges (length, end, end), the shortest first; no end twice, no closed loop.
-pub(crate) fn join_ends(
-    lines: &[Vec<Point>],
-    mut bridges: Vec<(f64, usize, usize)>,
-) -> Vec<Vec<Point>> {
+pub(crate) fn join_ends(lines: &[Vec<Point>], mut bridges: Vec<(f64, usize, usize)>) -> Vec<Vec<Point>> {
     bridges.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
     let mut partner = vec![None; 2 * lines.len()];
     let mut chain: Vec<usize> = (0..lines.len()).collect();
@@ -185,9 +168,6 @@ mod tests {
             vec![[3.0, 0.0], [0.0, 0.0]],
         ];
         let joined = join_ends(&lines, vec![(0.0, 1, 3), (0.0, 2, 4), (0.0, 5, 0)]);
-        assert_eq!(
-            joined,
-            [vec![[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [0.0, 0.0]]]
-        );
+        assert_eq!(joined, [vec![[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [0.0, 0.0]]]);
     }
 }

@@ -12,10 +12,7 @@ pub(crate) fn distance(a: Point, b: Point) -> f64 {
 
 /// Length of a line.
 pub(crate) fn length(points: &[Point]) -> f64 {
-    points
-        .windows(2)
-        .map(|pair| distance(pair[0], pair[1]))
-        .sum()
+    points.windows(2).map(|pair| distance(pair[0], pair[1])).sum()
 }
 
 /// The point at the share `t` of the way from `a` to `b`.
@@ -56,10 +53,7 @@ pub(crate) fn resampled(points: &[Point], step: f64) -> Vec<Point> {
     let mut travelled = 0.0;
     for pair in points.windows(2) {
         let piece = distance(pair[0], pair[1]);
-        while piece > 0.0
-            && (result.len() as f64) < pieces
-            && result.len() as f64 * spacing <= travelled + piece
-        {
+        while piece > 0.0 && (result.len() as f64) < pieces && result.len() as f64 * spacing <= travelled + piece {
             let t = (result.len() as f64 * spacing - travelled) / piece;
             result.push(between(pair[0], pair[1], t));
         }

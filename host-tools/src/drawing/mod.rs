@@ -22,10 +22,10 @@ mod render;
 mod tone;
 mod vectorize;
 
-pub use csv::{Path3d, PathVertex, read_csv};
+pub use csv::{Path3d, read_csv};
 pub use error::DrawingError;
 pub use order::{OrderOptions, OrderReport, order};
-pub use path::{PathPoint, to_path};
+pub use path::to_path;
 pub use photo::{Input, load};
 pub use render::{render_png, render_rgb, tone_correlation, write_svg};
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};

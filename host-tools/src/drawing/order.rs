@@ -57,11 +57,7 @@ pub struct OrderReport {
 pub fn order(drawing: &mut Drawing, options: &OrderOptions) -> OrderReport {
     drawing.strokes.retain(|stroke| stroke.points.len() > 1);
     let given = drawing.clone();
-    let lines: Vec<Vec<Point>> = given
-        .strokes
-        .iter()
-        .map(|stroke| stroke.points.clone())
-        .collect();
+    let lines: Vec<Vec<Point>> = given.strokes.iter().map(|stroke| stroke.points.clone()).collect();
     let bridges = bridges(&lines, options);
     let joined = if bridges.is_empty() {
         lines
@@ -97,9 +93,7 @@ fn bridges(lines: &[Vec<Point>], options: &OrderOptions) -> Vec<(f64, usize, usi
         let next = (1..ends.len() - 1)
             .step_by(2)
             .map(|k| (line::distance(ends[k], ends[k + 1]), k, k + 1));
-        return next
-            .filter(|bridge| bridge.0 <= options.join_gap_mm)
-            .collect();
+        return next.filter(|bridge| bridge.0 <= options.join_gap_mm).collect();
     }
     let near = Near::of(&ends);
     for (a, &from) in ends.iter().enumerate() {
@@ -140,8 +134,7 @@ fn sorted(lines: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
 fn nearest_next(ends: &[Point]) -> Vec<usize> {
     let mut near = Near::of(ends);
     let mut tour = Vec::with_capacity(ends.len());
-    let first = (0..ends.len())
-        .min_by(|&a, &b| (ends[a][0] + ends[a][1]).total_cmp(&(ends[b][0] + ends[b][1])));
+    let first = (0..ends.len()).min_by(|&a, &b| (ends[a][0] + ends[a][1]).total_cmp(&(ends[b][0] + ends[b][1])));
     let mut entry = first;
     while let Some(from) = entry {
         tour.extend([from, from ^ 1]);
@@ -156,15 +149,8 @@ fn nearest_next(ends: &[Point]) -> Vec<usize> {
 fn nearest(near: &Near, ends: &[Point], point: Point, count: usize) -> Vec<usize> {
     let mut found: Vec<(f64, usize)> = Vec::new();
     for ring in 0..=near.rings() {
-        near.visit_ring(point, ring, |k| {
-            found.push((line::distance(ends[k], point), k))
-        });
-        if found
-            .iter()
-            .filter(|other| other.0 <= near.reach(ring))
-            .count()
-            >= count
-        {
+        near.visit_ring(point, ring, |k| found.push((line::distance(ends[k], point), k)));
+        if found.iter().filter(|other| other.0 <= near.reach(ring)).count() >= count {
             break;
         }
     }
@@ -193,9 +179,7 @@ impl<'a> Tour<'a> {
             })
             .collect();
         let mut places = vec![0; ends.len()];
-        tour.iter()
-            .enumerate()
-            .for_each(|(place, &end)| places[end] = place);
+        tour.iter().enumerate().for_each(|(place, &end)| places[end] = place);
         Self {
             ends,
             tour,
@@ -293,7 +277,7 @@ impl<'a> Tour<'a> {
         let stroke = place / 2;
         let strokes = self.tour.len() / 2;
         for run in 1..=RUN_MAX.min(strokes - 1) {
-            let first = if place % 2 == 0 {
+            let first = if place.is_multiple_of(2) {
                 stroke
             } else {
                 (stroke + 1).checked_sub(run)?
@@ -308,12 +292,8 @@ impl<'a> Tour<'a> {
                 return None;
             }
             let far = from + to - place;
-            let before = self.link(from.wrapping_sub(1), from)
-                + self.link(to, to + 1)
-                + self.link(goal, gap);
-            let after = self.link(from.wrapping_sub(1), to + 1)
-                + self.link(place, goal)
-                + self.link(far, gap);
+            let before = self.link(from.wrapping_sub(1), from) + self.link(to, to + 1) + self.link(goal, gap);
+            let after = self.link(from.wrapping_sub(1), to + 1) + self.link(place, goal) + self.link(far, gap);
             if before - after >= GAIN_MIN_MM {
                 return Some(self.relocate(from, to, goal, place));
             }
@@ -379,9 +359,7 @@ mod tests {
         let strokes = (0..count).map(|_| {
             let (x, y) = (190.0 * unit(), 190.0 * unit());
             Stroke {
-                points: (0..4)
-                    .map(|_| [x + 10.0 * unit(), y + 10.0 * unit()])
-                    .collect(),
+                points: (0..4).map(|_| [x + 10.0 * unit(), y + 10.0 * unit()]).collect(),
             }
         });
         Drawing {
@@ -441,10 +419,7 @@ mod tests {
                 keep_order: false,
             },
         );
-        assert!(
-            report.pen_up_mm_after < 0.043 * report.pen_up_mm_before,
-            "{report:?}"
-        );
+        assert!(report.pen_up_mm_after < 0.043 * report.pen_up_mm_before, "{report:?}");
     }
 
     #[test]
@@ -458,10 +433,7 @@ mod tests {
         };
         let mut drawing = given.clone();
         let report = order(&mut drawing, &OrderOptions::default());
-        assert_eq!(
-            (report.lifts_after, drawing.strokes[0].points.len()),
-            (1, 8)
-        );
+        assert_eq!((report.lifts_after, drawing.strokes[0].points.len()), (1, 8));
         assert!((report.bridged_mm - 0.9).abs() < 1e-9);
         let mut apart = given.clone();
         let report = order(

@@ -5,45 +5,36 @@
 
 use super::Drawing;
 use etherpen::config::Paper;
-
-/// A point of the path.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathPoint {
-    /// Position of the pen in the robot's frame, mm.
-    pub position_mm: [f64; 3],
-    /// Whether the leg leading to this point is drawn.
-    pub pen_down: bool,
-    /// Number of the stroke that the leg belongs to or leads to.
-    pub stroke: u32,
-}
+use etherpen::motion::{Pen, Vertex};
+use etherpen::robot::Position;
 
 /// The drawing in the robot's frame: for each stroke travel to above its start, down, along it, up.
 #[must_use]
-pub fn to_path(drawing: &Drawing, paper: &Paper) -> Vec<PathPoint> {
+pub fn to_path(drawing: &Drawing, paper: &Paper) -> Vec<Vertex> {
     let lifted_z_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
     let mut path = Vec::new();
     for (stroke, points) in (0_u32..).zip(drawing.strokes.iter().map(|stroke| &stroke.points)) {
         let (Some(&first), Some(&last)) = (points.first(), points.last()) else {
             continue;
         };
-        let at = |point: [f64; 2], z_mm: f64, pen_down: bool| PathPoint {
-            position_mm: [
-                paper.centre_mm[0] + point[0] - 0.5 * drawing.sheet_mm[0],
-                paper.centre_mm[1] - point[1] + 0.5 * drawing.sheet_mm[1],
+        let at = |point: [f64; 2], z_mm: f64, pen: Pen| Vertex {
+            position: Position {
+                x_mm: paper.centre_mm[0] + point[0] - 0.5 * drawing.sheet_mm[0],
+                y_mm: paper.centre_mm[1] - point[1] + 0.5 * drawing.sheet_mm[1],
                 z_mm,
-            ],
-            pen_down,
+            },
+            pen,
             stroke,
         };
-        path.push(at(first, lifted_z_mm, false));
-        path.push(at(first, paper.pen_down_z_mm, false));
+        path.push(at(first, lifted_z_mm, Pen::Up));
+        path.push(at(first, paper.pen_down_z_mm, Pen::Up));
         path.extend(
             points
                 .iter()
                 .skip(1)
-                .map(|&point| at(point, paper.pen_down_z_mm, true)),
+                .map(|&point| at(point, paper.pen_down_z_mm, Pen::Down)),
         );
-        path.push(at(last, lifted_z_mm, false));
+        path.push(at(last, lifted_z_mm, Pen::Up));
     }
     path
 }
@@ -76,12 +67,10 @@ mod tests {
             ..Paper::default()
         };
         let path = to_path(&drawing(), &paper);
-        assert_eq!(
-            path[0].position_mm,
-            [-90.0, 120.0, paper.pen_down_z_mm + paper.pen_lift_mm]
-        );
-        assert_eq!(path[2].position_mm, [110.0, 120.0, paper.pen_down_z_mm]);
-        assert_eq!(path[3].position_mm, [110.0, 70.0, paper.pen_down_z_mm]);
+        let place = |k: usize| [path[k].position.x_mm, path[k].position.y_mm, path[k].position.z_mm];
+        assert_eq!(place(0), [-90.0, 120.0, paper.pen_down_z_mm + paper.pen_lift_mm]);
+        assert_eq!(place(2), [110.0, 120.0, paper.pen_down_z_mm]);
+        assert_eq!(place(3), [110.0, 70.0, paper.pen_down_z_mm]);
     }
 
     #[test]
@@ -90,7 +79,7 @@ mod tests {
         let path = to_path(&drawing(), &paper);
         let flags: Vec<_> = path
             .iter()
-            .map(|point| (point.stroke, point.pen_down))
+            .map(|point| (point.stroke, point.pen == Pen::Down))
             .collect();
         let expected = [
             (0, false),
@@ -106,8 +95,8 @@ mod tests {
         assert_eq!(flags[8..], [(2, false)]);
         assert!(
             path.iter()
-                .filter(|point| point.pen_down)
-                .all(|point| point.position_mm[2] == paper.pen_down_z_mm)
+                .filter(|point| point.pen == Pen::Down)
+                .all(|point| point.position.z_mm == paper.pen_down_z_mm)
         );
     }
 }

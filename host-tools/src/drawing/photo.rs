@@ -54,9 +54,7 @@ pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
         return Err(DrawingError::Empty);
     }
     match image::guess_format(&bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => {
-            decode(&bytes, format).map(Input::Photograph)
-        }
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => decode(&bytes, format).map(Input::Photograph),
         Ok(_) => Err(DrawingError::Unsupported),
         Err(_) => match std::str::from_utf8(&bytes) {
             Ok(text) if is_csv(path, text) => read_csv(text),
@@ -67,9 +65,7 @@ pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
 
 /// Whether a text is meant as a list of coordinates: by its heading, or by its name where the heading is wrong.
 fn is_csv(path: &Path, text: &str) -> bool {
-    text.trim_start_matches('\u{feff}')
-        .trim_start()
-        .starts_with("x_mm")
+    text.trim_start_matches('\u{feff}').trim_start().starts_with("x_mm")
         || path
             .extension()
             .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
@@ -138,8 +134,7 @@ fn on_white(picture: DynamicImage) -> RgbImage {
     let mut result = RgbImage::new(picture.width(), picture.height());
     for (to, from) in result.pixels_mut().zip(picture.pixels()) {
         let [red, green, blue, alpha] = from.0.map(u32::from);
-        to.0 = [red, green, blue]
-            .map(|value| ((value * alpha + 255 * (255 - alpha) + 127) / 255) as u8);
+        to.0 = [red, green, blue].map(|value| ((value * alpha + 255 * (255 - alpha) + 127) / 255) as u8);
     }
     result
 }
@@ -150,11 +145,7 @@ mod tests {
     use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 
     fn sample() -> Vec<u8> {
-        std::fs::read(concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../samples/astronaut.png"
-        ))
-        .unwrap_or_default()
+        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../samples/astronaut.png")).unwrap_or_default()
     }
 
     fn load_bytes(name: &str, bytes: &[u8]) -> Result<Input, DrawingError> {
@@ -169,23 +160,15 @@ mod tests {
 
     fn encoded(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
         let mut bytes = Cursor::new(Vec::new());
-        picture
-            .write_to(&mut bytes, format)
-            .expect("encoding into memory");
+        picture.write_to(&mut bytes, format).expect("encoding into memory");
         bytes.into_inner()
     }
 
     #[test]
     fn files_that_are_no_pictures_are_named_as_such() {
         assert_eq!(load("/no/such/file.png").err(), Some(DrawingError::Missing));
-        assert!(matches!(
-            load(std::env::temp_dir()),
-            Err(DrawingError::Unreadable(_))
-        ));
-        assert_eq!(
-            load_bytes("empty.png", b"").err(),
-            Some(DrawingError::Empty)
-        );
+        assert!(matches!(load(std::env::temp_dir()), Err(DrawingError::Unreadable(_))));
+        assert_eq!(load_bytes("empty.png", b"").err(), Some(DrawingError::Empty));
         assert_eq!(
             load_bytes("text.png", b"not a picture\n").err(),
             Some(DrawingError::UnknownContent)
@@ -194,10 +177,7 @@ mod tests {
             load_bytes("noise.bin", &[0xFE; 300]).err(),
             Some(DrawingError::UnknownContent)
         );
-        assert_eq!(
-            load_bytes("text.csv", b"hello\n").err(),
-            Some(DrawingError::CsvHeading)
-        );
+        assert_eq!(load_bytes("text.csv", b"hello\n").err(), Some(DrawingError::CsvHeading));
         assert_eq!(
             load_bytes("small.gif", b"GIF89a\x01\x00\x01\x00").err(),
             Some(DrawingError::Unsupported)
@@ -210,24 +190,14 @@ mod tests {
         assert!(load_bytes("whole.png", &png).is_ok());
         for length in [9, 40, 1000, png.len() / 2, png.len() - 100] {
             let result = load_bytes("cut.png", &png[..length]);
-            assert_eq!(
-                result.err(),
-                Some(DrawingError::Damaged),
-                "after {length} bytes"
-            );
+            assert_eq!(result.err(), Some(DrawingError::Damaged), "after {length} bytes");
         }
-        let picture = DynamicImage::ImageRgb8(RgbImage::from_fn(200, 200, |x, y| {
-            image::Rgb([x as u8, y as u8, 9])
-        }));
+        let picture = DynamicImage::ImageRgb8(RgbImage::from_fn(200, 200, |x, y| image::Rgb([x as u8, y as u8, 9])));
         let jpeg = encoded(&picture, ImageFormat::Jpeg);
         assert!(load_bytes("whole.jpg", &jpeg).is_ok());
         for length in [12, 300, jpeg.len() / 2, jpeg.len() - 2] {
             let result = load_bytes("cut.jpg", &jpeg[..length]);
-            assert_eq!(
-                result.err(),
-                Some(DrawingError::Damaged),
-                "after {length} bytes"
-            );
+            assert_eq!(result.err(), Some(DrawingError::Damaged), "after {length} bytes");
         }
     }
 
@@ -249,8 +219,7 @@ mod tests {
     #[test]
     fn depth_and_transparency_do_not_change_the_picture() {
         let grey = GrayImage::from_fn(64, 64, |x, _| Luma([(x * 4) as u8]));
-        let deep: ImageBuffer<Luma<u16>, _> =
-            ImageBuffer::from_fn(64, 64, |x, _| Luma([(x * 4 * 257) as u16]));
+        let deep: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_fn(64, 64, |x, _| Luma([(x * 4 * 257) as u16]));
         let clear = RgbaImage::from_fn(64, 64, |x, _| Rgba([0, 0, 0, 255 - (x * 4) as u8]));
         let pictures = [
             DynamicImage::ImageLuma8(grey),
@@ -258,9 +227,7 @@ mod tests {
             DynamicImage::ImageRgba8(clear),
         ];
         for picture in pictures {
-            let Ok(Input::Photograph(loaded)) =
-                load_bytes("kind.png", &encoded(&picture, ImageFormat::Png))
-            else {
+            let Ok(Input::Photograph(loaded)) = load_bytes("kind.png", &encoded(&picture, ImageFormat::Png)) else {
                 panic!("{:?} was refused", picture.color());
             };
             for x in [0_u32, 10, 63] {

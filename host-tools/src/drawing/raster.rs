@@ -16,11 +16,7 @@ pub(crate) struct Plane {
 
 impl Plane {
     /// A plane whose value at `(x, y)` is `value(x, y)`; both sides are at least one pixel.
-    pub(crate) fn from_fn(
-        width: usize,
-        height: usize,
-        mut value: impl FnMut(usize, usize) -> f32,
-    ) -> Self {
+    pub(crate) fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> f32) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         let mut values = Vec::with_capacity(width * height);
         for y in 0..height {
@@ -28,11 +24,7 @@ impl Plane {
                 values.push(value(x, y));
             }
         }
-        Self {
-            width,
-            height,
-            values,
-        }
+        Self { width, height, values }
     }
 
     /// A plane of one value.
@@ -74,10 +66,7 @@ impl Plane {
         let x = x.clamp(0.0, (self.width - 1) as f32);
         let y = y.clamp(0.0, (self.height - 1) as f32);
         let (left, top) = (x as usize, y as usize);
-        let (right, bottom) = (
-            (left + 1).min(self.width - 1),
-            (top + 1).min(self.height - 1),
-        );
+        let (right, bottom) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
         let (u, v) = (x - left as f32, y - top as f32);
         let (upper, lower) = (top * self.width, bottom * self.width);
         let above = self.values[upper + left] * (1.0 - u) + self.values[upper + right] * u;
@@ -96,12 +85,7 @@ impl Plane {
 
     /// A plane of `f` of every value and the value of `other` at the same place (planes of the same size).
     pub(crate) fn zip(&self, other: &Self, f: impl Fn(f32, f32) -> f32) -> Self {
-        let values = self
-            .values
-            .iter()
-            .zip(&other.values)
-            .map(|(&a, &b)| f(a, b))
-            .collect();
+        let values = self.values.iter().zip(&other.values).map(|(&a, &b)| f(a, b)).collect();
         Self {
             width: self.width,
             height: self.height,
@@ -183,9 +167,7 @@ impl Plane {
     }
 
     fn transposed(&self) -> Self {
-        Self::from_fn(self.height, self.width, |x, y| {
-            self.values[x * self.width + y]
-        })
+        Self::from_fn(self.height, self.width, |x, y| self.values[x * self.width + y])
     }
 }
 

@@ -27,20 +27,11 @@ const COMPARE_SIGMA_PX: f32 = 12.0;
 /// `sheet_mm` is width and height, `pen_width_mm` the width of a line, `px_per_mm` the scale; a side is at least one and
 /// at most 20 000 pixels.
 #[must_use]
-pub fn render_rgb(
-    strokes: &[Stroke],
-    sheet_mm: [f64; 2],
-    pen_width_mm: f64,
-    px_per_mm: f64,
-) -> RgbImage {
+pub fn render_rgb(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64, px_per_mm: f64) -> RgbImage {
     let side = |mm: f64| (mm * px_per_mm).round().clamp(1.0, SIDE_PX_MAX) as usize;
     let mut ink = Plane::filled(side(sheet_mm[0]), side(sheet_mm[1]), 0.0);
     for stroke in strokes {
-        let points: Vec<Point> = stroke
-            .points
-            .iter()
-            .map(|p| p.map(|mm| mm * px_per_mm - 0.5))
-            .collect();
+        let points: Vec<Point> = stroke.points.iter().map(|p| p.map(|mm| mm * px_per_mm - 0.5)).collect();
         draw_line(&mut ink, &points, pen_width_mm * px_per_mm);
     }
     RgbImage::from_fn(ink.width() as u32, ink.height() as u32, |x, y| {
@@ -123,8 +114,7 @@ pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> S
 #[must_use]
 pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
     let (width, height) = photograph.dimensions();
-    let height = (u64::from(height) * u64::from(COMPARE_WIDTH_PX) / u64::from(width.max(1)))
-        .clamp(1, 8192) as u32;
+    let height = (u64::from(height) * u64::from(COMPARE_WIDTH_PX) / u64::from(width.max(1))).clamp(1, 8192) as u32;
     let tone = |picture: &RgbImage| {
         let small = resize(picture, COMPARE_WIDTH_PX, height, FilterType::Triangle);
         grey(&small).blurred(COMPARE_SIGMA_PX)
@@ -134,14 +124,10 @@ pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
 
 /// Luma of a picture, 0 to 1 (Rec. 601 weights).
 pub(super) fn grey(picture: &RgbImage) -> Plane {
-    Plane::from_fn(
-        picture.width() as usize,
-        picture.height() as usize,
-        |x, y| {
-            let [red, green, blue] = picture.get_pixel(x as u32, y as u32).0.map(f32::from);
-            (0.299 * red + 0.587 * green + 0.114 * blue) / 255.0
-        },
-    )
+    Plane::from_fn(picture.width() as usize, picture.height() as usize, |x, y| {
+        let [red, green, blue] = picture.get_pixel(x as u32, y as u32).0.map(f32::from);
+        (0.299 * red + 0.587 * green + 0.114 * blue) / 255.0
+    })
 }
 
 fn correlation(a: &Plane, b: &Plane) -> f64 {
@@ -184,11 +170,7 @@ mod tests {
             .map(|pixel| (f64::from(PAPER[0]) - f64::from(pixel.0[0])) / full)
             .sum();
         let expected_mm2 = 6.0 * 0.5 + std::f64::consts::PI * 0.25 * 0.25;
-        assert!(
-            (ink / 400.0 / expected_mm2 - 1.0).abs() < 0.02,
-            "{}",
-            ink / 400.0
-        );
+        assert!((ink / 400.0 / expected_mm2 - 1.0).abs() < 0.02, "{}", ink / 400.0);
         assert_eq!(picture.get_pixel(100, 100).0, INK.map(|value| value as u8));
         assert_eq!(picture.get_pixel(10, 10).0, PAPER.map(|value| value as u8));
     }
@@ -198,10 +180,7 @@ mod tests {
         let stroke = Stroke {
             points: vec![[-50.0, 5.0], [50.0, 5.0], [f64::NAN, 3.0]],
         };
-        assert_eq!(
-            render_rgb(&[stroke], [10.0, 10.0], 0.5, 4.0).dimensions(),
-            (40, 40)
-        );
+        assert_eq!(render_rgb(&[stroke], [10.0, 10.0], 0.5, 4.0).dimensions(), (40, 40));
     }
 
     #[test]
@@ -215,9 +194,7 @@ mod tests {
     #[test]
     fn a_picture_correlates_with_itself_and_not_with_its_negative() {
         let picture = RgbImage::from_fn(300, 200, |x, y| Rgb([(x / 2 + y / 4) as u8; 3]));
-        let negative = RgbImage::from_fn(300, 200, |x, y| {
-            Rgb(picture.get_pixel(x, y).0.map(|value| 255 - value))
-        });
+        let negative = RgbImage::from_fn(300, 200, |x, y| Rgb(picture.get_pixel(x, y).0.map(|value| 255 - value)));
         assert!(tone_correlation(&picture, &picture) > 0.999);
         assert!(tone_correlation(&picture, &negative) < -0.999);
         assert_eq!(tone_correlation(&picture, &RgbImage::new(20, 20)), 0.0);

@@ -96,10 +96,7 @@ impl<'a> Field<'a> {
     }
 
     fn is_inside(&self, at: Point) -> bool {
-        let (width, height) = (
-            self.goal.coverage.width() as f64,
-            self.goal.coverage.height() as f64,
-        );
+        let (width, height) = (self.goal.coverage.width() as f64, self.goal.coverage.height() as f64);
         at[0] >= 0.0 && at[1] >= 0.0 && at[0] <= width - 1.0 && at[1] <= height - 1.0
     }
 
@@ -128,16 +125,10 @@ impl<'a> Field<'a> {
             for side in [-1.0, 1.0] {
                 let mut away = self.spacing(pair[0]);
                 for _ in 0..2 {
-                    let at = [
-                        pair[0][0] - side * along[1] * away,
-                        pair[0][1] + side * along[0] * away,
-                    ];
+                    let at = [pair[0][0] - side * along[1] * away, pair[0][1] + side * along[0] * away];
                     away = 0.5 * (self.spacing(pair[0]) + self.spacing(at));
                 }
-                seeds.push([
-                    pair[0][0] - side * along[1] * away,
-                    pair[0][1] + side * along[0] * away,
-                ]);
+                seeds.push([pair[0][0] - side * along[1] * away, pair[0][1] + side * along[0] * away]);
             }
         }
         seeds
@@ -204,14 +195,7 @@ impl<'a> Field<'a> {
         placed.push(cell);
     }
 
-    fn grow(
-        &mut self,
-        from: Point,
-        heading: Point,
-        stroke: usize,
-        sign: i64,
-        placed: &mut Vec<usize>,
-    ) -> Vec<Point> {
+    fn grow(&mut self, from: Point, heading: Point, stroke: usize, sign: i64, placed: &mut Vec<usize>) -> Vec<Point> {
         let mut points = Vec::new();
         let (mut at, mut along) = (from, heading);
         for k in 1..STEPS_MAX as i64 {
@@ -238,19 +222,9 @@ impl<'a> Field<'a> {
 /// Joins lines end to end into serpentines where the bridge is short and stays in the dark.
 ///
 /// `reach` is the longest bridge in units of the spacing there.
-pub(crate) fn join_serpentines(
-    strokes: &[Vec<Point>],
-    goal: &ToneGoal,
-    reach: f64,
-) -> Vec<Vec<Point>> {
-    let spacing = |at: Point| {
-        goal.pen
-            / f64::from(
-                goal.coverage
-                    .sample(at[0] as f32, at[1] as f32)
-                    .max(goal.coverage_min),
-            )
-    };
+pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal, reach: f64) -> Vec<Vec<Point>> {
+    let spacing =
+        |at: Point| goal.pen / f64::from(goal.coverage.sample(at[0] as f32, at[1] as f32).max(goal.coverage_min));
     let ends = join::ends(strokes);
     let near = Near::of(&ends);
     let mut bridges = Vec::new();
@@ -287,12 +261,7 @@ mod tests {
     use super::*;
 
     fn hatched(coverage: &Plane) -> Vec<Vec<Point>> {
-        let flow = Flow::of(
-            &Plane::filled(coverage.width(), coverage.height(), 0.5),
-            2.0,
-            0.7,
-            0.01,
-        );
+        let flow = Flow::of(&Plane::filled(coverage.width(), coverage.height(), 0.5), 2.0, 0.7, 0.01);
         let length_min = Plane::filled(coverage.width(), coverage.height(), 12.0);
         let goal = ToneGoal {
             coverage,
@@ -317,11 +286,7 @@ mod tests {
     fn even_tone_gives_the_wanted_ink() {
         for wanted in [0.15_f32, 0.3, 0.5] {
             let strokes = hatched(&Plane::filled(300, 300, wanted));
-            let ink: f64 = strokes
-                .iter()
-                .map(|points| line::length(points) * 2.0)
-                .sum::<f64>()
-                / 90_000.0;
+            let ink: f64 = strokes.iter().map(|points| line::length(points) * 2.0).sum::<f64>() / 90_000.0;
             assert!(
                 (ink / f64::from(wanted) - 1.0).abs() < 0.2,
                 "wanted {wanted}, got {ink}"

@@ -86,11 +86,7 @@ pub struct Estimate {
 /// Estimates a drawing at 0.35 m/s drawn, 0.8 m/s travelled and 0.12 s a lift.
 #[must_use]
 pub fn estimate(drawing: &Drawing) -> Estimate {
-    let (pen_down_mm, pen_up_mm, lifts) = (
-        drawing.pen_down_mm(),
-        drawing.pen_up_mm(),
-        drawing.strokes.len(),
-    );
+    let (pen_down_mm, pen_up_mm, lifts) = (drawing.pen_down_mm(), drawing.pen_up_mm(), drawing.strokes.len());
     let time_s = pen_down_mm / DRAW_MM_S + pen_up_mm / TRAVEL_MM_S + lifts as f64 * LIFT_S;
     Estimate {
         pen_down_mm,
@@ -105,10 +101,7 @@ pub fn estimate(drawing: &Drawing) -> Estimate {
 /// # Errors
 ///
 /// What [`load`] refuses; [`DrawingError::UnknownContent`] for a list of coordinates; what [`vectorize_image`] refuses.
-pub fn vectorize(
-    path: impl AsRef<Path>,
-    options: &VectorizeOptions,
-) -> Result<Drawing, DrawingError> {
+pub fn vectorize(path: impl AsRef<Path>, options: &VectorizeOptions) -> Result<Drawing, DrawingError> {
     match load(path)? {
         Input::Photograph(picture) => vectorize_image(&picture, options),
         Input::Drawing(_) | Input::Path(_) => Err(DrawingError::UnknownContent),
@@ -120,10 +113,7 @@ pub fn vectorize(
 /// # Errors
 ///
 /// [`DrawingError::BadOptions`], [`DrawingError::TooSmall`], [`DrawingError::TooLarge`] or [`DrawingError::Blank`].
-pub fn vectorize_image(
-    picture: &RgbImage,
-    options: &VectorizeOptions,
-) -> Result<Drawing, DrawingError> {
+pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result<Drawing, DrawingError> {
     check_size(picture.width(), picture.height())?;
     let frame = Frame::new(picture, options)?;
     let study = Study::of(picture, &frame, options)?;
@@ -156,13 +146,9 @@ impl Frame {
         } = *options;
         let room = sheet_mm.map(|side| side - 2.0 * margin_mm);
         let numbers = [room[0], room[1], pen_width_mm, time_max_s];
-        let usable = numbers
-            .iter()
-            .all(|value| value.is_finite() && *value > 0.0);
-        if !usable
-            || !(margin_mm.is_finite() && margin_mm >= 0.0)
-            || room[0].min(room[1]) < 8.0 * pen_width_mm
-        {
+        let usable = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
+        let margin_usable = margin_mm.is_finite() && margin_mm >= 0.0;
+        if !usable || !margin_usable || room[0].min(room[1]) < 8.0 * pen_width_mm {
             return Err(DrawingError::BadOptions);
         }
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
@@ -182,9 +168,7 @@ impl Frame {
     /// A line of the picture on the sheet, kept inside the picture.
     fn on_sheet(&self, points: &[Point]) -> Vec<Point> {
         let place = |point: &Point| {
-            [0, 1].map(|k| {
-                self.corner_mm[k] + ((point[k] + 0.5) * self.mm_per_px).clamp(0.0, self.size_mm[k])
-            })
+            [0, 1].map(|k| self.corner_mm[k] + ((point[k] + 0.5) * self.mm_per_px).clamp(0.0, self.size_mm[k]))
         };
         points.iter().map(place).collect()
     }
@@ -205,17 +189,8 @@ struct Study {
 }
 
 impl Study {
-    fn of(
-        picture: &RgbImage,
-        frame: &Frame,
-        options: &VectorizeOptions,
-    ) -> Result<Self, DrawingError> {
-        let small = resize(
-            picture,
-            frame.work_px[0],
-            frame.work_px[1],
-            FilterType::CatmullRom,
-        );
+    fn of(picture: &RgbImage, frame: &Frame, options: &VectorizeOptions) -> Result<Self, DrawingError> {
+        let small = resize(picture, frame.work_px[0], frame.work_px[1], FilterType::CatmullRom);
         let light = grey(&small);
         let (black, white) = (light.percentile(0.01), light.percentile(0.985));
         if white - black < 0.02 {
@@ -225,26 +200,18 @@ impl Study {
         let pen = options.pen_width_mm / frame.mm_per_px;
         let sigma = |pens: f64| (pens * pen) as f32;
         let calm = denoised(&light, sigma(1.0) as usize + 1);
-        let detail = light.zip(&light.blurred(sigma(2.0)), |value, around| {
-            (value - around).abs()
-        });
+        let detail = light.zip(&light.blurred(sigma(2.0)), |value, around| (value - around).abs());
         let focus = focus(&small, &detail);
         let (near, far) = (calm.blurred(sigma(6.0)), calm.blurred(sigma(30.0)));
         let width = calm.width();
         let ink = Plane::from_fn(width, calm.height(), |x, y| {
             let (x, y) = (x as isize, y as isize);
             let (value, face) = (calm.at(x, y), focus.at(x, y));
-            let lifted =
-                value + 0.25 * (value - far.at(x, y)) + 0.5 * face * (value - near.at(x, y));
+            let lifted = value + 0.25 * (value - far.at(x, y)) + 0.5 * face * (value - near.at(x, y));
             let dark = (1.0 - lifted).clamp(0.0, 1.0);
             ((dark - 0.1) / 0.9).max(0.0).powf(1.15)
         });
-        let hatch_flow = Flow::of(
-            &calm.blurred(sigma(1.0)),
-            sigma(7.0),
-            HATCH_ANGLE_RAD,
-            0.006,
-        );
+        let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006);
         let frame = Frame { ..*frame };
         Ok(Self {
             frame,
@@ -268,15 +235,12 @@ impl Study {
             face * fine.at(x, y) + (1.0 - face) * coarse.at(x, y)
         });
         let texture = mixed.blurred(sigma(8.0));
-        let high = self.focus.zip(&texture, |face, busy| {
-            0.035 - 0.015 * face + 0.8 * (1.0 - face) * busy
-        });
+        let high = self
+            .focus
+            .zip(&texture, |face, busy| 0.035 - 0.015 * face + 0.8 * (1.0 - face) * busy);
         let traced = edges::trace_lines(&mixed, &flow, &high, 0.45);
         let joined = edges::join_by_direction(traced, 2.5 * self.pen);
-        let mut lines: Vec<Edge> = joined
-            .into_iter()
-            .filter_map(|edge| self.finished(edge))
-            .collect();
+        let mut lines: Vec<Edge> = joined.into_iter().filter_map(|edge| self.finished(edge)).collect();
         lines.sort_by(|a, b| b.weight.total_cmp(&a.weight));
         let mut time_s = LINE_SHARE * TIME_AIM * options.time_max_s;
         lines
@@ -296,7 +260,7 @@ impl Study {
         let even = line::resampled(&edge.points, 1.0);
         let points = line::smoothed(&even, self.pen * (1.2 - 0.5 * face));
         let long_enough = line::length(&points) >= self.pen * (8.0 - 4.0 * face);
-        long_enough.then(|| Edge {
+        long_enough.then_some(Edge {
             points,
             weight: edge.weight * (1.0 + 4.0 * face),
         })
@@ -305,14 +269,11 @@ impl Study {
     /// Lines and hatching together, the hatching as dense as the time allows.
     fn drawing(&self, lines: &[Edge], options: &VectorizeOptions) -> Drawing {
         let drawn = self.coverage_of(lines.iter().map(|edge| edge.points.as_slice()));
-        let line_strokes: Vec<Stroke> =
-            lines.iter().map(|edge| self.stroke(&edge.points)).collect();
+        let line_strokes: Vec<Stroke> = lines.iter().map(|edge| self.stroke(&edge.points)).collect();
         let area_mm2 = self.frame.size_mm[0] * self.frame.size_mm[1];
         let aim_s = TIME_AIM * options.time_max_s;
         let ink_mm = aim_s * 0.6 * DRAW_MM_S;
-        let mut gain = (ink_mm * options.pen_width_mm
-            / (area_mm2 * f64::from(self.ink.mean()).max(1e-3)))
-        .min(1.0);
+        let mut gain = (ink_mm * options.pen_width_mm / (area_mm2 * f64::from(self.ink.mean()).max(1e-3))).min(1.0);
         let mut result = Drawing::default();
         for round in 0..TONE_ROUNDS {
             let hatching = self.hatching(gain as f32, &drawn, options);
@@ -329,10 +290,7 @@ impl Study {
                 },
             );
             let ratio = aim_s / estimate(&result).time_s;
-            if round + 1 == TONE_ROUNDS
-                || (0.93..1.07).contains(&ratio)
-                || (ratio > 1.0 && gain >= 1.2)
-            {
+            if round + 1 == TONE_ROUNDS || (0.93..1.07).contains(&ratio) || (ratio > 1.0 && gain >= 1.2) {
                 break;
             }
             gain = (gain * ratio.powf(1.2)).min(1.2);
@@ -341,13 +299,11 @@ impl Study {
     }
 
     fn hatching(&self, gain: f32, drawn: &Plane, options: &VectorizeOptions) -> Vec<Stroke> {
-        let coverage = self.ink.zip(drawn, |ink, drawn| {
-            (gain * ink - drawn).clamp(0.0, COVERAGE_MAX)
-        });
+        let coverage = self
+            .ink
+            .zip(drawn, |ink, drawn| (gain * ink - drawn).clamp(0.0, COVERAGE_MAX));
         let coverage = coverage.blurred(0.6 * self.pen as f32);
-        let length_min = self
-            .focus
-            .map(|face| (self.pen as f32) * (10.0 - 5.0 * face));
+        let length_min = self.focus.map(|face| (self.pen as f32) * (10.0 - 5.0 * face));
         let goal = ToneGoal {
             coverage: &coverage,
             flow: &self.hatch_flow,
@@ -359,21 +315,13 @@ impl Study {
         let serpentines = join_serpentines(&hatch(&goal), &goal, 2.2);
         serpentines
             .iter()
-            .map(|points| {
-                self.stroke(&line::smoothed(
-                    &line::resampled(points, 1.0),
-                    0.9 * self.pen,
-                ))
-            })
+            .map(|points| self.stroke(&line::smoothed(&line::resampled(points, 1.0), 0.9 * self.pen)))
             .collect()
     }
 
     fn stroke(&self, points: &[Point]) -> Stroke {
         Stroke {
-            points: line::simplified(
-                &self.frame.on_sheet(points),
-                0.08 * self.pen * self.frame.mm_per_px,
-            ),
+            points: line::simplified(&self.frame.on_sheet(points), 0.08 * self.pen * self.frame.mm_per_px),
         }
     }
 
@@ -409,12 +357,8 @@ fn keep_within(drawing: &mut Drawing, options: &VectorizeOptions) {
         let mut lengths: Vec<f64> = drawing.strokes.iter().map(Stroke::length_mm).collect();
         lengths.sort_by(f64::total_cmp);
         let surplus = drawing.strokes.len().saturating_sub(options.strokes_max);
-        let cut = surplus
-            .max(drawing.strokes.len() / 20)
-            .min(lengths.len() - 1);
+        let cut = surplus.max(drawing.strokes.len() / 20).min(lengths.len() - 1);
         let shortest = lengths[cut];
-        drawing
-            .strokes
-            .retain(|stroke| stroke.length_mm() > shortest);
+        drawing.strokes.retain(|stroke| stroke.length_mm() > shortest);
     }
 }
