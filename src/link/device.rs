@@ -7,27 +7,22 @@
 //! [`DeviceEndpoint::receive`] and [`DeviceEndpoint::transmit`], time is the caller's millisecond.
 
 use super::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
+use super::path::{PathReceiver, PathVertices};
 use super::protocol::{
-    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, SAMPLES_PER_MESSAGE,
-    Sample, Status, VERTICES_PER_MESSAGE, Welcome,
+    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, SAMPLES_PER_MESSAGE, Sample, Status, Welcome,
 };
 use crate::application::Refusal;
 use crate::config::Config;
-use heapless::{Deque, String, Vec};
+use heapless::{Deque, String};
 
 /// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
 pub const SAMPLES_QUEUED: usize = 64;
 /// Requests whose answers are kept for repetition.
 pub const REQUESTS_KEPT: usize = 8;
-/// Shortest time between two acknowledgements that only report progress, ms.
-pub const ACK_PROGRESS_MS: u64 = 12;
-/// Longest time between two acknowledgements while there is a path, ms; it repeats credit that was lost on the way.
-pub const ACK_PERIOD_MS: u64 = 100;
 /// Bytes a millisecond at 921 600 baud, 10 bits a byte.
 pub const LINE_BYTES_PER_MS: usize = 92;
 
 const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAMPLES_PER_MESSAGE);
-const _: () = assert!(ACK_PROGRESS_MS < ACK_PERIOD_MS);
 
 /// What the firmware says about itself in its [`Welcome`].
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +58,7 @@ pub enum DeviceEvent {
     /// The next vertices of the path; there is room for all of them.
     Path {
         /// The vertices, possibly none when only the end is announced.
-        vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
+        vertices: PathVertices,
         /// Whether they end the path.
         last: bool,
     },
@@ -99,17 +94,6 @@ struct Configuring {
     due: bool,
 }
 
-#[derive(Default)]
-struct Path {
-    ack: PathAck,
-    open: bool,
-    refusal: Option<crate::motion::Refusal>,
-    refusal_due: bool,
-    ack_due: bool,
-    changed: bool,
-    ack_sent_ms: u64,
-}
-
 /// The firmware's end of the link; `SAMPLES` is the length of the telemetry queue.
 pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     identity: Identity,
@@ -121,7 +105,7 @@ pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     config: Option<u64>,
     configuring: Option<Configuring>,
     requests: Deque<Request, REQUESTS_KEPT>,
-    path: Option<Path>,
+    path: Option<PathReceiver>,
     status: Option<Status>,
     samples: Deque<Sample, SAMPLES>,
     sequence_next: u32,
@@ -223,7 +207,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.configuring = None;
         self.samples.clear();
         if let Some(path) = &mut self.path {
-            path.ack_due = true;
+            path.acknowledge_now();
         }
         Some(DeviceEvent::Connected)
     }
@@ -268,33 +252,14 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         &mut self,
         job: u16,
         first: u32,
-        mut vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
+        vertices: PathVertices,
         last: bool,
         free: usize,
     ) -> Option<DeviceEvent> {
-        let dropped = self.counts.path_dropped.wrapping_add(1);
-        let Some(path) = self.path.as_mut().filter(|path| path.ack.job == job) else {
-            self.counts.path_dropped = dropped;
-            return None;
-        };
-        path.ack_due = true;
-        path.refusal_due = path.refusal.is_some();
-        if !path.open || path.ack.complete || first != path.ack.next {
-            path.ack.missing = path.open && first > path.ack.next;
-            self.counts.path_dropped = dropped;
-            return None;
-        }
-        let offered = vertices.len();
-        vertices.truncate(free);
-        path.ack.missing = false;
-        path.ack.next = path.ack.next.saturating_add(vertices.len() as u32);
-        path.ack.credit = credit(free - vertices.len());
-        path.ack.complete = last && vertices.len() == offered;
-        if vertices.len() < offered {
-            self.counts.path_dropped = dropped;
-        }
-        let last = path.ack.complete;
-        (last || !vertices.is_empty()).then_some(DeviceEvent::Path { vertices, last })
+        let path = self.path.as_mut().filter(|path| path.job() == job);
+        let (taken, dropped) = path.map_or((None, true), |path| path.take(first, vertices, last, free));
+        self.counts.path_dropped = self.counts.path_dropped.wrapping_add(u32::from(dropped));
+        taken.map(|(vertices, last)| DeviceEvent::Path { vertices, last })
     }
 
     /// Answers a command. Accepting [`Command::Draw`] opens its path at vertex 0; accepting [`Command::Cancel`] or
@@ -307,16 +272,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         request.due = true;
         match (request.command, result) {
             (Command::Draw { job }, Ok(())) => {
-                self.path = Some(Path {
-                    ack: PathAck {
-                        job,
-                        credit: self.identity.capacity,
-                        ..PathAck::default()
-                    },
-                    open: true,
-                    changed: true,
-                    ..Path::default()
-                });
+                self.path = Some(PathReceiver::new(job, self.identity.capacity));
             }
             (Command::Cancel | Command::Stop, Ok(())) => self.close_path(),
             _ => {}
@@ -337,34 +293,22 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     /// Tells the host how far the path is: vertices fully executed, vertices that find room now, whether the path was
     /// executed to its end. Call it every millisecond or when something changed; the endpoint decides when to send.
     pub fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
-        let Some(path) = &mut self.path else { return };
-        let credit = if path.open { credit(free) } else { 0 };
-        let ack = PathAck {
-            credit,
-            executed,
-            finished,
-            ..path.ack
-        };
-        path.changed |= ack != path.ack;
-        path.ack_due |= finished && !path.ack.finished;
-        path.ack = ack;
+        if let Some(path) = &mut self.path {
+            path.acknowledge(executed, free, finished);
+        }
     }
 
     /// Refuses a vertex of the path; the path is not taken further.
     pub fn refuse_vertex(&mut self, refusal: crate::motion::Refusal) {
-        self.close_path();
         if let Some(path) = &mut self.path {
-            path.refusal = Some(refusal);
-            path.refusal_due = true;
+            path.refuse(refusal);
         }
     }
 
     /// Takes no more of the path, for instance because a fault has ended the drawing.
     pub fn close_path(&mut self) {
         if let Some(path) = &mut self.path {
-            path.open = false;
-            path.ack.credit = 0;
-            path.changed = true;
+            path.close();
         }
     }
 
@@ -459,33 +403,6 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 }
 
-impl Path {
-    fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
-        if let Some(refusal) = self.refusal.filter(|_| self.refusal_due) {
-            self.refusal_due = false;
-            return Some(DeviceMessage::VertexRefused {
-                job: self.ack.job,
-                refusal,
-            });
-        }
-        let age_ms = now_ms.saturating_sub(self.ack_sent_ms);
-        let due = self.ack_due || (self.changed && age_ms >= ACK_PROGRESS_MS) || age_ms >= ACK_PERIOD_MS;
-        if !due {
-            return None;
-        }
-        let ack = self.ack;
-        self.ack.missing = false;
-        self.ack_due = false;
-        self.changed = false;
-        self.ack_sent_ms = now_ms;
-        Some(DeviceMessage::Ack(ack))
-    }
-}
-
-fn credit(free: usize) -> u16 {
-    u16::try_from(free).unwrap_or(u16::MAX)
-}
-
 fn shortened(text: &str) -> String<16> {
     let mut short = String::new();
     for letter in text.chars() {
@@ -498,9 +415,9 @@ fn shortened(text: &str) -> String<16> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::protocol::{Counters, Hello, PathVertex, SLAVES_REPORTED, SlaveStatus};
     use super::*;
     use crate::application::Mode;
-    use crate::link::protocol::{Counters, Hello, SLAVES_REPORTED, SlaveStatus};
     use crate::motion::Pen;
 
     const IDENTITY: Identity = Identity {
@@ -572,14 +489,6 @@ mod tests {
         messages.collect()
     }
 
-    fn acks(messages: &[DeviceMessage]) -> heapless::Vec<PathAck, 16> {
-        let acks = messages.iter().filter_map(|message| match message {
-            DeviceMessage::Ack(ack) => Some(*ack),
-            _ => None,
-        });
-        acks.collect()
-    }
-
     fn drawing() -> DeviceEndpoint {
         let mut endpoint = endpoint();
         say(&mut endpoint, 0, 100, &command(1, Command::Draw { job: 3 }));
@@ -639,54 +548,6 @@ mod tests {
             &hear(&mut endpoint, 6)[..],
             &[DeviceMessage::Configured { id: 8, result: Ok(99) }]
         );
-    }
-
-    #[test]
-    fn only_the_expected_part_of_the_path_is_taken_and_only_as_much_as_there_is_room() {
-        let mut endpoint = drawing();
-        assert!(say(&mut endpoint, 1, 100, &path(4, 4, false)).is_empty());
-        let ack = acks(&hear(&mut endpoint, 1))[0];
-        assert_eq!((ack.next, ack.missing), (0, true));
-        let events = say(&mut endpoint, 2, 3, &path(0, 4, true));
-        assert!(matches!(&events[..], [DeviceEvent::Path { vertices, last: false }] if vertices.len() == 3));
-        let ack = acks(&hear(&mut endpoint, 2))[0];
-        assert_eq!((ack.next, ack.credit, ack.missing, ack.complete), (3, 0, false, false));
-        let events = say(&mut endpoint, 3, 9, &path(3, 1, true));
-        assert!(matches!(&events[..], [DeviceEvent::Path { vertices, last: true }] if vertices[..] == [vertex(3)]));
-        assert!(say(&mut endpoint, 4, 9, &path(3, 1, true)).is_empty());
-        assert!(acks(&hear(&mut endpoint, 4))[0].complete);
-        assert_eq!(endpoint.counts().path_dropped, 3);
-    }
-
-    #[test]
-    fn a_refused_vertex_closes_the_path_and_is_repeated_while_the_host_goes_on_sending() {
-        let mut endpoint = drawing();
-        let refusal = crate::motion::Refusal {
-            index: 2,
-            reason: crate::motion::RefusalReason::NotFinite,
-        };
-        endpoint.refuse_vertex(refusal);
-        let refused = DeviceMessage::VertexRefused { job: 3, refusal };
-        assert!(hear(&mut endpoint, 1).contains(&refused));
-        assert!(say(&mut endpoint, 2, 100, &path(0, 4, false)).is_empty());
-        let messages = hear(&mut endpoint, 2);
-        assert!(messages.contains(&refused));
-        assert_eq!(acks(&messages)[0].credit, 0);
-    }
-
-    #[test]
-    fn progress_is_acknowledged_at_most_every_12_ms_and_credit_is_repeated() {
-        let mut endpoint = drawing();
-        let mut count = 0;
-        for now_ms in 1..=120 {
-            endpoint.acknowledge(now_ms as u32, 50, false);
-            count += acks(&hear(&mut endpoint, now_ms)).len();
-        }
-        assert_eq!(count, 10);
-        let count: usize = (121..=420).map(|now_ms| acks(&hear(&mut endpoint, now_ms)).len()).sum();
-        assert_eq!(count, 3);
-        endpoint.acknowledge(120, 50, true);
-        assert!(acks(&hear(&mut endpoint, 421))[0].finished, "the end is told at once");
     }
 
     fn sample(t_ms: u32) -> Sample {

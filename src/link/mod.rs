@@ -5,4 +5,5 @@
 
 pub mod device;
 pub mod frame;
+pub mod path;
 pub mod protocol;
