@@ -2,7 +2,7 @@
 //!
 //! Process data take fixed objects: RxPDO 0x1702 (velocity demand, control word) and TxPDO 0x1B01 (position, status
 //! word), six bytes each, assigned through 0x1C12 and 0x1C13 in PREOP. The default assignment of the real drive is
-//! not known; here it is these two. Quick-stop deceleration 0x6085 counts velocity digits per second.
+//! not known; here it is these two. Quick-stop deceleration 0x6085 counts position increments per second squared.
 
 use super::application::AlState;
 use super::coe::{Abort, ObjectDictionary};
@@ -278,7 +278,7 @@ impl ObjectDictionary for Ax2000 {
             (0x6061, 0) => self.drive.mode_display.to_le_bytes().into(),
             (0x6064, 0) => self.drive.position().to_le_bytes().into(),
             (0x606B, 0) => self.drive.velocity_digits().to_le_bytes().into(),
-            (0x6085, 0) => self.drive.quick_stop_digits_s.to_le_bytes().into(),
+            (0x6085, 0) => self.drive.quick_stop_increments_s2.to_le_bytes().into(),
             (0x60C2, 0) => vec![2],
             (0x60C2, 1) => vec![self.period_ms],
             (0x60C2, 2) => (-3i8).to_le_bytes().into(),
@@ -305,7 +305,7 @@ impl ObjectDictionary for Ax2000 {
             (0x6085, 0) => match u32::from_le_bytes(exactly(value)?) {
                 0 => Err(Abort::VALUE),
                 deceleration => {
-                    self.drive.quick_stop_digits_s = deceleration;
+                    self.drive.quick_stop_increments_s2 = deceleration;
                     Ok(())
                 }
             },

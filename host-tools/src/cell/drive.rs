@@ -76,8 +76,8 @@ pub(super) struct Drive {
     /// Requested and active mode of operation.
     pub(super) mode: i8,
     pub(super) mode_display: i8,
-    /// Quick-stop deceleration, velocity digits per second.
-    pub(super) quick_stop_digits_s: u32,
+    /// Quick-stop deceleration, position increments per second squared at the motor.
+    pub(super) quick_stop_increments_s2: u32,
     control: u16,
     status: u16,
     error_code: u16,
@@ -97,7 +97,7 @@ impl Drive {
             state: DriveState::SwitchOnDisabled,
             mode: 0,
             mode_display: 0,
-            quick_stop_digits_s: 0,
+            quick_stop_increments_s2: 0,
             control: 0,
             status: 0,
             error_code: 0,
@@ -116,7 +116,7 @@ impl Drive {
         self.mode = 0;
         self.mode_display = 0;
         let quick_stop_rad_s2 = self.axis.quick_stop_rad_s2.abs() * self.axis.gear.abs();
-        self.quick_stop_digits_s = (quick_stop_rad_s2 * self.digits_per_rad_s()) as u32;
+        self.quick_stop_increments_s2 = (quick_stop_rad_s2 * self.increments_per_rad()) as u32;
         self.control = 0;
         self.error_code = 0;
         self.emergencies.clear();
@@ -212,7 +212,7 @@ impl Drive {
             self.mode_display = self.mode;
             self.obey(demand.map(|demand| demand.control));
         }
-        let ramp_rad_s2 = f64::from(self.quick_stop_digits_s) / self.digits_per_rad_s();
+        let ramp_rad_s2 = f64::from(self.quick_stop_increments_s2) / self.increments_per_rad();
         let action = match self.state {
             DriveState::OperationEnabled => {
                 let digits = demand.map_or(0, |demand| demand.velocity_digits);
@@ -299,9 +299,13 @@ impl Drive {
         self.axis.digits_per_rpm * 60.0 / TAU
     }
 
+    fn increments_per_rad(&self) -> f64 {
+        f64::from(self.axis.increments_per_revolution.max(1)) / TAU
+    }
+
     fn true_position(&self) -> i32 {
-        let increments = f64::from(self.axis.increments_per_revolution);
-        let turn = self.motor.angle_rad() / TAU * increments + f64::from(self.axis.sync_increments);
+        let increments = f64::from(self.axis.increments_per_revolution.max(1));
+        let turn = self.motor.angle_rad() * self.increments_per_rad() + f64::from(self.axis.sync_increments);
         turn.floor().rem_euclid(increments) as i32
     }
 }
@@ -376,7 +380,8 @@ mod tests {
     fn a_quick_stop_ramps_down_with_the_written_deceleration() {
         let mut drive = enabled();
         hold(&mut drive, 0x0F, 100_000, 100);
-        drive.quick_stop_digits_s = 1_000_000;
+        let increments_per_digit = f64::from(1 << 20) / (60.0 * 262_144.0 / 1_875.0);
+        drive.quick_stop_increments_s2 = (1_000_000.0 * increments_per_digit) as u32;
         let mut milliseconds = 0;
         while drive.state() != DriveState::SwitchOnDisabled && milliseconds < 1000 {
             hold(&mut drive, 0x02, 100_000, 1);

@@ -26,6 +26,8 @@ pub(super) const WATCHDOG_PROCESS_DATA: usize = wire::WATCHDOG_SYNC_MANAGER as u
 pub(super) const WATCHDOG_STATUS: usize = wire::WATCHDOG_STATUS as usize;
 /// Expiries of the process-data watchdog.
 pub(super) const WATCHDOG_COUNTER: usize = wire::WATCHDOG_COUNTER as usize;
+/// Lost links, one counter for each port.
+pub(super) const LOST_LINKS: usize = wire::LOST_LINKS as usize;
 /// First register of the information memory's interface.
 pub(super) const SII_CONFIG: usize = wire::SII_CONFIG as usize;
 /// Control and status of the information memory.

@@ -5,13 +5,16 @@ use super::*;
 
 pub(super) const APRD: u8 = 1;
 pub(super) const APWR: u8 = 2;
+pub(super) const APRW: u8 = 3;
 pub(super) const FPRD: u8 = 4;
 pub(super) const FPWR: u8 = 5;
 pub(super) const BRD: u8 = 7;
 pub(super) const BWR: u8 = 8;
+pub(super) const BRW: u8 = 9;
 pub(super) const LRD: u8 = 10;
 pub(super) const LWR: u8 = 11;
 pub(super) const LRW: u8 = 12;
+pub(super) const ARMW: u8 = 13;
 pub(super) const FRMW: u8 = 14;
 
 /// Ethernet and EtherCAT headers, then the first datagram.
@@ -212,6 +215,24 @@ impl Bench {
                 .iter()
                 .all(|s| s.drive == DriveState::OperationEnabled)
         );
+    }
+
+    /// Input and output in one millisecond: commands are computed from this millisecond's positions.
+    pub(super) fn control(&mut self, mut law: impl FnMut([i32; 4]) -> [i32; 4]) {
+        let replies = self.cell.frame(self.time_us, &frame_of(&[(LRD, 0x0040, 1, &[0; 24])]));
+        let (inputs, count) = content(&replies[0], 24);
+        assert_eq!(count, 4, "each slave reads once");
+        let velocity = law(std::array::from_fn(|slave| {
+            i32::from_le_bytes(std::array::from_fn(|byte| inputs[slave * 6 + byte]))
+        }));
+        let mut outputs = Vec::new();
+        for velocity in velocity {
+            outputs.extend_from_slice(&velocity.to_le_bytes());
+            outputs.extend_from_slice(&0x0Fu16.to_le_bytes());
+        }
+        let reply = self.cell.frame(self.time_us + 100, &frame_of(&[(LWR, 0, 1, &outputs)]));
+        assert_eq!(content(&reply[0], 24).1, 4, "each slave writes once");
+        self.time_us += 1000;
     }
 
     /// One exchange of process data: positions and status words.

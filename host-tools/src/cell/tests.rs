@@ -1,7 +1,11 @@
 //! The cell as a whole, driven by hand-made frames.
 
+use super::random::Random;
 use super::test_bench::*;
 use super::*;
+use etherpen::config::Axis;
+use etherpen::control::position::PositionController;
+use etherpen::robot::Delta;
 
 #[test]
 fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
@@ -63,7 +67,10 @@ fn hand_made_frames_bring_the_drives_from_init_to_op() {
     let (positions, status) = bench.cycle([0; 4], 0x0F);
     assert!(status.iter().all(|status| status & 0x6F == 0x27), "{status:x?}");
     for (axis, (position, joint)) in positions.iter().zip(state.joints.0).enumerate() {
-        let turns = (joint + 0.5) * 12.0 / std::f64::consts::TAU;
+        let Axis {
+            sync_angle_rad, gear, ..
+        } = Config::default().axes[axis];
+        let turns = (joint - sync_angle_rad) * gear / std::f64::consts::TAU;
         let expected = (turns * f64::from(1 << 20)).floor().rem_euclid(f64::from(1 << 20));
         assert_eq!(f64::from(*position), expected, "axis {axis}");
     }
@@ -374,7 +381,9 @@ fn the_seed_moves_the_starting_pose() {
     };
     assert_eq!(pose(1), pose(1));
     assert_ne!(pose(1), pose(2));
-    assert!(pose(2).0.iter().all(|joint| (joint + 0.5).abs() <= 0.1));
+    for (joint, axis) in pose(2).0.iter().zip(Config::default().axes) {
+        assert!((joint - axis.sync_angle_rad).abs() <= 0.1);
+    }
 }
 
 #[test]
@@ -384,6 +393,71 @@ fn a_clock_that_jumps_or_runs_back_is_survived() {
     cell.advance_to(1_010_000);
     cell.advance_to(0);
     assert_eq!(cell.state().time_ms, 10);
+}
+
+/// References of a circle of 40 mm radius at up to 400 mm/s: from a joint pose to its start, down, and twice around.
+fn circle_references(from: [f64; AXES], config: &Config) -> Vec<[f64; AXES]> {
+    let delta = Delta::new(&config.geometry).expect("the default geometry");
+    let ease = |share: f64| share.powi(3) * (10.0 - 15.0 * share + 6.0 * share * share);
+    let joints = |angle: f64, lift_mm: f64| {
+        let position = Position {
+            x_mm: 40.0 * angle.cos(),
+            y_mm: 40.0 * angle.sin(),
+            z_mm: config.paper.pen_down_z_mm + lift_mm,
+        };
+        let [a, b, c] = delta.inverse(&position).expect("within reach");
+        [a, b, c, from[3]]
+    };
+    let above = joints(0.0, 3.0);
+    let share = |ms: u32, of: f64| ease((f64::from(ms) / of).min(1.0));
+    let blend = |s: f64| std::array::from_fn(|axis| from[axis] + s * (above[axis] - from[axis]));
+    let approach = (0..1000).map(|ms| blend(share(ms, 1000.0)));
+    let down = (0..200).map(|ms| joints(0.0, 3.0 * (1.0 - share(ms, 150.0))));
+    let turns = std::f64::consts::TAU * 2.0;
+    let around = (0..2400).map(|ms| joints(turns * share(ms, 2356.0), 0.0));
+    approach.chain(down).chain(around).collect()
+}
+
+#[test]
+fn the_documented_control_law_draws_a_circle_within_fifty_micrometres() {
+    let config = Config::default();
+    let mut bench = bench();
+    bench.bring_up();
+    let references = circle_references(bench.cell.state().joints.0, &config);
+    let mut controllers = config.axes.map(|axis| PositionController::new(&axis));
+    let mut unwrapped: [Option<(i32, i64)>; AXES] = [None; AXES];
+    for now in 0..references.len() {
+        bench.control(|positions| {
+            std::array::from_fn(|axis| {
+                let (last, sum) = unwrapped[axis].unwrap_or_else(|| {
+                    let near = if positions[axis] > 1 << 19 { 1 << 20 } else { 0 };
+                    (positions[axis], i64::from(positions[axis] - near))
+                });
+                let step = (positions[axis] - last + (1 << 19)).rem_euclid(1 << 20) - (1 << 19);
+                unwrapped[axis] = Some((positions[axis], sum + i64::from(step)));
+                let turns = (sum + i64::from(step)) as f64 / f64::from(1 << 20);
+                let measured =
+                    config.axes[axis].sync_angle_rad + turns * std::f64::consts::TAU / config.axes[axis].gear;
+                let at = |ms: usize| references[ms.min(references.len() - 1)][axis];
+                let ahead = (now..now + 16).map(|ms| (at(ms) - at(ms.max(1) - 1)) * 1000.0);
+                let rad_s = controllers[axis].step(at(now), measured, ahead);
+                (rad_s * config.axes[axis].gear * 60.0 / std::f64::consts::TAU * config.axes[axis].digits_per_rpm)
+                    as i32
+            })
+        });
+    }
+    let state = bench.cell.state();
+    assert_eq!(bench.cell.ink().len(), 1, "{state:?}");
+    let radii = bench.cell.ink()[0]
+        .points_mm
+        .iter()
+        .map(|[x, y]| (x - 100.0).hypot(y - 100.0));
+    let worst = radii.map(|radius| (radius - 40.0).abs()).fold(0.0, f64::max);
+    assert!(worst < 0.05, "{worst} mm beside the circle");
+    assert_eq!(
+        (state.contacts_outside, state.unreachable_ms, state.end_stop_ms),
+        (0, 0, 0)
+    );
 }
 
 #[test]
