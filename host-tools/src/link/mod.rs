@@ -11,4 +11,5 @@ mod path;
 pub mod port;
 pub mod progress;
 pub mod session;
+pub mod terms;
 pub mod text;

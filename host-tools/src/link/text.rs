@@ -4,6 +4,9 @@
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::ConfigError;
+use etherpen::ethercat::coe::{abort_hint, abort_text};
+use etherpen::ethercat::event::Step;
+use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::link::protocol::{Command, ConfigRefusal};
 
 /// An operating mode in a few words.
@@ -124,8 +127,8 @@ pub fn fault(fault: &Fault) -> String {
             "slave {} went to {}, AL code {al_code:#06x} ({}); {}",
             one(slave),
             al_state(state),
-            al_status(al_code).0,
-            al_status(al_code).1
+            al_code_text(al_code),
+            al_code_hint(al_code)
         ),
         Fault::Drive { axis, status_word } => format!(
             "the drive of axis {} reports a fault (status word {status_word:#06x}); read its display, remove the cause, \
@@ -164,12 +167,10 @@ pub fn fault(fault: &Fault) -> String {
         Fault::EnableTimeout { waited_ms } => format!(
             "the drives were not enabled within {waited_ms} ms; check their power stage's supply and the enable input"
         ),
-        Fault::BusConfiguration { slave, step, code } => format!(
-            "slave {} could not be brought up (step {step}, code {code:#06x}: {}); check that it is the expected drive \
-             and read its display",
-            one(slave),
-            bring_up_code(code)
-        ),
+        Fault::BusConfiguration { slave, step, code } => {
+            let (text, hint) = bring_up_code(code);
+            format!("slave {} failed at {}: {text}; {hint}", one(slave), bring_up_step(step))
+        }
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"
@@ -195,72 +196,39 @@ pub fn al_state(al_state: u8) -> String {
     format!("{name}{error}")
 }
 
-fn bring_up_code(code: u32) -> &'static str {
-    match code {
-        0x0503_0000 => "SDO toggle bit not alternated",
-        0x0504_0000 => "SDO timed out",
-        0x0601_0000 => "object access not supported",
-        0x0601_0002 => "object is read only",
-        0x0602_0000 => "object does not exist",
-        0x0604_0041 => "object cannot be mapped",
-        0x0607_0010 => "data type or length does not match",
-        0x0609_0011 => "subindex does not exist",
-        0x0609_0030 => "value out of range",
-        0x0800_0022 => "not possible in the present state",
-        _ => u16::try_from(code).map_or("no text for this code", |code| al_status(code).0),
-    }
+fn bring_up_step(step: u8) -> &'static str {
+    const STEPS: [(Step, &str); 13] = [
+        (Step::Discover, "counting the slaves"),
+        (Step::Reset, "bringing all slaves to INIT"),
+        (Step::Address, "giving station addresses"),
+        (Step::Identify, "reading its identity"),
+        (Step::Locate, "finding it at its place"),
+        (Step::Init, "bringing it to INIT"),
+        (Step::Mailbox, "setting up its mailbox"),
+        (Step::PreOperational, "bringing it to PREOP"),
+        (Step::Objects, "writing its objects"),
+        (Step::ProcessData, "setting up its process data"),
+        (Step::SafeOperational, "bringing it to SAFEOP"),
+        (Step::CyclicData, "waiting for its cyclic inputs"),
+        (Step::Operational, "bringing it to OP"),
+    ];
+    let known = STEPS.iter().find(|(known, _)| *known as u8 == step);
+    known.map_or("an unknown step", |(_, text)| text)
 }
 
-/// AL status code as text and what to try (ETG.1000.6, table of AL status codes).
-pub fn al_status(code: u16) -> (&'static str, &'static str) {
-    match code {
-        0x0000 => ("no error", "check the cable before the slave and its supply"),
-        0x0001 => ("unspecified error", "read the drive's display"),
-        0x0002 => ("no memory", "switch the drive off and on"),
-        0x0011 => (
-            "invalid requested state change",
-            "acknowledge; the supervisor starts from INIT",
-        ),
-        0x0012 => ("unknown requested state", "check that it is the expected drive"),
-        0x0013 => ("bootstrap not supported", "check that it is the expected drive"),
-        0x0014 => ("no valid firmware", "restore the drive's firmware"),
-        0x0016 => (
-            "invalid mailbox configuration",
-            "check that it is the expected drive and revision",
-        ),
-        0x0017 => (
-            "invalid sync manager configuration",
-            "check that it is the expected drive and revision",
-        ),
-        0x0018 => ("no valid inputs available", "check the drive's feedback"),
-        0x0019 => ("no valid outputs", "check that cyclic data are running"),
-        0x001a => ("synchronisation error", "check cycle time and clock settings"),
-        0x001b => (
-            "sync manager watchdog: outputs came too late",
-            "look for late cycles, lost frames or a pulled cable, then acknowledge",
-        ),
-        0x001d => ("invalid output configuration", "check the process data of the drive"),
-        0x001e => ("invalid input configuration", "check the process data of the drive"),
-        0x001f => (
-            "invalid watchdog configuration",
-            "check bus.watchdog_ms in etherpen.toml",
-        ),
-        0x0020 => ("slave needs a cold start", "switch the drive off and on"),
-        0x0021 => ("slave needs INIT", "acknowledge; the supervisor starts from INIT"),
-        0x0022 => ("slave needs PREOP", "acknowledge; the supervisor starts from INIT"),
-        0x0023 => ("slave needs SAFEOP", "acknowledge; the supervisor starts from INIT"),
-        0x002c => ("fatal synchronisation error", "check cycle time and clock settings"),
-        0x002d => ("no synchronisation error", "check cycle time and clock settings"),
-        0x0030 => ("invalid distributed-clock configuration", "check clock settings"),
-        0x0032 => ("distributed clock lost its lock", "check cycle time and clock settings"),
-        0x0042 => (
-            "mailbox error of CoE",
-            "check that it is the expected drive and revision",
-        ),
-        0x0050 => ("EEPROM could not be accessed", "switch the drive off and on"),
-        0x0051 => ("EEPROM error", "restore the drive's EEPROM"),
-        _ => ("no text for this code", "look it up in the drive's manual"),
+/// Text and hint for the code of a failed bring-up: an AL status code where it fits, else an SDO abort code.
+fn bring_up_code(code: u32) -> (String, &'static str) {
+    if code == 0 {
+        return (
+            "it did not answer in time or as expected".into(),
+            "check its supply and cable",
+        );
     }
+    let (text, hint) = match u16::try_from(code) {
+        Ok(code) => (al_code_text(code), al_code_hint(code)),
+        Err(_) => (abort_text(code), abort_hint(code)),
+    };
+    (format!("code {code:#06x}, {text}"), hint)
 }
 
 #[cfg(test)]
@@ -313,5 +281,23 @@ mod tests {
             words("Joint { axis: 2, angle_rad: 1.5 }"),
             "joint axis: 2, angle_rad: 1.5"
         );
+    }
+
+    #[test]
+    fn a_failed_bring_up_names_the_step_and_what_the_slave_said() {
+        let failed = |step: Step, code| {
+            fault(&Fault::BusConfiguration {
+                slave: 1,
+                step: step as u8,
+                code,
+            })
+        };
+        let objects = failed(Step::Objects, 0x0602_0000);
+        assert!(
+            objects.starts_with("slave 2 failed at writing its objects: code 0x6020000, object"),
+            "{objects}"
+        );
+        assert!(failed(Step::SafeOperational, 0x1e).contains("SAFEOP: code 0x001e, input"));
+        assert!(failed(Step::Locate, 0).contains("did not answer"));
     }
 }
