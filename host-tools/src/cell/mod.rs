@@ -250,6 +250,8 @@ fn joints(segment: &Segment) -> JointAngles {
 }
 
 #[cfg(test)]
+mod master_tests;
+#[cfg(test)]
 mod test_bench;
 #[cfg(test)]
 mod tests;
