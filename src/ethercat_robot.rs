@@ -57,6 +57,7 @@ struct AxisState {
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
+    reference_lost: bool,
     commanded: bool,
 }
 
@@ -79,8 +80,15 @@ impl AxisState {
             status: StatusWord(0),
             generation: 0,
             zero: None,
+            reference_lost: false,
             commanded: false,
         }
+    }
+
+    /// The turns are not known any more.
+    fn lose_reference(&mut self) {
+        self.reference_lost |= self.zero.is_some();
+        self.zero = None;
     }
 
     /// Wraps a difference of increments to the nearest within half a revolution.
@@ -99,13 +107,13 @@ impl AxisState {
         if generation != self.generation {
             self.generation = generation;
             self.known = false;
-            self.zero = None;
+            self.lose_reference();
         }
         let Some(input) = input else {
             self.gap_ms = self.gap_ms.saturating_add(1);
             let moving = self.is_moving() || self.commanded;
             if self.gap_ms > GAP_IN_MOTION_MAX_MS && moving || self.gap_ms > GAP_AT_REST_MAX_MS {
-                self.zero = None;
+                self.lose_reference();
             }
             self.input = None;
             return;
@@ -202,6 +210,7 @@ impl EtherCatRobot {
             let off_mark = axis.nearest(i64::from(axis.raw) - axis.sync_increments);
             let at_mark = (axis.position - off_mark) as f64;
             axis.zero = Some(at_mark - axis.sync_angle_rad * axis.increments_per_rad);
+            axis.reference_lost = false;
         }
         Ok(())
     }
@@ -211,9 +220,9 @@ impl EtherCatRobot {
         self.axes.iter().all(|axis| axis.zero.is_some())
     }
 
-    /// The first axis that is not referenced, from 0.
-    pub fn unreferenced(&self) -> Option<usize> {
-        self.axes.iter().position(|axis| axis.zero.is_none())
+    /// Which axes were referenced once and are not any more; cleared by [`Self::reference`].
+    pub fn references_lost(&self) -> [bool; AXES] {
+        self.axes.each_ref().map(|axis| axis.reference_lost)
     }
 
     /// Joint angle of a motor position, rad; `None` until referenced.
@@ -267,5 +276,155 @@ impl IoGroup for EtherCatRobot {
             axis: self.axes.get(member)?,
             command: self.commands.get_mut(member)?,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TURN: i32 = 1 << 20;
+
+    fn axis() -> AxisState {
+        let axis = Axis {
+            sync_angle_rad: -0.5,
+            sync_increments: 1000,
+            ..Axis::default()
+        };
+        AxisState::new(&axis)
+    }
+
+    fn at(position: i32) -> Option<DriveInput> {
+        Some(DriveInput {
+            position,
+            status: StatusWord(0x0637),
+        })
+    }
+
+    fn robot(positions: [i32; AXES]) -> EtherCatRobot {
+        let mut robot = EtherCatRobot::new(
+            &[Axis {
+                sync_increments: 1000,
+                ..Axis::default()
+            }; AXES],
+        );
+        for (axis, position) in robot.axes.iter_mut().zip(positions) {
+            axis.step(at(position), 0);
+        }
+        robot
+    }
+
+    #[test]
+    fn turns_are_counted_both_ways_for_single_turn_and_for_counting_encoders() {
+        let (mut wrapping, mut counting) = (axis(), axis());
+        let mut truth = 5_i64;
+        for cycle in 0..400_i64 {
+            truth += if cycle < 150 { 90_000 } else { -110_000 };
+            wrapping.step(at(truth.rem_euclid(i64::from(TURN)) as i32), 0);
+            counting.step(at((truth + i64::from(i32::MAX)) as i32), 0);
+            if cycle == 0 {
+                assert_eq!(wrapping.position, truth);
+            }
+        }
+        assert_eq!(wrapping.position, truth);
+        assert_eq!(counting.position, truth + i64::from(i32::MAX) - (1 << 32));
+    }
+
+    #[test]
+    fn the_resolver_gives_the_angle_nearest_to_the_mark() {
+        // A quarter turn of the motor beyond the mark, seen across the end of the turn and four turns up.
+        for position in [1000 + TURN / 4, 1000 + TURN / 4 + 4 * TURN, 1000 + TURN / 4 - TURN] {
+            let mut robot = robot([position; AXES]);
+            assert!(!robot.is_referenced());
+            assert_eq!(robot.reference(), Ok(()));
+            let angle_rad = robot.axes[0].axis_input().unwrap().angle_rad.unwrap();
+            let expected_rad = Axis::default().sync_angle_rad + TAU / 4.0 / 12.0;
+            assert!((angle_rad - expected_rad).abs() < 1e-9, "{angle_rad}");
+        }
+        let mut robot = robot([1000 - TURN / 4; AXES]);
+        assert_eq!(robot.reference(), Ok(()));
+        assert!(robot.axes[3].axis_input().unwrap().angle_rad.unwrap() < Axis::default().sync_angle_rad);
+    }
+
+    #[test]
+    fn a_moving_or_silent_axis_is_not_referenced() {
+        let mut moving = robot([0; AXES]);
+        moving.axes[2].step(at(5_000), 0);
+        assert_eq!(moving.reference(), Err(ReferenceError::Moving { axis: 2 }));
+        let mut silent = robot([0; AXES]);
+        silent.axes[1].step(None, 0);
+        assert_eq!(silent.reference(), Err(ReferenceError::NoPosition { axis: 1 }));
+        assert!(!silent.is_referenced());
+    }
+
+    #[test]
+    fn a_gap_in_motion_costs_the_reference_after_8_ms_and_at_rest_after_half_a_second() {
+        for (speed, survived_ms) in [(50_000, GAP_IN_MOTION_MAX_MS), (0, GAP_AT_REST_MAX_MS)] {
+            for (gap_ms, kept) in [(survived_ms, true), (survived_ms + 1, false)] {
+                let mut robot = robot([0; AXES]);
+                robot.reference().unwrap();
+                robot.axes[1].step(at(speed), 0);
+                (0..gap_ms).for_each(|_| robot.axes[1].step(None, 0));
+                assert_eq!(robot.axes[1].axis_input(), None);
+                robot.axes[1].step(at(speed), 0);
+                assert_eq!(robot.is_referenced(), kept, "{speed} increments/ms, {gap_ms} ms");
+                assert_eq!(robot.references_lost(), [false, !kept, false, false]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_drive_that_was_configured_anew_is_not_referenced() {
+        let mut robot = robot([0; AXES]);
+        robot.reference().unwrap();
+        robot.axes[0].step(at(0), 1);
+        assert_eq!(robot.references_lost(), [true, false, false, false]);
+        assert!(robot.axes[0].axis_input().unwrap().angle_rad.is_none());
+    }
+
+    #[test]
+    fn velocities_are_scaled_clamped_and_zero_unless_in_operation() {
+        let mut axis = axis();
+        let command = |velocity_rad_s| AxisCommand {
+            target: DriveTarget::Enabled,
+            velocity_rad_s,
+        };
+        assert_eq!(axis.output(&command(1.0)).velocity_digits, 0);
+        axis.step(at(0), 0);
+        // 1 rad/s at the joint is 12 rad/s, 114.59 rpm, at the motor.
+        assert_eq!(axis.output(&command(1.0)).velocity_digits, 16_021);
+        assert_eq!(axis.output(&command(-1.0)).velocity_digits, -16_021);
+        let clamped = axis.output(&command(1.0e9)).velocity_digits;
+        assert_eq!(
+            clamped,
+            axis.output(&command(Axis::default().output_max_rad_s)).velocity_digits
+        );
+        assert_eq!(axis.output(&command(f64::NAN)).velocity_digits, 0);
+        let stop = AxisCommand {
+            target: DriveTarget::QuickStop,
+            velocity_rad_s: 1.0,
+        };
+        let output = axis.output(&stop);
+        assert_eq!(
+            (output.velocity_digits, output.control),
+            (0, cia402::ControlWord::QUICK_STOP)
+        );
+    }
+
+    #[test]
+    fn a_motor_that_turns_the_other_way_is_turned_back() {
+        let mut axis = AxisState::new(&Axis {
+            gear: -12.0,
+            ..Axis::default()
+        });
+        axis.step(at(0), 0);
+        axis.zero = Some(0.0);
+        let command = AxisCommand {
+            target: DriveTarget::Enabled,
+            velocity_rad_s: 1.0,
+        };
+        assert!(axis.output(&command).velocity_digits < 0);
+        axis.step(at(-1000), 0);
+        assert!(axis.axis_input().unwrap().angle_rad.unwrap() > 0.0);
     }
 }

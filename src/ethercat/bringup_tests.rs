@@ -114,7 +114,7 @@ fn four_drives_reach_op_with_every_setting_written() {
                 assert_eq!(slave.objects[&(0x1C13, 1)], [0x01, 0x1B]);
                 assert_eq!(slave.objects[&(0x6060, 0)], [0xFE]);
                 assert_eq!(slave.objects[&(0x60C2, 2)], [0xFD]);
-                assert_eq!(slave.objects[&(0x6085, 0)], 200_263_264_u32.to_le_bytes());
+                assert_eq!(slave.objects[&(0x6085, 0)], 1_602_106_u32.to_le_bytes());
                 let watchdog = usize::from(register::WATCHDOG_SYNC_MANAGER);
                 assert_eq!(slave.memory[watchdog..watchdog + 2], [100, 0]);
                 assert_eq!((slave.manager(2).control, slave.manager(3).control), (0x64, 0x20));

@@ -58,17 +58,9 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
                 break;
             }
             let answer = self.ask(object, &Sdo::UploadSegment { toggle }).await?;
-            let Ok(Sdo::UploadSegmentData {
-                toggle: theirs,
-                last,
-                data,
-            }) = Sdo::parse_response(&answer)
-            else {
+            let Ok(Sdo::UploadSegmentData { last, data, .. }) = Sdo::parse_response(&answer) else {
                 return Err(BusError::SdoAnswer { object });
             };
-            if theirs != toggle {
-                return Err(BusError::SdoAnswer { object });
-            }
             append(&mut value, data, object)?;
             toggle = !toggle;
             if last {
@@ -126,7 +118,7 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
         let message = message.get(..length).unwrap_or(&[]);
         let answer = self
             .mailbox
-            .exchange(self.port, Protocol::Coe, message, |data| belongs(data, object))
+            .exchange(self.port, Protocol::Coe, message, |data| belongs(data, request, object))
             .await?;
         match Sdo::parse_response(&answer) {
             Ok(Sdo::Abort { code, .. }) => Err(BusError::SdoAbort { object, code }),
@@ -135,19 +127,19 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
     }
 }
 
-/// Whether a CoE message is the answer to a request for `object`; segments carry no object.
-fn belongs(data: &[u8], object: Object) -> bool {
+/// Whether a CoE message answers `request` for `object`; an answer to an earlier request does not.
+fn belongs(data: &[u8], request: &Sdo<'_>, object: Object) -> bool {
     if !matches!(Service::parse(data), Ok(Service::SdoResponse | Service::SdoRequest)) {
         return false;
     }
-    match Sdo::parse_response(data) {
-        Ok(
-            Sdo::UploadExpedited { object: theirs, .. }
-            | Sdo::UploadNormal { object: theirs, .. }
-            | Sdo::DownloadDone { object: theirs }
-            | Sdo::Abort { object: theirs, .. },
-        ) => theirs == object,
-        Ok(Sdo::UploadSegmentData { .. } | Sdo::DownloadSegmentDone { .. }) => true,
+    match (request, Sdo::parse_response(data)) {
+        (_, Ok(Sdo::Abort { object: theirs, .. }))
+        | (
+            Sdo::Upload { .. },
+            Ok(Sdo::UploadExpedited { object: theirs, .. } | Sdo::UploadNormal { object: theirs, .. }),
+        )
+        | (Sdo::DownloadExpedited { .. }, Ok(Sdo::DownloadDone { object: theirs })) => theirs == object,
+        (Sdo::UploadSegment { toggle }, Ok(Sdo::UploadSegmentData { toggle: theirs, .. })) => *toggle == theirs,
         _ => false,
     }
 }

@@ -21,6 +21,8 @@ use crate::drives::Setting;
 pub const SII_TIMEOUT_MS: u32 = 100;
 /// How often an unacknowledged SII command is repeated.
 const SII_TRIES_MAX: u8 = 3;
+/// How often a setting is read back until the drive shows it; one reading takes some milliseconds.
+const VERIFY_TRIES_MAX: u8 = 10;
 /// Logical address of the outputs; each slave has [`PROCESS_BYTES_MAX`] bytes.
 pub const LOGICAL_OUTPUTS: u32 = 0x0001_0000;
 /// Logical address of the inputs.
@@ -235,17 +237,19 @@ async fn apply(dictionary: &mut ObjectDictionary<'_, '_>, setting: &Setting) -> 
         }
         other => other?,
     }
-    if let Some(object) = setting.verify {
-        let actual = dictionary.read(object, setting.length).await?;
-        if actual != expected {
-            return Err(BusError::ReadBack {
-                object,
-                expected,
-                actual,
-            });
+    let Some(object) = setting.verify else { return Ok(()) };
+    let mut actual = 0;
+    for _ in 0..VERIFY_TRIES_MAX {
+        actual = dictionary.read(object, setting.length).await?;
+        if actual == expected {
+            return Ok(());
         }
     }
-    Ok(())
+    Err(BusError::ReadBack {
+        object,
+        expected,
+        actual,
+    })
 }
 
 /// A slave's share of the logical memory; without process data for slaves that are not used.

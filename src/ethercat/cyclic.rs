@@ -65,7 +65,7 @@ pub struct CyclicSlave {
     pub watched: bool,
     /// The axis it drives, if it is a drive that is used.
     pub role: Option<DriveRole>,
-    /// Counts how often the slave was configured from INIT, wrapping: a new number means that it may have been switched
+    /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
     /// off in between.
     pub generation: u8,
 }
@@ -75,6 +75,8 @@ pub struct CyclicSlave {
 pub struct CyclicPlan {
     /// The slaves; those without process data have lengths of 0.
     pub slaves: Vec<CyclicSlave, SLAVES_MAX>,
+    /// Bits of the AL status that come from slaves which are not used.
+    pub al_bits_ignored: u16,
 }
 
 /// The AL status of all slaves.
@@ -167,7 +169,7 @@ impl<'a> Exchange<'a> {
         let mut exchange = Self {
             end,
             source,
-            plan: CyclicPlan { slaves: Vec::new() },
+            plan: CyclicPlan::default(),
             axis_slaves: [None; AXES],
             input: Telegram::new(),
             output: Telegram::new(),
@@ -294,9 +296,12 @@ impl<'a> Exchange<'a> {
             .unwrap_or(&mut [])
     }
 
-    /// This cycle's AL status of all slaves.
+    /// This cycle's AL status of the slaves in use, and the number of all slaves.
     pub fn al_status(&self) -> Option<AlStatus> {
-        self.al
+        self.al.map(|al| AlStatus {
+            status: al.status & !self.plan.al_bits_ignored,
+            slaves: al.slaves,
+        })
     }
 
     /// What has been counted.

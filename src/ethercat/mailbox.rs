@@ -74,10 +74,9 @@ impl Mailbox {
             if !self.is_full(port, 1).await? {
                 break;
             }
-            if let Some(message) = self.fetch(port).await? {
-                // Whatever it is, nobody waits for it any more.
-                let _ = self.dispatch(Protocol::Coe, &message);
-            }
+            let message = self.fetch(port).await?;
+            // Whatever it is, nobody waits for it any more.
+            let _ = self.dispatch(Protocol::Coe, &message);
         }
         Ok(())
     }
@@ -99,9 +98,8 @@ impl Mailbox {
         self.send(port, protocol, request).await?;
         let started_ms = port.now_ms();
         loop {
-            if self.is_full(port, 1).await?
-                && let Some(message) = self.fetch(port).await?
-            {
+            if self.is_full(port, 1).await? {
+                let message = self.fetch(port).await?;
                 match self.dispatch(protocol, &message)? {
                     Some(data) if accept(data) => return Ok(bytes(data)),
                     _ => {}
@@ -150,8 +148,8 @@ impl Mailbox {
             match port.transact(write.clone()).await.outcome {
                 Outcome::Processed { working_counter: 1 } => return Ok(()),
                 // Full: the slave has not taken the message before.
-                Outcome::Processed { .. } => {}
-                Outcome::Lost => {
+                Outcome::Processed { working_counter: 0 } => {}
+                Outcome::Processed { .. } | Outcome::Lost => {
                     if self.is_full(port, 0).await? || self.answer_comes(port).await? {
                         return Ok(());
                     }
@@ -175,8 +173,8 @@ impl Mailbox {
         Ok(false)
     }
 
-    /// Reads a full mailbox; `None` when it was empty after all. A lost answer is fetched again.
-    async fn fetch(&self, port: &mut AcyclicPort<'_>) -> Result<Option<Bytes>, BusError> {
+    /// Reads a full mailbox. A lost answer is fetched again.
+    async fn fetch(&self, port: &mut AcyclicPort<'_>) -> Result<Bytes, BusError> {
         let read = Request {
             command: Command::Fprd,
             address: Address::station(self.station, self.input.start),
@@ -184,14 +182,12 @@ impl Mailbox {
         };
         for _ in 0..super::acyclic::TRIES_MAX {
             let reply = port.transact(read.clone()).await;
-            match reply.outcome {
-                Outcome::Processed { working_counter: 1 } => return Ok(Some(reply.data)),
-                Outcome::Processed { .. } => return Ok(None),
-                Outcome::Lost => {
-                    if !self.is_full(port, 1).await? {
-                        self.ask_again(port).await?;
-                    }
-                }
+            if reply.outcome == (Outcome::Processed { working_counter: 1 }) {
+                return Ok(reply.data);
+            }
+            // The message may have left the mailbox on a frame that was lost or damaged.
+            if !self.is_full(port, 1).await? {
+                self.ask_again(port).await?;
             }
         }
         Err(BusError::Lost {

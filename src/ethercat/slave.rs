@@ -43,7 +43,7 @@ pub struct Slave {
     pub condition: Condition,
     /// Its AL status when it was last asked.
     pub report: AlReport,
-    /// How often it was configured from INIT, wrapping.
+    /// Number of its last configuration from INIT among all on this bus, wrapping.
     pub generation: u8,
 }
 

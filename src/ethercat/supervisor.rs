@@ -95,6 +95,7 @@ pub struct Supervisor<'a> {
     started: bool,
     running: bool,
     slaves: Vec<Slave, SLAVES_MAX>,
+    generation: u8,
     seen: Option<Observation>,
     suspicion_ms: u32,
     inspected_ms: u32,
@@ -112,6 +113,7 @@ impl<'a> Supervisor<'a> {
             started: false,
             running: false,
             slaves: Vec::new(),
+            generation: 0,
             seen: None,
             suspicion_ms: 0,
             inspected_ms: 0,
@@ -203,8 +205,12 @@ impl<'a> Supervisor<'a> {
             watched: slave.condition == Condition::Operational,
             ..configure::cyclic_slave(slave)
         });
+        let idle = self.slaves.iter().filter(|slave| slave.axis.is_none());
+        let idle_bits = idle.fold(0, |bits, slave| bits | u16::from(slave.report.status));
         let mut plan = CyclicPlan {
             slaves: slaves.collect(),
+            // The bit of OP is the one that tells of the slaves in use.
+            al_bits_ignored: idle_bits & !(AlState::Operational as u16),
         };
         while let Err(back) = self.end.plans.enqueue(plan) {
             plan = back;
@@ -326,7 +332,8 @@ impl<'a> Supervisor<'a> {
         };
         let (port, position, station) = (&mut self.end.port, slave.position, slave.station());
         slave.condition = Condition::Configuring;
-        slave.generation = slave.generation.wrapping_add(1);
+        self.generation = self.generation.wrapping_add(1);
+        slave.generation = self.generation;
         let at = |step| Failure::of(position, step);
 
         state::change(port, station, AlState::Init)

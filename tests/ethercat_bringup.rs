@@ -1,0 +1,387 @@
+//! The master against the virtual cell: bring-up, motion, faults on the wire, lost slaves and their repair.
+//!
+//! Everything runs in virtual time: one millisecond is one input telegram, one output telegram, one poll of the
+//! supervisor.
+
+use core::future::Future;
+use core::pin::Pin;
+use core::task::{Context, Waker};
+use etherpen::config::Config;
+use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::cyclic::{BusCounters, Exchange, Ignored};
+use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
+use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use etherpen::ethercat_robot::EtherCatRobot;
+use etherpen::io::{AxisCommand, AxisInput};
+use etherpen::robot::AXES;
+use heapless::spsc::{Consumer, Producer};
+use host_tools::cell::{Cell, CellOptions, Fault};
+
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
+
+/// A master, a cell, and a clock.
+struct Rig<'a> {
+    cell: Cell,
+    exchange: Exchange<'a>,
+    supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
+    commands: Producer<'a, BusCommand>,
+    events: Consumer<'a, BusEvent>,
+    robot: EtherCatRobot,
+    inputs: [Option<AxisInput>; AXES],
+    command: AxisCommand,
+    log: Vec<BusEvent>,
+    now_ms: u64,
+}
+
+/// A rig with this script of faults, told to start; it lives as long as the program.
+fn rig(script: &str) -> Rig<'static> {
+    let config = Config::default();
+    let options = CellOptions {
+        faults: script.parse().expect("the script"),
+        ..CellOptions::default()
+    };
+    let queues = Box::leak(Box::new(BusQueues::new()));
+    let (exchange_end, supervisor_end, mut application) = queues.split();
+    let setup = BusSetup {
+        bus: config.bus.clone(),
+        axes: config.axes,
+    };
+    assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
+    Rig {
+        cell: Cell::new(&config, options),
+        exchange: Exchange::new(exchange_end, MAC),
+        supervisor: Box::pin(async move {
+            let mut supervisor = Supervisor::new(supervisor_end);
+            supervisor.run().await
+        }),
+        commands: application.commands,
+        events: application.events,
+        robot: EtherCatRobot::new(&config.axes),
+        inputs: NO_INPUTS,
+        command: AxisCommand::default(),
+        log: Vec::new(),
+        now_ms: 0,
+    }
+}
+
+impl Rig<'_> {
+    fn transfer(&mut self, frame: &[u8], time_us: u64) {
+        if !frame.is_empty() {
+            for reply in self.cell.frame(time_us, frame) {
+                self.exchange.receive(&reply);
+            }
+        }
+    }
+
+    /// One millisecond; gives the events that came.
+    fn millisecond(&mut self) -> &[BusEvent] {
+        let mut frame = [0; FRAME_LEN_MAX];
+        let time_us = self.now_ms * 1000;
+        let length = self.exchange.input_telegram(&mut frame);
+        self.transfer(&frame[..length], time_us);
+        self.inputs = self.robot.read(&self.exchange);
+        self.robot.write(&mut self.exchange, &[self.command; AXES]);
+        let length = self.exchange.output_telegram(&mut frame);
+        self.transfer(&frame[..length], time_us + 200);
+        let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(poll.is_pending());
+        self.now_ms += 1;
+        let before = self.log.len();
+        while let Some(event) = self.events.dequeue() {
+            self.log.push(event);
+        }
+        &self.log[before..]
+    }
+
+    fn run_ms(&mut self, duration_ms: u32) {
+        for _ in 0..duration_ms {
+            self.millisecond();
+        }
+    }
+
+    /// Runs until an event is `wanted`; gives how long it took, ms.
+    fn wait_for(&mut self, limit_ms: u64, wanted: impl Fn(&BusEvent) -> bool) -> u64 {
+        for waited_ms in 1..=limit_ms {
+            if self.millisecond().iter().any(&wanted) {
+                return waited_ms;
+            }
+        }
+        panic!("not within {limit_ms} ms, at {} ms: {:#?}", self.now_ms, self.log);
+    }
+
+    fn operational(&mut self) -> u64 {
+        self.wait_for(10_000, |event| *event == BusEvent::Operational)
+    }
+
+    fn recover(&mut self) {
+        assert!(self.commands.enqueue(BusCommand::Recover).is_ok());
+    }
+
+    fn drive_states(&self) -> Vec<Option<DriveState>> {
+        self.inputs
+            .iter()
+            .map(|input| input.map(|input| input.status.state()))
+            .collect()
+    }
+
+    /// Leads the drives to `target` at rest and waits until all are in `state`.
+    fn lead(&mut self, target: DriveTarget, state: DriveState) {
+        self.command = AxisCommand {
+            target,
+            velocity_rad_s: 0.0,
+        };
+        for _ in 0..3_000 {
+            self.millisecond();
+            if self.drive_states() == [Some(state); AXES] {
+                return;
+            }
+        }
+        panic!("{target:?} ended in {:?}", self.drive_states());
+    }
+
+    fn counters(&self) -> BusCounters {
+        self.exchange.counters()
+    }
+}
+
+#[test]
+fn four_drives_come_to_op_take_power_and_turn_as_told() {
+    let mut rig = rig("");
+    let took_ms = rig.operational();
+    println!("OP after {took_ms} ms and {} frames", rig.cell.state().frames);
+    assert!(rig.cell.state().slaves.iter().all(|slave| slave.al_status_code == 0));
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+    rig.run_ms(50);
+    rig.robot.reference().expect("at rest");
+    rig.millisecond();
+    let before = rig.cell.state().joints.0;
+    for (input, truth_rad) in rig.inputs.iter().zip(before) {
+        let angle_rad = input.and_then(|input| input.angle_rad).expect("referenced");
+        assert!((angle_rad - truth_rad).abs() < 1e-4, "{angle_rad} {truth_rad}");
+    }
+
+    rig.command.velocity_rad_s = 0.5;
+    rig.run_ms(400);
+    rig.command.velocity_rad_s = 0.0;
+    rig.run_ms(100);
+    for ((input, start_rad), truth_rad) in rig.inputs.iter().zip(before).zip(rig.cell.state().joints.0) {
+        let angle_rad = input.and_then(|input| input.angle_rad).expect("still referenced");
+        assert!((angle_rad - truth_rad).abs() < 1e-3, "{angle_rad} {truth_rad}");
+        assert!(
+            (truth_rad - start_rad - 0.2).abs() < 2e-3,
+            "turned by {}",
+            truth_rad - start_rad
+        );
+    }
+    let counters = rig.counters();
+    assert_eq!(
+        (
+            counters.frames_lost,
+            counters.working_counter_errors,
+            counters.frames_ignored()
+        ),
+        (0, 0, 0)
+    );
+}
+
+#[test]
+fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+    rig.command.velocity_rad_s = 2.0;
+    rig.run_ms(100);
+    let speed_rad_s = rig.cell.state().velocities.0[0];
+    assert!((speed_rad_s - 2.0).abs() < 0.05, "{speed_rad_s}");
+    rig.command = AxisCommand {
+        target: DriveTarget::QuickStop,
+        velocity_rad_s: 2.0,
+    };
+    let started_ms = rig.now_ms;
+    while rig.cell.state().velocities.0[0].abs() > 0.01 {
+        rig.millisecond();
+        assert!(rig.now_ms - started_ms < 100, "not at rest");
+    }
+    // 2 rad/s with 100 rad/s2 take 20 ms, and a few for the way to the drive.
+    let took_ms = rig.now_ms - started_ms;
+    assert!((20..32).contains(&took_ms), "{took_ms} ms");
+}
+
+#[test]
+fn a_drive_fault_is_seen_in_the_status_word_and_reset_by_an_edge() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+    rig.cell.inject(Fault::Drive(3, 0x2310));
+    rig.run_ms(100);
+    assert_eq!(rig.drive_states()[2], Some(DriveState::Fault));
+    rig.lead_one_fault_away();
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+}
+
+impl Rig<'_> {
+    /// Off for a moment, then fault reset, as the application does.
+    fn lead_one_fault_away(&mut self) {
+        self.command = AxisCommand {
+            target: DriveTarget::Off,
+            velocity_rad_s: 0.0,
+        };
+        self.run_ms(20);
+        self.lead(DriveTarget::FaultReset, DriveState::SwitchOnDisabled);
+    }
+}
+
+#[test]
+fn disturbed_frames_delay_the_bring_up_and_cost_single_cycles() {
+    let script = "chance 0.01 drop\nchance 0.01 lose\nchance 0.01 delay 1\nchance 0.01 duplicate\n\
+                  chance 0.01 truncate 30\nchance 0.01 index 7\nchance 0.01 foreign\nchance 0.01 counter 1\n";
+    let mut rig = rig(script);
+    let took_ms = rig.operational();
+    let refused = rig.log.iter().find(|event| matches!(event, BusEvent::Refused { .. }));
+    assert_eq!(refused, None, "after {took_ms} ms");
+    let mut missing = 0;
+    for _ in 0..5_000 {
+        rig.millisecond();
+        missing += rig.inputs.iter().filter(|input| input.is_none()).count();
+    }
+    assert!(missing < 5_000 * AXES / 10, "{missing} inputs missing");
+    for kind in [
+        Ignored::Late,
+        Ignored::Duplicate,
+        Ignored::Truncated,
+        Ignored::EtherType,
+    ] {
+        assert!(
+            rig.counters().ignored[kind as usize] > 20,
+            "{kind:?}: {:?}",
+            rig.counters()
+        );
+    }
+    assert!(rig.counters().frames_lost > 200 && rig.counters().working_counter_errors > 50);
+    let lost = rig
+        .log
+        .iter()
+        .find(|event| matches!(event, BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. }));
+    assert_eq!(lost, None, "single frames are no lost slaves");
+}
+
+#[test]
+fn a_slave_that_leaves_op_is_reported_with_its_code_and_repaired_while_the_others_go_on() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(100);
+    rig.cell.inject(Fault::Retreat(2, 0x001D));
+    let took_ms = rig.wait_for(100, |event| match event {
+        BusEvent::SlaveLeft { position, report } => (*position, report.status, report.code) == (1, 0x14, 0x1D),
+        _ => false,
+    });
+    println!("noticed after {took_ms} ms");
+    rig.recover();
+    for _ in 0..10_000 {
+        if rig.millisecond().contains(&BusEvent::Operational) {
+            assert!(rig.log.contains(&BusEvent::Repaired { position: 1 }));
+            return;
+        }
+        for other in [0, 2, 3] {
+            assert!(rig.inputs[other].is_some(), "axis {other} lost an input");
+        }
+    }
+    panic!("not repaired: {:#?}", rig.log);
+}
+
+#[test]
+fn a_bus_that_stood_still_falls_to_the_watchdog_and_is_recovered() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(100);
+    rig.cell.inject(Fault::Stall(60));
+    rig.wait_for(200, |event| {
+        matches!(event, BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. })
+    });
+    rig.run_ms(200);
+    rig.recover();
+    rig.operational();
+    assert!(rig.cell.state().slaves.iter().all(|slave| slave.al_status_code == 0));
+    rig.lead_one_fault_away();
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+}
+
+#[test]
+fn a_power_cycled_slave_comes_back_without_a_reference() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(100);
+    rig.robot.reference().expect("at rest");
+    rig.cell.inject(Fault::Power(4, 300));
+    rig.wait_for(100, |event| *event == BusEvent::SlaveLost { position: 3 });
+    rig.recover();
+    rig.wait_for(1_000, |event| {
+        matches!(
+            event,
+            BusEvent::Refused {
+                error: BusError::SlaveCount { expected: 4, actual: 3 },
+                ..
+            }
+        )
+    });
+    rig.run_ms(400);
+    rig.recover();
+    rig.operational();
+    rig.run_ms(10);
+    assert_eq!(rig.robot.references_lost(), [false, false, false, true]);
+    assert!(rig.inputs.iter().all(Option::is_some));
+}
+
+#[test]
+fn a_pulled_cable_is_reported_for_every_slave_behind_it_and_healed() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(100);
+    rig.cell.inject(Fault::Cut(2));
+    rig.wait_for(150, |event| *event == BusEvent::SlaveLost { position: 3 });
+    assert!(rig.log.contains(&BusEvent::SlaveLost { position: 2 }));
+    assert!(!rig.log.contains(&BusEvent::SlaveLost { position: 1 }));
+    rig.cell.inject(Fault::Join);
+    rig.run_ms(100);
+    rig.recover();
+    rig.operational();
+    rig.run_ms(10);
+    assert!(rig.inputs.iter().all(Option::is_some));
+    let before = rig.counters().working_counter_errors;
+    rig.run_ms(100);
+    assert_eq!(rig.counters().working_counter_errors, before);
+}
+
+#[test]
+fn a_bypassed_slave_is_reported_and_taken_back() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(100);
+    rig.cell.inject(Fault::Remove(2));
+    rig.wait_for(150, |event| *event == BusEvent::SlaveLost { position: 1 });
+    rig.cell.inject(Fault::Insert(2));
+    rig.run_ms(50);
+    rig.recover();
+    rig.operational();
+}
+
+#[test]
+fn a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds() {
+    let mut rig = rig("ms 60 silence 2 1500\n");
+    rig.wait_for(5_000, |event| {
+        matches!(
+            event,
+            BusEvent::Refused {
+                position: Some(1),
+                error: BusError::MailboxTimeout { .. },
+                ..
+            }
+        )
+    });
+    rig.run_ms(500);
+    rig.recover();
+    rig.operational();
+}
