@@ -24,6 +24,8 @@ pub const LINE_BYTES_PER_MS: usize = 92;
 
 const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAMPLES_PER_MESSAGE);
 
+const _: () = assert!(size_of::<DeviceEndpoint>() <= 12 * 1024);
+
 /// What the firmware says about itself in its [`Welcome`].
 #[derive(Clone, Copy, Debug)]
 pub struct Identity {

@@ -54,6 +54,7 @@ pub(crate) struct Bench {
     pub(crate) mode: Mode,
     pub(crate) fault: Option<Fault>,
     pub(crate) fault_at_vertex: Option<u32>,
+    pub(crate) refuse_vertex: Option<u32>,
     pub(crate) referenced: bool,
     pub(crate) config: Option<u64>,
     pub(crate) commands: Vec<Command>,
@@ -79,6 +80,7 @@ impl Bench {
             mode: Mode::Startup,
             fault: None,
             fault_at_vertex: None,
+            refuse_vertex: None,
             referenced: false,
             config: None,
             commands: Vec::new(),
@@ -136,7 +138,15 @@ impl Bench {
                 self.endpoint.answer(id, result);
             }
             DeviceEvent::Path { vertices, last } => {
-                self.vertices.extend(vertices);
+                for vertex in vertices {
+                    let index = self.vertices.len() as u32;
+                    if self.refuse_vertex == Some(index) {
+                        let reason = etherpen::motion::RefusalReason::NotFinite;
+                        self.endpoint.refuse_vertex(etherpen::motion::Refusal { index, reason });
+                        return;
+                    }
+                    self.vertices.push(vertex);
+                }
                 assert!(self.vertices.len() - self.executed as usize <= CAPACITY);
                 self.complete = last;
             }

@@ -45,6 +45,8 @@ pub struct DrawJob {
     retry_ms: u64,
     inquired_ms: u64,
     fault_since_ms: Option<u64>,
+    /// Since when the robot has been at rest although the path has not ended.
+    over_since_ms: Option<u64>,
     /// Whether a status came since the last accepted command.
     fresh: bool,
     /// Why the job comes to rest early.
@@ -79,6 +81,7 @@ impl DrawJob {
             retry_ms: 0,
             inquired_ms: 0,
             fault_since_ms: None,
+            over_since_ms: None,
             fresh: false,
             ending: None,
             outcome: None,
@@ -376,8 +379,12 @@ impl DrawJob {
         if self.ack.finished && mode != Mode::Holding {
             return self.enter(Phase::Resting);
         }
-        let over = matches!(mode, Mode::Idle | Mode::DrivesOff | Mode::Unreferenced);
-        if over && self.now_ms.saturating_sub(self.entered_ms) > EARLY_END_MS {
+        if !matches!(mode, Mode::Idle | Mode::DrivesOff | Mode::Unreferenced) {
+            self.over_since_ms = None;
+            return;
+        }
+        let since_ms = *self.over_since_ms.get_or_insert(self.now_ms);
+        if self.now_ms.saturating_sub(since_ms) > EARLY_END_MS {
             self.ending.get_or_insert(JobError::EndedEarly {
                 executed: self.ack.executed,
                 total: self.vertices.len(),
@@ -560,6 +567,30 @@ mod tests {
             assert!(without_power, "cancelled at {cancel_ms} ms: {:?}", bench.mode);
             assert!(bench.executed < 1_000);
         }
+    }
+
+    #[test]
+    fn a_refused_vertex_ends_the_drawing_with_the_power_off() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        bench.refuse_vertex = Some(300);
+        run(&mut bench, &mut job, 10_000, |_, _, _| {});
+        assert!(matches!(job.outcome(), Some(Err(JobError::Vertex(refusal))) if refusal.index == 300));
+        assert_eq!((bench.mode, bench.vertices.len()), (Mode::DrivesOff, 300));
+    }
+
+    #[test]
+    fn a_drawing_that_another_program_ended_is_noticed() {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        run(&mut bench, &mut job, 10_000, |now_ms, bench, _| {
+            if now_ms == 600 {
+                bench.mode = Mode::Idle;
+            }
+        });
+        assert!(matches!(
+            job.outcome(),
+            Some(Err(JobError::EndedEarly { total: 1_000, .. }))
+        ));
+        assert_eq!(bench.mode, Mode::DrivesOff);
     }
 
     #[test]
