@@ -342,7 +342,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             let copied = room.zip(waiting).map(|(place, byte)| *place = *byte).count();
             filled += copied;
             self.frame_sent += copied;
-            if self.frame_sent < self.frame_length {
+            if self.frame_sent < self.frame_length || filled == out.len() {
                 return filled;
             }
             let Some(message) = self.next_message(now_ms) else {
@@ -637,6 +637,21 @@ mod tests {
         assert_eq!(endpoint.counts().samples_dropped, 36);
         let messages = hear(&mut endpoint, 1);
         assert!(matches!(&messages[0], DeviceMessage::Telemetry { sequence: 36, samples } if samples.len() == 4));
+    }
+
+    #[test]
+    fn nothing_is_chosen_before_there_is_room_so_that_the_most_urgent_goes_first() {
+        let mut endpoint = endpoint();
+        hear(&mut endpoint, 0);
+        endpoint.status(full_status());
+        assert_eq!(endpoint.transmit(1, &mut []), 0);
+        say(&mut endpoint, 2, 0, &command(2, Command::Stop));
+        endpoint.answer(2, Ok(()));
+        let messages = hear(&mut endpoint, 2);
+        assert!(matches!(
+            messages[..],
+            [DeviceMessage::Answer { id: 2, .. }, DeviceMessage::Status(_)]
+        ));
     }
 
     #[test]
