@@ -13,6 +13,8 @@ const ETHERTYPE_OFFSET: usize = 12;
 const ETHERTYPE_IPV4: u16 = 0x0800;
 const UDP_PORT: u16 = 0x88A4;
 const UDP_HEADER: usize = 8;
+/// The last field of the UDP header.
+const UDP_CHECKSUM_BYTES: usize = 2;
 const IP_PROTOCOL_UDP: u8 = 17;
 const FRAME_LENGTH_MASK: u16 = 0x07FF;
 const FRAME_TYPE_DATAGRAMS: u16 = 1;
@@ -125,8 +127,15 @@ impl<'frame> Datagrams<'frame> {
     }
 }
 
-/// Marks a frame as processed: what the first slave controller does to the source address.
+/// Marks a frame as processed: what the first slave controller does to the source address. A checksum of UDP, which
+/// the changed data would break, is switched off.
 pub(super) fn mark_processed(frame: &mut [u8]) {
+    if let Some(checksum) = payload_start(frame)
+        .filter(|start| *start > ETHERNET_HEADER)
+        .and_then(|start| frame.get_mut(start - UDP_CHECKSUM_BYTES..start))
+    {
+        checksum.fill(0);
+    }
     if let Some(byte) = frame.get_mut(SOURCE_ADDRESS) {
         *byte |= SOURCE_BIT;
     }
@@ -148,4 +157,47 @@ fn payload_start(frame: &[u8]) -> Option<usize> {
 
 fn big_endian(frame: &[u8], at: usize) -> Option<u16> {
     frame.get(at..)?.first_chunk().map(|bytes| u16::from_be_bytes(*bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::test_bench::*;
+
+    fn commands(frame: &mut [u8]) -> Vec<Command> {
+        let mut found = Vec::new();
+        if let Some(mut datagrams) = Datagrams::of_frame(frame) {
+            while let Some(datagram) = datagrams.next() {
+                found.push(datagram.command());
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn a_chain_ends_where_no_more_follow_or_the_header_says() {
+        let mut frame = frame_of(&[(BRD, 0, 0, &[0; 2]), (LRW, 0, 0, &[0; 8]), (FPRD, 0, 0, &[0; 4])]);
+        assert_eq!(commands(&mut frame), [Command::Brd, Command::Lrw, Command::Fprd]);
+        frame[23] = 0;
+        assert_eq!(commands(&mut frame), [Command::Brd]);
+        let mut frame = frame_of(&[(BRD, 0, 0, &[0; 2]), (LRW, 0, 0, &[0; 40])]);
+        frame[14] -= 1;
+        assert_eq!(commands(&mut frame), [Command::Brd], "the second one leaves the chain");
+        frame.truncate(60);
+        assert_eq!(commands(&mut frame), [], "the chain leaves the frame");
+    }
+
+    #[test]
+    fn a_frame_in_udp_is_processed_and_its_checksum_switched_off() {
+        let raw = frame_of(&[(BRD, 0, 0x0130, &[0; 2])]);
+        let mut frame = raw[..12].to_vec();
+        frame.extend_from_slice(&[0x08, 0x00, 0x45, 0, 0, 60, 0, 0, 0, 0, 64, 17, 0, 0]);
+        frame.extend_from_slice(&[10, 0, 0, 1, 10, 0, 0, 2, 0x88, 0xA4, 0x88, 0xA4, 0, 40, 0xAB, 0xCD]);
+        frame.extend_from_slice(&raw[14..]);
+        assert_eq!(commands(&mut frame), [Command::Brd]);
+        mark_processed(&mut frame);
+        assert_eq!(frame[40..42], [0, 0]);
+        frame[37] = 0xA5;
+        assert_eq!(commands(&mut frame), [], "another port");
+    }
 }

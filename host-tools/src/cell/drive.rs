@@ -16,6 +16,9 @@ const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
 /// Deceleration of a motor against its closed brake, rad/s2 at the joint.
 const BRAKE_RAD_S2: f64 = 400.0;
 
+/// Speed that the motor cannot exceed, revolutions per minute.
+const SPEED_MAX_RPM: f64 = 6000.0;
+
 const CONTROL_SWITCH_ON: u16 = 0x0001;
 const CONTROL_ENABLE_VOLTAGE: u16 = 0x0002;
 const CONTROL_NO_QUICK_STOP: u16 = 0x0004;
@@ -221,7 +224,9 @@ impl Drive {
                 } else {
                     0
                 };
-                motor::Drive::Speed(f64::from(digits) / self.digits_per_rad_s())
+                let speed_max_rad_s = SPEED_MAX_RPM / 60.0 * TAU;
+                let speed_rad_s = f64::from(digits) / self.digits_per_rad_s();
+                motor::Drive::Speed(speed_rad_s.max(-speed_max_rad_s).min(speed_max_rad_s))
             }
             DriveState::QuickStopActive | DriveState::FaultReactionActive => motor::Drive::Ramp(ramp_rad_s2),
             _ => motor::Drive::Ramp(BRAKE_RAD_S2 * self.axis.gear.abs()),
@@ -366,6 +371,18 @@ mod tests {
         hold(&mut drive, 0x0F, digits, 1000);
         assert!(((drive.motor.angle_rad() - start) / TAU - 1.0).abs() < 1e-4);
         assert!((drive.joint_rad_s() - TAU / 12.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn no_demand_moves_the_motor_faster_than_it_can() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x0F, i32::MIN, 1000);
+        let limit_rad_s = -SPEED_MAX_RPM / 60.0 * TAU / 12.0;
+        assert!(
+            (drive.joint_rad_s() - limit_rad_s).abs() < 1e-6,
+            "{}",
+            drive.joint_rad_s()
+        );
     }
 
     #[test]

@@ -147,3 +147,80 @@ fn pdo((index, entries): (u16, &[PdoEntry]), sync_manager: u8) -> Vec<u8> {
     }
     body
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::ethercat::wire::sii::FixedPart;
+
+    const ENTRIES: [PdoEntry; 2] = [
+        PdoEntry {
+            index: 0x6064,
+            bits: 32,
+        },
+        PdoEntry {
+            index: 0x6041,
+            bits: 16,
+        },
+    ];
+
+    fn example() -> Vec<u8> {
+        let window = |start| MailboxWindow { start, length: 512 };
+        image(&Description {
+            identity: Identity {
+                vendor: 2,
+                product: 3,
+                revision: 4,
+                serial: 5,
+            },
+            name: "a drive",
+            order: "X1",
+            mailbox_out: window(0x1800),
+            mailbox_in: window(0x1C00),
+            sync_managers: &[SyncManagerDefault {
+                start: 0x1100,
+                length: 6,
+                control: 0x64,
+                activate: 1,
+                kind: 3,
+            }],
+            rx_pdo: (0x1702, &ENTRIES),
+            tx_pdo: (0x1B01, &ENTRIES),
+        })
+    }
+
+    #[test]
+    fn the_fixed_part_tells_identity_and_mailboxes() {
+        let image = example();
+        let fixed = FixedPart::parse(&image).expect("long enough");
+        assert_eq!(
+            fixed.identity,
+            Identity {
+                vendor: 2,
+                product: 3,
+                revision: 4,
+                serial: 5
+            }
+        );
+        assert_eq!((fixed.mailbox_out.start, fixed.mailbox_in.length), (0x1800, 512));
+        assert_eq!(fixed.protocols, PROTOCOL_COE);
+        assert_eq!(image[14], checksum(&image));
+        assert_eq!(image.len(), 2048);
+    }
+
+    #[test]
+    fn the_categories_follow_each_other_to_the_end_mark() {
+        let image = example();
+        let mut at = 2 * usize::from(WORD_CATEGORIES);
+        let mut found = Vec::new();
+        loop {
+            let kind = u16::from_le_bytes([image[at], image[at + 1]]);
+            found.push(kind);
+            if kind == CATEGORY_END {
+                break;
+            }
+            at += 4 + 2 * usize::from(u16::from_le_bytes([image[at + 2], image[at + 3]]));
+        }
+        assert_eq!(found, [10, 30, 40, 41, 51, 50, 0xFFFF]);
+    }
+}

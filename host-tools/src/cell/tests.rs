@@ -310,11 +310,10 @@ fn frame_faults_do_what_they_say() {
 }
 
 #[test]
-fn a_silent_mailbox_a_stuck_resolver_and_a_retreat_are_scripted() {
+fn a_stuck_resolver_moves_again_and_a_retreat_is_of_one_slave() {
     let mut bench = bench();
     bench.bring_up();
     bench.cell.inject(Fault::Stuck(1, 10));
-    bench.cell.inject(Fault::Silence(2, 20));
     bench.cycle([20_000; 4], 0x0F);
     let stuck: Vec<i32> = (0..8).map(|_| bench.cycle([20_000; 4], 0x0F).0[0]).collect();
     assert!(stuck[3..].iter().all(|position| *position == stuck[3]), "{stuck:?}");
@@ -326,6 +325,47 @@ fn a_silent_mailbox_a_stuck_resolver_and_a_retreat_are_scripted() {
     bench.cycle([0; 4], 0x0F);
     assert_eq!(bench.al_status(0x1003), (0x14, 0x0027));
     assert_eq!(bench.al_status(0x1001), (8, 0));
+}
+
+#[test]
+fn a_silent_mailbox_answers_when_its_time_is_over() {
+    let mut bench = bench();
+    bench.addresses();
+    bench.mailboxes();
+    bench.request(2);
+    bench.cell.inject(Fault::Silence(2, 20));
+    let upload = [0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0];
+    bench.post(0x1002, &upload);
+    for _ in 0..18 {
+        assert_eq!(bench.read(0x1002, 0x080D, 1)[0] & 0x08, 0);
+    }
+    assert_eq!(bench.fetch(0x1002)[2..], [0x43, 0x00, 0x10, 0, 0x92, 0x01, 0x02, 0x00]);
+}
+
+#[test]
+fn no_registers_mailboxes_or_frames_break_the_cell() {
+    let seed = 23;
+    println!("seed {seed}");
+    let mut random = Random::new(seed);
+    let mut bench = bench();
+    bench.bring_up();
+    let registers = [
+        0x0010, 0x0120, 0x0400, 0x0500, 0x0502, 0x0600, 0x0800, 0x0F80, 0x1000, 0x1800, 0x1C00, 0x2FF0,
+    ];
+    for _ in 0..30_000 {
+        let length = [1, 2, 4, 8, 16, 64, 512][(random.next() % 7) as usize];
+        let mut data: Vec<u8> = (0..length).map(|_| random.next() as u8).collect();
+        let register = registers[(random.next() % 12) as usize] + (random.next() % 20) as u16;
+        if register & !3 == 0x1800 && length > 8 {
+            let kind = 3 | data[5] & 0xF0;
+            data[..8].copy_from_slice(&[10, 0, 0, 0, 0, kind, 0, 0x20]);
+        }
+        let command = (random.next() % 16) as u8;
+        let device = [0, 0xFFFF, 0x1001, 0x1003][(random.next() % 4) as usize];
+        bench.send(&frame_of(&[(command, device, register, &data)]));
+    }
+    bench.cell.inject(Fault::Join);
+    assert_eq!(bench.ask(BRD, 0, 0x0130, &[0, 0]).1, 4);
 }
 
 /// Drives the arms down and around, with the pen on the paper for a part of it.
