@@ -303,3 +303,91 @@ impl MailboxServer {
         self.queue.push_back(message);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A dictionary with one byte that counts how often it was written.
+    struct Counter(u8);
+
+    impl ObjectDictionary for Counter {
+        fn upload(&self, _index: u16, _sub: u8) -> Result<Vec<u8>, Abort> {
+            Ok(vec![self.0])
+        }
+
+        fn download(&mut self, _index: u16, _sub: u8, _value: &[u8]) -> Result<(), Abort> {
+            self.0 += 1;
+            Ok(())
+        }
+    }
+
+    const DOWNLOAD: [u8; 10] = [0, 0x20, 0x2F, 0, 0x20, 0, 1, 0, 0, 0];
+
+    fn message(kind: u8, counter: u8, body: &[u8]) -> Vec<u8> {
+        let mut message = vec![body.len() as u8, 0, 0, 0, 0, kind | counter << 4];
+        message.extend_from_slice(body);
+        message.resize(64, 0);
+        message
+    }
+
+    fn receive(server: &mut MailboxServer, dictionary: &mut Counter, message: &[u8]) -> Option<Vec<u8>> {
+        server.receive(message, 64, dictionary);
+        server.next()
+    }
+
+    #[test]
+    fn a_message_with_the_counter_of_the_last_is_not_executed_twice() {
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        for counter in [1, 1, 1, 2, 0, 0] {
+            receive(&mut server, &mut dictionary, &message(TYPE_COE, counter, &DOWNLOAD));
+        }
+        assert_eq!(dictionary.0, 4, "1 once, 2 once, and 0 counts every time");
+    }
+
+    #[test]
+    fn what_is_not_spoken_is_refused_by_a_mailbox_error() {
+        let cases: [(u8, &[u8], u8); 4] = [
+            (4, &DOWNLOAD, 2),
+            (TYPE_COE, &[0, 0x80, 1, 0, 0, 0], 4),
+            (TYPE_COE, &[0], 6),
+            (TYPE_COE, &[0, 0x20, 0x40], 6),
+        ];
+        for (counter, (kind, body, detail)) in (1..).zip(cases) {
+            let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+            let answer = receive(&mut server, &mut dictionary, &message(kind, counter, body));
+            assert_eq!(answer, Some(vec![4, 0, 0, 0, 0, 0x10, 1, 0, detail, 0]), "{body:x?}");
+        }
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let mut long = message(TYPE_COE, 1, &DOWNLOAD);
+        long[0] = 200;
+        assert_eq!(
+            receive(&mut server, &mut dictionary, &long).map(|answer| answer[8]),
+            Some(8)
+        );
+    }
+
+    #[test]
+    fn counters_of_the_slave_run_from_one_to_seven() {
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let counters: Vec<_> = (0..9)
+            .filter_map(|_| receive(&mut server, &mut dictionary, &message(TYPE_COE, 0, &DOWNLOAD)))
+            .map(|answer| answer[5] >> 4)
+            .collect();
+        assert_eq!(counters, [1, 2, 3, 4, 5, 6, 7, 1, 2]);
+    }
+
+    #[test]
+    fn a_segment_without_its_transfer_or_with_the_wrong_toggle_is_aborted() {
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let stray = message(TYPE_COE, 1, &[0, 0x20, 0x01, 1, 2, 3, 4, 5, 6, 7]);
+        let code = |answer: Option<Vec<u8>>| answer.map(|answer| answer[12..16].to_vec());
+        let expected = Some(Abort::COMMAND.0.to_le_bytes().to_vec());
+        assert_eq!(code(receive(&mut server, &mut dictionary, &stray)), expected);
+        let start = message(TYPE_COE, 2, &[0, 0x20, 0x21, 0, 0x20, 0, 9, 0, 0, 0]);
+        receive(&mut server, &mut dictionary, &start);
+        let wrong = message(TYPE_COE, 3, &[0, 0x20, 0x10, 1, 2, 3, 4, 5, 6, 7]);
+        let expected = Some(Abort::TOGGLE.0.to_le_bytes().to_vec());
+        assert_eq!(code(receive(&mut server, &mut dictionary, &wrong)), expected);
+    }
+}

@@ -61,3 +61,42 @@ impl Robot {
         self.platform
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::drive::{Demand, DriveState, MODE_DIGITAL_SPEED};
+    use etherpen::config::Axis;
+
+    #[test]
+    fn an_arm_is_held_at_its_end_stop() {
+        let mut robot = Robot::new(&Geometry::default());
+        let mut drive = Drive::new(Axis::default(), 1.5, 100.0);
+        drive.mode = MODE_DIGITAL_SPEED;
+        for millisecond in 0..500 {
+            let control = [0x06, 0x07, 0x0F][(millisecond / 2).min(2)];
+            let velocity_digits = 200_000;
+            drive.step(Some(Demand {
+                velocity_digits,
+                control,
+            }));
+            robot.limit(0, &mut drive);
+        }
+        assert_eq!(drive.state(), DriveState::OperationEnabled);
+        let stop_rad = Geometry::default().arm_range_rad[1] + END_STOP_RAD;
+        assert!((drive.joint_rad() - stop_rad).abs() < 1e-9, "{}", drive.joint_rad());
+        assert!(robot.end_stop_ms() > 200);
+    }
+
+    #[test]
+    fn arms_that_no_platform_connects_are_counted() {
+        let mut robot = Robot::new(&Geometry::default());
+        assert!(robot.step(&JointAngles([0.3; 4])).is_some());
+        let geometry = Geometry {
+            forearm_mm: 200.0,
+            ..Geometry::default()
+        };
+        let mut short = Robot::new(&geometry);
+        assert_eq!((short.step(&JointAngles([-0.7; 4])), short.unreachable_ms()), (None, 1));
+    }
+}
