@@ -52,6 +52,28 @@ impl Flow {
         }
     }
 
+    /// This flow where `share` is 0, `other` where it is 1.
+    pub(crate) fn mixed(&self, other: &Self, share: &Plane) -> Self {
+        Self {
+            cosine: self.cosine.mixed(&other.cosine, share),
+            sine: self.sine.mixed(&other.sine, share),
+        }
+    }
+
+    /// Unit vector along the flow at every pixel, row by row.
+    fn tangents(&self) -> Vec<[f32; 2]> {
+        let tangent = |(&cosine, &sine): (&f32, &f32)| {
+            let (sine, cosine) = (0.5 * sine.atan2(cosine)).sin_cos();
+            [cosine, sine]
+        };
+        self.cosine
+            .values()
+            .iter()
+            .zip(self.sine.values())
+            .map(tangent)
+            .collect()
+    }
+
     /// Unit vector along the flow at a place; of the two, the one that goes on in the direction `along`.
     pub(crate) fn tangent(&self, at: Point, along: Point) -> Point {
         let (x, y) = (at[0] as f32, at[1] as f32);
@@ -82,23 +104,32 @@ pub(crate) fn line_strength(light: &Plane, flow: &Flow, sigma: f32) -> Plane {
             })
             .collect()
     };
-    let across = Plane::from_fn(light.width(), light.height(), |x, y| {
-        let tangent = flow.tangent([x as f64, y as f64], [1.0, 0.0]);
-        let (nx, ny) = (-tangent[1] as f32, tangent[0] as f32);
+    let tangents = flow.tangents();
+    let (width, height) = (light.width(), light.height());
+    let across = Plane::from_fn(width, height, |x, y| {
+        let [tx, ty] = tangents[y * width + x];
+        let (nx, ny) = (-ty, tx);
         weights
             .iter()
             .map(|&(t, weight)| weight * light.sample(x as f32 + nx * t, y as f32 + ny * t))
             .sum()
     });
-    Plane::from_fn(light.width(), light.height(), |x, y| {
-        let start = [x as f64, y as f64];
+    Plane::from_fn(width, height, |x, y| {
         let mut sum = across.at(x as isize, y as isize);
-        for heading in [[1.0, 0.0], [-1.0, 0.0]] {
-            let (mut at, mut along) = (start, flow.tangent(start, heading));
+        let [tx, ty] = tangents[y * width + x];
+        for heading in [[tx, ty], [-tx, -ty]] {
+            let (mut at, mut along) = ([x as f32, y as f32], heading);
             for _ in 0..FLOW_REACH {
                 at = [at[0] + along[0], at[1] + along[1]];
-                along = flow.tangent(at, along);
-                sum += across.sample(at[0] as f32, at[1] as f32);
+                sum += across.sample(at[0], at[1]);
+                let column = (at[0].round().max(0.0) as usize).min(width - 1);
+                let row = (at[1].round().max(0.0) as usize).min(height - 1);
+                let [tx, ty] = tangents[row * width + column];
+                along = if tx * along[0] + ty * along[1] < 0.0 {
+                    [-tx, -ty]
+                } else {
+                    [tx, ty]
+                };
             }
         }
         (sum / (2 * FLOW_REACH + 1) as f32).max(0.0)

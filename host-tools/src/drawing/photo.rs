@@ -110,12 +110,7 @@ pub(super) fn check_size(width: u32, height: u32) -> Result<(), DrawingError> {
 
 fn what_failed(error: ImageError) -> DrawingError {
     match error {
-        ImageError::Unsupported(_) => DrawingError::Unsupported,
-        ImageError::Limits(_) => DrawingError::TooLarge {
-            width: 0,
-            height: 0,
-            pixels_max: PIXELS_MAX,
-        },
+        ImageError::Unsupported(_) | ImageError::Limits(_) => DrawingError::Unsupported,
         _ => DrawingError::Damaged,
     }
 }

@@ -93,6 +93,14 @@ impl Plane {
         }
     }
 
+    /// This plane where `share` is 0, `other` where it is 1 (planes of the same size).
+    pub(crate) fn mixed(&self, other: &Self, share: &Self) -> Self {
+        let change = other
+            .zip(self, |to, from| to - from)
+            .zip(share, |change, share| change * share);
+        self.zip(&change, |from, change| from + change)
+    }
+
     /// Mean of all values.
     pub(crate) fn mean(&self) -> f32 {
         (self.values.iter().map(|&v| f64::from(v)).sum::<f64>() / self.values.len() as f64) as f32

@@ -17,6 +17,16 @@ const STEP: f64 = 1.5;
 const SEED_CLEARANCE: f64 = 0.92;
 /// A growing line stops when it is nearer to another one than this share of the spacing.
 const GROWTH_CLEARANCE: f64 = 0.68;
+/// A growing line goes on into light down to this share of the thinnest coverage.
+const FADE: f32 = 0.65;
+/// Longest bridge between two lines, in spacings and in pens.
+const BRIDGE_SPACINGS: f64 = 2.6;
+const BRIDGE_PENS: f64 = 4.8;
+/// Longest bridge, in pens, where one line goes straight on as the other; cosine of the largest angle between them.
+const STRAIGHT_PENS: f64 = 9.0;
+const STRAIGHT_COSINE_MIN: f64 = 0.8;
+/// Shortest line in spacings: shorter ones are specks instead of tone.
+const LENGTH_SPACINGS: f64 = 2.2;
 /// Longest line grown in either direction, steps.
 const STEPS_MAX: usize = 4000;
 /// Side of a cell of the index of points, pixels.
@@ -179,7 +189,7 @@ impl<'a> Field<'a> {
         points.push(seed);
         points.extend(self.grow(seed, along, stroke, 1, &mut placed));
         let length_min = f64::from(self.goal.length_min.sample(seed[0] as f32, seed[1] as f32));
-        if line::length(&points) < length_min {
+        if line::length(&points) < length_min.max(LENGTH_SPACINGS * self.spacing(seed)) {
             for cell in placed {
                 self.cells[cell].retain(|mark| mark.stroke != stroke);
             }
@@ -206,7 +216,7 @@ impl<'a> Field<'a> {
             let turn = onward[0] * along[0] + onward[1] * along[1];
             if turn < 0.5
                 || !self.is_inside(next)
-                || self.coverage(next) < self.goal.coverage_min
+                || self.coverage(next) < FADE * self.goal.coverage_min
                 || !self.is_free(next, GROWTH_CLEARANCE, stroke, sign * k)
             {
                 break;
@@ -221,30 +231,53 @@ impl<'a> Field<'a> {
 
 /// Joins lines end to end into serpentines where the bridge is short and stays in the dark.
 ///
-/// `reach` is the longest bridge in units of the spacing there.
-pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal, reach: f64) -> Vec<Vec<Point>> {
-    let spacing =
-        |at: Point| goal.pen / f64::from(goal.coverage.sample(at[0] as f32, at[1] as f32).max(goal.coverage_min));
+/// Wide spacings get bridges only where a line goes straight on: a turn would show as a line of its own there.
+pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal) -> Vec<Vec<Point>> {
+    let coverage = |at: Point| goal.coverage.sample(at[0] as f32, at[1] as f32);
     let ends = join::ends(strokes);
+    let headings = headings(strokes);
     let near = Near::of(&ends);
     let mut bridges = Vec::new();
     for (a, &from) in ends.iter().enumerate() {
-        near.visit_within(from, 2.0 * reach * spacing(from), |b| {
+        near.visit_within(from, STRAIGHT_PENS * goal.pen, |b| {
             let to = ends[b];
-            let away = line::distance(from, to);
-            if b <= a || a / 2 == b / 2 || away > reach * spacing(line::between(from, to, 0.5)) {
+            if b <= a || a / 2 == b / 2 {
                 return;
             }
-            let dark = (0..=4).all(|k| {
-                let at = line::between(from, to, f64::from(k) / 4.0);
-                goal.coverage.sample(at[0] as f32, at[1] as f32) >= 0.8 * goal.coverage_min
-            });
-            if dark {
-                bridges.push((away, a, b));
+            let (away, onward) = (line::distance(from, to), line::direction(from, to));
+            let leaving = headings[a][0] * onward[0] + headings[a][1] * onward[1];
+            let arriving = -headings[b][0] * onward[0] - headings[b][1] * onward[1];
+            let is_straight = leaving.min(arriving) > STRAIGHT_COSINE_MIN;
+            let darkest = coverage(line::between(from, to, 0.5)).max(goal.coverage_min);
+            let turn_max = goal.pen * BRIDGE_PENS.min(BRIDGE_SPACINGS / f64::from(darkest));
+            if away
+                > if is_straight {
+                    STRAIGHT_PENS * goal.pen
+                } else {
+                    turn_max
+                }
+            {
+                return;
+            }
+            let light_max = if is_straight { FADE } else { 1.0 } * goal.coverage_min;
+            if (0..=4).all(|k| coverage(line::between(from, to, f64::from(k) / 4.0)) >= light_max) {
+                bridges.push((if is_straight { 0.5 * away } else { away }, a, b));
             }
         });
     }
     join::join_ends(strokes, bridges)
+}
+
+/// Direction in which each line would go on beyond each of its ends.
+fn headings(strokes: &[Vec<Point>]) -> Vec<Point> {
+    let heading = |points: &mut dyn Iterator<Item = &Point>| match (points.next(), points.nth(2)) {
+        (Some(&end), Some(&inside)) => line::direction(inside, end),
+        _ => [0.0, 0.0],
+    };
+    strokes
+        .iter()
+        .flat_map(|points| [heading(&mut points.iter()), heading(&mut points.iter().rev())])
+        .collect()
 }
 
 /// A number from 0 up to 1 from a seed that moves on (SplitMix64).
@@ -260,32 +293,47 @@ fn next_unit(state: &mut u64) -> f64 {
 mod tests {
     use super::*;
 
-    fn hatched(coverage: &Plane) -> Vec<Vec<Point>> {
-        let flow = Flow::of(&Plane::filled(coverage.width(), coverage.height(), 0.5), 2.0, 0.7, 0.01);
-        let length_min = Plane::filled(coverage.width(), coverage.height(), 12.0);
+    /// The strokes for a coverage with a pen of 2 pixels, and the serpentines made of them.
+    fn hatched(coverage: &Plane) -> [Vec<Vec<Point>>; 2] {
+        let (width, height) = (coverage.width(), coverage.height());
+        let flow = Flow::of(&Plane::filled(width, height, 0.5), 2.0, 0.7, 0.01);
+        let length_min = Plane::filled(width, height, 12.0);
+        let (flow, length_min) = (&flow, &length_min);
         let goal = ToneGoal {
             coverage,
-            flow: &flow,
+            flow,
             pen: 2.0,
             coverage_min: 0.08,
-            length_min: &length_min,
+            length_min,
             seed: 7,
         };
         let strokes = hatch(&goal);
-        let joined = join_serpentines(&strokes, &goal, 2.0);
+        let joined = join_serpentines(&strokes, &goal);
+        [strokes, joined]
+    }
+
+    #[test]
+    fn the_dark_is_drawn_in_serpentines_and_thin_tone_in_single_strokes() {
+        let [strokes, joined] = hatched(&Plane::filled(300, 300, 0.5));
         assert!(
-            joined.len() < strokes.len() / 3,
+            joined.len() * 5 < strokes.len(),
             "{} of {}",
             joined.len(),
             strokes.len()
         );
-        strokes
+        let [strokes, joined] = hatched(&Plane::filled(300, 300, 0.12));
+        assert!(
+            joined.len() * 2 > strokes.len(),
+            "{} of {}",
+            joined.len(),
+            strokes.len()
+        );
     }
 
     #[test]
     fn even_tone_gives_the_wanted_ink() {
         for wanted in [0.15_f32, 0.3, 0.5] {
-            let strokes = hatched(&Plane::filled(300, 300, wanted));
+            let [strokes, _] = hatched(&Plane::filled(300, 300, wanted));
             let ink: f64 = strokes.iter().map(|points| line::length(points) * 2.0).sum::<f64>() / 90_000.0;
             assert!(
                 (ink / f64::from(wanted) - 1.0).abs() < 0.2,
@@ -297,7 +345,8 @@ mod tests {
     #[test]
     fn light_stays_white_and_strokes_are_long_enough() {
         let half = Plane::from_fn(300, 300, |x, _| if x < 150 { 0.4 } else { 0.0 });
-        for points in hatched(&half) {
+        let [strokes, _] = hatched(&half);
+        for points in strokes {
             assert!(points.iter().all(|point| point[0] < 152.0));
             assert!(line::length(&points) >= 12.0);
         }

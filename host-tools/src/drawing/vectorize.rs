@@ -30,9 +30,15 @@ const LINE_SHARE: f64 = 0.4;
 /// Direction of hatching where the picture has none, radians.
 const HATCH_ANGLE_RAD: f32 = -0.8;
 /// Densest hatching: share of the paper covered.
-const COVERAGE_MAX: f32 = 0.8;
+const COVERAGE_MAX: f32 = 0.66;
 /// Thinnest hatching.
-const COVERAGE_MIN: f32 = 0.09;
+const COVERAGE_MIN: f32 = 0.13;
+/// Scale of the ink in the face, whatever the time.
+const FACE_GAIN: f32 = 0.9;
+/// A spot is at least this much darker than what is around it, which is at least so light; most spots drawn.
+const SPOT_MIN: f32 = 0.07;
+const SPOT_AROUND_MIN: f32 = 0.5;
+const SPOTS_MAX: usize = 8;
 /// Rounds of hatching to meet the time wanted.
 const TONE_ROUNDS: usize = 3;
 
@@ -117,7 +123,8 @@ pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result
     check_size(picture.width(), picture.height())?;
     let frame = Frame::new(picture, options)?;
     let study = Study::of(picture, &frame, options)?;
-    let lines = study.lines(options);
+    let mut lines = study.spots();
+    lines.extend(study.lines(options));
     let mut drawing = study.drawing(&lines, options);
     keep_within(&mut drawing, options);
     if drawing.strokes.is_empty() {
@@ -202,16 +209,20 @@ impl Study {
         let calm = denoised(&light, sigma(1.0) as usize + 1);
         let detail = light.zip(&light.blurred(sigma(2.0)), |value, around| (value - around).abs());
         let focus = focus(&small, &detail);
+        let tone = denoised(&light, sigma(3.0) as usize + 1).mixed(&calm, &focus);
         let (near, far) = (calm.blurred(sigma(6.0)), calm.blurred(sigma(30.0)));
         let width = calm.width();
         let ink = Plane::from_fn(width, calm.height(), |x, y| {
             let (x, y) = (x as isize, y as isize);
-            let (value, face) = (calm.at(x, y), focus.at(x, y));
-            let lifted = value + 0.25 * (value - far.at(x, y)) + 0.5 * face * (value - near.at(x, y));
+            let (value, face) = (tone.at(x, y), focus.at(x, y));
+            let lifted = value + 0.25 * (value - far.at(x, y)) + 1.2 * face * (value - near.at(x, y));
             let dark = (1.0 - lifted).clamp(0.0, 1.0);
-            ((dark - 0.1) / 0.9).max(0.0).powf(1.15)
+            ((dark - 0.1) / 0.9).max(0.0).powf(1.35)
         });
-        let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006);
+        let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006).mixed(
+            &Flow::of(&calm.blurred(sigma(0.6)), sigma(3.0), HATCH_ANGLE_RAD, 0.006),
+            &focus,
+        );
         let frame = Frame { ..*frame };
         Ok(Self {
             frame,
@@ -229,11 +240,7 @@ impl Study {
         let flow = Flow::of(&self.calm, sigma(1.2), HATCH_ANGLE_RAD, 1e-4);
         let fine = edges::line_strength(&self.calm, &flow, sigma(0.55));
         let coarse = edges::line_strength(&self.calm, &flow, sigma(1.1));
-        let mixed = Plane::from_fn(fine.width(), fine.height(), |x, y| {
-            let (x, y) = (x as isize, y as isize);
-            let face = self.focus.at(x, y);
-            face * fine.at(x, y) + (1.0 - face) * coarse.at(x, y)
-        });
+        let mixed = coarse.mixed(&fine, &self.focus);
         let texture = mixed.blurred(sigma(8.0));
         let high = self
             .focus
@@ -250,6 +257,46 @@ impl Study {
                 time_s > 0.0
             })
             .take(options.strokes_max / 2)
+            .collect()
+    }
+
+    /// Small dark spots of the face, pupils and nostrils, as little spirals.
+    fn spots(&self) -> Vec<Edge> {
+        let sigma = |pens: f64| (pens * self.pen) as f32;
+        let around = self.calm.blurred(sigma(5.0));
+        let darkness = self
+            .calm
+            .blurred(sigma(1.8))
+            .zip(&self.calm.blurred(sigma(0.9)), |wide, spot| wide - spot);
+        let reach = (2.5 * self.pen) as isize;
+        let mut found = Vec::new();
+        for y in 0..darkness.height() as isize {
+            for x in 0..darkness.width() as isize {
+                let dark = darkness.at(x, y);
+                if dark * self.focus.at(x, y) < SPOT_MIN || around.at(x, y) < SPOT_AROUND_MIN {
+                    continue;
+                }
+                let mut near = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
+                if near.all(|(dx, dy)| darkness.at(x + dx, y + dy) <= dark) {
+                    found.push((dark, [x as f64, y as f64]));
+                }
+            }
+        }
+        found.sort_by(|a, b| b.0.total_cmp(&a.0));
+        found.truncate(SPOTS_MAX);
+        let spiral = |centre: Point| {
+            (0..=32).map(f64::from).map(move |k| {
+                let (sine, cosine) = (k * std::f64::consts::TAU / 16.0).sin_cos();
+                let radius = 0.8 * self.pen * k / 32.0;
+                [centre[0] + radius * cosine, centre[1] + radius * sine]
+            })
+        };
+        found
+            .into_iter()
+            .map(|(dark, centre)| Edge {
+                points: spiral(centre).collect(),
+                weight: f64::from(dark),
+            })
             .collect()
     }
 
@@ -299,11 +346,11 @@ impl Study {
     }
 
     fn hatching(&self, gain: f32, drawn: &Plane, options: &VectorizeOptions) -> Vec<Stroke> {
-        let coverage = self
-            .ink
-            .zip(drawn, |ink, drawn| (gain * ink - drawn).clamp(0.0, COVERAGE_MAX));
+        let gains = self.focus.map(|face| gain + face * (FACE_GAIN - gain).max(0.0));
+        let wanted = self.ink.zip(&gains, |ink, gain| gain * ink);
+        let coverage = wanted.zip(drawn, |wanted, drawn| (wanted - drawn).clamp(0.0, COVERAGE_MAX));
         let coverage = coverage.blurred(0.6 * self.pen as f32);
-        let length_min = self.focus.map(|face| (self.pen as f32) * (10.0 - 5.0 * face));
+        let length_min = self.focus.map(|face| (self.pen as f32) * (12.0 - 9.0 * face));
         let goal = ToneGoal {
             coverage: &coverage,
             flow: &self.hatch_flow,
@@ -312,7 +359,7 @@ impl Study {
             length_min: &length_min,
             seed: options.seed,
         };
-        let serpentines = join_serpentines(&hatch(&goal), &goal, 2.2);
+        let serpentines = join_serpentines(&hatch(&goal), &goal);
         serpentines
             .iter()
             .map(|points| self.stroke(&line::smoothed(&line::resampled(points, 1.0), 0.9 * self.pen)))
@@ -329,7 +376,8 @@ impl Study {
     fn coverage_of<'a>(&self, lines: impl Iterator<Item = &'a [Point]>) -> Plane {
         let mut covered = Plane::filled(self.calm.width(), self.calm.height(), 0.0);
         lines.for_each(|points| draw_line(&mut covered, points, self.pen));
-        covered.blurred(2.0 * self.pen as f32)
+        let (wide, fine) = (covered.blurred(2.0 * self.pen as f32), covered.blurred(self.pen as f32));
+        wide.mixed(&fine, &self.focus)
     }
 }
 
@@ -360,5 +408,168 @@ fn keep_within(drawing: &mut Drawing, options: &VectorizeOptions) {
         let cut = surplus.max(drawing.strokes.len() / 20).min(lengths.len() - 1);
         let shortest = lengths[cut];
         drawing.strokes.retain(|stroke| stroke.length_mm() > shortest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drawing::{render_rgb, tone_correlation};
+    use image::Rgb;
+    use std::sync::OnceLock;
+
+    struct Sample {
+        name: &'static str,
+        picture: RgbImage,
+        drawing: Drawing,
+    }
+
+    /// The sample photographs, vectorised once with the default options.
+    fn samples() -> &'static [Sample] {
+        static SAMPLES: OnceLock<Vec<Sample>> = OnceLock::new();
+        SAMPLES.get_or_init(|| {
+            let sample = |name: &'static str| {
+                let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name);
+                let Ok(Input::Photograph(picture)) = load(path) else {
+                    panic!("{name} is no photograph")
+                };
+                let drawing = vectorize_image(&picture, &VectorizeOptions::default()).expect(name);
+                Sample { name, picture, drawing }
+            };
+            ["astronaut.png", "camera.png"].map(sample).into()
+        })
+    }
+
+    fn assert_inside(drawing: &Drawing, margin_mm: f64) {
+        for [x, y] in drawing.strokes.iter().flat_map(|stroke| stroke.points.iter().copied()) {
+            assert!((margin_mm..=drawing.sheet_mm[0] - margin_mm).contains(&x), "x {x}");
+            assert!((margin_mm..=drawing.sheet_mm[1] - margin_mm).contains(&y), "y {y}");
+        }
+        assert!(drawing.strokes.iter().all(|stroke| stroke.points.len() > 1));
+    }
+
+    #[test]
+    fn the_tone_of_a_drawing_follows_its_photograph() {
+        for Sample { name, picture, drawing } in samples() {
+            let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 2.56);
+            let tone = tone_correlation(picture, &rendered);
+            assert!(tone > 0.85, "{name}: {tone}");
+        }
+    }
+
+    #[test]
+    fn a_portrait_takes_about_a_minute_and_a_half_and_stays_inside_its_margin() {
+        for Sample { name, drawing, .. } in samples() {
+            let estimate = estimate(drawing);
+            assert!((60.0..110.0).contains(&estimate.time_s), "{name}: {estimate:?}");
+            assert!((100..=900).contains(&estimate.lifts), "{name}: {estimate:?}");
+            assert!(estimate.pen_up_mm < 0.2 * estimate.pen_down_mm, "{name}: {estimate:?}");
+            assert_inside(drawing, 4.0);
+        }
+    }
+
+    #[test]
+    fn strokes_are_long_and_few_enough_to_be_worth_their_lifts() {
+        for Sample { name, drawing, .. } in samples() {
+            let short = drawing.strokes.iter().filter(|stroke| stroke.length_mm() < 2.0).count();
+            assert!(
+                short * 20 < drawing.strokes.len(),
+                "{name}: {short} of {}",
+                drawing.strokes.len()
+            );
+            assert!(drawing.pen_down_mm() / drawing.strokes.len() as f64 > 25.0, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_same_photograph_and_seed_give_the_same_strokes() {
+        let Sample { picture, .. } = &samples()[0];
+        let small = resize(picture, 128, 128, FilterType::Triangle);
+        let options = VectorizeOptions {
+            sheet_mm: [60.0, 60.0],
+            ..VectorizeOptions::default()
+        };
+        let first = vectorize_image(&small, &options);
+        assert_eq!(first, vectorize_image(&small, &options));
+        assert_ne!(first, vectorize_image(&small, &VectorizeOptions { seed: 2, ..options }));
+    }
+
+    #[test]
+    fn budgets_are_kept() {
+        let Sample { picture, .. } = &samples()[1];
+        for (strokes_max, time_max_s) in [(900, 15.0), (40, 110.0), (5, 3.0)] {
+            let options = VectorizeOptions {
+                sheet_mm: [100.0, 100.0],
+                strokes_max,
+                time_max_s,
+                ..VectorizeOptions::default()
+            };
+            let drawing = vectorize_image(picture, &options).expect("a drawing within any budget");
+            let estimate = estimate(&drawing);
+            assert!(
+                estimate.lifts <= strokes_max && estimate.time_s <= time_max_s,
+                "{estimate:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn every_shape_of_picture_and_sheet_stays_inside() {
+        let noise = |x: u32, y: u32| Rgb([(x.wrapping_mul(73) ^ y.wrapping_mul(151) ^ (x * y)) as u8; 3]);
+        for (width, height) in [(16, 16), (16, 700), (700, 16), (150, 100)] {
+            for sheet_mm in [[40.0, 40.0], [80.0, 30.0]] {
+                let picture = RgbImage::from_fn(width, height, noise);
+                let options = VectorizeOptions {
+                    sheet_mm,
+                    margin_mm: 2.0,
+                    ..VectorizeOptions::default()
+                };
+                match vectorize_image(&picture, &options) {
+                    Ok(drawing) => assert_inside(&drawing, 2.0),
+                    Err(error) => assert_eq!(error, DrawingError::Blank, "{width} x {height}"),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_refused() {
+        let options = VectorizeOptions::default();
+        let grey = RgbImage::from_pixel(100, 100, Rgb([90; 3]));
+        assert_eq!(vectorize_image(&grey, &options).err(), Some(DrawingError::Blank));
+        let dot = RgbImage::new(1, 1);
+        assert!(matches!(
+            vectorize_image(&dot, &options),
+            Err(DrawingError::TooSmall { .. })
+        ));
+        let picture = RgbImage::from_fn(100, 100, |x, _| Rgb([x as u8; 3]));
+        for bad in [
+            VectorizeOptions {
+                margin_mm: 100.0,
+                ..options
+            },
+            VectorizeOptions {
+                margin_mm: f64::NAN,
+                ..options
+            },
+            VectorizeOptions {
+                pen_width_mm: 0.0,
+                ..options
+            },
+            VectorizeOptions {
+                time_max_s: -1.0,
+                ..options
+            },
+            VectorizeOptions {
+                sheet_mm: [f64::INFINITY, 200.0],
+                ..options
+            },
+        ] {
+            assert_eq!(
+                vectorize_image(&picture, &bad).err(),
+                Some(DrawingError::BadOptions),
+                "{bad:?}"
+            );
+        }
     }
 }
