@@ -1,0 +1,130 @@
+//! Admission: every vertex is checked before anything moves.
+//!
+//! A vertex is admitted when it lies in the work area and so does its leg, checked every 5 mm. The same check runs
+//! on the host before a path is sent and in the firmware when it arrives. The shaped path stays inside the hull of
+//! its vertices.
+
+use super::{Refusal, RefusalReason, Vertex};
+use crate::config::Config;
+use crate::robot::vector::{Vector, add_scaled, length, subtract};
+use crate::robot::{GeometryError, Outside, Position, WorkArea};
+
+/// Distance of the points that are checked on a leg, mm.
+pub const LEG_CHECK_MM: f64 = 5.0;
+/// Shortest leg, mm: half of the wire's resolution.
+pub const LEG_MIN_MM: f64 = 0.0005;
+/// Points checked on one leg at most; more than any leg inside a work area needs.
+const LEG_CHECKS_MAX: u32 = 4_000;
+
+/// Checks the vertices of a path in order.
+#[derive(Clone, Debug)]
+pub struct Admission {
+    area: WorkArea,
+    previous: Option<Position>,
+}
+
+impl Admission {
+    /// Admission with the limits of a configuration, before the first vertex of a path.
+    ///
+    /// # Errors
+    /// A geometry that is no delta robot.
+    pub fn new(config: &Config) -> Result<Self, GeometryError> {
+        Ok(Self {
+            area: WorkArea::new(config)?,
+            previous: None,
+        })
+    }
+
+    /// Begins a new path.
+    pub fn restart(&mut self) {
+        self.previous = None;
+    }
+
+    /// Checks vertex `index` of the path; one that is refused leaves the state as it was.
+    ///
+    /// # Errors
+    /// The index with the first reason found.
+    pub fn check(&mut self, index: u32, vertex: &Vertex) -> Result<(), Refusal> {
+        self.reason(&vertex.position)
+            .map_err(|reason| Refusal { index, reason })?;
+        self.previous = Some(vertex.position);
+        Ok(())
+    }
+
+    fn reason(&self, position: &Position) -> Result<(), RefusalReason> {
+        let point = Vector::from(*position);
+        if !point.iter().all(|value| value.is_finite()) {
+            return Err(RefusalReason::NotFinite);
+        }
+        self.area.check(position).map_err(RefusalReason::Outside)?;
+        let Some(previous) = self.previous else {
+            return Ok(());
+        };
+        let distance_mm = length(&subtract(&point, &previous.into()));
+        if distance_mm < LEG_MIN_MM {
+            return Err(RefusalReason::Repeated { distance_mm });
+        }
+        check_leg(&self.area, &previous, position).map_err(|(at, outside)| RefusalReason::Leg { at, outside })
+    }
+}
+
+/// Checks the points between two positions; gives the first that is outside and why.
+pub(crate) fn check_leg(area: &WorkArea, from: &Position, to: &Position) -> Result<(), (Position, Outside)> {
+    let start = Vector::from(*from);
+    let leg = subtract(&(*to).into(), &start);
+    let checks = (libm::ceil(length(&leg) / LEG_CHECK_MM) as u32).clamp(1, LEG_CHECKS_MAX);
+    for check in 1..checks {
+        let at = Position::from(add_scaled(&start, &leg, f64::from(check) / f64::from(checks)));
+        area.check(&at).map_err(|outside| (at, outside))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::Pen;
+
+    fn vertex(x_mm: f64, y_mm: f64, z_mm: f64) -> Vertex {
+        Vertex {
+            position: Position { x_mm, y_mm, z_mm },
+            pen: Pen::Down,
+            stroke: 0,
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_the_index_and_the_reason_and_changes_nothing() {
+        let mut admission = Admission::new(&Config::default()).unwrap();
+        assert_eq!(admission.check(0, &vertex(10.0, 0.0, -850.0)), Ok(()));
+        let refusal = admission.check(1, &vertex(f64::NAN, 0.0, -850.0)).unwrap_err();
+        assert_eq!((refusal.index, refusal.reason), (1, RefusalReason::NotFinite));
+        let refusal = admission.check(2, &vertex(10.0, 0.0, -850.0)).unwrap_err();
+        assert_eq!(refusal.reason, RefusalReason::Repeated { distance_mm: 0.0 });
+        let refusal = admission.check(3, &vertex(900.0, 0.0, -850.0)).unwrap_err();
+        assert!(matches!(refusal.reason, RefusalReason::Outside(Outside::Radius { .. })));
+        assert_eq!(admission.check(4, &vertex(11.0, 0.0, -850.0)), Ok(()));
+    }
+
+    #[test]
+    fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
+        let mut config = Config::default();
+        config.geometry.arm_range_rad[1] = 1.2;
+        let area = WorkArea::new(&config).unwrap();
+        let at = |x_mm: f64, z_mm: f64| Position { x_mm, y_mm: 0.0, z_mm };
+        // The reachable space bulges upwards towards the rim at its floor.
+        let floor = (0..400)
+            .map(|step| -950.0 + 0.5 * f64::from(step))
+            .find(|z| area.check(&at(-520.0, *z)).is_ok() && area.check(&at(520.0, *z)).is_ok());
+        let ceiling_out = (0..1000)
+            .map(|step| -700.0 - 0.2 * f64::from(step))
+            .find(|z| area.check(&at(0.0, *z)).is_err());
+        if let (Some(floor), Some(_)) = (floor, ceiling_out) {
+            let mut admission = Admission::new(&config).unwrap();
+            assert_eq!(admission.check(0, &vertex(-520.0, 0.0, floor)), Ok(()));
+            let result = admission.check(1, &vertex(520.0, 0.0, floor));
+            let expected = check_leg(&area, &at(-520.0, floor), &at(520.0, floor));
+            assert_eq!(result.is_ok(), expected.is_ok());
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! Requirements on the whole trajectory stage, checked on every 1 ms reference.
+
+extern crate std;
+
+use super::micro_interpolator::TICK_S;
+use super::*;
+use crate::config::Config;
+use crate::robot::vector::{Vector, add_scaled, dot, length, subtract};
+use crate::robot::{Delta, JointAngles};
+use core::f64::consts::{PI, TAU};
+use std::vec::Vec;
+use std::{format, println};
+
+/// Relative excess over a limit that counts as none.
+const EXCESS: f64 = 1.0e-3;
+/// Periods after which a run counts as stuck.
+const PERIODS_MAX: usize = 60_000;
+
+/// Seeded random numbers from 0 to 1.
+struct Random(u64);
+
+impl Random {
+    fn new(seed: u64) -> Self {
+        println!("seed {seed}");
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+    }
+
+    fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        ((self.next() * end as f64) as usize).min(end - 1)
+    }
+}
+
+fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
+    Vertex {
+        position: point.into(),
+        pen,
+        stroke,
+    }
+}
+
+fn placed(config: &Config, point: Vector) -> Trajectory {
+    let mut trajectory = Trajectory::new(config).unwrap();
+    let [a, b, c] = Delta::new(&config.geometry).unwrap().inverse(&point.into()).unwrap();
+    assert!(trajectory.place(JointAngles([a, b, c, 0.0])));
+    trajectory
+}
+
+/// A run: the stage, the vertices still to be pushed, and all references so far.
+struct Run {
+    config: Config,
+    trajectory: Trajectory,
+    path: Vec<Vertex>,
+    pushed: usize,
+    references: Vec<Reference>,
+    work_max: u32,
+    work_sum: u64,
+}
+
+impl Run {
+    /// At rest at the path's first vertex.
+    fn new(config: &Config, path: &[Vertex]) -> Self {
+        Self {
+            config: config.clone(),
+            trajectory: placed(config, path[0].position.into()),
+            path: path.to_vec(),
+            pushed: 0,
+            references: Vec::new(),
+            work_max: 0,
+            work_sum: 0,
+        }
+    }
+
+    fn feed(&mut self, at_most: usize) {
+        let mut left = at_most;
+        while left > 0 && self.pushed < self.path.len() && self.trajectory.free() > 0 {
+            self.trajectory.push(self.path[self.pushed]).unwrap();
+            self.pushed += 1;
+            left -= 1;
+        }
+        if self.pushed == self.path.len() {
+            self.trajectory.finish();
+        }
+    }
+
+    fn step(&mut self) {
+        self.references.extend(self.trajectory.step());
+        self.work_max = self.work_max.max(self.trajectory.work());
+        self.work_sum += u64::from(self.trajectory.work());
+    }
+
+    fn command(&mut self, command: MotionCommand) {
+        self.trajectory.command(command).unwrap();
+    }
+
+    fn until(&mut self, state: MotionState) {
+        for _ in 0..PERIODS_MAX {
+            self.feed(usize::MAX);
+            self.step();
+            if self.trajectory.state() == state {
+                return;
+            }
+        }
+        panic!(
+            "{:?} instead of {state:?}, {} of {} executed",
+            self.trajectory.state(),
+            self.trajectory.executed(),
+            self.path.len()
+        );
+    }
+
+    fn whole(mut self) -> Self {
+        self.feed(usize::MAX);
+        self.command(MotionCommand::Start);
+        self.until(MotionState::Idle);
+        self
+    }
+
+    fn duration_s(&self) -> f64 {
+        let last = self.references.last().unwrap().position_rad;
+        let moving = self.references.iter().rposition(|r| r.position_rad != last);
+        moving.map_or(0.0, |index| (index + 1) as f64 * TICK_S)
+    }
+
+    /// Speeds and accelerations of every sample, and rest at the end; with what is worst, as parts of the limits.
+    fn check_limits(&self, name: &str) -> [f64; 4] {
+        let motion = &self.config.motion;
+        let delta = Delta::new(&self.config.geometry).unwrap();
+        let point = |r: &Reference| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
+        let mut worst = [0.0_f64; 4];
+        let mut note = |kind: usize, value: f64, limit: f64, at: usize| {
+            worst[kind] = worst[kind].max(value / limit);
+            assert!(
+                value <= limit * (1.0 + EXCESS),
+                "{name}: kind {kind} {value} over {limit} at {at} ms"
+            );
+        };
+        let mut before: Option<(Vector, Vector, Reference)> = None;
+        for (at, reference) in self.references.iter().enumerate() {
+            let here = point(reference);
+            let Some((last, last_velocity, last_reference)) = before else {
+                before = Some((here, [0.0; 3], *reference));
+                continue;
+            };
+            for axis in 0..AXES {
+                let velocity = reference.velocity_rad_s[axis];
+                let difference = (reference.position_rad[axis] - last_reference.position_rad[axis]) / TICK_S;
+                assert!((velocity - difference).abs() < 1.0e-8, "{name}: axis {axis} at {at} ms");
+                note(0, velocity.abs(), motion.joint_speed_rad_s[axis], at);
+                let acceleration = (velocity - last_reference.velocity_rad_s[axis]).abs() / TICK_S;
+                note(1, acceleration, motion.joint_acceleration_rad_s2[axis], at);
+            }
+            let velocity = subtract(&here, &last).map(|d| d / TICK_S);
+            let drawn = reference.pen == Pen::Down && last_reference.pen == Pen::Down;
+            let speed_max = if drawn {
+                motion.speed_mm_s
+            } else {
+                motion.travel_speed_mm_s
+            };
+            note(2, length(&velocity), speed_max, at);
+            let acceleration = length(&subtract(&velocity, &last_velocity)) / TICK_S;
+            note(3, acceleration, motion.acceleration_mm_s2 + 0.1, at);
+            before = Some((here, velocity, *reference));
+        }
+        let last = self.references.last().unwrap();
+        assert_eq!(last.velocity_rad_s, [0.0; AXES], "{name}: not at rest");
+        worst
+    }
+
+    /// Largest distance of the references from the path, near the vertices that they report.
+    fn deviation(&self) -> (f64, f64) {
+        let delta = Delta::new(&self.config.geometry).unwrap();
+        let mut worst = (0.0_f64, 0.0_f64);
+        for reference in &self.references {
+            let at = Vector::from(delta.forward(&JointAngles(reference.position_rad)).unwrap());
+            let near = reference.vertex as usize;
+            let from = near.saturating_sub(8);
+            let to = (near + 9).min(self.path.len());
+            let distance = self.path[from..to]
+                .windows(2)
+                .map(|leg| distance(&at, &leg[0].position.into(), &leg[1].position.into()))
+                .fold(f64::INFINITY, f64::min);
+            if reference.pen == Pen::Down {
+                worst.0 = worst.0.max(distance);
+            } else {
+                worst.1 = worst.1.max(distance);
+            }
+        }
+        worst
+    }
+
+    fn check_deviation(&self, name: &str) {
+        let (drawn, travelled) = self.deviation();
+        let motion = &self.config.motion;
+        assert!(drawn <= motion.tolerance_mm * (1.0 + EXCESS), "{name}: {drawn} mm off");
+        assert!(
+            travelled <= motion.travel_tolerance_mm * (1.0 + EXCESS),
+            "{name}: {travelled} mm off with the pen up"
+        );
+    }
+
+    fn end(&self) -> Vector {
+        let delta = Delta::new(&self.config.geometry).unwrap();
+        delta
+            .forward(&JointAngles(self.references.last().unwrap().position_rad))
+            .unwrap()
+            .into()
+    }
+}
+
+fn distance(point: &Vector, from: &Vector, to: &Vector) -> f64 {
+    let leg = subtract(to, from);
+    let along = dot(&subtract(point, from), &leg) / dot(&leg, &leg).max(f64::MIN_POSITIVE);
+    length(&subtract(point, &add_scaled(from, &leg, along.clamp(0.0, 1.0))))
+}
+
+/// Strokes of a random character with lifts between them.
+fn random_path(random: &mut Random, strokes: usize) -> Vec<Vertex> {
+    let (down, up) = (-850.0, -847.0);
+    let mut path: Vec<Vertex> = Vec::new();
+    for stroke in 0..strokes as u32 {
+        let mut point = [random.between(-90.0, 90.0), random.between(-90.0, 90.0), up];
+        path.push(vertex(point, Pen::Up, stroke));
+        point[2] = down;
+        path.push(vertex(point, Pen::Up, stroke));
+        let kind = random.below(5);
+        let mut heading = random.between(0.0, TAU);
+        for _ in 0..2 + random.below(30) {
+            let (turn, leg) = match kind {
+                0 => (random.between(-0.3, 0.3), random.between(0.3, 2.0)),
+                1 => (random.between(-PI, PI), random.between(0.3, 20.0)),
+                2 => (random.between(-0.1, 0.1), random.between(0.05, 0.4)),
+                3 => (random.between(-PI, PI), random.between(0.001, 0.05)),
+                _ => {
+                    let turns = [0.0, 1.57, PI, -2.0];
+                    (turns[random.below(4)], random.between(0.01, 8.0))
+                }
+            };
+            heading += turn;
+            point[0] = (point[0] + leg * libm::cos(heading)).clamp(-110.0, 110.0);
+            point[1] = (point[1] + leg * libm::sin(heading)).clamp(-110.0, 110.0);
+            path.push(vertex(point, Pen::Down, stroke));
+        }
+        point[2] = up;
+        path.push(vertex(point, Pen::Up, stroke));
+    }
+    path
+}
+
+#[test]
+fn random_paths_keep_every_limit_and_the_tolerance_and_end_at_rest() {
+    let config = Config::default();
+    let mut worst = [0.0_f64; 4];
+    for seed in 1..=250 {
+        let mut random = Random::new(seed);
+        let path = random_path(&mut random, 2);
+        let run = Run::new(&config, &path).whole();
+        let name = format!("seed {seed}");
+        for (all, one) in worst.iter_mut().zip(run.check_limits(&name)) {
+            *all = all.max(one);
+        }
+        run.check_deviation(&name);
+        let last = path.last().unwrap().position.into();
+        assert!(length(&subtract(&run.end(), &last)) < 1.0e-6, "{name}: ends elsewhere");
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+        assert_eq!(run.trajectory.underruns(), 0, "{name}");
+    }
+    println!("worst parts of the limits: {worst:?}");
+}
+
+/// A portrait's load: strokes of short segments, lifts of 3 mm.
+fn portrait(random: &mut Random, strokes: u32) -> (Vec<Vertex>, f64) {
+    let (mut path, mut drawn_mm) = (Vec::new(), 0.0);
+    for stroke in 0..strokes {
+        let start = [random.between(-60.0, 60.0), random.between(-60.0, 60.0), -847.0];
+        let mut point = path.last().map_or(start, |last: &Vertex| {
+            let last = Vector::from(last.position);
+            [
+                last[0] + random.between(-4.0, 4.0),
+                last[1] + random.between(-4.0, 4.0),
+                -847.0,
+            ]
+        });
+        path.push(vertex(point, Pen::Up, stroke));
+        point[2] = -850.0;
+        path.push(vertex(point, Pen::Up, stroke));
+        let mut heading = random.between(0.0, TAU);
+        for _ in 0..30 {
+            heading += random.between(-0.25, 0.25);
+            let leg = random.between(0.3, 2.0);
+            drawn_mm += leg;
+            point[0] += leg * libm::cos(heading);
+            point[1] += leg * libm::sin(heading);
+            path.push(vertex(point, Pen::Down, stroke));
+        }
+        point[2] = -847.0;
+        path.push(vertex(point, Pen::Up, stroke));
+    }
+    (path, drawn_mm)
+}
+
+#[test]
+fn a_lift_costs_a_tenth_of_a_second() {
+    let config = Config::default();
+    let (path, drawn_mm) = portrait(&mut Random::new(7), 40);
+    let run = Run::new(&config, &path).whole();
+    let worst = run.check_limits("portrait");
+    run.check_deviation("portrait");
+    let lifted = run.references.iter().filter(|r| r.pen == Pen::Up).count() as f64 * TICK_S;
+    println!(
+        "{:.3} s for {drawn_mm:.0} mm, {:.4} s a lift, worst {worst:?}, work at most {}, mean {}",
+        run.duration_s(),
+        lifted / 40.0,
+        run.work_max,
+        run.work_sum / (run.references.len() / PERIOD_MS) as u64
+    );
+    assert!(lifted / 40.0 < 0.11);
+}

@@ -1,0 +1,125 @@
+//! Jogging: a velocity that is followed while it is repeated, and never out of the work area.
+//!
+//! The velocity approaches the wanted one with a bounded acceleration. Before each millisecond the point where the
+//! motion would come to rest is checked; when that lies outside the work area, the motion slows down instead. When
+//! the command is not repeated within the dead-man time, the wanted velocity is zero.
+
+use super::limits::Limits;
+use super::micro_interpolator::{PathSample, TICK_S};
+use super::shaping::Label;
+use crate::robot::WorkArea;
+use crate::robot::vector::{Vector, add_scaled, length, scale, subtract};
+
+/// Fastest jog, mm/s.
+const SPEED_MAX_MM_S: f64 = 250.0;
+/// Part of the limits that a jog uses, which leaves room for the curvature of the joints' motion.
+const LIMIT_PART: f64 = 0.25;
+/// Acceleration of a jog at most, mm/s2.
+const ACCELERATION_MAX_MM_S2: f64 = 2_000.0;
+/// Room kept beyond the point of rest, in braking distances.
+const BRAKING_ROOM: f64 = 1.25;
+/// The same, mm.
+const ROOM_MM: f64 = 0.5;
+
+/// A jog under way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Jog {
+    point: Vector,
+    velocity: Vector,
+    wanted: Vector,
+    silent_ms: u16,
+    label: Label,
+}
+
+impl Jog {
+    pub(crate) fn new(at: &PathSample) -> Self {
+        Self {
+            point: at.point,
+            velocity: [0.0; 3],
+            wanted: [0.0; 3],
+            silent_ms: 0,
+            label: at.label,
+        }
+    }
+
+    /// Takes a repeated command, mm/s.
+    pub(crate) fn want(&mut self, velocity_mm_s: &Vector) {
+        self.wanted = *velocity_mm_s;
+        self.silent_ms = 0;
+    }
+
+    /// Lets a millisecond pass; returns the place and whether the jog rests.
+    pub(crate) fn next_millisecond(
+        &mut self,
+        area: &WorkArea,
+        limits: &Limits,
+        dead_man_ms: u16,
+    ) -> (PathSample, bool) {
+        self.silent_ms = self.silent_ms.saturating_add(1);
+        if self.silent_ms > dead_man_ms {
+            self.wanted = [0.0; 3];
+        }
+        let (speed_max, acceleration) = self.bounds(area, limits);
+        let wanted_speed = length(&self.wanted);
+        let wanted = if wanted_speed > speed_max {
+            scale(&self.wanted, speed_max / wanted_speed)
+        } else {
+            self.wanted
+        };
+        let next = approach(&self.velocity, &wanted, acceleration * TICK_S);
+        let stays_inside = |velocity: &Vector| {
+            let speed = length(velocity);
+            let room = BRAKING_ROOM * speed * speed / (2.0 * acceleration) + ROOM_MM;
+            let rest = if speed > 0.0 {
+                add_scaled(&self.point, velocity, TICK_S + room / speed)
+            } else {
+                self.point
+            };
+            area.check(&rest.into()).is_ok()
+        };
+        self.velocity = if stays_inside(&next) {
+            next
+        } else {
+            approach(&self.velocity, &[0.0; 3], acceleration * TICK_S)
+        };
+        self.point = add_scaled(&self.point, &self.velocity, TICK_S);
+        let sample = PathSample {
+            point: self.point,
+            label: self.label,
+        };
+        (sample, self.velocity == [0.0; 3] && self.wanted == [0.0; 3])
+    }
+
+    /// Speed and acceleration that the joints allow here in every direction.
+    fn bounds(&self, area: &WorkArea, limits: &Limits) -> (f64, f64) {
+        let mut speed = SPEED_MAX_MM_S * SPEED_MAX_MM_S;
+        let mut acceleration = ACCELERATION_MAX_MM_S2.min(LIMIT_PART * limits.acceleration);
+        speed = speed.min(limits.path_speed_squared(false));
+        for axis in 0..3 {
+            let mut direction = [0.0; 3];
+            direction[axis] = 1.0;
+            let rows = area.delta().rows(&self.point, &direction, &[0.0; 3]);
+            speed = speed.min(LIMIT_PART * limits.cap(&rows, 0.0));
+            let joints = rows.slope.iter().zip(&rows.bend).zip(&limits.joint_acceleration);
+            for ((slope, bend), limit) in joints {
+                if slope.abs() * acceleration > LIMIT_PART * limit {
+                    acceleration = LIMIT_PART * limit / slope.abs();
+                }
+                if bend.abs() * speed > LIMIT_PART * limit {
+                    speed = LIMIT_PART * limit / bend.abs();
+                }
+            }
+        }
+        (crate::robot::vector::root(speed), acceleration)
+    }
+}
+
+fn approach(from: &Vector, to: &Vector, step: f64) -> Vector {
+    let way = subtract(to, from);
+    let distance = length(&way);
+    if distance <= step {
+        *to
+    } else {
+        add_scaled(from, &way, step / distance)
+    }
+}

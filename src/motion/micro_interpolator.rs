@@ -1,0 +1,298 @@
+//! The micro-interpolator: from path speeds to twelve joint references a period.
+//!
+//! Every millisecond the path is followed for a millisecond (stretches of constant path acceleration between the
+//! speeds at the grid's points), the point is turned into arm angles, and a moving average over a whole number of
+//! milliseconds bounds the jerk. Averaging keeps every bound on speed and acceleration, because an average of values
+//! inside a convex limit is inside it.
+//!
+//! Invariant: velocities are the exact differences of the averaged positions. The sums are integers, so they do not
+//! drift however long the program runs.
+
+use super::shaping::Label;
+use super::{PERIOD_MS, Reference};
+use crate::robot::vector::{Vector, root};
+use crate::robot::{ARMS, AXES, Delta, JointAngles};
+
+/// Longest moving average, ms; the bound of `motion.jerk_window_ms`.
+pub(crate) const WINDOW_MAX: usize = 32;
+/// Parts of a radian that the sums count in: 2^40.
+const PARTS_PER_RAD: f64 = 1_099_511_627_776.0;
+/// One millisecond, s.
+pub(crate) const TICK_S: f64 = 1.0e-3;
+/// Largest angle that is represented, rad.
+const ANGLE_MAX_RAD: f64 = 10_000.0;
+
+const _: () = assert!(ANGLE_MAX_RAD * PARTS_PER_RAD * (WINDOW_MAX as f64) < i64::MAX as f64);
+
+/// A point of the path and what it belongs to.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PathSample {
+    pub(crate) point: Vector,
+    pub(crate) label: Label,
+}
+
+/// Motion along the path with constant acceleration.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stretch {
+    start_mm: f64,
+    length_mm: f64,
+    speed: f64,
+    acceleration: f64,
+    end_squared: f64,
+    duration_s: f64,
+    elapsed_s: f64,
+}
+
+impl Stretch {
+    /// Over `length_mm`, between two squared speeds.
+    pub(crate) fn new(start_mm: f64, length_mm: f64, start_squared: f64, end_squared: f64) -> Self {
+        let (speed, end_speed) = (root(start_squared), root(end_squared));
+        Self {
+            start_mm,
+            length_mm,
+            speed,
+            acceleration: (end_squared - start_squared) / (2.0 * length_mm),
+            end_squared,
+            duration_s: 2.0 * length_mm / (speed + end_speed),
+            elapsed_s: 0.0,
+        }
+    }
+
+    /// Over `length_mm`, with an acceleration, mm/s2.
+    pub(crate) fn to(start_mm: f64, length_mm: f64, start_squared: f64, acceleration: f64) -> Self {
+        let end_squared = (start_squared + 2.0 * length_mm * acceleration).max(0.0);
+        Self::new(start_mm, length_mm, start_squared, end_squared)
+    }
+
+    /// Whether it takes a finite time.
+    pub(crate) fn valid(&self) -> bool {
+        self.duration_s.is_finite() && self.duration_s >= 0.0 && self.length_mm >= 0.0
+    }
+
+    /// Lets time pass; returns what is left of it when the end is reached.
+    pub(crate) fn run(&mut self, time_s: f64) -> f64 {
+        let left_s = self.duration_s - self.elapsed_s;
+        if time_s >= left_s {
+            self.elapsed_s = self.duration_s;
+            time_s - left_s
+        } else {
+            self.elapsed_s += time_s;
+            0.0
+        }
+    }
+
+    pub(crate) fn complete(&self) -> bool {
+        self.elapsed_s >= self.duration_s
+    }
+
+    pub(crate) fn end_squared(&self) -> f64 {
+        self.end_squared
+    }
+
+    /// Place on the path, mm from where the stretches are counted.
+    pub(crate) fn offset_mm(&self) -> f64 {
+        if self.complete() {
+            return self.start_mm + self.length_mm;
+        }
+        let passed = self.elapsed_s * (self.speed + 0.5 * self.acceleration * self.elapsed_s);
+        self.start_mm + passed.clamp(0.0, self.length_mm)
+    }
+}
+
+/// What the interpolator follows: asked once a millisecond for the place a millisecond later.
+pub(crate) trait Profile {
+    fn next_millisecond(&mut self) -> PathSample;
+}
+
+/// Averages a window of joint angles and makes references of them.
+#[derive(Clone, Debug)]
+pub(crate) struct MicroInterpolator {
+    delta: Delta,
+    window: [([i64; AXES], Label); WINDOW_MAX],
+    length: usize,
+    newest: usize,
+    sums: [i64; AXES],
+    /// Milliseconds since the angles last changed.
+    still_ms: usize,
+    fourth_axis_rad: f64,
+}
+
+impl MicroInterpolator {
+    /// Interpolator with a moving average over `window_ms`; 0 and 1 switch it off.
+    pub(crate) fn new(delta: Delta, window_ms: u16) -> Self {
+        Self {
+            delta,
+            window: [([0; AXES], Label::default()); WINDOW_MAX],
+            length: usize::from(window_ms).clamp(1, WINDOW_MAX),
+            newest: 0,
+            sums: [0; AXES],
+            still_ms: WINDOW_MAX,
+            fourth_axis_rad: 0.0,
+        }
+    }
+
+    /// Rests at a pose.
+    pub(crate) fn place(&mut self, pose: &JointAngles) {
+        let parts = pose.0.map(to_parts);
+        self.window = [(parts, Label::default()); WINDOW_MAX];
+        self.sums = parts.map(|value| value * self.length as i64);
+        self.still_ms = WINDOW_MAX;
+        self.fourth_axis_rad = pose.0[AXES - 1];
+    }
+
+    /// Whether the references rest.
+    pub(crate) fn settled(&self) -> bool {
+        self.still_ms >= self.length
+    }
+
+    /// A period at the pose given last.
+    pub(crate) fn rest(&self) -> [Reference; PERIOD_MS] {
+        let (parts, label) = self.window[self.newest];
+        [Reference {
+            position_rad: parts.map(|value| value as f64 / PARTS_PER_RAD),
+            velocity_rad_s: [0.0; AXES],
+            stroke: label.stroke,
+            pen: label.pen,
+            vertex: label.vertex,
+        }; PERIOD_MS]
+    }
+
+    /// The next period.
+    pub(crate) fn step(&mut self, profile: &mut impl Profile) -> [Reference; PERIOD_MS] {
+        [(); PERIOD_MS].map(|()| {
+            let sample = profile.next_millisecond();
+            self.reference(&sample)
+        })
+    }
+
+    fn reference(&mut self, sample: &PathSample) -> Reference {
+        let mut angles = [self.fourth_axis_rad; AXES];
+        let arms: [f64; ARMS] = self.delta.angles(&sample.point);
+        for (angle, arm) in angles.iter_mut().zip(arms) {
+            *angle = arm;
+        }
+        self.average(angles.map(to_parts), sample.label)
+    }
+
+    fn average(&mut self, parts: [i64; AXES], label: Label) -> Reference {
+        let slot = |newest: usize, back: usize| (newest + WINDOW_MAX - back) % WINDOW_MAX;
+        let before = self.window[self.newest].0;
+        self.still_ms = if parts == before {
+            self.still_ms.saturating_add(1)
+        } else {
+            0
+        };
+        self.newest = (self.newest + 1) % WINDOW_MAX;
+        let oldest = self.window[slot(self.newest, self.length)].0;
+        // A window as long as the ring leaves its place to the newest.
+        self.window[self.newest] = (parts, label);
+        let per_part = 1.0 / (PARTS_PER_RAD * self.length as f64);
+        let mut reference = Reference::default();
+        for axis in 0..AXES {
+            let change = parts[axis] - oldest[axis];
+            self.sums[axis] += change;
+            reference.position_rad[axis] = self.sums[axis] as f64 * per_part;
+            reference.velocity_rad_s[axis] = change as f64 * (per_part / TICK_S);
+        }
+        // The average lags by half its length; so do the labels.
+        let label = self.window[slot(self.newest, self.length / 2)].1;
+        reference.stroke = label.stroke;
+        reference.pen = label.pen;
+        reference.vertex = label.vertex;
+        reference
+    }
+}
+
+fn to_parts(angle_rad: f64) -> i64 {
+    (angle_rad.clamp(-ANGLE_MAX_RAD, ANGLE_MAX_RAD) * PARTS_PER_RAD) as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Geometry;
+
+    /// Speeds up and slows down along x, then rests.
+    struct There {
+        stretches: [Stretch; 2],
+    }
+
+    impl Profile for There {
+        fn next_millisecond(&mut self) -> PathSample {
+            let mut left = TICK_S;
+            let mut x_mm = 0.0;
+            for stretch in &mut self.stretches {
+                left = stretch.run(left);
+                x_mm = stretch.offset_mm();
+                if !stretch.complete() {
+                    break;
+                }
+            }
+            PathSample {
+                point: [x_mm, 0.0, -850.0],
+                label: Label::default(),
+            }
+        }
+    }
+
+    fn run(window_ms: u16) -> (MicroInterpolator, [[Reference; PERIOD_MS]; 12]) {
+        let delta = Delta::new(&Geometry::default()).unwrap();
+        let mut interpolator = MicroInterpolator::new(delta, window_ms);
+        let [a, b, c] = delta.angles(&[0.0, 0.0, -850.0]);
+        interpolator.place(&JointAngles([a, b, c, 0.25]));
+        let mut there = There {
+            stretches: [
+                Stretch::to(0.0, 8.0, 0.0, 10_000.0),
+                Stretch::new(8.0, 8.0, 160_000.0, 0.0),
+            ],
+        };
+        let periods = [(); 12].map(|()| interpolator.step(&mut there));
+        (interpolator, periods)
+    }
+
+    #[test]
+    fn velocities_are_the_differences_of_the_positions() {
+        for window_ms in [0, 4, 32] {
+            let (_, periods) = run(window_ms);
+            let references = periods.as_flattened();
+            for pair in references.windows(2) {
+                for axis in 0..AXES {
+                    let difference = (pair[1].position_rad[axis] - pair[0].position_rad[axis]) / TICK_S;
+                    assert!((difference - pair[1].velocity_rad_s[axis]).abs() < 1.0e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_motion_ends_exactly_where_the_path_ends_and_settles() {
+        for window_ms in [0, 1, 5, 32] {
+            let (interpolator, periods) = run(window_ms);
+            let last = periods.as_flattened()[143];
+            let expected = interpolator.delta.angles(&[16.0, 0.0, -850.0]);
+            assert!(interpolator.settled());
+            for (actual, expected) in last.position_rad.iter().zip(expected) {
+                assert!((actual - expected).abs() < 1.0e-11);
+            }
+            assert_eq!((last.position_rad[3], last.velocity_rad_s), (0.25, [0.0; AXES]));
+        }
+    }
+
+    #[test]
+    fn the_average_bounds_the_jerk_and_raises_no_acceleration() {
+        let peaks = |window_ms| {
+            let (_, periods) = run(window_ms);
+            let references = periods.as_flattened();
+            let acceleration = |a: &Reference, b: &Reference| (b.velocity_rad_s[0] - a.velocity_rad_s[0]) / TICK_S;
+            let mut peak = (0.0_f64, 0.0_f64);
+            for three in references.windows(3) {
+                let (first, second) = (acceleration(&three[0], &three[1]), acceleration(&three[1], &three[2]));
+                peak = (peak.0.max(second.abs()), peak.1.max((second - first).abs() / TICK_S));
+            }
+            peak
+        };
+        let (raw, averaged) = (peaks(0), peaks(8));
+        assert!(averaged.0 <= raw.0 * (1.0 + 1.0e-6));
+        assert!(averaged.1 <= 2.0 * raw.0 / 8.0e-3, "{averaged:?} of {raw:?}");
+    }
+}

@@ -1,0 +1,454 @@
+//! The look-ahead plan: pieces of the path, the grid over them, the speeds of its points, and the place on it.
+//!
+//! Pieces are divided into a grid as there is room; the last point of the grid is always a point of rest. After the
+//! grid has grown, [`Plan::look_back`] raises the speeds from the new end towards the present place until nothing
+//! changes. A raised speed stays reachable from the old ones, so the plan ends at rest after every single step of it,
+//! and a path that stops growing is a stop on the path with all limits kept.
+//!
+//! Between two points of the grid the path acceleration is constant; it is chosen when the first of them is reached.
+
+use super::Pen;
+use super::limits::Limits;
+use super::micro_interpolator::{PathSample, Stretch};
+use super::ring::Ring;
+use super::scan::{Interval, Row};
+use super::shaping::{Label, PIECES_PER_LEG, Piece};
+use crate::robot::Delta;
+use crate::robot::vector::{Vector, length};
+
+/// Points of the grid: the look-ahead.
+pub(crate) const POINTS: usize = 256;
+/// Pieces that the grid lies on or that wait for it.
+pub(crate) const PIECES: usize = 128;
+/// Intervals that the grid grows by in one period at most.
+pub(crate) const GROWTH: usize = 96;
+/// Change of a squared speed that counts as none, relative.
+const UNCHANGED: f64 = 1.0e-12;
+/// Newton steps from arc length to parameter.
+const ARC_STEPS: usize = 2;
+/// Remainder of an interval that counts as its end, mm.
+const ARRIVED_MM: f64 = 1.0e-9;
+
+const _: () = assert!(GROWTH < POINTS && PIECES_PER_LEG < PIECES);
+
+/// The interval that begins at a point of the grid.
+#[derive(Clone, Copy, Debug, Default)]
+struct Span {
+    length_mm: f64,
+    piece: u32,
+    parameter: [f64; 2],
+    /// Arc length for a unit of the parameter at both ends, mm.
+    stretch: [f64; 2],
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct GridPoint {
+    row: Row,
+    /// Largest squared speed that the robot allows, mm2/s2.
+    cap: f64,
+    /// Squared speed that the path asks for at 100 %, mm2/s2.
+    nominal: f64,
+    /// Largest squared speed from which the plan's end is reached at rest, mm2/s2.
+    reach: f64,
+    span: Span,
+    stop: bool,
+}
+
+/// How the motion goes on at the next point of the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Pace {
+    /// As fast as allowed.
+    Go,
+    /// To rest, as soon as allowed.
+    Brake,
+}
+
+/// The plan and the place on it.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    delta: Delta,
+    limits: Limits,
+    pieces: Ring<Piece, PIECES>,
+    points: Ring<GridPoint, POINTS>,
+    /// Next interval of the next piece for the grid.
+    next_piece: u32,
+    next_interval: u16,
+    /// Points from here on have been appended since the last look back.
+    settled: u32,
+    /// Speed asked for and speed planned for, as factors of the path's.
+    wanted: f64,
+    planned: f64,
+    /// Point of the grid at or behind the present place, and how far behind it is.
+    place: u32,
+    offset_mm: f64,
+    squared: f64,
+    stretch: Option<Stretch>,
+    rest: PathSample,
+}
+
+impl Plan {
+    pub(crate) fn new(delta: Delta, limits: Limits) -> Self {
+        Self {
+            delta,
+            limits,
+            pieces: Ring::new(),
+            points: Ring::new(),
+            next_piece: 0,
+            next_interval: 0,
+            settled: 0,
+            wanted: 1.0,
+            planned: 1.0,
+            place: 0,
+            offset_mm: 0.0,
+            squared: 0.0,
+            stretch: None,
+            rest: PathSample::default(),
+        }
+    }
+
+    /// Drops everything and rests at a point.
+    pub(crate) fn rest_at(&mut self, point: Vector, label: Label) {
+        self.pieces.clear();
+        self.points.clear();
+        self.next_piece = self.pieces.end();
+        self.next_interval = 0;
+        self.place = self.points.end();
+        self.settled = self.place;
+        self.offset_mm = 0.0;
+        self.squared = 0.0;
+        self.stretch = None;
+        self.planned = self.wanted;
+        self.rest = PathSample { point, label };
+    }
+
+    /// Whether another leg's pieces fit.
+    pub(crate) fn has_room(&self) -> bool {
+        self.pieces.room() >= PIECES_PER_LEG
+    }
+
+    pub(crate) fn push(&mut self, piece: Piece) -> bool {
+        self.pieces.push(piece)
+    }
+
+    /// Scales the path speed from the next points on, factor of the configured speed.
+    pub(crate) fn scale_speed(&mut self, factor: f64) {
+        self.wanted = factor;
+    }
+
+    /// Whether the motion rests.
+    pub(crate) fn resting(&self) -> bool {
+        self.stretch.is_none() && self.squared <= 0.0
+    }
+
+    /// Whether the motion rests at the end of all that has been pushed.
+    pub(crate) fn exhausted(&self) -> bool {
+        self.resting() && self.points.length() <= 1 && self.next_piece == self.pieces.end()
+    }
+
+    /// Whether motion is possible from the present place at rest.
+    pub(crate) fn can_go(&self) -> bool {
+        match self.points.length() {
+            0 | 1 => false,
+            2 => self
+                .points
+                .get(self.place.wrapping_add(1))
+                .is_some_and(|next| next.stop),
+            _ => true,
+        }
+    }
+
+    /// Grows the grid over the pieces by at most [`GROWTH`] intervals; returns by how many.
+    pub(crate) fn grow(&mut self) -> usize {
+        let mut grown = 0;
+        while grown < GROWTH && self.points.room() >= 2 {
+            let Some(piece) = self.pieces.get(self.next_piece).copied() else {
+                break;
+            };
+            self.grow_by_interval(&piece);
+            grown += 1;
+        }
+        grown
+    }
+
+    fn grow_by_interval(&mut self, piece: &Piece) {
+        let drawn = piece.entry.pen == Pen::Down || piece.exit.pen == Pen::Down;
+        let nominal = self.limits.path_speed_squared(drawn);
+        if self.points.last_mut().is_none_or(|last| last.stop) {
+            let stop = self.points.length() > 0;
+            if let Some(last) = self.points.last_mut() {
+                last.span.piece = self.next_piece;
+            }
+            let start = self.point_at(piece, 0.0, nominal, stop);
+            self.points.push(start);
+        }
+        let intervals = f64::from(piece.intervals.max(1));
+        let from = f64::from(self.next_interval) / intervals;
+        self.next_interval += 1;
+        let complete = self.next_interval >= piece.intervals;
+        let to = if complete {
+            1.0
+        } else {
+            f64::from(self.next_interval) / intervals
+        };
+        let end = self.point_at(piece, to, nominal, complete && piece.stop_after);
+        let span = Span {
+            length_mm: piece.curve.arc(from, to),
+            piece: self.next_piece,
+            parameter: [from, to],
+            stretch: [piece.curve.stretch(from), piece.curve.stretch(to)],
+        };
+        if let Some(last) = self.points.last_mut() {
+            last.span = span;
+            last.nominal = last.nominal.min(nominal);
+        }
+        self.points.push(end);
+        if complete {
+            self.next_piece = self.next_piece.wrapping_add(1);
+            self.next_interval = 0;
+        }
+    }
+
+    fn point_at(&self, piece: &Piece, parameter: f64, nominal: f64, stop: bool) -> GridPoint {
+        let frame = piece.curve.frame(parameter);
+        let joints = self.delta.rows(&frame.point, &frame.tangent, &frame.bend);
+        let curvature = length(&frame.bend);
+        GridPoint {
+            row: Row { joints, curvature },
+            cap: self.limits.cap(&joints, curvature),
+            nominal,
+            reach: 0.0,
+            span: Span::default(),
+            stop,
+        }
+    }
+
+    /// Raises the speeds from the end towards the present place. Returns how many points were computed.
+    pub(crate) fn look_back(&mut self) -> usize {
+        let all = self.take_over_speed();
+        let end = self.points.end();
+        let lowest = self.place.wrapping_add(1);
+        let (mut computed, mut number) = (0, end.wrapping_sub(2));
+        while number.wrapping_sub(lowest) < POINTS as u32 {
+            let (Some(here), Some(next)) = (self.points.get(number), self.points.get(number.wrapping_add(1))) else {
+                break;
+            };
+            let before = here.reach;
+            let reach = if here.stop {
+                0.0
+            } else {
+                let cap = here.cap.min(here.nominal * self.planned * self.planned);
+                Interval {
+                    limits: &self.limits,
+                    start: &here.row,
+                    end: &next.row,
+                    length_mm: here.span.length_mm,
+                    end_squared: next.reach,
+                }
+                .entry_max(cap)
+            };
+            computed += 1;
+            let old = self.settled.wrapping_sub(1).wrapping_sub(number).wrapping_sub(1) < POINTS as u32;
+            if old && !all && (reach - before).abs() <= UNCHANGED * before {
+                break;
+            }
+            if let Some(here) = self.points.get_mut(number) {
+                here.reach = reach;
+            }
+            number = number.wrapping_sub(1);
+        }
+        self.settled = end;
+        computed
+    }
+
+    /// Plans for the speed asked for, if the motion is slow enough for it; returns whether the plan changes.
+    fn take_over_speed(&mut self) -> bool {
+        if self.wanted == self.planned {
+            return false;
+        }
+        let ratio = self.wanted / self.planned;
+        let next = self
+            .points
+            .get(self.place.wrapping_add(1))
+            .map_or(0.0, |next| next.reach);
+        let arriving = self.stretch.map_or(self.squared, |stretch| stretch.end_squared());
+        if ratio < 1.0 && arriving > next * ratio * ratio {
+            return false;
+        }
+        self.planned = self.wanted;
+        true
+    }
+
+    /// Lets `dt_s` pass and gives the place at its end.
+    pub(crate) fn advance(&mut self, dt_s: f64, pace: Pace) -> PathSample {
+        let mut left_s = dt_s;
+        for _ in 0..2 * POINTS {
+            let Some(stretch) = self.stretch.as_mut() else {
+                if !self.begin(pace) {
+                    break;
+                }
+                continue;
+            };
+            left_s = stretch.run(left_s);
+            self.offset_mm = stretch.offset_mm();
+            if !stretch.complete() {
+                break;
+            }
+            self.squared = stretch.end_squared();
+            self.stretch = None;
+            self.arrive();
+            if left_s <= 0.0 {
+                break;
+            }
+        }
+        self.forget_passed();
+        self.sample()
+    }
+
+    /// Goes over to the next point where the interval's end is reached.
+    fn arrive(&mut self) {
+        let Some(point) = self.points.get(self.place) else {
+            return;
+        };
+        if point.span.length_mm - self.offset_mm > ARRIVED_MM {
+            return;
+        }
+        if let Some(piece) = self.pieces.get(point.span.piece)
+            && point.span.length_mm > 0.0
+        {
+            let [_, to] = point.span.parameter;
+            let mut label = if to > 0.5 { piece.exit } else { piece.entry };
+            if to >= 1.0 {
+                label.vertex = piece.vertex_after;
+            }
+            self.rest = PathSample {
+                point: piece.curve.at(to),
+                label,
+            };
+        }
+        self.place = self.place.wrapping_add(1);
+        self.offset_mm = 0.0;
+    }
+
+    /// Chooses the acceleration from the present place to the next point; `false` where the motion rests.
+    fn begin(&mut self, pace: Pace) -> bool {
+        let next_number = self.place.wrapping_add(1);
+        let (Some(here), Some(next)) = (self.points.get(self.place), self.points.get(next_number)) else {
+            self.squared = 0.0;
+            return false;
+        };
+        let left_mm = here.span.length_mm - self.offset_mm;
+        if left_mm <= ARRIVED_MM {
+            self.offset_mm = here.span.length_mm;
+            self.arrive();
+            return true;
+        }
+        let x = self.squared;
+        let interval = Interval {
+            limits: &self.limits,
+            start: &here.row,
+            end: &next.row,
+            length_mm: left_mm,
+            end_squared: next.reach,
+        };
+        let stretch = match pace {
+            Pace::Brake if x <= 0.0 => return false,
+            Pace::Brake => {
+                let braking = interval.braking(x);
+                if x + 2.0 * left_mm * braking <= 0.0 {
+                    Stretch::new(self.offset_mm, -x / (2.0 * braking), x, 0.0)
+                } else {
+                    let range = interval.range(x);
+                    Stretch::to(self.offset_mm, left_mm, x, range.low.min(range.high))
+                }
+            }
+            Pace::Go if x <= 0.0 && next.reach <= 0.0 => {
+                if !next.stop {
+                    return false;
+                }
+                // From rest to rest within one interval: speed up to its middle.
+                let half = 0.5 * left_mm;
+                let range = interval_to_middle(&interval, half);
+                Stretch::to(self.offset_mm, half, 0.0, range)
+            }
+            Pace::Go => {
+                let ratio = self.wanted / self.planned;
+                let range = interval.range(x);
+                let target = (next.reach * ratio.min(1.0) * ratio.min(1.0) - x) / (2.0 * left_mm);
+                Stretch::to(self.offset_mm, left_mm, x, target.max(range.low).min(range.high))
+            }
+        };
+        if !stretch.valid() {
+            self.squared = 0.0;
+            return false;
+        }
+        self.stretch = Some(stretch);
+        true
+    }
+
+    fn forget_passed(&mut self) {
+        self.points.forget_before(self.place);
+        let piece = match self.points.get(self.place) {
+            Some(point) if self.place.wrapping_add(1) != self.points.end() => point.span.piece,
+            _ => self.next_piece,
+        };
+        self.pieces.forget_before(piece);
+    }
+
+    /// The present place.
+    pub(crate) fn sample(&self) -> PathSample {
+        let Some(point) = self.points.get(self.place) else {
+            return self.rest;
+        };
+        let span = &point.span;
+        let Some(piece) = self.pieces.get(span.piece) else {
+            return self.rest;
+        };
+        if span.length_mm <= 0.0 || self.place.wrapping_add(1) == self.points.end() {
+            return self.rest;
+        }
+        let parameter = span.parameter_at(piece, self.offset_mm);
+        PathSample {
+            point: piece.curve.at(parameter),
+            label: if parameter > 0.5 { piece.exit } else { piece.entry },
+        }
+    }
+}
+
+/// Acceleration from rest towards the middle of an interval that ends at rest: what both directions allow.
+fn interval_to_middle(interval: &Interval<'_>, half_mm: f64) -> f64 {
+    let range = Interval {
+        length_mm: half_mm,
+        end_squared: f64::MAX,
+        ..*interval
+    }
+    .range(0.0);
+    let braking = -interval.braking(0.0);
+    range.high.min(braking)
+}
+
+impl Span {
+    /// Parameter at an arc length from the span's beginning: a cubic through both ends, then Newton's method.
+    fn parameter_at(&self, piece: &Piece, offset_mm: f64) -> f64 {
+        let [from, to] = self.parameter;
+        let [stretch_from, stretch_to] = self.stretch;
+        let part = offset_mm / self.length_mm;
+        let (square, cube) = (part * part, part * part * part);
+        let mut parameter = from
+            + (3.0 * square - 2.0 * cube) * (to - from)
+            + (cube - 2.0 * square + part) * (self.length_mm / stretch_from)
+            + (cube - square) * (self.length_mm / stretch_to);
+        for _ in 0..ARC_STEPS {
+            let error = piece.curve.arc(from, parameter) - offset_mm;
+            let stretch = piece.curve.stretch(parameter);
+            if error.abs() <= ARRIVED_MM || stretch <= 0.0 {
+                break;
+            }
+            parameter -= error / stretch;
+        }
+        if parameter.is_finite() {
+            parameter.clamp(from, to)
+        } else {
+            from
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! The scan: how fast each point of the grid may be passed, so that all limits hold and the path can end at rest.
+//!
+//! With x the squared path speed and u the path acceleration, every limit is a row a u + b x <= c, and an interval
+//! of length l leads from x to x + 2 l u. Backwards from a point at rest, the largest x of each point is the largest
+//! for which some u obeys the rows at both ends of the interval and leads to a speed from which the rest can be
+//! reached (after Pham and Pham, "A new approach to time-optimal path parameterization based on reachability
+//! analysis"). The width of the range of u is a concave function of x made of straight stretches, so Newton's method
+//! from the right finds its zero exactly, in as many steps as there are stretches.
+//!
+//! Invariant: x = 0, u = 0 obeys every row; so whatever x a point may have, less is allowed too.
+
+use super::limits::{DIRECTION, DIRECTIONS, Limits};
+use crate::robot::{ARMS, JointRows};
+
+/// Newton steps at most; more stretches than this do not occur, and if they did, the result is a safe bound.
+const NEWTON_STEPS: usize = 10;
+/// Relative steps to the inside when rounding keeps Newton's method outside; the last ones are never needed.
+const HAIRS: [f64; 5] = [1.0e-12, 1.0e-10, 1.0e-8, 1.0e-4, 0.5];
+/// Rounding of a range's ends, relative.
+const ROUNDING: f64 = 1.0e-13;
+/// Coefficients of u smaller than this count as zero.
+const COEFFICIENT_SMALL: f64 = 1.0e-15;
+
+/// Limits at one point of the grid, in terms of the path.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Row {
+    pub(crate) joints: JointRows,
+    /// 1/mm.
+    pub(crate) curvature: f64,
+}
+
+/// Accelerations that an interval allows at one speed, mm/s2.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Range {
+    pub(crate) low: f64,
+    pub(crate) high: f64,
+    low_slope: f64,
+    high_slope: f64,
+}
+
+impl Range {
+    /// Tightens the range by a u + b x <= c.
+    fn restrict(&mut self, a: f64, b: f64, c: f64, x: f64) {
+        let rest = c - b * x;
+        if a > COEFFICIENT_SMALL {
+            if rest < self.high * a {
+                let inverse = 1.0 / a;
+                self.high = rest * inverse;
+                self.high_slope = -b * inverse;
+            }
+        } else if a < -COEFFICIENT_SMALL && rest < self.low * a {
+            let inverse = 1.0 / a;
+            self.low = rest * inverse;
+            self.low_slope = -b * inverse;
+        }
+    }
+
+    /// High less low, where rounding does not make an exact meeting of both a negative width.
+    fn width(&self) -> f64 {
+        self.high - self.low + ROUNDING * (self.high.abs() + self.low.abs())
+    }
+}
+
+/// The rows of one interval: both ends, and the squared speed that must not be exceeded at its end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Interval<'a> {
+    pub(crate) limits: &'a Limits,
+    pub(crate) start: &'a Row,
+    pub(crate) end: &'a Row,
+    pub(crate) length_mm: f64,
+    pub(crate) end_squared: f64,
+}
+
+impl Interval<'_> {
+    /// Accelerations allowed when the interval is entered with the squared speed `x`; empty (low above high) when x
+    /// is too large.
+    pub(crate) fn range(&self, x: f64) -> Range {
+        let double = 2.0 * self.length_mm;
+        let inverse = 1.0 / double;
+        let mut range = Range {
+            low: -x * inverse,
+            high: (self.end_squared - x) * inverse,
+            low_slope: -inverse,
+            high_slope: -inverse,
+        };
+        let limits = self.limits;
+        for arm in 0..ARMS {
+            let limit = limits.joint_acceleration[arm];
+            let (a, b) = (self.start.joints.slope[arm], self.start.joints.bend[arm]);
+            range.restrict(a, b, limit, x);
+            range.restrict(-a, -b, limit, x);
+            let b = self.end.joints.bend[arm];
+            let a = self.end.joints.slope[arm] + b * double;
+            range.restrict(a, b, limit, x);
+            range.restrict(-a, -b, limit, x);
+        }
+        for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
+            let b = sine * self.start.curvature;
+            range.restrict(*cosine, b, limits.acceleration, x);
+            range.restrict(-cosine, b, limits.acceleration, x);
+            let b = sine * self.end.curvature;
+            let turned = b * double;
+            range.restrict(cosine + turned, b, limits.acceleration, x);
+            range.restrict(turned - cosine, b, limits.acceleration, x);
+        }
+        range
+    }
+
+    /// Largest squared speed up to `cap` with which the interval may be entered.
+    pub(crate) fn entry_max(&self, cap: f64) -> f64 {
+        let mut x = cap;
+        for _ in 0..NEWTON_STEPS {
+            let range = self.range(x);
+            let width = range.width();
+            if width >= 0.0 {
+                return x;
+            }
+            let slope = range.high_slope - range.low_slope;
+            let next = x - width / slope;
+            if !(slope < 0.0 && next < x) {
+                break;
+            }
+            x = next.max(0.0);
+        }
+        // Rounding can leave the width a hair under zero.
+        for hair in HAIRS {
+            let below = x * (1.0 - hair);
+            if self.range(below).width() >= 0.0 {
+                return below;
+            }
+        }
+        0.0
+    }
+
+    /// Strongest deceleration that the limits allow at `x` when the motion may come to rest inside the interval;
+    /// negative or 0.
+    pub(crate) fn braking(&self, x: f64) -> f64 {
+        let limits = self.limits;
+        let mut range = Range {
+            low: -limits.acceleration,
+            high: 0.0,
+            low_slope: 0.0,
+            high_slope: 0.0,
+        };
+        for arm in 0..ARMS {
+            let limit = limits.joint_acceleration[arm];
+            for row in [self.start, self.end] {
+                let (a, b) = (row.joints.slope[arm], row.joints.bend[arm]);
+                range.restrict(a, b, limit, x);
+                range.restrict(-a, -b, limit, x);
+            }
+        }
+        for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
+            let b = sine * self.start.curvature.max(self.end.curvature);
+            range.restrict(-cosine, b, limits.acceleration, x);
+        }
+        range.low.min(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Motion;
+
+    /// A seeded sequence of numbers from -1 to 1.
+    fn numbers(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        }
+    }
+
+    #[test]
+    fn the_largest_entry_speed_is_feasible_and_nothing_above_it_is() {
+        let limits = Limits::new(&Motion::default());
+        for seed in 1..500 {
+            let mut number = numbers(seed);
+            let mut row = || Row {
+                joints: JointRows {
+                    slope: [(); ARMS].map(|()| 0.004 * number()),
+                    bend: [(); ARMS].map(|()| 2.0e-3 * number()),
+                },
+                curvature: 0.2 * number().abs(),
+            };
+            let (start, end) = (row(), row());
+            let interval = Interval {
+                limits: &limits,
+                start: &start,
+                end: &end,
+                length_mm: 0.05 + number().abs(),
+                end_squared: 1.0e5 * number().abs(),
+            };
+            let cap = 1.6e5;
+            let x = interval.entry_max(cap);
+            assert!((0.0..=cap).contains(&x));
+            let range = interval.range(x);
+            assert!(
+                range.low <= range.high + 1.0e-6 * limits.acceleration,
+                "seed {seed}: {x}"
+            );
+            let above = interval.range(x * (1.0 + 1.0e-6) + 1.0e-6);
+            assert!(
+                x == cap || above.low > above.high,
+                "seed {seed}: {x} is not the largest"
+            );
+        }
+    }
+
+    #[test]
+    fn a_forced_rest_gives_the_speed_from_which_it_is_reached() {
+        let limits = Limits::new(&Motion::default());
+        let row = Row::default();
+        let interval = Interval {
+            limits: &limits,
+            start: &row,
+            end: &row,
+            length_mm: 2.0,
+            end_squared: 0.0,
+        };
+        let expected = 2.0 * 2.0 * limits.acceleration;
+        assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);
+    }
+}

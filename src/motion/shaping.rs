@@ -1,0 +1,311 @@
+//! From a polyline to a smooth path: two vertices of latency, and a deviation that is proven.
+//!
+//! A vertex is passed smoothly (as a control point of a uniform cubic B-spline), around a quintic blend, or with an
+//! exact stop. A span of the spline leaves its leg by at most a sixth of the longer neighbouring leg's offset, and a
+//! blend is cut to the distance that the tolerance allows. Runs of the spline begin and end on straight halves of
+//! their first and last leg, so the pen's transitions are never rounded by their neighbours.
+//!
+//! Invariant: position, direction and curvature are continuous everywhere but at exact stops.
+
+use super::Pen;
+use super::curve::{BlendShape, Curve};
+use super::ring::Ring;
+use crate::robot::vector::{Vector, add, dot, length, scale, subtract};
+use heapless::Vec;
+
+/// Vertices that wait to be shaped.
+pub(crate) const QUEUE: usize = 128;
+/// Pieces that one leg can give: a span, a line and a blend.
+pub(crate) const PIECES_PER_LEG: usize = 3;
+/// Cosine of the largest turn that the spline takes: 60 degrees.
+const SPLINE_TURN_COSINE: f64 = 0.5;
+/// Longest leg of a spline, in lengths of its neighbour: beyond, the curvature has peaks and a blend is shorter in time.
+const SPLINE_RATIO_MAX: f64 = 3.0;
+/// Cosine of the turn beyond which the path stops: 165 degrees.
+const STOP_TURN_COSINE: f64 = -0.965_925_826_289_068_3;
+/// Sine of the turn below which two legs are one straight line.
+const STRAIGHT_SINE: f64 = 1.0e-7;
+/// Part of a leg that each of its two blends may take.
+const BLEND_LEG_PART: f64 = 0.5 * (1.0 - 1.0e-9);
+/// Lines shorter than this are left out, mm.
+const LINE_MIN_MM: f64 = 1.0e-6;
+/// Length that one interval of the grid spans at most on a curve, mm.
+const CURVE_STEP_MM: f64 = 2.0;
+/// Intervals of a blend and of a span at least.
+const BLEND_INTERVALS: u16 = 8;
+const SPAN_INTERVALS: u16 = 3;
+/// Intervals of a line at least; even, so that a move from rest to rest can change from speeding up to slowing down in
+/// the middle.
+const LINE_INTERVALS: u16 = 4;
+/// Length of an interval on a line, mm.
+const LINE_STEP_MM: f64 = 2.0;
+
+/// A vertex in the queue.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Node {
+    pub(crate) point: Vector,
+    /// Pen on the leg that leads here.
+    pub(crate) pen: Pen,
+    pub(crate) stroke: u32,
+    /// Vertices executed when this one is reached.
+    pub(crate) count: u32,
+}
+
+/// What a moment of the path belongs to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Label {
+    pub(crate) stroke: u32,
+    pub(crate) pen: Pen,
+    pub(crate) vertex: u32,
+}
+
+/// A piece of the shaped path.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Piece {
+    pub(crate) curve: Curve,
+    /// Intervals that the grid divides it into, evenly in the parameter.
+    pub(crate) intervals: u16,
+    /// Label of the first half.
+    pub(crate) entry: Label,
+    /// Label of the second half.
+    pub(crate) exit: Label,
+    /// Vertices executed at its end.
+    pub(crate) vertex_after: u32,
+    /// The path rests at its end.
+    pub(crate) stop_after: bool,
+}
+
+/// Tolerances of the shape, with the moving average's share taken off, mm.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tolerances {
+    pub(crate) drawing_mm: f64,
+    pub(crate) travel_mm: f64,
+}
+
+/// How the path passes a vertex.
+#[derive(Clone, Copy, Debug)]
+enum Passage {
+    Stop,
+    /// With a blend that begins and ends `trim` mm from the vertex.
+    Corner {
+        trim: f64,
+        shape: BlendShape,
+    },
+    /// As a control point of the spline.
+    Smooth,
+}
+
+/// The start of the leg that is shaped next.
+#[derive(Clone, Copy, Debug)]
+enum Start {
+    /// On the leg, this far from its first vertex, mm.
+    Straight { trim: f64 },
+    /// In a run of the spline, whose control point before the vertex this is.
+    Spline { before: Vector },
+}
+
+/// Shapes one leg at a time.
+#[derive(Clone, Debug)]
+pub(crate) struct Shaper {
+    tolerances: Tolerances,
+    node: Node,
+    start: Start,
+}
+
+impl Shaper {
+    pub(crate) fn new(tolerances: Tolerances) -> Self {
+        Self {
+            tolerances,
+            node: Node::default(),
+            start: Start::Straight { trim: 0.0 },
+        }
+    }
+
+    /// Begins anew from a point at rest.
+    pub(crate) fn place(&mut self, node: Node) {
+        self.node = node;
+        self.start = Start::Straight { trim: 0.0 };
+    }
+
+    /// The vertex that the next leg begins at.
+    pub(crate) fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// Notes that vertices which lie where the next leg begins were merged into it.
+    pub(crate) fn merge(&mut self, count: u32) {
+        self.node.count = count;
+    }
+
+    /// Shapes the next leg if enough of the path is known, and takes its end from the queue.
+    pub(crate) fn next_leg(
+        &mut self,
+        queue: &mut Ring<Node, QUEUE>,
+        finished: bool,
+    ) -> Option<Vec<Piece, PIECES_PER_LEG>> {
+        let first = queue.first();
+        let end = *queue.get(first)?;
+        let after = queue.get(first.wrapping_add(1)).copied();
+        let passage = match after {
+            Some(after) => self.passage(&self.node, &end, &after),
+            None if finished => Passage::Stop,
+            None => return None,
+        };
+        let control = match (passage, after) {
+            (Passage::Smooth, Some(after)) => {
+                let beyond = match queue.get(first.wrapping_add(2)) {
+                    Some(beyond) => self.passage(&end, &after, beyond),
+                    None if finished => Passage::Stop,
+                    None => return None,
+                };
+                Some(match beyond {
+                    Passage::Smooth => after.point,
+                    _ => middle(&end.point, &after.point),
+                })
+            }
+            _ => None,
+        };
+        let pieces = self.pieces(&end, after.as_ref(), passage, control);
+        self.start = match (passage, self.start) {
+            (Passage::Stop, _) => Start::Straight { trim: 0.0 },
+            (Passage::Corner { trim, .. }, _) => Start::Straight { trim },
+            (Passage::Smooth, Start::Straight { .. }) => Start::Spline {
+                before: middle(&self.node.point, &end.point),
+            },
+            (Passage::Smooth, Start::Spline { .. }) => Start::Spline {
+                before: self.node.point,
+            },
+        };
+        self.node = end;
+        queue.pop();
+        Some(pieces)
+    }
+
+    fn passage(&self, before: &Node, node: &Node, after: &Node) -> Passage {
+        let (incoming, outgoing) = (
+            subtract(&node.point, &before.point),
+            subtract(&after.point, &node.point),
+        );
+        let (length_in, length_out) = (length(&incoming), length(&outgoing));
+        let (unit_in, unit_out) = (unit(&incoming, length_in), unit(&outgoing, length_out));
+        let cosine = dot(&unit_in, &unit_out);
+        if cosine.is_nan() || cosine < STOP_TURN_COSINE {
+            return Passage::Stop;
+        }
+        let difference = length(&subtract(&unit_out, &unit_in));
+        let sine = difference * crate::robot::vector::root(1.0 - 0.25 * difference * difference);
+        let drawn = node.pen == Pen::Down || after.pen == Pen::Down;
+        let tolerance = if drawn {
+            self.tolerances.drawing_mm
+        } else {
+            self.tolerances.travel_mm
+        };
+        let (short, long) = (length_in.min(length_out), length_in.max(length_out));
+        if node.pen == after.pen
+            && cosine > SPLINE_TURN_COSINE
+            && long <= SPLINE_RATIO_MAX * short
+            && long * sine <= 6.0 * tolerance
+        {
+            return Passage::Smooth;
+        }
+        let shape = BlendShape::for_turn(cosine);
+        let trim = if sine < STRAIGHT_SINE {
+            0.0
+        } else {
+            (tolerance / (shape.deviation() * difference)).min(short * BLEND_LEG_PART)
+        };
+        Passage::Corner { trim, shape }
+    }
+
+    fn pieces(
+        &self,
+        end: &Node,
+        after: Option<&Node>,
+        passage: Passage,
+        control: Option<Vector>,
+    ) -> Vec<Piece, PIECES_PER_LEG> {
+        let mut pieces = Vec::<Piece, PIECES_PER_LEG>::new();
+        let from = &self.node.point;
+        let leg = subtract(&end.point, from);
+        let leg_length = length(&leg);
+        let direction = unit(&leg, leg_length);
+        let half = middle(from, &end.point);
+        let label = Label {
+            stroke: end.stroke,
+            pen: end.pen,
+            vertex: self.node.count,
+        };
+        let begin = |trim: f64| add(from, &scale(&direction, trim));
+        let close = |trim: f64| subtract(&end.point, &scale(&direction, trim));
+        let trim_after = match passage {
+            Passage::Corner { trim, .. } => trim,
+            Passage::Stop | Passage::Smooth => 0.0,
+        };
+        let span = |control: [Vector; 4]| {
+            let curve = Curve::spline(&control);
+            Some(piece(curve, curve_intervals(leg_length, SPAN_INTERVALS), label))
+        };
+        let line = |from: Vector, to: Vector| {
+            let line_length = length(&subtract(&to, &from));
+            (line_length > LINE_MIN_MM).then(|| piece(Curve::line(&from, &to), line_intervals(line_length), label))
+        };
+        let (first, second) = match (self.start, control) {
+            (Start::Straight { trim }, None) => (line(begin(trim), close(trim_after)), None),
+            (Start::Straight { trim }, Some(next)) => (line(begin(trim), half), span([*from, half, end.point, next])),
+            (Start::Spline { before }, Some(next)) => (span([before, *from, end.point, next]), None),
+            (Start::Spline { before }, None) => (span([before, *from, half, end.point]), line(half, close(trim_after))),
+        };
+        let third = match (passage, after) {
+            (Passage::Corner { trim, shape }, Some(after)) if trim > 0.0 => {
+                let leg_after = subtract(&after.point, &end.point);
+                let direction_after = unit(&leg_after, length(&leg_after));
+                let curve = Curve::blend(&end.point, &direction, &direction_after, trim, shape);
+                let mut blend = piece(curve, curve_intervals(2.0 * trim, BLEND_INTERVALS), label);
+                blend.exit = Label {
+                    stroke: after.stroke,
+                    pen: after.pen,
+                    vertex: end.count,
+                };
+                Some(blend)
+            }
+            _ => None,
+        };
+        for piece in [first, second, third].into_iter().flatten() {
+            // The capacity is that of the three.
+            let _ = pieces.push(piece);
+        }
+        if let Some(last) = pieces.last_mut() {
+            last.vertex_after = end.count;
+            last.stop_after = matches!(passage, Passage::Stop);
+        }
+        pieces
+    }
+}
+
+fn piece(curve: Curve, intervals: u16, label: Label) -> Piece {
+    Piece {
+        curve,
+        intervals,
+        entry: label,
+        exit: label,
+        vertex_after: label.vertex,
+        stop_after: false,
+    }
+}
+
+fn unit(vector: &Vector, length: f64) -> Vector {
+    scale(vector, if length > 0.0 { 1.0 / length } else { 0.0 })
+}
+
+fn middle(a: &Vector, b: &Vector) -> Vector {
+    scale(&add(a, b), 0.5)
+}
+
+fn curve_intervals(length_mm: f64, at_least: u16) -> u16 {
+    at_least.max(libm::ceil(length_mm / CURVE_STEP_MM) as u16)
+}
+
+fn line_intervals(length_mm: f64) -> u16 {
+    let pairs = libm::ceil(length_mm / (2.0 * LINE_STEP_MM)) as u16;
+    pairs.saturating_mul(2).max(LINE_INTERVALS)
+}

@@ -1,0 +1,138 @@
+//! A straight move from rest to rest, beside the path: lifting and lowering the pen, and moves to a position.
+//!
+//! One speed and one acceleration hold for the whole line. They are chosen so that half of each joint's acceleration
+//! covers the path's acceleration and half its curvature in joint space, at every checked point of the line. That is
+//! slower than the plan's scan, needs no look-ahead, and can be stopped at any time.
+
+use super::limits::Limits;
+use super::micro_interpolator::{PathSample, TICK_S};
+use super::shaping::Label;
+use crate::robot::Delta;
+use crate::robot::vector::{Vector, add_scaled, length, root, scale, subtract};
+
+/// Points of the line at which the limits are evaluated.
+const CHECKS: u32 = 33;
+/// Part of a joint's acceleration for the path's acceleration; the rest is for the curvature.
+const SHARE: f64 = 0.5;
+/// Moves shorter than this are none, mm.
+const LENGTH_MIN_MM: f64 = 1.0e-6;
+
+/// A straight move under way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Straight {
+    from: Vector,
+    direction: Vector,
+    length_mm: f64,
+    speed: f64,
+    acceleration: f64,
+    elapsed_s: f64,
+    /// Where braking began, how fast the move was then, and for how long it has braked.
+    braking: Option<(f64, f64, f64)>,
+    /// Label on the way.
+    pub(crate) label: Label,
+}
+
+impl Straight {
+    /// Move from `from` to `to`.
+    pub(crate) fn new(delta: &Delta, limits: &Limits, from: &Vector, to: &Vector, label: Label) -> Self {
+        let line = subtract(to, from);
+        let length_mm = length(&line);
+        let direction = scale(
+            &line,
+            if length_mm > LENGTH_MIN_MM {
+                1.0 / length_mm
+            } else {
+                0.0
+            },
+        );
+        let mut speed_squared = limits.path_speed_squared(false);
+        let mut acceleration = limits.acceleration;
+        for check in 0..CHECKS {
+            let place = length_mm * f64::from(check) / f64::from(CHECKS - 1);
+            let rows = delta.rows(&add_scaled(from, &direction, place), &direction, &[0.0; 3]);
+            speed_squared = speed_squared.min(limits.cap(&rows, 0.0));
+            let joints = rows.slope.iter().zip(&rows.bend).zip(&limits.joint_acceleration);
+            for ((slope, bend), limit) in joints {
+                if slope.abs() * acceleration > SHARE * limit {
+                    acceleration = SHARE * limit / slope.abs();
+                }
+                if bend.abs() * speed_squared > (1.0 - SHARE) * limit {
+                    speed_squared = (1.0 - SHARE) * limit / bend.abs();
+                }
+            }
+        }
+        let speed = root(speed_squared.min(acceleration * length_mm));
+        Self {
+            from: *from,
+            direction,
+            length_mm: if length_mm > LENGTH_MIN_MM { length_mm } else { 0.0 },
+            speed,
+            acceleration,
+            elapsed_s: 0.0,
+            braking: None,
+            label,
+        }
+    }
+
+    fn duration_s(&self) -> f64 {
+        if self.speed > 0.0 {
+            self.length_mm / self.speed + self.speed / self.acceleration
+        } else {
+            0.0
+        }
+    }
+
+    /// Place and speed at a time of the undisturbed move.
+    fn state(&self, time_s: f64) -> (f64, f64) {
+        let ramp_s = if self.speed > 0.0 {
+            self.speed / self.acceleration
+        } else {
+            0.0
+        };
+        let left_s = self.duration_s() - time_s;
+        if left_s <= 0.0 {
+            (self.length_mm, 0.0)
+        } else if time_s < ramp_s.min(left_s) {
+            (0.5 * self.acceleration * time_s * time_s, self.acceleration * time_s)
+        } else if left_s < ramp_s {
+            (
+                self.length_mm - 0.5 * self.acceleration * left_s * left_s,
+                self.acceleration * left_s,
+            )
+        } else {
+            (self.speed * (time_s - 0.5 * ramp_s), self.speed)
+        }
+    }
+
+    /// Ends the move as soon as its acceleration allows.
+    pub(crate) fn brake(&mut self) {
+        if self.braking.is_none() {
+            let (place, speed) = self.state(self.elapsed_s);
+            self.braking = Some((place, speed, 0.0));
+        }
+    }
+
+    /// Lets a millisecond pass; returns the place and whether the move has ended.
+    pub(crate) fn next_millisecond(&mut self) -> (PathSample, bool) {
+        let (place, done) = match self.braking.as_mut() {
+            None => {
+                self.elapsed_s += TICK_S;
+                (self.state(self.elapsed_s).0, self.elapsed_s >= self.duration_s())
+            }
+            Some((start, speed, time_s)) => {
+                *time_s += TICK_S;
+                let stop_s = *speed / self.acceleration;
+                let time_s = time_s.min(stop_s);
+                (
+                    (*start + time_s * (*speed - 0.5 * self.acceleration * time_s)).min(self.length_mm),
+                    time_s >= stop_s,
+                )
+            }
+        };
+        let sample = PathSample {
+            point: add_scaled(&self.from, &self.direction, place),
+            label: self.label,
+        };
+        (sample, done)
+    }
+}

@@ -1,0 +1,531 @@
+//! The 12 ms trajectory stage: takes vertices and commands, gives a period's references.
+//!
+//! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over what has been shaped. Everything
+//! that is not the path itself (lifting and lowering the pen, moves, jogs) is a motion of its own, from rest to rest.
+//! When path data stop coming the motion ends at rest on the path, which counts as an underrun if it had begun.
+//!
+//! Invariants: [`Trajectory::step`] always gives twelve valid references and does a bounded amount of work; whatever
+//! is commanded, the motion goes from one rest to the next within the limits.
+
+use super::admission::{LEG_MIN_MM, check_leg};
+use super::jog::Jog;
+use super::limits::Limits;
+use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
+use super::plan::{Pace, Plan};
+use super::ring::Ring;
+use super::shaping::{Label, Node, QUEUE, Shaper, Tolerances};
+use super::straight::Straight;
+use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Reference, Refusal, RefusalReason, Vertex};
+use crate::config::Config;
+use crate::robot::vector::{Vector, length, subtract};
+use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
+
+/// Vertices that wait for the shaping at most.
+pub const QUEUE_VERTICES: usize = QUEUE;
+/// Part of the tolerance that the moving average may take.
+const AVERAGE_PART_MAX: f64 = 0.5;
+/// Bounds of the override, percent.
+const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
+
+/// What follows when a motion has come to rest on the path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Then {
+    Held,
+    Dropped,
+    Starved,
+}
+
+/// What moves the robot now.
+#[derive(Clone, Copy, Debug)]
+enum Activity {
+    Rest,
+    Path,
+    Brake(Then),
+    Lift(Straight, Then),
+    Parked { starved: bool, lifted: bool },
+    Lower(Straight, Option<Then>),
+    Move(Straight),
+    Jog(Jog),
+}
+
+/// The trajectory stage.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    motion: Motion,
+    interpolator: MicroInterpolator,
+    pose: Option<JointAngles>,
+}
+
+/// Everything but the averaging.
+#[derive(Clone, Debug)]
+struct Motion {
+    area: WorkArea,
+    limits: Limits,
+    pen_down_z_mm: f64,
+    pen_lift_mm: f64,
+    starve_dwell_ms: usize,
+    dead_man_ms: u16,
+    queue: Ring<Node, QUEUE>,
+    shaper: Shaper,
+    plan: Plan,
+    activity: Activity,
+    here: PathSample,
+    finished: bool,
+    /// No vertex of the next path has come yet.
+    fresh: bool,
+    /// Vertices pushed since the path began.
+    pushed: u32,
+    /// Whether the path has moved since it was started.
+    begun: bool,
+    starving_ms: usize,
+    underruns: u32,
+    work: u32,
+}
+
+impl Trajectory {
+    /// Stage with the limits of a configuration; it has no pose yet.
+    ///
+    /// # Errors
+    /// A geometry that is no delta robot.
+    pub fn new(config: &Config) -> Result<Self, GeometryError> {
+        let area = WorkArea::new(config)?;
+        let limits = Limits::new(&config.motion);
+        let (window_ms, average_mm) = averaging(config);
+        let tolerances = Tolerances {
+            drawing_mm: config.motion.tolerance_mm - average_mm,
+            travel_mm: config.motion.travel_tolerance_mm - average_mm,
+        };
+        Ok(Self {
+            motion: Motion {
+                area,
+                limits,
+                pen_down_z_mm: config.paper.pen_down_z_mm,
+                pen_lift_mm: config.paper.pen_lift_mm,
+                starve_dwell_ms: usize::from(config.motion.starve_dwell_ms),
+                dead_man_ms: config.bus.dead_man_ms,
+                queue: Ring::new(),
+                shaper: Shaper::new(tolerances),
+                plan: Plan::new(*area.delta(), limits),
+                activity: Activity::Rest,
+                here: PathSample::default(),
+                finished: false,
+                fresh: true,
+                pushed: 0,
+                begun: false,
+                starving_ms: 0,
+                underruns: 0,
+                work: 0,
+            },
+            interpolator: MicroInterpolator::new(*area.delta(), window_ms),
+            pose: None,
+        })
+    }
+
+    /// Takes the measured pose, at rest, as the place to begin from; forgets any path.
+    ///
+    /// Returns whether the pose is one of the robot's; without one, references stay where they are and commands are
+    /// refused.
+    pub fn place(&mut self, pose: JointAngles) -> bool {
+        self.pose = None;
+        self.motion.drop_path();
+        if !pose.0.iter().all(|angle| angle.is_finite()) {
+            return false;
+        }
+        self.interpolator.place(&pose);
+        let Ok(position) = self.motion.area.delta().forward(&pose) else {
+            return false;
+        };
+        self.motion.here = PathSample {
+            point: position.into(),
+            label: Label::default(),
+        };
+        self.motion.drop_path();
+        self.pose = Some(pose);
+        true
+    }
+
+    /// Vertices that can be pushed now.
+    pub fn free(&self) -> usize {
+        self.motion.queue.room()
+    }
+
+    /// Appends a vertex to the path. One that repeats the last one is merged with it.
+    ///
+    /// # Errors
+    /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex that is not finite.
+    pub fn push(&mut self, vertex: Vertex) -> Result<(), MotionRefusal> {
+        self.motion.push(&vertex)
+    }
+
+    /// No more vertices come for now: the path may end at the last one.
+    pub fn finish(&mut self) {
+        self.motion.finished = true;
+    }
+
+    /// Carries out a command, or refuses it and changes nothing.
+    ///
+    /// # Errors
+    /// Why the command is refused.
+    pub fn command(&mut self, command: MotionCommand) -> Result<(), MotionRefusal> {
+        if self.pose.is_none() {
+            return Err(MotionRefusal::NotPlaced);
+        }
+        let state = self.state();
+        self.motion.command(command, state)
+    }
+
+    /// References of the next 12 ms.
+    pub fn step(&mut self) -> [Reference; PERIOD_MS] {
+        if self.pose.is_none() {
+            return self.interpolator.rest();
+        }
+        self.motion.feed();
+        self.interpolator.step(&mut self.motion)
+    }
+
+    /// What the stage is doing.
+    pub fn state(&self) -> MotionState {
+        match &self.motion.activity {
+            Activity::Rest if self.interpolator.settled() => MotionState::Idle,
+            Activity::Rest => MotionState::Stopping,
+            Activity::Path if self.motion.starving_ms > 0 => MotionState::Starved,
+            Activity::Path => MotionState::Running,
+            Activity::Brake(Then::Held) | Activity::Lift(_, Then::Held) => MotionState::Holding,
+            Activity::Brake(Then::Dropped) | Activity::Lift(_, Then::Dropped) => MotionState::Stopping,
+            Activity::Brake(Then::Starved) | Activity::Lift(_, Then::Starved) => MotionState::Starved,
+            Activity::Parked { starved: true, .. } => MotionState::Starved,
+            Activity::Parked { .. } if self.interpolator.settled() => MotionState::Held,
+            Activity::Parked { .. } => MotionState::Holding,
+            Activity::Lower(_, None) => MotionState::Resuming,
+            Activity::Lower(_, Some(Then::Dropped)) => MotionState::Stopping,
+            Activity::Lower(_, Some(_)) => MotionState::Holding,
+            Activity::Move(_) => MotionState::Moving,
+            Activity::Jog(_) => MotionState::Jogging,
+        }
+    }
+
+    /// Vertices of the path fully executed by the end of the last period.
+    pub fn executed(&self) -> u32 {
+        self.motion.here.label.vertex
+    }
+
+    /// Where the path is at the end of the last period, before averaging.
+    pub fn position(&self) -> Position {
+        self.motion.here.point.into()
+    }
+
+    /// Times that path data did not come in time, since the start of the program.
+    pub fn underruns(&self) -> u32 {
+        self.motion.underruns
+    }
+
+    /// Points of the grid that the last step computed: new ones, and ones whose speed was computed anew.
+    pub fn work(&self) -> u32 {
+        self.motion.work
+    }
+}
+
+/// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24.
+fn averaging(config: &Config) -> (u16, f64) {
+    let deviation = |window_ms: u16| {
+        let window_s = f64::from(window_ms) * TICK_S;
+        config.motion.acceleration_mm_s2 * window_s * window_s / 24.0
+    };
+    let mut window_ms = config.motion.jerk_window_ms;
+    while window_ms > 1 && deviation(window_ms) > AVERAGE_PART_MAX * config.motion.tolerance_mm {
+        window_ms -= 1;
+    }
+    if window_ms > 1 {
+        (window_ms, deviation(window_ms))
+    } else {
+        (window_ms, 0.0)
+    }
+}
+
+impl Motion {
+    fn push(&mut self, vertex: &Vertex) -> Result<(), MotionRefusal> {
+        let point = Vector::from(vertex.position);
+        if !point.iter().all(|value| value.is_finite()) {
+            return Err(MotionRefusal::Target(Refusal {
+                index: self.pushed,
+                reason: RefusalReason::NotFinite,
+            }));
+        }
+        if self.queue.room() == 0 {
+            return Err(MotionRefusal::Full);
+        }
+        if self.fresh {
+            self.fresh = false;
+            self.pushed = 0;
+            self.shaper.merge(0);
+        }
+        self.pushed = self.pushed.saturating_add(1);
+        self.finished = false;
+        let count = self.pushed;
+        let repeats = |other: &Vector| length(&subtract(&point, other)) < LEG_MIN_MM;
+        match self.queue.last_mut() {
+            Some(last) if repeats(&last.point) => last.count = count,
+            None if repeats(&self.shaper.node().point) => self.shaper.merge(count),
+            _ => {
+                self.queue.push(Node {
+                    point,
+                    pen: vertex.pen,
+                    stroke: vertex.stroke,
+                    count,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn is_empty(&self) -> bool {
+        self.queue.length() == 0 && self.plan.exhausted()
+    }
+
+    /// Shapes what has come, grows the grid, looks back, and notices starvation.
+    fn feed(&mut self) {
+        while self.plan.has_room() {
+            let Some(pieces) = self.shaper.next_leg(&mut self.queue, self.finished) else {
+                break;
+            };
+            for piece in pieces {
+                self.plan.push(piece);
+            }
+        }
+        let grown = self.plan.grow();
+        let computed = self.plan.look_back();
+        self.work = (grown + computed) as u32;
+        let waits = !(self.plan.can_go() || self.finished && self.is_empty());
+        match self.activity {
+            Activity::Path if self.plan.resting() && waits => self.starve(),
+            Activity::Path => self.starving_ms = 0,
+            Activity::Parked { starved: true, lifted } if !waits => self.return_to_path(lifted),
+            _ => {}
+        }
+    }
+
+    fn starve(&mut self) {
+        if self.starving_ms == 0 && self.begun {
+            self.underruns = self.underruns.saturating_add(1);
+        }
+        self.starving_ms += PERIOD_MS;
+        if self.starving_ms > self.starve_dwell_ms && self.here.label.pen == Pen::Down {
+            self.leave_path(Then::Starved);
+        }
+    }
+
+    fn command(&mut self, command: MotionCommand, state: MotionState) -> Result<(), MotionRefusal> {
+        let refused = Err(MotionRefusal::State(state));
+        match (command, self.activity) {
+            (MotionCommand::Start, Activity::Rest) => {
+                self.activity = Activity::Path;
+                self.begun = false;
+                self.starving_ms = 0;
+                Ok(())
+            }
+            (MotionCommand::Hold, _) => self.stop(Then::Held).ok_or(MotionRefusal::State(state)),
+            (MotionCommand::Cancel, _) => self.stop(Then::Dropped).ok_or(MotionRefusal::State(state)),
+            (MotionCommand::Resume, _) => self.resume().ok_or(MotionRefusal::State(state)),
+            (MotionCommand::Override(percent), _) => {
+                if !OVERRIDE_PERCENT.contains(&percent) {
+                    return Err(MotionRefusal::Override { percent });
+                }
+                self.plan.scale_speed(f64::from(percent) / 100.0);
+                Ok(())
+            }
+            (MotionCommand::MoveTo(position), Activity::Rest) if self.is_empty() => self.move_to(position, Pen::Up),
+            (MotionCommand::Pen(pen), Activity::Rest) if self.is_empty() => {
+                let mut position = Position::from(self.here.point);
+                position.z_mm = match pen {
+                    Pen::Down => self.pen_down_z_mm,
+                    Pen::Up => self.pen_down_z_mm + self.pen_lift_mm,
+                };
+                self.move_to(position, pen)
+            }
+            (MotionCommand::Jog(velocity), Activity::Rest | Activity::Jog(_)) if self.is_empty() => {
+                if !velocity.iter().all(|value| value.is_finite()) {
+                    return Err(MotionRefusal::Target(Refusal {
+                        index: 0,
+                        reason: RefusalReason::NotFinite,
+                    }));
+                }
+                if !matches!(self.activity, Activity::Jog(_)) {
+                    self.activity = Activity::Jog(Jog::new(&self.here));
+                }
+                if let Activity::Jog(jog) = &mut self.activity {
+                    jog.want(&velocity);
+                }
+                Ok(())
+            }
+            (MotionCommand::JogStop, Activity::Jog(_)) => {
+                self.stop(Then::Dropped);
+                Ok(())
+            }
+            (MotionCommand::JogStop, Activity::Rest) => Ok(()),
+            (_, Activity::Rest) => Err(MotionRefusal::PathPending),
+            _ => refused,
+        }
+    }
+
+    fn move_to(&mut self, position: Position, pen: Pen) -> Result<(), MotionRefusal> {
+        let target = |reason| MotionRefusal::Target(Refusal { index: 0, reason });
+        self.area
+            .check(&position)
+            .map_err(|outside| target(RefusalReason::Outside(outside)))?;
+        let here = Position::from(self.here.point);
+        // A robot that stands outside may come in.
+        if self.area.check(&here).is_ok() {
+            check_leg(&self.area, &here, &position)
+                .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
+        }
+        let label = Label { pen, ..self.here.label };
+        self.activity = Activity::Move(self.straight(&position.into(), label));
+        Ok(())
+    }
+
+    fn straight(&self, to: &Vector, label: Label) -> Straight {
+        Straight::new(self.area.delta(), &self.limits, &self.here.point, to, label)
+    }
+
+    /// Ends what moves; `None` where there is nothing to end.
+    fn stop(&mut self, then: Then) -> Option<()> {
+        match &mut self.activity {
+            Activity::Rest if then == Then::Held => return None,
+            Activity::Rest => self.drop_path(),
+            Activity::Path => self.activity = Activity::Brake(then),
+            Activity::Brake(planned) | Activity::Lift(_, planned) => {
+                if *planned != Then::Dropped {
+                    *planned = then;
+                }
+            }
+            Activity::Parked { .. } if then == Then::Dropped => self.drop_path(),
+            Activity::Parked { starved, .. } => *starved = false,
+            Activity::Lower(_, next) => {
+                if *next != Some(Then::Dropped) {
+                    *next = Some(then);
+                }
+            }
+            Activity::Move(straight) => straight.brake(),
+            Activity::Jog(jog) => jog.want(&[0.0; 3]),
+        }
+        Some(())
+    }
+
+    fn resume(&mut self) -> Option<()> {
+        match &mut self.activity {
+            Activity::Brake(Then::Held) => self.activity = Activity::Path,
+            // The lift is completed; then the path goes on as after starvation.
+            Activity::Lift(_, then @ Then::Held) => *then = Then::Starved,
+            Activity::Parked { starved: false, lifted } => {
+                let lifted = *lifted;
+                self.return_to_path(lifted);
+            }
+            Activity::Lower(_, next @ Some(Then::Held)) => *next = None,
+            _ => return None,
+        }
+        Some(())
+    }
+
+    /// Forgets the path and rests where the motion is; only called at rest.
+    fn drop_path(&mut self) {
+        self.queue.clear();
+        self.finished = false;
+        self.starving_ms = 0;
+        self.activity = Activity::Rest;
+        self.settle();
+    }
+
+    /// Lets the next path begin where the motion rests.
+    fn settle(&mut self) {
+        self.fresh = true;
+        self.plan.rest_at(self.here.point, self.here.label);
+        self.shaper.place(Node {
+            point: self.here.point,
+            count: self.here.label.vertex,
+            ..Node::default()
+        });
+    }
+
+    /// From a rest on the path: the pen goes up if it is down.
+    fn leave_path(&mut self, then: Then) {
+        let mut above = self.here.point;
+        above[2] += self.pen_lift_mm;
+        if self.here.label.pen == Pen::Down && self.area.check(&above.into()).is_ok() {
+            let label = Label {
+                pen: Pen::Up,
+                ..self.here.label
+            };
+            self.activity = Activity::Lift(self.straight(&above, label), then);
+        } else {
+            self.park(then, false);
+        }
+    }
+
+    fn park(&mut self, then: Then, lifted: bool) {
+        match then {
+            Then::Dropped => self.drop_path(),
+            Then::Held | Then::Starved => {
+                self.activity = Activity::Parked {
+                    starved: then == Then::Starved,
+                    lifted,
+                };
+            }
+        }
+    }
+
+    fn return_to_path(&mut self, lifted: bool) {
+        self.starving_ms = 0;
+        self.activity = if lifted {
+            let to = self.plan.sample().point;
+            let lower = self.straight(&to, self.here.label);
+            Activity::Lower(lower, None)
+        } else {
+            Activity::Path
+        };
+    }
+
+    fn follow(&mut self) -> PathSample {
+        let before = self.here.point;
+        let sample = self.plan.advance(TICK_S, Pace::Go);
+        self.begun |= sample.point != before;
+        if self.finished && self.is_empty() {
+            self.here = sample;
+            self.here.label.vertex = self.pushed;
+            self.activity = Activity::Rest;
+            self.settle();
+            return self.here;
+        }
+        sample
+    }
+}
+
+impl Profile for Motion {
+    fn next_millisecond(&mut self) -> PathSample {
+        let (sample, done) = match &mut self.activity {
+            Activity::Rest | Activity::Parked { .. } => (self.here, false),
+            Activity::Path => (self.follow(), false),
+            Activity::Brake(_) => {
+                let sample = self.plan.advance(TICK_S, Pace::Brake);
+                (sample, self.plan.resting())
+            }
+            Activity::Lift(straight, _) | Activity::Lower(straight, _) | Activity::Move(straight) => {
+                straight.next_millisecond()
+            }
+            Activity::Jog(jog) => jog.next_millisecond(&self.area, &self.limits, self.dead_man_ms),
+        };
+        self.here = sample;
+        if done {
+            match self.activity {
+                Activity::Brake(then) => self.leave_path(then),
+                Activity::Lift(_, then) => self.park(then, true),
+                Activity::Lower(_, next) => {
+                    self.here.label = self.plan.sample().label;
+                    self.activity = next.map_or(Activity::Path, Activity::Brake);
+                }
+                Activity::Move(_) | Activity::Jog(_) => self.drop_path(),
+                Activity::Rest | Activity::Path | Activity::Parked { .. } => {}
+            }
+        }
+        sample
+    }
+}
