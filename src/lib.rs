@@ -11,6 +11,7 @@ pub mod control;
 pub mod drives;
 pub mod ethercat;
 pub mod ethercat_robot;
+pub mod ethernet;
 pub mod io;
 pub mod link;
 pub mod motion;

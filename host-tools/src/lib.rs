@@ -3,4 +3,5 @@
 
 pub mod cell;
 pub mod drawing;
+pub mod emulator;
 pub mod link;

@@ -1,1 +1,243 @@
-fn main() {}
+//! The controller on QEMU's mps2-an500, a Cortex-M7: wiring and priorities.
+//!
+//! Every task body is a function of the library; what a task is released by, how urgent it is and what an overrun means is
+//! said here. The critical tasks share one priority: they never preempt each other, so they share the Ethernet port
+//! and the sampler without a lock, and nothing below can mask them (see `critical`). They use no critical section, no
+//! `spawn` and no log.
+#![no_std]
+#![no_main]
+
+mod controller;
+mod critical;
+mod device;
+mod health;
+mod lan9118;
+mod load;
+mod lockstep;
+mod log;
+mod metronome;
+mod panic;
+mod semihosting;
+mod serial;
+mod timer;
+mod uart;
+mod wire;
+
+#[rtic::app(device = crate::device, peripherals = false, dispatchers = [FREE6])]
+mod app {
+    use crate::controller::{Channels, LinkTask, Sampler, Supervisor, TrajectoryTask};
+    use crate::device::Interrupt;
+    use crate::health::{FRAMES_FAILED, Health, PERIODS_MISSED, TRAJECTORY_OVERRUNS};
+    use crate::lan9118::Mmio;
+    use crate::lockstep::{self, Bus};
+    use crate::log::{self, Drain};
+    use crate::serial::{Route, Serial};
+    use crate::timer::Clock;
+    use crate::uart::Uart;
+    use crate::wire::{self, Wire};
+    use crate::{critical, load, metronome};
+    use core::sync::atomic::{AtomicU32, Ordering};
+    use etherpen::ethernet::lan9118::Lan9118;
+
+    /// Interrupts of the tasks that nothing may mask.
+    const CRITICAL: [Interrupt; 4] = [
+        Interrupt::TIMER0,
+        Interrupt::TIMER1,
+        Interrupt::DUAL_TIMER,
+        Interrupt::LAN9118,
+    ];
+
+    /// Releases of the trajectory task that it has not yet completed.
+    static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);
+
+    #[shared]
+    struct Shared {
+        #[lock_free]
+        wire: Wire,
+        #[lock_free]
+        sampler: Sampler<'static>,
+        #[lock_free]
+        serial: Serial,
+    }
+
+    #[local]
+    struct Local {
+        trajectory: TrajectoryTask<'static>,
+        link: LinkTask<'static>,
+        health: Health,
+        supervisor: Supervisor<'static>,
+        drain: Drain,
+    }
+
+    /// Opens the host's files, starts the Ethernet controller and the clock.
+    #[init(local = [channels: Channels = Channels::new()])]
+    fn init(cx: init::Context) -> (Shared, Local) {
+        critical::start_up_check(&CRITICAL);
+        let parts = cx.local.channels.split("emulated");
+        let drain = Drain::open();
+        let (bus, route) = route();
+        // SAFETY: `init` runs once, and it is the only caller.
+        let mmio = unsafe { Mmio::take() };
+        let mac = match Lan9118::start(mmio, wire::ADDRESS) {
+            Ok(mac) => mac,
+            Err(error) => panic!("Ethernet controller: {error:?}"),
+        };
+        // SAFETY: as above. The controller's reset also resets the counter that the clock reads, so the clock comes after.
+        let clock = unsafe { Clock::start() };
+        defmt::info!("emulated board, lockstep {=bool}", bus.is_some());
+        let shared = Shared {
+            wire: Wire::new(mac, bus, clock),
+            sampler: parts.sampler,
+            serial: Serial::new(parts.host_bytes, route),
+        };
+        supervisor::spawn().unwrap_or_else(|()| panic!("the supervisor is spawned once"));
+        let local = Local {
+            trajectory: parts.trajectory,
+            link: parts.link,
+            health: Health::new(),
+            supervisor: parts.supervisor,
+            drain,
+        };
+        (shared, local)
+    }
+
+    fn route() -> (Option<Bus>, Route) {
+        match lockstep::open() {
+            Some((bus, link)) => (Some(bus), Route::Lockstep(link)),
+            // SAFETY: called once, by `init`.
+            None => (None, Route::Uart(unsafe { Uart::start() })),
+        }
+    }
+
+    /// Sleeps and lets `load` count it.
+    #[idle]
+    fn idle(_: idle::Context) -> ! {
+        loop {
+            load::sleep();
+        }
+    }
+
+    /// Sends the input telegram.
+    ///
+    /// Period 1 ms, priority 15 (critical), deadline 500 us for the output telegram that follows from it. An overrun shows
+    /// as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
+    #[task(binds = TIMER0, priority = 15, shared = [wire, sampler])]
+    fn sample(cx: sample::Context) {
+        load::woke();
+        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        wire.clock.release();
+        log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
+        PERIODS_MISSED.store(wire.clock.missed(), Ordering::Relaxed);
+        let elapsed_ns = wire.clock.elapsed_ns();
+        if sampler.sample(wire, elapsed_ns) {
+            TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
+            rtic::pend(Interrupt::FREE15);
+        }
+        rtic::pend(Interrupt::FREE14);
+    }
+
+    /// Takes received telegrams; the input reply is followed by control and the output telegram.
+    ///
+    /// Released twice a millisecond, when a reply's time on the wire is over (lockstep) or by `arrival` (free-running),
+    /// priority 15 (critical), deadline as for `sample`. Frames that come while it runs release it again.
+    #[task(binds = DUAL_TIMER, priority = 15, shared = [wire, sampler])]
+    fn bus_frame(cx: bus_frame::Context) {
+        load::woke();
+        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        wire.clock.delivery.acknowledge();
+        let elapsed_ns = wire.clock.elapsed_ns();
+        sampler.bus_frame(wire, elapsed_ns);
+    }
+
+    /// Hands a received frame's interrupt on to `bus_frame`.
+    ///
+    /// Released by the Ethernet controller, priority 15 (critical). In lockstep the frames have been waited for when they
+    /// come, and this task does not run (see `wire`).
+    #[task(binds = LAN9118, priority = 15, shared = [wire])]
+    fn arrival(cx: arrival::Context) {
+        load::woke();
+        cx.shared.wire.acknowledge();
+        rtic::pend(Interrupt::DUAL_TIMER);
+    }
+
+    /// Sends the output telegram from predicted positions when no valid input has come.
+    ///
+    /// Period 1 ms, 300 us behind `sample`, priority 15 (critical), deadline as for `sample`.
+    #[task(binds = TIMER1, priority = 15, shared = [wire, sampler])]
+    fn bus_deadline(cx: bus_deadline::Context) {
+        load::woke();
+        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        if wire.clock.deadline.acknowledge() {
+            let elapsed_ns = wire.clock.elapsed_ns();
+            sampler.bus_deadline(wire, elapsed_ns);
+        }
+        FRAMES_FAILED.store(wire.failures(), Ordering::Relaxed);
+    }
+
+    /// Exchanges the link's bytes between the static queues and the host.
+    ///
+    /// Period 1 ms, pended by `sample`, priority 10, deadline the next millisecond: pends merge, bytes wait in the queues.
+    #[task(binds = FREE14, priority = 10, shared = [serial])]
+    fn host_bytes(cx: host_bytes::Context) {
+        let ms = log::MILLISECONDS.load(Ordering::Relaxed);
+        cx.shared.serial.exchange(ms);
+        rtic::pend(Interrupt::FREE16);
+    }
+
+    /// Takes a byte from UART0, free-running only.
+    ///
+    /// Released by the UART, priority 10; the UART holds the next byte back until this one is taken.
+    #[task(binds = UART0_RX, priority = 10, shared = [serial])]
+    fn byte_received(cx: byte_received::Context) {
+        load::woke();
+        cx.shared.serial.on_received();
+    }
+
+    /// Gives UART0 its next byte, free-running only.
+    ///
+    /// Released by the UART, priority 10; bytes wait in the queue.
+    #[task(binds = UART0_TX, priority = 10, shared = [serial])]
+    fn byte_sent(cx: byte_sent::Context) {
+        load::woke();
+        cx.shared.serial.on_sent();
+    }
+
+    /// Plans, then fills the next 12 references of the ring.
+    ///
+    /// Period 12 ms, pended by `sample`, priority 6, deadline its next release. An overrun is a release that found the one
+    /// before not completed; it is counted, and the late run serves both.
+    #[task(binds = FREE15, priority = 6, local = [trajectory])]
+    fn trajectory(cx: trajectory::Context) {
+        let due = TRAJECTORIES_DUE.load(Ordering::Relaxed);
+        cx.local.trajectory.release();
+        let before = TRAJECTORIES_DUE.fetch_sub(due, Ordering::Relaxed);
+        TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);
+    }
+
+    /// Runs the link's protocol and the operating modes, then lets the supervisor and the log have their turn.
+    ///
+    /// Period 1 ms, pended by `host_bytes`, priority 3, no deadline: pends merge while the trajectory task runs.
+    #[task(binds = FREE16, priority = 3, local = [link, health])]
+    fn link(cx: link::Context) {
+        cx.local.link.tick();
+        cx.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
+        metronome::tick();
+        rtic::pend(Interrupt::FREE17);
+    }
+
+    /// Brings the bus up and watches it.
+    ///
+    /// Polled after each `link`, priority 1, no deadline.
+    #[task(priority = 1, local = [supervisor])]
+    async fn supervisor(cx: supervisor::Context) {
+        metronome::every_tick(cx.local.supervisor.run()).await;
+    }
+
+    /// Empties the log's ring into the host's file.
+    ///
+    /// Pended by `link`, priority 1, no deadline: what does not fit the ring is counted.
+    #[task(binds = FREE17, priority = 1, local = [drain])]
+    fn drain(cx: drain::Context) {
+        cx.local.drain.run();
+    }
+}

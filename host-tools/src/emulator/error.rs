@@ -1,0 +1,138 @@
+//! What can go wrong around the emulator, each with what to try.
+
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitStatus;
+use std::time::Duration;
+
+/// Why an emulator could not be started or did not go on.
+#[derive(Debug)]
+pub enum EmulatorError {
+    /// The program is not installed.
+    QemuMissing {
+        /// What was looked for.
+        program: PathBuf,
+    },
+    /// The firmware image cannot be read.
+    Image {
+        /// Its path.
+        path: PathBuf,
+        /// What reading or parsing said.
+        cause: String,
+    },
+    /// Making the working directory, its FIFOs or sockets, or using them failed.
+    Io {
+        /// What was tried.
+        what: String,
+        /// The system's answer.
+        cause: io::Error,
+    },
+    /// The emulator ended by itself; the firmware ends it when it panics.
+    Ended {
+        /// How it ended.
+        status: ExitStatus,
+        /// Its last words: the panic message, or the emulator's complaint about its arguments.
+        said: String,
+        /// The last lines of the firmware's log.
+        log: Vec<String>,
+    },
+    /// The firmware did not come to its next millisecond.
+    Silent {
+        /// How long it was waited for, wall time.
+        waited: Duration,
+        /// Milliseconds it had come to.
+        milliseconds: u32,
+        /// What the emulator said.
+        said: String,
+        /// The last lines of the firmware's log.
+        log: Vec<String>,
+    },
+    /// The firmware sent a record that is none.
+    Record {
+        /// The file it came by.
+        file: &'static str,
+        /// What is wrong with it.
+        length: usize,
+        /// The most that would be right.
+        length_max: usize,
+    },
+    /// A peer's code panicked.
+    PeerPanicked,
+}
+
+impl EmulatorError {
+    pub(crate) fn io(what: impl Into<String>) -> impl FnOnce(io::Error) -> Self {
+        let what = what.into();
+        move |cause| Self::Io { what, cause }
+    }
+}
+
+fn write_log(f: &mut fmt::Formatter, said: &str, log: &[String]) -> fmt::Result {
+    if !said.is_empty() {
+        write!(f, "\nit said: {said}")?;
+    }
+    if !log.is_empty() {
+        write!(f, "\nthe end of the firmware's log:")?;
+        for line in log {
+            write!(f, "\n  {line}")?;
+        }
+    }
+    Ok(())
+}
+
+impl fmt::Display for EmulatorError {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::QemuMissing { program } => write!(
+                f,
+                "{} is not installed; install it with `sudo apt-get install qemu-system-arm` (Debian, Ubuntu), \
+                 `sudo dnf install qemu-system-arm` (Fedora), `sudo pacman -S qemu-system-arm` (Arch) or \
+                 `brew install qemu` (macOS)",
+                program.display()
+            ),
+            Self::Image { path, cause } => write!(
+                f,
+                "firmware image {}: {cause}; build it with `cargo emulated`",
+                path.display()
+            ),
+            Self::Io { what, cause } => write!(f, "{what}: {cause}"),
+            Self::Ended { status, said, log } => {
+                write!(f, "the emulator ended by itself ({status})")?;
+                write_log(f, said, log)
+            }
+            Self::Silent {
+                waited,
+                milliseconds,
+                said,
+                log,
+            } => {
+                write!(
+                    f,
+                    "the emulator has not answered for {} s; the firmware had come to millisecond {milliseconds}",
+                    waited.as_secs()
+                )?;
+                write_log(f, said, log)
+            }
+            Self::Record {
+                file,
+                length,
+                length_max,
+            } => write!(
+                f,
+                "the firmware sent {length} bytes by {file} where {length_max} is the most: image and program are of \
+                 different versions"
+            ),
+            Self::PeerPanicked => write!(f, "the emulator's peer panicked"),
+        }
+    }
+}
+
+impl std::error::Error for EmulatorError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { cause, .. } => Some(cause),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! The firmware image in QEMU without lockstep: virtual time follows wall time, the link is UART0 at a TCP port.
+//!
+//! For playing by hand, not for figures: a busy machine makes frames late and swallows milliseconds, which the firmware
+//! counts and survives.
+
+use super::error::EmulatorError;
+use super::lockstep::Incoming;
+use super::log::{self, Decoder, LogLine};
+use super::process::{Directory, Process};
+use super::{FIRMWARE_SOCKET, Segment, bind, machine};
+use defmt_decoder::Table;
+use std::ffi::OsString;
+use std::io::{self, ErrorKind};
+use std::net::TcpListener;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// How long to wait for a frame before looking after the log and the emulator.
+const RECEIVE_TIMEOUT: Duration = Duration::from_millis(20);
+const FRAME_BYTES_MAX: usize = 2048;
+
+/// A running emulator; dropping it ends the emulator.
+pub struct FreeRunning {
+    port: u16,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Result<(), EmulatorError>>>,
+}
+
+impl FreeRunning {
+    /// Starts the firmware `image` with `segment` at its cable; UART0 listens at TCP port `port` of the loopback
+    /// interface, 0 for one that is free.
+    ///
+    /// # Errors
+    /// A missing image or emulator, no free port, or a working directory that cannot be made.
+    pub fn start(
+        image: &Path,
+        qemu: &Path,
+        port: u16,
+        segment: impl Segment + Send + 'static,
+        line: impl FnMut(&LogLine) + Send + 'static,
+    ) -> Result<Self, EmulatorError> {
+        let table = log::table(image)?;
+        let directory = Directory::make()?;
+        let log = Incoming::new(directory.fifo_from_firmware("log")?);
+        let socket = bind(&directory)?;
+        let firmware = directory.join(FIRMWARE_SOCKET);
+        let port = free_port(port).map_err(EmulatorError::io(format!("TCP port {port}")))?;
+        let mut arguments = machine(image)?;
+        let uart = format!("socket,id=uart,host=127.0.0.1,port={port},server=on,wait=off");
+        arguments.extend(["-chardev", &uart, "-serial", "chardev:uart"].map(OsString::from));
+        let process = Process::start(qemu, &arguments, directory)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let peer = Peer {
+            process,
+            log,
+            socket,
+            firmware,
+            segment,
+            started: Instant::now(),
+            stop: Arc::clone(&stop),
+        };
+        let thread = std::thread::Builder::new()
+            .name("emulator".to_owned())
+            .spawn(move || peer.run(table.as_ref(), line))
+            .map_err(EmulatorError::io("starting the emulator's thread"))?;
+        Ok(Self {
+            port,
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// The TCP port of the link.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Whether the emulator still runs; if not, [`FreeRunning::stop`] says why.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Ends the emulator.
+    ///
+    /// # Errors
+    /// What went wrong before, if anything did.
+    pub fn stop(mut self) -> Result<(), EmulatorError> {
+        self.join()
+    }
+
+    fn join(&mut self) -> Result<(), EmulatorError> {
+        self.stop.store(true, Ordering::Relaxed);
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(result)) => result,
+            Some(Err(_)) | None => Err(EmulatorError::PeerPanicked),
+        }
+    }
+}
+
+impl Drop for FreeRunning {
+    fn drop(&mut self) {
+        // The outcome is of no interest to an owner that did not ask for it.
+        let _ = self.join();
+    }
+}
+
+/// The port asked for, or a free one for 0. Another program may take it before the emulator does, which then says so.
+fn free_port(port: u16) -> io::Result<u16> {
+    Ok(TcpListener::bind(("127.0.0.1", port))?.local_addr()?.port())
+}
+
+/// What the thread owns; the emulator ends with it.
+struct Peer<S> {
+    process: Process,
+    log: Incoming,
+    socket: UnixDatagram,
+    firmware: PathBuf,
+    segment: S,
+    started: Instant,
+    stop: Arc<AtomicBool>,
+}
+
+impl<S: Segment> Peer<S> {
+    fn run(mut self, table: Option<&Table>, mut line: impl FnMut(&LogLine)) -> Result<(), EmulatorError> {
+        let set_up = self
+            .socket
+            .set_nonblocking(false)
+            .and_then(|()| self.socket.set_read_timeout(Some(RECEIVE_TIMEOUT)));
+        set_up.map_err(EmulatorError::io("setting up the Ethernet socket"))?;
+        let mut decoder = Decoder::new(table);
+        while !self.stop.load(Ordering::Relaxed) {
+            self.answer().map_err(EmulatorError::io("answering the emulator"))?;
+            self.log
+                .read()
+                .map_err(EmulatorError::io("reading the log of the emulator"))?;
+            decoder.take(&self.log.take(), &mut line);
+            if let Some(status) = self.process.ended() {
+                return Err(EmulatorError::Ended {
+                    status,
+                    said: self.process.said(),
+                    log: decoder.last(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Answers one frame, or lets time pass.
+    fn answer(&mut self) -> io::Result<()> {
+        let mut frame = [0; FRAME_BYTES_MAX];
+        let received = self.socket.recv(&mut frame);
+        let time_us = u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX);
+        self.segment.advance_to(time_us);
+        match received {
+            Ok(length) => {
+                let frame = frame.get(..length).unwrap_or_default();
+                for reply in self.segment.frame(time_us, frame) {
+                    self.send(&reply)?;
+                }
+                Ok(())
+            }
+            Err(error) if is_timeout(&error) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Sends a reply; an emulator that has just ended no longer takes it, which `run` finds out next.
+    fn send(&self, reply: &[u8]) -> io::Result<()> {
+        match self.socket.send_to(reply, &self.firmware) {
+            Ok(_) => Ok(()),
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+fn is_timeout(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+    )
+}

@@ -1,0 +1,246 @@
+//! The firmware image in QEMU, with a virtual EtherCAT segment and a serial peer.
+//!
+//! Virtual time stands still while this side thinks, so a busy machine cannot make a frame late: after each Ethernet frame
+//! and in each millisecond the firmware waits for an answer, in a call that costs it no time. One thread gives all answers
+//! in the order in which the firmware asks, hence two runs see the same records. The records are described beside the
+//! firmware's half, `src/bin/emulated/lockstep.rs`.
+//!
+//! [`Emulator::start`] runs in lockstep; [`free_running`] runs without, to play with the UART by hand.
+
+mod error;
+pub mod free_running;
+mod lockstep;
+mod log;
+mod process;
+
+pub use error::EmulatorError;
+pub use log::LogLine;
+
+use lockstep::{Lockstep, Options as LockstepOptions};
+use process::{Directory, Process};
+use std::ffi::OsString;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Bytes of the serial link in a millisecond and direction: 921,600 baud with 10 bits a byte.
+pub const LINK_BYTES_MAX: usize = 92;
+
+const FIRMWARE_SOCKET: &str = "firmware.sock";
+const HOST_SOCKET: &str = "host.sock";
+
+/// What is at the other end of the Ethernet cable.
+pub trait Segment {
+    /// Takes a frame that the firmware sent at `time_us` (since its first sample) and gives the frames that come back.
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>>;
+    /// Time has come to `time_us`, also when no frames are sent.
+    fn advance_to(&mut self, time_us: u64);
+}
+
+/// What is at the other end of the serial line.
+pub trait Link {
+    /// Takes the bytes that came in millisecond `ms` and appends up to [`LINK_BYTES_MAX`] for the firmware to `to_device`.
+    fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>);
+}
+
+impl<S: Segment> Segment for Arc<Mutex<S>> {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        let mut segment = self.lock().unwrap_or_else(PoisonError::into_inner);
+        segment.frame(time_us, frame)
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        let mut segment = self.lock().unwrap_or_else(PoisonError::into_inner);
+        segment.advance_to(time_us);
+    }
+}
+
+impl<L: Link> Link for Arc<Mutex<L>> {
+    fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
+        let mut link = self.lock().unwrap_or_else(PoisonError::into_inner);
+        link.exchange(ms, from_device, to_device);
+    }
+}
+
+/// How fast virtual time may go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// As fast as the machine can.
+    Max,
+    /// Never ahead of wall time.
+    RealTime,
+}
+
+/// How to run the emulator.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The emulator's program, looked for in the search path.
+    pub qemu: PathBuf,
+    /// One instruction takes 2^shift ns of virtual time.
+    pub instruction_shift: u8,
+    /// How fast virtual time may go.
+    pub pace: Pace,
+    /// An emulator that does not come to its next millisecond within this wall time is given up.
+    pub answer_within: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            qemu: PathBuf::from("qemu-system-arm"),
+            instruction_shift: 3,
+            pace: Pace::Max,
+            answer_within: Duration::from_secs(20),
+        }
+    }
+}
+
+/// What went through the emulator's attachments.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Milliseconds the firmware has come to.
+    pub milliseconds: u32,
+    /// Frames the firmware sent.
+    pub frames: u64,
+    /// Frames the segment sent back.
+    pub replies: u64,
+    /// Replies that the emulator had no room for, or that are no Ethernet frames.
+    pub replies_dropped: u64,
+    /// Frames that were announced and not found in the socket.
+    pub frames_missing: u64,
+}
+
+/// A running emulator; dropping it ends the emulator.
+pub struct Emulator {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Result<Traffic, EmulatorError>>>,
+}
+
+impl Emulator {
+    /// Starts the firmware `image` in lockstep with `segment` and `link`; `log` gets the lines of the firmware's log.
+    ///
+    /// The peers are called from a thread of the emulator's. To look at them later, hand in an `Arc<Mutex<_>>`.
+    ///
+    /// # Errors
+    /// A missing image or emulator, or a working directory that cannot be made. What goes wrong later is told by
+    /// [`Emulator::stop`] and [`Emulator::wait`].
+    pub fn start(
+        image: &Path,
+        options: &Options,
+        segment: impl Segment + Send + 'static,
+        link: impl Link + Send + 'static,
+        log: impl FnMut(&LogLine) + Send + 'static,
+    ) -> Result<Self, EmulatorError> {
+        let table = log::table(image)?;
+        let directory = Directory::make()?;
+        let files = lockstep::Files::make(&directory)?;
+        let socket = bind(&directory)?;
+        let firmware_socket = directory.join(FIRMWARE_SOCKET);
+        let arguments = arguments(image, options)?;
+        let process = Process::start(&options.qemu, &arguments, directory)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let lockstep = Lockstep::new(
+            process,
+            files,
+            (socket, firmware_socket),
+            (segment, link),
+            LockstepOptions {
+                pace: options.pace,
+                answer_within: options.answer_within,
+            },
+            Arc::clone(&stop),
+        );
+        let thread = std::thread::Builder::new()
+            .name("emulator".to_owned())
+            .spawn(move || lockstep.run(table.as_ref(), log))
+            .map_err(EmulatorError::io("starting the emulator's thread"))?;
+        Ok(Self {
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// Whether the emulator still runs; if not, [`Emulator::wait`] says why.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Ends the emulator.
+    ///
+    /// # Errors
+    /// What went wrong before, if anything did.
+    pub fn stop(mut self) -> Result<Traffic, EmulatorError> {
+        self.stop.store(true, Ordering::Relaxed);
+        self.join()
+    }
+
+    /// Waits until the emulator ends by itself, which a firmware does only when something is wrong.
+    ///
+    /// # Errors
+    /// What went wrong.
+    pub fn wait(mut self) -> Result<Traffic, EmulatorError> {
+        self.join()
+    }
+
+    fn join(&mut self) -> Result<Traffic, EmulatorError> {
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(result)) => result,
+            Some(Err(_)) | None => Err(EmulatorError::PeerPanicked),
+        }
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // The outcome is of no interest to an owner that did not ask for it.
+        let _ = self.join();
+    }
+}
+
+fn bind(directory: &Directory) -> Result<UnixDatagram, EmulatorError> {
+    let path = directory.join(HOST_SOCKET);
+    let socket = UnixDatagram::bind(&path).map_err(EmulatorError::io(format!("making {}", path.display())))?;
+    socket
+        .set_nonblocking(true)
+        .map_err(EmulatorError::io("setting up the Ethernet socket"))?;
+    Ok(socket)
+}
+
+/// Arguments of the emulator in lockstep; all file names are relative to its working directory.
+fn arguments(image: &Path, options: &Options) -> Result<Vec<OsString>, EmulatorError> {
+    let shift = options.instruction_shift;
+    let mut arguments = machine(image)?;
+    arguments.extend(["-serial", "none", "-icount", &format!("shift={shift},sleep=off")].map(OsString::from));
+    Ok(arguments)
+}
+
+/// The arguments that every attachment needs: machine, image, semihosting and the Ethernet cable.
+fn machine(image: &Path) -> Result<Vec<OsString>, EmulatorError> {
+    let image = std::path::absolute(image).map_err(EmulatorError::io(format!("finding {}", image.display())))?;
+    let cable = format!(
+        "dgram,id=cable,local.type=unix,local.path={FIRMWARE_SOCKET},remote.type=unix,remote.path={HOST_SOCKET}"
+    );
+    let fixed = [
+        "-M",
+        "mps2-an500",
+        "-display",
+        "none",
+        "-monitor",
+        "none",
+        "-no-reboot",
+        "-semihosting-config",
+        "enable=on,target=native",
+        "-netdev",
+        &cable,
+        "-net",
+        "nic,netdev=cable,model=lan9118",
+        "-kernel",
+    ];
+    let mut arguments = fixed.map(OsString::from).to_vec();
+    arguments.push(image.into_os_string());
+    Ok(arguments)
+}

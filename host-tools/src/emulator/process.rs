@@ -1,0 +1,193 @@
+//! The emulator's process and its working directory; neither outlives its owner.
+//!
+//! They end with [`Process`], with a signal that ends this program, and, in lockstep, with anything else that ends this
+//! program: the firmware reads the end of its files and stops the emulator.
+
+use super::error::EmulatorError;
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use rustix::process::{Pid, Signal, kill_process};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, Once, PoisonError};
+
+/// File that takes the emulator's own output, in its working directory.
+const OUTPUT_FILE: &str = "qemu.out";
+/// How much of that output an error shows, bytes.
+const OUTPUT_SHOWN: usize = 2000;
+
+/// What a signal has to clean up.
+static LIVE: Mutex<Vec<Live>> = Mutex::new(Vec::new());
+static NUMBER: AtomicU32 = AtomicU32::new(0);
+
+struct Live {
+    directory: PathBuf,
+    child: Option<u32>,
+}
+
+fn live() -> std::sync::MutexGuard<'static, Vec<Live>> {
+    LIVE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A temporary directory that is removed with its owner.
+pub(crate) struct Directory {
+    path: PathBuf,
+}
+
+impl Directory {
+    pub(crate) fn make() -> Result<Self, EmulatorError> {
+        watch_signals()?;
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let name = format!("etherpen-{}-{number}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        fs::create_dir(&path).map_err(EmulatorError::io(format!(
+            "making the emulator's working directory {}",
+            path.display()
+        )))?;
+        live().push(Live {
+            directory: path.clone(),
+            child: None,
+        });
+        Ok(Self { path })
+    }
+
+    pub(crate) fn join(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    fn make_fifo(&self, name: &str) -> Result<PathBuf, EmulatorError> {
+        let path = self.join(name);
+        mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
+            .map_err(io::Error::from)
+            .map_err(EmulatorError::io(format!("making FIFO {}", path.display())))?;
+        Ok(path)
+    }
+
+    /// A FIFO that the firmware writes and this program reads without waiting.
+    pub(crate) fn fifo_from_firmware(&self, name: &str) -> Result<File, EmulatorError> {
+        let path = self.make_fifo(name)?;
+        OpenOptions::new()
+            .read(true)
+            .custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32)
+            .open(&path)
+            .map_err(EmulatorError::io(format!("opening {}", path.display())))
+    }
+
+    /// A FIFO that the firmware reads and this program writes; opened both ways, so that it opens before a reader exists.
+    pub(crate) fn fifo_to_firmware(&self, name: &str) -> Result<File, EmulatorError> {
+        let path = self.make_fifo(name)?;
+        OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(EmulatorError::io(format!("opening {}", path.display())))
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        live().retain(|entry| entry.directory != self.path);
+        // Nothing can be done about a directory that cannot be removed.
+        let _ = fs::remove_dir_all(&self.path);
+    }
+}
+
+/// A running emulator.
+pub(crate) struct Process {
+    child: Child,
+    directory: Directory,
+}
+
+impl Process {
+    /// Starts `program` with `arguments` in `directory`, in a process group of its own so that the terminal's Ctrl-C comes
+    /// to this program only.
+    pub(crate) fn start(program: &Path, arguments: &[OsString], directory: Directory) -> Result<Self, EmulatorError> {
+        let output = directory.join(OUTPUT_FILE);
+        let open = || -> io::Result<(Stdio, Stdio)> {
+            let file = File::create(&output)?;
+            Ok((file.try_clone()?.into(), file.into()))
+        };
+        let (stdout, stderr) = open().map_err(EmulatorError::io(format!("making {}", output.display())))?;
+        let child = Command::new(program)
+            .args(arguments)
+            .current_dir(&directory.path)
+            .stdin(Stdio::null())
+            .stdout(stdout)
+            .stderr(stderr)
+            .process_group(0)
+            .spawn()
+            .map_err(|cause| match cause.kind() {
+                io::ErrorKind::NotFound => EmulatorError::QemuMissing {
+                    program: program.to_owned(),
+                },
+                _ => EmulatorError::Io {
+                    what: format!("starting {}", program.display()),
+                    cause,
+                },
+            })?;
+        for entry in live().iter_mut() {
+            if entry.directory == directory.path {
+                entry.child = Some(child.id());
+            }
+        }
+        Ok(Self { child, directory })
+    }
+
+    /// How it ended, if it has.
+    pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().ok().flatten()
+    }
+
+    /// The end of what it has written to its output.
+    pub(crate) fn said(&self) -> String {
+        let bytes = fs::read(self.directory.join(OUTPUT_FILE)).unwrap_or_default();
+        let start = bytes.len().saturating_sub(OUTPUT_SHOWN);
+        let shown = bytes.get(start..).unwrap_or_default();
+        String::from_utf8_lossy(shown).trim().to_owned()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Fails only if it has ended already; `wait` then collects it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Ends every emulator and removes its directory when a signal ends this program.
+fn watch_signals() -> Result<(), EmulatorError> {
+    static WATCH: Once = Once::new();
+    let mut result = Ok(());
+    WATCH.call_once(|| {
+        result = Signals::new([SIGINT, SIGTERM, SIGHUP])
+            .map(|mut signals| {
+                std::thread::spawn(move || {
+                    for signal in signals.forever() {
+                        end_all();
+                        // Ends this program the way the signal would have without this watch.
+                        let _ = signal_hook::low_level::emulate_default_handler(signal);
+                    }
+                });
+            })
+            .map_err(EmulatorError::io("watching for signals"));
+    });
+    result
+}
+
+fn end_all() {
+    for entry in live().drain(..) {
+        if let Some(pid) = entry.child.and_then(|id| Pid::from_raw(id as i32)) {
+            // An emulator that has ended by itself needs no killing.
+            let _ = kill_process(pid, Signal::KILL);
+        }
+        let _ = fs::remove_dir_all(&entry.directory);
+    }
+}

@@ -1,0 +1,228 @@
+//! The millisecond: three alarms and the clock they follow.
+//!
+//! All moments are readings of the Ethernet controller's free-running counter, and an alarm is set to a moment, not to a
+//! period: a late task cannot shift the next release, and the alarms can be taken out and put back (`pause`, `resume`)
+//! without losing a count. That is what lets virtual time stand still while a reply is on its way (see `wire`).
+
+use crate::device::{CLOCK_HZ, Interrupt};
+use crate::lan9118::free_run;
+use etherpen::ethernet::lan9118::FREE_RUN_HZ;
+
+/// Counts in one period of the sample task.
+pub(crate) const PERIOD_COUNTS: u32 = CLOCK_HZ / 1000;
+/// Counts from a sample's release to the deadline of its input frame, 300 us.
+const DEADLINE_COUNTS: u32 = PERIOD_COUNTS * 3 / 10;
+/// Counts from a frame's sending to its reply's arrival in lockstep, 30 us.
+const DELIVERY_COUNTS: u32 = PERIOD_COUNTS * 3 / 100;
+const NS_PER_COUNT: u32 = 1_000_000_000 / CLOCK_HZ;
+const COUNTS_PER_US: u64 = CLOCK_HZ as u64 / 1_000_000;
+
+const _: () = assert!(FREE_RUN_HZ == CLOCK_HZ);
+const _: () = assert!(CLOCK_HZ.is_multiple_of(1_000_000) && 1_000_000_000 % CLOCK_HZ == 0);
+const _: () = assert!(DEADLINE_COUNTS < PERIOD_COUNTS);
+// Input and output reply arrive before the deadline.
+const _: () = assert!(2 * DELIVERY_COUNTS < DEADLINE_COUNTS);
+
+/// Where a timer's registers are, and the value of its control register that makes it run and interrupt.
+///
+/// "Cortex-M System Design Kit Technical Reference Manual": APB timer, APB dual-input timers.
+struct Layout {
+    base: usize,
+    control: usize,
+    value: usize,
+    clear: usize,
+    running: u32,
+    /// A register to clear once, else the timer repeats.
+    reload: Option<usize>,
+}
+
+const APB_TIMER_0: Layout = apb_timer(0x4000_0000);
+const APB_TIMER_1: Layout = apb_timer(0x4000_1000);
+const DUAL_TIMER: Layout = Layout {
+    base: 0x4000_2000,
+    control: 0x8,
+    value: 0x0,
+    clear: 0xc,
+    // enabled, interrupting, 32 bits, one shot
+    running: 1 << 7 | 1 << 5 | 1 << 1 | 1 << 0,
+    reload: None,
+};
+
+/// The load register of the watchdog, which the machine lets run from its reset on. It interrupts nobody, but virtual time
+/// stands still only when no timer runs at all; one that has nothing to count is stopped.
+const WATCHDOG_LOAD: usize = 0x4000_8000;
+
+const fn apb_timer(base: usize) -> Layout {
+    Layout {
+        base,
+        control: 0x0,
+        value: 0x4,
+        clear: 0xc,
+        // enabled, interrupting
+        running: 1 << 3 | 1 << 0,
+        reload: Some(0x8),
+    }
+}
+
+/// A timer that interrupts at a moment.
+pub(crate) struct Alarm {
+    layout: &'static Layout,
+    interrupt: Interrupt,
+    due: Option<u32>,
+}
+
+impl Alarm {
+    fn new(layout: &'static Layout, interrupt: Interrupt) -> Self {
+        let alarm = Self {
+            layout,
+            interrupt,
+            due: None,
+        };
+        alarm.write(layout.control, 0);
+        if let Some(reload) = layout.reload {
+            alarm.write(reload, 0);
+        }
+        alarm
+    }
+
+    fn write(&self, register: usize, value: u32) {
+        // SAFETY: the layouts above name registers of timers, which reach no memory; each timer has one `Alarm`, made by
+        // `Clock::start`, and alarms are used by tasks of one priority.
+        unsafe { core::ptr::write_volatile((self.layout.base + register) as *mut u32, value) };
+    }
+
+    /// Interrupts at `due`, at once if that has passed.
+    fn set(&mut self, due: u32) {
+        self.pause();
+        self.due = Some(due);
+        self.resume();
+    }
+
+    /// Clears the interrupt; true if the alarm was due, false if the interrupt belongs to a moment that was given up.
+    pub(crate) fn acknowledge(&mut self) -> bool {
+        self.write(self.layout.clear, 1);
+        let due = self.due.is_some_and(|due| !is_before(free_run(), due));
+        if due {
+            self.due = None;
+        }
+        due
+    }
+
+    /// Stops the timer; `due` stays.
+    fn pause(&self) {
+        self.write(self.layout.control, 0);
+    }
+
+    /// Runs the timer for what is left until `due`.
+    fn resume(&self) {
+        let Some(due) = self.due else {
+            return;
+        };
+        let now = free_run();
+        if is_before(now, due) {
+            self.write(self.layout.value, due.wrapping_sub(now));
+            self.write(self.layout.control, self.layout.running);
+        } else {
+            rtic::pend(self.interrupt);
+        }
+    }
+}
+
+/// Whether `moment` comes before `other`; the two are less than half the counter's range (85 s) apart.
+fn is_before(moment: u32, other: u32) -> bool {
+    moment.wrapping_sub(other) > u32::MAX / 2
+}
+
+/// Time since the first release, and within the present millisecond.
+pub(crate) struct Clock {
+    /// Releases `sample`.
+    pub(crate) sample: Alarm,
+    /// Releases `bus_deadline`.
+    pub(crate) deadline: Alarm,
+    /// Releases `bus_frame` in lockstep.
+    pub(crate) delivery: Alarm,
+    /// Nominal release of the present millisecond.
+    released_at: u32,
+    /// Nominal releases so far, the first included.
+    releases: u32,
+    /// Nominal releases at which `sample` did not run.
+    missed: u32,
+}
+
+impl Clock {
+    /// Takes the timers and lets the first millisecond begin one period from now.
+    ///
+    /// # Safety
+    /// Call it once: the clock owns the timers.
+    pub(crate) unsafe fn start() -> Self {
+        // SAFETY: the register is that of a device that nothing else uses.
+        unsafe { core::ptr::write_volatile(WATCHDOG_LOAD as *mut u32, 0) };
+        let mut clock = Self {
+            sample: Alarm::new(&APB_TIMER_0, Interrupt::TIMER0),
+            deadline: Alarm::new(&APB_TIMER_1, Interrupt::TIMER1),
+            delivery: Alarm::new(&DUAL_TIMER, Interrupt::DUAL_TIMER),
+            released_at: free_run(),
+            releases: 0,
+            missed: 0,
+        };
+        let first = clock.released_at.wrapping_add(PERIOD_COUNTS);
+        clock.sample.set(first);
+        clock
+    }
+
+    /// Begins the next millisecond; call it first thing in the task that `sample` releases.
+    pub(crate) fn release(&mut self) {
+        self.sample.acknowledge();
+        self.advance();
+        while self.elapsed_counts() >= PERIOD_COUNTS {
+            self.advance();
+            self.missed = self.missed.wrapping_add(1);
+        }
+        self.sample.set(self.released_at.wrapping_add(PERIOD_COUNTS));
+        self.deadline.set(self.released_at.wrapping_add(DEADLINE_COUNTS));
+    }
+
+    fn advance(&mut self) {
+        self.released_at = self.released_at.wrapping_add(PERIOD_COUNTS);
+        self.releases = self.releases.wrapping_add(1);
+    }
+
+    /// Takes the alarms out, so that virtual time stands still while the core sleeps.
+    pub(crate) fn pause(&mut self) {
+        self.sample.pause();
+        self.deadline.pause();
+        self.delivery.pause();
+    }
+
+    /// Puts the alarms back and sets the one of a reply that has just come.
+    pub(crate) fn resume_and_deliver(&mut self) {
+        self.sample.resume();
+        self.deadline.resume();
+        self.delivery.set(free_run().wrapping_add(DELIVERY_COUNTS));
+    }
+
+    fn elapsed_counts(&self) -> u32 {
+        free_run().wrapping_sub(self.released_at)
+    }
+
+    /// Nanoseconds since the nominal release of this millisecond.
+    pub(crate) fn elapsed_ns(&self) -> u32 {
+        self.elapsed_counts().saturating_mul(NS_PER_COUNT)
+    }
+
+    /// Microseconds since the first nominal release.
+    pub(crate) fn time_us(&self) -> u64 {
+        let whole = u64::from(self.milliseconds()) * 1000;
+        whole + u64::from(self.elapsed_counts()) / COUNTS_PER_US
+    }
+
+    /// Number of this millisecond, counted from 0.
+    pub(crate) fn milliseconds(&self) -> u32 {
+        self.releases.saturating_sub(1)
+    }
+
+    /// Nominal releases at which `sample` did not run.
+    pub(crate) fn missed(&self) -> u32 {
+        self.missed
+    }
+}

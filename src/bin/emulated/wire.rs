@@ -1,0 +1,118 @@
+//! The Ethernet port as the critical tasks see it: controller, clock and lockstep together.
+//!
+//! In lockstep, sending a frame includes waiting for its replies while virtual time stands still: the host's token says how
+//! many there are, then all alarms are taken out and the core sleeps. The emulator cannot advance its clock to a next alarm
+//! when there is none, so it has nothing to do but to deliver the replies to the controller, however long a busy host takes.
+//! Then the alarms are put back, and one more releases `bus_frame` after a fixed delay of the wire. So a reply is never
+//! late, and two runs see the same times to the count.
+//!
+//! Everything here is owned by the tasks of the critical priority and takes no critical section.
+
+use crate::critical;
+use crate::device::Interrupt;
+use crate::lan9118::{Mmio, frames_waiting};
+use crate::lockstep::Bus;
+use crate::timer::Clock;
+use core::task::Context;
+use cortex_m::peripheral::NVIC;
+use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+use etherpen::ethernet::lan9118::{self, Lan9118, RxToken};
+
+/// The MAC address, locally administered.
+pub(crate) const ADDRESS: [u8; 6] = [0x02, 0, 0, 0, 0, 0x01];
+
+/// Controller, clock and lockstep.
+pub(crate) struct Wire {
+    mac: Lan9118<Mmio>,
+    bus: Option<Bus>,
+    /// The clock that stamps outgoing frames.
+    pub(crate) clock: Clock,
+}
+
+impl Wire {
+    pub(crate) fn new(mac: Lan9118<Mmio>, bus: Option<Bus>, clock: Clock) -> Self {
+        Self { mac, bus, clock }
+    }
+
+    /// Clears the controller's interrupt.
+    pub(crate) fn acknowledge(&mut self) {
+        self.mac.acknowledge();
+    }
+
+    /// Frames that were damaged or not sent.
+    pub(crate) fn failures(&self) -> u32 {
+        self.mac.counters().failures()
+    }
+}
+
+impl Driver for Wire {
+    type RxToken<'a> = RxToken<'a>;
+    type TxToken<'a> = TxToken<'a>;
+
+    fn receive(&mut self, context: &mut Context) -> Option<(RxToken<'_>, TxToken<'_>)> {
+        let (received, inner) = self.mac.receive(context)?;
+        let token = TxToken {
+            inner,
+            clock: &mut self.clock,
+            bus: self.bus.as_ref(),
+        };
+        Some((received, token))
+    }
+
+    fn transmit(&mut self, context: &mut Context) -> Option<TxToken<'_>> {
+        Some(TxToken {
+            inner: self.mac.transmit(context)?,
+            clock: &mut self.clock,
+            bus: self.bus.as_ref(),
+        })
+    }
+
+    fn link_state(&mut self, context: &mut Context) -> LinkState {
+        self.mac.link_state(context)
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        self.mac.capabilities()
+    }
+
+    fn hardware_address(&self) -> HardwareAddress {
+        self.mac.hardware_address()
+    }
+}
+
+/// The right to send one frame and to wait for its token.
+pub(crate) struct TxToken<'a> {
+    inner: lan9118::TxToken<'a, Mmio>,
+    clock: &'a mut Clock,
+    bus: Option<&'a Bus>,
+}
+
+impl TxToken<'_> {
+    /// Sleeps until `wanted` frames wait in the controller.
+    fn await_replies(&mut self, wanted: u32) {
+        self.clock.pause();
+        critical::woken_by(Interrupt::LAN9118, || {
+            self.inner.acknowledge();
+            NVIC::unpend(Interrupt::LAN9118);
+            frames_waiting() >= wanted
+        });
+        // The last of them may have come between the two looks; `bus_frame` is released by the clock, not by it.
+        self.inner.acknowledge();
+        NVIC::unpend(Interrupt::LAN9118);
+        self.clock.resume_and_deliver();
+    }
+}
+
+impl embassy_net_driver::TxToken for TxToken<'_> {
+    fn consume<T, F: FnOnce(&mut [u8]) -> T>(mut self, length: usize, f: F) -> T {
+        let waiting = frames_waiting();
+        let (result, sent) = self.inner.send(length, f);
+        if let (Some(bus), true) = (self.bus, sent) {
+            let replies = bus.frame_sent(self.clock.time_us());
+            if replies > 0 {
+                self.await_replies(waiting + u32::from(replies));
+            }
+        }
+        result
+    }
+}

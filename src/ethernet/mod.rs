@@ -1,0 +1,6 @@
+//! Ethernet controllers: the part of their drivers that needs no access to hardware.
+//!
+//! A driver here talks to a small register trait, so that its logic is safe code and is tested on the host against a model
+//! of the chip; a board supplies the volatile accesses.
+
+pub mod lan9118;
