@@ -672,22 +672,54 @@ mod tests {
         assert_eq!((kinds.next(), kinds.next()), (Some(true), Some(false)));
     }
 
+    fn next_random(state: &mut u32) -> u32 {
+        *state ^= *state << 13;
+        *state ^= *state >> 17;
+        *state ^= *state << 5;
+        *state
+    }
+
     #[test]
     fn garbage_makes_no_panic_and_no_event() {
         let seed = 0x5eed_0001_u32;
         let mut state = seed;
         let mut endpoint = endpoint();
         for now_ms in 0..100_000 {
-            state ^= state << 13;
-            state ^= state >> 17;
-            state ^= state << 5;
-            let byte = if state.is_multiple_of(20) {
-                0
-            } else {
-                (state >> 8) as u8
-            };
+            let random = next_random(&mut state);
+            let byte = (random >> 8) as u8 * u8::from(!random.is_multiple_of(20));
             assert_eq!(endpoint.receive(byte, now_ms, 10), None, "seed {seed:#x}");
         }
         assert!(endpoint.counts().frames.bad > 1000);
+    }
+
+    #[test]
+    fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room() {
+        let seed = 0x5eed_0002_u32;
+        let mut state = seed;
+        let mut endpoint = drawing();
+        let mut events = 0;
+        for now_ms in 0..20_000 {
+            let mut payload = [[0u8; 32]; 4];
+            for byte in payload.as_flattened_mut() {
+                *byte = (next_random(&mut state) >> 8) as u8 >> (next_random(&mut state) % 8);
+            }
+            payload[0][0] = (next_random(&mut state) % 7) as u8;
+            let mut frame = [0; FRAME_BYTES_MAX];
+            let length = encode(&payload, &mut frame).unwrap();
+            for byte in &frame[..length] {
+                let Some(event) = endpoint.receive(*byte, now_ms, 5) else {
+                    continue;
+                };
+                events += 1;
+                match event {
+                    DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
+                    DeviceEvent::Path { vertices, .. } => assert!(vertices.len() <= 5, "seed {seed:#x}"),
+                    _ => {}
+                }
+            }
+            let mut out = [0; LINE_BYTES_PER_MS];
+            endpoint.transmit(now_ms, &mut out);
+        }
+        assert!(events > 100, "seed {seed:#x}: only {events} messages were understood");
     }
 }

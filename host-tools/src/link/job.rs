@@ -666,4 +666,33 @@ mod tests {
         assert!(matches!(job.outcome(), Some(Err(JobError::LinkLost { .. }))));
         assert!((4_000..4_010).contains(&now_ms), "{now_ms}");
     }
+
+    #[test]
+    fn nonsense_in_good_frames_makes_no_panic() {
+        let seed = 0x5eed_0003;
+        println!("seed {seed:#x}");
+        let mut random = super::super::bench::Line::new(seed, 0);
+        let mut understood = 0;
+        for _ in 0..20 {
+            let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+            for now_ms in 0..800 {
+                bench.step(now_ms, |arrived, room| {
+                    let mut out = Vec::new();
+                    job.step(now_ms, arrived, &mut out, room);
+                    out
+                });
+                let mut payload = [[0u8; 32]; 4];
+                for byte in payload.as_flattened_mut() {
+                    *byte = random.random() as u8 >> (random.random() % 8);
+                }
+                // Any message but a greeting, which ends the connection.
+                payload[0][0] = 1 + (random.random() % 6) as u8;
+                let mut frame = [0; etherpen::link::frame::FRAME_BYTES_MAX];
+                let length = etherpen::link::frame::encode(&payload, &mut frame).unwrap();
+                job.step(now_ms, &frame[..length], &mut Vec::new(), 0);
+                understood += events(&mut job).len();
+            }
+        }
+        assert!(understood > 200, "{understood}");
+    }
 }

@@ -349,7 +349,9 @@ mod tests {
             match (&stream).read(&mut block) {
                 Ok(0) => break,
                 Ok(length) => waiting.extend_from_slice(&block[..length]),
-                Err(error) => assert!(is_pause(&error)),
+                Err(error) if is_pause(&error) => {}
+                // The other side has closed with bytes unread.
+                Err(_) => break,
             }
             let mut written = Ok(());
             bench.step(now_ms, |bytes, room| {
