@@ -58,8 +58,8 @@ pub struct Reply {
 
 /// The slow side's access to the slaves' registers, and its clock.
 pub struct AcyclicPort<'a> {
-    requests: Producer<'a, Request>,
-    replies: Consumer<'a, Reply>,
+    pub(super) requests: Producer<'a, Request>,
+    pub(super) replies: Consumer<'a, Reply>,
     polls: u32,
 }
 

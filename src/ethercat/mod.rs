@@ -14,6 +14,8 @@ pub mod configure;
 pub mod cyclic;
 pub mod error;
 pub mod event;
+#[cfg(test)]
+mod exchange_tests;
 pub mod factory;
 #[cfg(test)]
 mod fake;

@@ -498,6 +498,42 @@ mod tests {
         assert_eq!(Emergency::parse(&bytes), Ok(emergency));
     }
 
+    /// Start of a frame that a servo drive's simulator sent to SOEM: all sub-indices of object 0x1C00.
+    const RECORDED: [u8; 49] = [
+        0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01, 0x01, 0x01, 0x01, 0x01, 0x01, 0x88, 0xA4, 0x8C, 0x10, 0x04, 0x06,
+        0x01, 0x10, 0x00, 0x14, 0x80, 0x00, 0x00, 0x00, 0x0F, 0x00, 0x00, 0x00, 0x00, 0x13, 0x00, 0x30, 0x51, 0x00,
+        0x1C, 0x00, 0x05, 0x00, 0x00, 0x00, 0x04, 0x01, 0x02, 0x03, 0x04, 0x00, 0x00,
+    ];
+
+    #[test]
+    fn a_recorded_answer_is_taken_apart_from_the_frame_to_the_value() {
+        use crate::ethercat::wire::mailbox::{MailboxRepr, Protocol, service_data};
+        use crate::ethercat::wire::{Address, Command, DatagramRepr, FrameView};
+        let mut frame = [0; 156];
+        frame[..RECORDED.len()].copy_from_slice(&RECORDED);
+        frame[154] = 1;
+        let view = FrameView::new_checked(&frame).unwrap();
+        let datagram = view.datagrams().next().unwrap().unwrap();
+        let repr = DatagramRepr::parse(&datagram).unwrap();
+        assert_eq!(
+            (repr.command, repr.address),
+            (Command::Fprd, Address::station(0x1001, 0x1400))
+        );
+        assert_eq!((datagram.data().len(), datagram.working_counter()), (128, 1));
+        let header = MailboxRepr::parse(datagram.data()).unwrap();
+        assert_eq!((header.protocol, header.counter, header.length), (Protocol::Coe, 1, 15));
+        let answer = Sdo::parse_response(service_data(datagram.data()).unwrap()).unwrap();
+        let object = Object::new(0x1C00, 0);
+        assert_eq!(
+            answer,
+            Sdo::UploadNormal {
+                object,
+                size: 5,
+                data: &[4, 1, 2, 3, 4]
+            }
+        );
+    }
+
     #[test]
     fn no_byte_pattern_panics() {
         for command in 0..=255 {
