@@ -4,9 +4,9 @@
 //! out, and what the motors did is on the sheet of paper. It knows nothing of the master and shares no logic with it,
 //! only names of registers and commands.
 //!
-//! Time: the first call sets the start. Drives, watchdogs, robot and paper advance at boundaries half a millisecond
-//! beside the whole milliseconds since then, so frames that come once a millisecond may jitter by almost half of one
-//! without any effect. At each boundary a drive takes the outputs of `output_delay_cycles` milliseconds ago, moves
+//! Time: the first call sets the start. Drives, watchdogs, robot and paper advance once a millisecond, at boundaries
+//! half a millisecond beside the first frame (and beside the first one after a long silence), so frames that come once
+//! a millisecond may jitter by almost half of one without any effect. At each boundary a drive takes the outputs of `output_delay_cycles` milliseconds ago, moves
 //! its motor over one millisecond, and shows the position of `input_delay_cycles` milliseconds ago: with delays of
 //! zero a command in one frame is seen, a millisecond long, in the next frame's position.
 //!
@@ -53,8 +53,10 @@ use slave::Slave;
 const STEP_US: u64 = 1000;
 /// Distance of the boundaries from the whole milliseconds, microseconds.
 const BOUNDARY_US: u64 = STEP_US / 2;
+/// Silence of the master after which its next frame sets the boundaries anew, microseconds.
+const SILENCE_US: u64 = 100_000;
 /// Longest time that one call catches up, steps; a longer jump of the clock is passed over.
-const CATCH_UP_STEPS_MAX: u64 = 3_600_000;
+const CATCH_UP_STEPS_MAX: u64 = 600_000;
 /// Longest delay between bus and motor, steps.
 const DELAY_CYCLES_MAX: usize = 100;
 
@@ -135,7 +137,8 @@ pub struct Cell {
     robot: Robot,
     sheet: Sheet,
     schedule: Schedule,
-    start_us: Option<u64>,
+    boundary_us: Option<u64>,
+    last_frame_us: Option<u64>,
     steps: u64,
 }
 
@@ -164,27 +167,34 @@ impl Cell {
             robot,
             sheet: Sheet::new(config.paper),
             schedule: Schedule::new(&options.faults, random.next()),
-            start_us: None,
+            boundary_us: None,
+            last_frame_us: None,
             steps: 0,
         }
     }
 
     /// Lets time pass up to `time_us` on the caller's clock; an earlier time than before does nothing.
     pub fn advance_to(&mut self, time_us: u64) {
-        let start_us = *self.start_us.get_or_insert(time_us);
-        let elapsed_us = time_us.saturating_sub(start_us);
-        let due = elapsed_us.saturating_add(STEP_US - BOUNDARY_US) / STEP_US;
-        self.steps = self.steps.max(due.saturating_sub(CATCH_UP_STEPS_MAX));
-        while self.steps < due {
+        let earliest_us = time_us.saturating_sub(CATCH_UP_STEPS_MAX * STEP_US);
+        let first_us = time_us.saturating_add(BOUNDARY_US);
+        let mut boundary_us = self.boundary_us.unwrap_or(first_us).max(earliest_us);
+        while boundary_us <= time_us && boundary_us < u64::MAX {
             self.step();
+            boundary_us = boundary_us.saturating_add(STEP_US);
         }
+        self.boundary_us = Some(boundary_us);
     }
 
     /// Lets an Ethernet frame pass at this time; gives what comes back, in order: usually one reply, none for a lost
     /// or foreign frame, more where the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.advance_to(time_us);
-        self.segment.frame(frame, self.steps, &mut self.schedule)
+        let frames = self.segment.frames();
+        let replies = self.segment.frame(frame, self.steps, &mut self.schedule);
+        if self.segment.frames() > frames {
+            self.follow(time_us);
+        }
+        replies
     }
 
     /// Lets a fault happen: to the next frame, or at the next millisecond. Slaves count from 1.
@@ -224,6 +234,17 @@ impl Cell {
             frames: self.segment.frames(),
             slaves: slaves.collect(),
         }
+    }
+
+    /// Puts the boundaries half a millisecond beside a frame that is the first or comes after a long silence.
+    fn follow(&mut self, time_us: u64) {
+        let silent = self
+            .last_frame_us
+            .is_none_or(|last_us| time_us.saturating_sub(last_us) >= SILENCE_US);
+        if silent {
+            self.boundary_us = Some(time_us.saturating_add(BOUNDARY_US));
+        }
+        self.last_frame_us = Some(time_us.max(self.last_frame_us.unwrap_or(0)));
     }
 
     fn step(&mut self) {
