@@ -1,4 +1,44 @@
 //! etherpen: a robot controller that fits in a microcontroller.
+//!
+//! An EtherCAT master, a motion planner and a 1 kHz position controller for a delta robot with four servo drives,
+//! without an operating system and without a heap. A host turns a photograph into strokes and streams them over a
+//! serial link; the firmware turns them into motion. It follows the structure of *Using Real-time Java for Industrial
+//! Robot Control* (Robertz, Henriksson, Nilsson, Blomdell, Tarasov; Lund, 2007).
+//!
+//! # Bird's eye view
+//!
+//! The library is everything that is not a board. [`controller::Channels`] holds the lock-free queues and splits into
+//! the bodies of five tasks; a board (`src/bin/nucleo`, `src/bin/emulated`) gives each an interrupt and a priority, and
+//! the host's simulation calls them in the same order in virtual time:
+//!
+//! | part | released by | priority | does |
+//! |---|---|---|---|
+//! | [`control::sampler::Sampler`] | timer, Ethernet, deadline | 15 | input telegram, control, output telegram |
+//! | [`controller::HostBytes`] | every millisecond | 10 | the link's bytes in and out |
+//! | [`motion::task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms references |
+//! | [`link::task::LinkTask`] | every millisecond | 3 | protocol, operating mode, configuration |
+//! | [`ethercat::supervisor::Supervisor`] | every millisecond | 1 | brings the bus up, watches and repairs it |
+//!
+//! # One vertex, from the photograph to the motor
+//!
+//! 1. The host vectorises a photograph into strokes, orders them, expands them with their lifts into a path in the
+//!    robot's frame and admits every vertex ([`motion::Admission`]).
+//! 2. The vertex travels in a path message within the firmware's credit ([`link`]); the link task admits it again and
+//!    puts it into the vertex queue.
+//! 3. The trajectory task takes it into its window, rounds the corner within the tolerance, finds the fastest speed
+//!    along the path that keeps every joint within its limits and still ends at rest ([`motion`]), and puts one
+//!    reference a millisecond into the ring.
+//! 4. The sampler takes one reference a millisecond, compares it with the position that the drives have just reported
+//!    ([`ethercat::cyclic`], [`ethercat_robot`]), and sends each drive a velocity ([`control::position`]).
+//! 5. The drive turns the motor; what it measured comes back a millisecond later, as telemetry to the host too.
+//!
+//! # Invariants
+//!
+//! - Nothing but lock-free queues passes between priorities; nothing above waits for anything below.
+//! - The critical tasks do the same bounded work every millisecond, whatever arrives; they never lock, log or allocate.
+//! - A committed plan ends at rest, so that a lost link, a late planner or an empty queue ends at rest on the path.
+//! - Every fault has one way: quick stop, standstill, brakes, power off, latched until acknowledged ([`application`]).
+//! - No board is chosen by `cfg` in this library; it knows no register of any microcontroller.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -8,6 +48,7 @@ extern crate std;
 pub mod application;
 pub mod config;
 pub mod control;
+pub mod controller;
 pub mod drives;
 pub mod ethercat;
 pub mod ethercat_robot;

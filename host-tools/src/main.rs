@@ -1,4 +1,49 @@
-//! The `etherpen` program.
+//! The `etherpen` program: from a photograph to a drawing, on the robot, in the emulator or in virtual time.
 #![forbid(unsafe_code)]
 
-fn main() {}
+use clap::Parser;
+use host_tools::commands::{self, CommandError, demo, draw, emulate, simulate, verify};
+use std::process::ExitCode;
+
+/// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
+///
+/// Exit codes: 0 done; 1 the work failed; 2 wrong usage; 3 the input file cannot be used; 4 a tool is missing;
+/// 5 no connection to the machine or the emulator; 6 the firmware speaks another protocol version; 7 the machine
+/// stopped with a fault; 130 interrupted.
+#[derive(Parser)]
+#[command(name = "etherpen", version, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Subcommand,
+}
+
+#[derive(clap::Subcommand)]
+enum Subcommand {
+    /// Draw a photograph on the emulated robot; installs and builds what is missing.
+    Demo(demo::Arguments),
+    /// Draw a file on a running machine or emulator.
+    Draw(draw::Arguments),
+    /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
+    Emulate(emulate::Arguments),
+    /// Draw a file in virtual time in this process, with the same tasks and the same cell.
+    Simulate(simulate::Arguments),
+    /// Set up, format, lint, test and build everything, as continuous integration does.
+    Verify(verify::Arguments),
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Subcommand::Demo(arguments) => demo::run(&arguments),
+        Subcommand::Draw(arguments) => draw::run(&arguments),
+        Subcommand::Emulate(arguments) => emulate::run(&arguments),
+        Subcommand::Simulate(arguments) => simulate::run(&arguments),
+        Subcommand::Verify(arguments) => verify::run(&arguments),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(CommandError { code, message }) => {
+            eprintln!("{}: {message}", commands::in_colour("etherpen", "1;31"));
+            ExitCode::from(code)
+        }
+    }
+}

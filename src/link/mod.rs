@@ -7,3 +7,4 @@ pub mod device;
 pub mod frame;
 pub mod path;
 pub mod protocol;
+pub mod task;

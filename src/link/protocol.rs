@@ -6,7 +6,7 @@
 use crate::application::{Fault, Mode, Refusal};
 use crate::config::{Config, ConfigError};
 use crate::motion::Pen;
-use crate::robot::{AXES, Position};
+use crate::robot::{AXES, GeometryError, Position};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
@@ -248,6 +248,14 @@ pub enum ConfigRefusal {
     Bounds(ConfigError),
     /// The mode does not allow another configuration.
     NotInMode(Mode),
+    /// The geometry is no delta robot.
+    Geometry(GeometryError),
+}
+
+impl From<GeometryError> for ConfigRefusal {
+    fn from(error: GeometryError) -> Self {
+        Self::Geometry(error)
+    }
 }
 
 impl From<ConfigError> for ConfigRefusal {

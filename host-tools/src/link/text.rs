@@ -83,6 +83,9 @@ fn words(debug: &str) -> String {
 pub fn config_refusal(refusal: &ConfigRefusal) -> String {
     match refusal {
         ConfigRefusal::Bounds(error) => config_error(error),
+        ConfigRefusal::Geometry(cause) => {
+            format!("the configured geometry is no delta robot ({cause:?}); correct [geometry] in etherpen.toml")
+        }
         ConfigRefusal::NotInMode(now) => format!(
             "another configuration cannot be taken now: {}; disable the drives first",
             mode(*now)

@@ -1,0 +1,60 @@
+//! The virtual cell with an eye on its wire: every frame, both ways, goes into a capture.
+
+use crate::cell::Cell;
+use crate::cell::capture::{Capture, Direction};
+use crate::emulator::Segment;
+use std::io::{self, Write};
+
+/// A cell whose frames are recorded.
+pub struct CapturedCell {
+    cell: Cell,
+    capture: Option<Capture<Box<dyn Write + Send>>>,
+    failure: Option<io::Error>,
+}
+
+impl CapturedCell {
+    /// A cell whose frames go into a pcapng file, or nowhere.
+    ///
+    /// # Errors
+    /// Those of the sink.
+    pub fn new(cell: Cell, sink: Option<Box<dyn Write + Send>>) -> io::Result<Self> {
+        let capture = sink.map(Capture::new).transpose()?;
+        Ok(Self { cell, capture, failure: None })
+    }
+
+    /// Completes the capture and gives the cell back.
+    ///
+    /// # Errors
+    /// The first thing that went wrong while the capture was written.
+    pub fn finish(self) -> io::Result<Cell> {
+        match (self.failure, self.capture) {
+            (Some(failure), _) => Err(failure),
+            (None, Some(capture)) => capture.finish().map(|_| self.cell),
+            (None, None) => Ok(self.cell),
+        }
+    }
+
+    fn record(&mut self, time_us: u64, direction: Direction, frame: &[u8]) {
+        if let Some(capture) = &mut self.capture
+            && let Err(error) = capture.record(time_us, direction, frame)
+        {
+            self.failure = Some(error);
+            self.capture = None;
+        }
+    }
+}
+
+impl Segment for CapturedCell {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.record(time_us, Direction::Sent, frame);
+        let replies = self.cell.frame(time_us, frame);
+        for reply in &replies {
+            self.record(time_us, Direction::Received, reply);
+        }
+        replies
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        self.cell.advance_to(time_us);
+    }
+}

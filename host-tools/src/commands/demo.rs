@@ -1,0 +1,60 @@
+//! `cargo demo`: the main job with no hardware.
+
+use super::display::Display;
+use super::outputs::{create, make_folder, summarise};
+use super::prepare::prepare;
+use super::run::{capture, conclude, image_hash, run_error, task};
+use super::{CommandError, ConfigArguments};
+use crate::emulator::LogLine;
+use crate::{run, setup};
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Options of `etherpen demo`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Photograph (PNG, JPEG) or CSV to draw; without it the bundled portrait.
+    #[arg(long, value_name = "FILE")]
+    photo: Option<PathBuf>,
+    /// Folder for pictures, tables and figures; without it target/demo.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the report as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A tool is missing, the photograph cannot be used, the emulator cannot be reached or the drawing failed.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let photo = arguments.photo.clone().unwrap_or_else(|| setup::workspace().join("samples/astronaut.png"));
+    let dir = arguments.out.clone().unwrap_or_else(|| setup::workspace().join("target/demo"));
+    eprintln!("Vectorising {}", photo.display());
+    let prepared = prepare(&photo, &config)?;
+    make_folder(&dir)?;
+    setup::ensure_qemu()?;
+    eprintln!("Building the firmware for the emulated board");
+    let image = setup::build_firmware("emulated")?;
+    eprintln!("Starting the firmware in QEMU (mps2-an500, Cortex-M7)");
+    let task = task(&config, &prepared);
+    let mut log = create(&dir, "firmware.log")?;
+    let write_log = move |line: &LogLine| {
+        // A log that cannot be written must not end a drawing.
+        let _ = writeln!(log, "{line}");
+    };
+    let mut display = Display::new();
+    let drawn = run::emulate(&task, &image, Some(capture(&dir)?), &mut |job| display.update(job), write_log)
+        .map_err(|error| run_error(&error))?;
+    display.finish();
+    let report = conclude(&task, &prepared, &drawn, image_hash(&image)?, Some(&dir))?;
+    summarise(&report, Some(&dir));
+    if arguments.json {
+        super::print_json(&report)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,108 @@
+//! Progress and events of a job, for a person: a bar with time left on a terminal, plain lines elsewhere.
+
+use crate::link::job::{DrawJob, JobEvent};
+use crate::link::port::Show;
+use crate::link::progress::Progress;
+use crate::link::text;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+
+/// Shows what a job does.
+pub(super) struct Display {
+    bar: Option<ProgressBar>,
+    said_percent: u64,
+}
+
+/// Parts into which the bar is divided.
+const PARTS: u64 = 1_000;
+/// Percent between two plain lines.
+const LINE_PERCENT: u64 = 10;
+
+impl Default for Display {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Display {
+    /// A display on stderr.
+    pub(super) fn new() -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let template = "{bar:32} {percent:>3} %  {msg}";
+            let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+            ProgressBar::new(PARTS).with_style(style)
+        });
+        Self { bar, said_percent: 0 }
+    }
+
+    /// Says a line above the bar.
+    pub(super) fn say(&self, line: &str) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| eprintln!("{line}")),
+            None => eprintln!("{line}"),
+        }
+    }
+
+    /// Shows what has happened since the last call, and how far the drawing is.
+    pub(super) fn update(&mut self, job: &mut DrawJob) {
+        while let Some(event) = job.next_event() {
+            self.show(&Show::Event(&event));
+        }
+        self.show(&Show::Progress(&job.progress()));
+    }
+
+    /// Shows one thing.
+    pub(super) fn show(&mut self, show: &Show) {
+        match show {
+            Show::Event(event) => {
+                if let Some(line) = event_text(event) {
+                    self.say(&line);
+                }
+            }
+            Show::Progress(progress) if progress.executed_mm > 0.0 => self.advance(progress),
+            Show::Progress(_) => {}
+        }
+    }
+
+    fn advance(&mut self, progress: &Progress) {
+        let share = progress.executed_mm / progress.total_mm.max(f64::MIN_POSITIVE);
+        let message = format!(
+            "stroke {}/{}, {:.0} s drawn, {:.0} s left",
+            progress.strokes, progress.strokes_total, progress.elapsed_s, progress.left_s
+        );
+        let percent = (share * 100.0) as u64;
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position((share * PARTS as f64) as u64);
+                bar.set_message(message);
+            }
+            None if percent >= self.said_percent + LINE_PERCENT => {
+                self.said_percent = percent - percent % LINE_PERCENT;
+                eprintln!("{percent:>3} %  {message}");
+            }
+            None => {}
+        }
+    }
+
+    /// Takes the bar away.
+    pub(super) fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn event_text(event: &JobEvent) -> Option<String> {
+    match event {
+        JobEvent::Connected(welcome) => {
+            Some(format!("connected: firmware {} on board {}", welcome.firmware, welcome.board))
+        }
+        JobEvent::Phase(phase) => Some(format!("{phase}")),
+        JobEvent::Fault(fault) => Some(format!("FAULT: {}", text::fault(fault))),
+        JobEvent::Refused(command, refusal) => Some(format!("refused {command:?}: {}", text::refusal(refusal))),
+        JobEvent::SamplesMissing { missing, t_ms } => {
+            Some(format!("{missing} telemetry samples were lost before t = {t_ms} ms"))
+        }
+        JobEvent::Mode(_) => None,
+    }
+}

@@ -1,0 +1,99 @@
+//! `etherpen draw`: a file to paper, on a running machine or emulator.
+
+use super::display::Display;
+use super::outputs::{Outcome, make_folder, summarise};
+use super::prepare::{planned_s, prepare, to_wire};
+use super::{CommandError, ConfigArguments, code, job_error};
+use crate::link::job::{Control, DrawJob, JobOptions};
+use crate::link::port::{Port, PortName, RunError, run_job};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver};
+
+/// Options of `etherpen draw`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Photograph (PNG, JPEG) or CSV to draw.
+    file: PathBuf,
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long)]
+    port: String,
+    /// Folder for tables and figures.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the report as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The file or the configuration cannot be used, there is no connection, or the drawing failed.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let name: PortName = arguments.port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    let prepared = prepare(&arguments.file, &config)?;
+    if let Some(dir) = &arguments.out {
+        make_folder(dir)?;
+    }
+    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let vertices: Vec<_> = prepared.path.iter().map(to_wire).collect();
+    let options = JobOptions { session: std::process::id(), ..JobOptions::default() };
+    let mut job = DrawJob::new(config.clone(), vertices, options);
+    let mut display = Display::new();
+    let result = run_job(port, &mut job, &operator()?, &mut |show| display.show(&show));
+    display.finish();
+    let job = job.into_report();
+    let planned_s = planned_s(&config, &prepared.path);
+    let image = job.welcome.as_ref().map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
+    let outcome = Outcome { config: &config, prepared: &prepared, job: &job, cell: None, image, planned_s };
+    let report = outcome.report();
+    if let Some(dir) = &arguments.out {
+        outcome.write(dir, &report)?;
+    }
+    result.map_err(|error| match error {
+        RunError::Job(error) => job_error(&error),
+        RunError::Port(error) => CommandError::new(code::CONNECTION, error),
+    })?;
+    summarise(&report, arguments.out.as_deref());
+    if arguments.json {
+        super::print_json(&report)?;
+    }
+    Ok(())
+}
+
+/// What the person at the keyboard asks for: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
+fn operator() -> Result<Receiver<Control>, CommandError> {
+    let (sender, receiver) = mpsc::channel();
+    let mut signals =
+        Signals::new([SIGINT, SIGTERM]).map_err(|cause| CommandError::failed("watching for signals", cause))?;
+    let resume = sender.clone();
+    let held = Arc::new(AtomicBool::new(false));
+    let holding = held.clone();
+    std::thread::spawn(move || {
+        for signal in signals.forever() {
+            let again = holding.swap(true, Ordering::Relaxed);
+            let control = if again || signal == SIGTERM { Control::Cancel } else { Control::Hold };
+            if control == Control::Hold {
+                eprintln!("\nholding: Enter resumes, Ctrl-C again cancels");
+            }
+            if sender.send(control).is_err() {
+                return;
+            }
+        }
+    });
+    std::thread::spawn(move || {
+        for _ in std::io::stdin().lines().map_while(Result::ok) {
+            if held.swap(false, Ordering::Relaxed) && resume.send(Control::Resume).is_err() {
+                return;
+            }
+        }
+    });
+    Ok(receiver)
+}

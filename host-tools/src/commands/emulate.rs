@@ -1,0 +1,155 @@
+//! `etherpen emulate`: the firmware in QEMU with the virtual cell, left running.
+
+use super::run::emulator_error;
+use super::{CommandError, ConfigArguments, code};
+use crate::captured_cell::CapturedCell;
+use crate::cell::{Cell, CellOptions, Script};
+use crate::emulator::{Emulator, LINK_BYTES_MAX, Link, Options, Pace};
+use crate::setup;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::PathBuf;
+
+/// Options of `etherpen emulate`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// TCP port of the serial link on 127.0.0.1; 0 takes a free one.
+    #[arg(long, default_value_t = 0)]
+    port: u16,
+    /// How fast virtual time may go.
+    #[arg(long, value_enum, default_value_t = PaceArgument::Realtime)]
+    pace: PaceArgument,
+    /// Run without lockstep, the serial link on the board's UART: for play, frames may be late.
+    #[arg(long)]
+    free_running: bool,
+    /// Scripted faults of the virtual segment, one a line.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
+    /// Show the firmware's log on stderr.
+    #[arg(long)]
+    log: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// How fast virtual time may go.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum PaceArgument {
+    /// As fast as the machine can.
+    Max,
+    /// Never ahead of wall time.
+    Realtime,
+}
+
+/// Bytes that may wait for a client that does not read; older ones are dropped, as a serial line would.
+const WAITING_BYTES_MAX: usize = 1 << 20;
+
+/// The serial link as a TCP port: one client at a time, bytes as on a line of 921,600 baud.
+struct TcpLine {
+    listener: TcpListener,
+    client: Option<TcpStream>,
+    waiting: Vec<u8>,
+}
+
+impl TcpLine {
+    fn listen(port: u16) -> std::io::Result<Self> {
+        let listener = TcpListener::bind(("127.0.0.1", port))?;
+        listener.set_nonblocking(true)?;
+        Ok(Self { listener, client: None, waiting: Vec::new() })
+    }
+
+    fn accept(&mut self) {
+        if let Ok((client, address)) = self.listener.accept() {
+            let ready = client.set_nonblocking(true).and_then(|()| client.set_nodelay(true));
+            if ready.is_ok() {
+                eprintln!("connected: {address}");
+                self.waiting.clear();
+                self.client = Some(client);
+            }
+        }
+    }
+
+    /// Moves bytes both ways; false when the client has gone.
+    fn transfer(&mut self, to_device: &mut Vec<u8>) -> bool {
+        let Some(client) = &mut self.client else { return true };
+        let blocked = |error: &std::io::Error| matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
+        match client.write(&self.waiting) {
+            Ok(written) => {
+                self.waiting.drain(..written);
+            }
+            Err(error) if blocked(&error) => {}
+            Err(_) => return false,
+        }
+        let mut bytes = [0; LINK_BYTES_MAX];
+        match client.read(&mut bytes) {
+            Ok(0) => false,
+            Ok(length) => {
+                to_device.extend_from_slice(&bytes[..length]);
+                true
+            }
+            Err(error) => blocked(&error),
+        }
+    }
+}
+
+impl Link for TcpLine {
+    fn exchange(&mut self, _ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
+        if self.client.is_none() {
+            self.accept();
+        }
+        if self.client.is_some() {
+            self.waiting.extend_from_slice(from_device);
+            let excess = self.waiting.len().saturating_sub(WAITING_BYTES_MAX);
+            self.waiting.drain(..excess);
+        }
+        if !self.transfer(to_device) {
+            eprintln!("disconnected");
+            self.client = None;
+        }
+    }
+}
+
+/// Runs the command until it is interrupted or the emulator ends.
+///
+/// # Errors
+/// A tool is missing, the port is taken, or the emulator ended by itself.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let faults = read_faults(arguments)?;
+    setup::ensure_qemu()?;
+    let image = setup::build_firmware("emulated")?;
+    let cell = Cell::new(&config, CellOptions { faults, ..CellOptions::default() });
+    let cell = CapturedCell::new(cell, None).map_err(|cause| CommandError::failed("the cell", cause))?;
+    let show_log = arguments.log;
+    let pace = match arguments.pace {
+        PaceArgument::Max => Pace::Max,
+        PaceArgument::Realtime => Pace::RealTime,
+    };
+    let options = Options { pace, ..Options::default() };
+    let line = TcpLine::listen(arguments.port).map_err(|cause| {
+        CommandError::new(code::CONNECTION, format!("port {} on 127.0.0.1 cannot be used: {cause}", arguments.port))
+    })?;
+    let address = line.listener.local_addr().map_err(|cause| CommandError::failed("the port", cause))?;
+    let emulator = Emulator::start(&image, &options, cell, line, move |line| {
+        if show_log {
+            eprintln!("{line}");
+        }
+    })
+    .map_err(|error| emulator_error(&error))?;
+    announce(&address.to_string());
+    emulator.wait().map(|_| ()).map_err(|error| emulator_error(&error))
+}
+
+fn announce(address: &str) {
+    println!("tcp:{address}");
+    eprintln!("The firmware runs in the emulator. In another terminal:");
+    eprintln!("  cargo run --release --bin etherpen -- draw samples/astronaut.png --port tcp:{address}");
+    eprintln!("Ctrl-C ends it.");
+}
+
+fn read_faults(arguments: &Arguments) -> Result<Script, CommandError> {
+    let Some(path) = &arguments.faults else { return Ok(Script::default()) };
+    let text = std::fs::read_to_string(path)
+        .map_err(|cause| CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
+    text.parse().map_err(|cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display())))
+}

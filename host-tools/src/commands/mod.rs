@@ -1,0 +1,131 @@
+//! The commands of the program: options, order of work, messages and exit codes.
+//!
+//! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
+
+pub mod demo;
+mod display;
+pub mod draw;
+pub mod emulate;
+mod outputs;
+mod prepare;
+mod run;
+pub mod simulate;
+pub mod verify;
+
+use crate::link::error::JobError;
+use crate::setup::SetupError;
+use etherpen::config::Config;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+/// Why a command ended without success.
+#[derive(Debug)]
+pub struct CommandError {
+    /// Exit code, as `etherpen --help` lists them.
+    pub code: u8,
+    /// What happened and what to try.
+    pub message: String,
+}
+
+/// Exit codes.
+pub mod code {
+    /// The work failed.
+    pub const FAILED: u8 = 1;
+    /// Wrong usage, a configuration that cannot be used.
+    pub const USAGE: u8 = 2;
+    /// The input file cannot be used.
+    pub const INPUT: u8 = 3;
+    /// A tool is missing.
+    pub const TOOL: u8 = 4;
+    /// No connection to the machine or the emulator.
+    pub const CONNECTION: u8 = 5;
+    /// The firmware speaks another protocol version.
+    pub const VERSION: u8 = 6;
+    /// The machine stopped with a fault.
+    pub const FAULT: u8 = 7;
+    /// Interrupted by the user.
+    pub const INTERRUPTED: u8 = 130;
+}
+
+impl CommandError {
+    /// An error with its exit code.
+    pub fn new(code: u8, message: impl std::fmt::Display) -> Self {
+        Self { code, message: message.to_string() }
+    }
+
+    /// The work failed while doing `what`.
+    pub fn failed(what: impl std::fmt::Display, cause: impl std::fmt::Display) -> Self {
+        Self::new(code::FAILED, format!("{what}: {cause}"))
+    }
+}
+
+impl From<SetupError> for CommandError {
+    fn from(error: SetupError) -> Self {
+        Self::new(code::TOOL, error)
+    }
+}
+
+/// Options of every command that uses a configuration.
+#[derive(clap::Args, Debug, Default)]
+pub struct ConfigArguments {
+    /// Configuration file; without it `etherpen.toml` in this folder, or the built-in IRB 340.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+impl ConfigArguments {
+    /// Reads and checks the configuration.
+    ///
+    /// # Errors
+    /// The file and the place in it that cannot be used.
+    pub fn load(&self) -> Result<Config, CommandError> {
+        let default = Path::new("etherpen.toml");
+        let path = match &self.config {
+            Some(path) => path.as_path(),
+            None if default.exists() => default,
+            None => return Ok(Config::default()),
+        };
+        let shown = path.display();
+        let text = std::fs::read_to_string(path)
+            .map_err(|cause| CommandError::new(code::USAGE, format!("the configuration {shown} cannot be read: {cause}")))?;
+        let config: Config = toml::from_str(&text)
+            .map_err(|cause| CommandError::new(code::USAGE, format!("the configuration {shown} is wrong:\n{cause}")))?;
+        config.check().map_err(|cause| {
+            CommandError::new(code::USAGE, format!("the configuration {shown} is wrong: {}", crate::link::text::config_error(&cause)))
+        })?;
+        Ok(config)
+    }
+}
+
+/// `text` in an ANSI colour when stderr is a terminal and `NO_COLOR` is not set.
+pub fn in_colour(text: &str, colour: &str) -> String {
+    if std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none() {
+        format!("\x1b[{colour}m{text}\x1b[0m")
+    } else {
+        text.to_owned()
+    }
+}
+
+/// A job's error with its exit code.
+pub fn job_error(error: &JobError) -> CommandError {
+    let code = match error {
+        JobError::Version { .. } => code::VERSION,
+        JobError::NoAnswer { .. } | JobError::LinkLost { .. } | JobError::Restarted => code::CONNECTION,
+        JobError::Fault { .. } => code::FAULT,
+        JobError::Vertex(_) => code::INPUT,
+        JobError::Config(_) | JobError::ConfigHash { .. } => code::USAGE,
+        JobError::Cancelled => code::INTERRUPTED,
+        _ => code::FAILED,
+    };
+    CommandError::new(code, error)
+}
+
+/// Prints a value as JSON on stdout.
+///
+/// # Errors
+/// stdout is closed.
+pub fn print_json(value: &impl serde::Serialize) -> Result<(), CommandError> {
+    use std::io::Write;
+    let text = serde_json::to_string_pretty(value).map_err(|cause| CommandError::failed("the report", cause))?;
+    writeln!(std::io::stdout(), "{text}").map_err(|cause| CommandError::failed("stdout", cause))
+}

@@ -1,0 +1,183 @@
+//! What a drawing leaves in its folder, and the summary a person reads.
+
+use super::prepare::Prepared;
+use super::{CommandError, in_colour};
+use crate::cell::{Cell, CellOptions, InkStroke};
+use crate::drawing::{Stroke, render_png, render_rgb, tone_correlation, write_svg};
+use crate::link::job::JobReport;
+use crate::report::{Drives, Evidence, Report, rows, write_intended, write_telemetry};
+use etherpen::config::Config;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// Width of the pen's line in the pictures, mm.
+const PEN_WIDTH_MM: f64 = 0.5;
+/// Resolution of `drawn.png`, pixels a millimetre.
+const PIXELS_PER_MM: f64 = 8.0;
+
+/// Everything a run leaves behind.
+pub(super) struct Outcome<'a> {
+    /// The configuration that was in force.
+    pub(super) config: &'a Config,
+    /// What was to be drawn.
+    pub(super) prepared: &'a Prepared,
+    /// What the job collected.
+    pub(super) job: &'a JobReport,
+    /// The virtual cell and what it is made of, unless a real machine drew.
+    pub(super) cell: Option<(&'a Cell, &'a CellOptions)>,
+    /// Name or hash of what ran.
+    pub(super) image: String,
+    /// Planner's duration, s.
+    pub(super) planned_s: f64,
+}
+
+impl Outcome<'_> {
+    /// The figures.
+    pub(super) fn report(&self) -> Report {
+        let ink = self.cell.map(|(cell, _)| ink_in_robot_frame(self.config, cell.ink()));
+        let drives = self.cell.map(|(_, options)| Drives {
+            bandwidth_hz: options.drive_bandwidth_hz,
+            input_delay_cycles: options.input_delay_cycles,
+            output_delay_cycles: options.output_delay_cycles,
+        });
+        let mut report = Report::new(&Evidence {
+            config: self.config,
+            path: &self.prepared.path,
+            samples: &self.job.samples,
+            ink_mm: ink.as_deref(),
+            counters: self.job.status.as_ref().map(|status| status.counters).unwrap_or_default(),
+            telemetry_lost: u32::try_from(self.job.link.samples_missing).unwrap_or(u32::MAX),
+            planned_s: self.planned_s,
+            image: self.image.clone(),
+            drives,
+        });
+        if let (Some(photograph), Some((cell, _))) = (&self.prepared.photograph, self.cell) {
+            let drawn = render_rgb(&strokes(cell.ink()), self.config.paper.size_mm, PEN_WIDTH_MM, PIXELS_PER_MM);
+            report.tone_correlation = Some(tone_correlation(photograph, &drawn));
+        }
+        report
+    }
+
+    /// Writes pictures, tables and figures into a folder, which is made if it is missing.
+    ///
+    /// # Errors
+    /// The file that could not be written.
+    pub(super) fn write(&self, dir: &Path, report: &Report) -> Result<(), CommandError> {
+        if let Some((cell, _)) = self.cell {
+            let (ink, sheet) = (strokes(cell.ink()), self.config.paper.size_mm);
+            let png = render_png(&ink, sheet, PEN_WIDTH_MM, PIXELS_PER_MM)
+                .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
+            save(dir, "drawn.png", |out| out.write_all(&png))?;
+            save(dir, "drawn.svg", |out| out.write_all(write_svg(&ink, sheet, PEN_WIDTH_MM).as_bytes()))?;
+        }
+        save(dir, "intended.csv", |out| write_intended(&self.prepared.path, out))?;
+        save(dir, "telemetry.csv", |out| write_telemetry(&rows(self.config, &self.job.samples), out))?;
+        save(dir, "report.json", |out| {
+            serde_json::to_writer_pretty(&mut *out, report)?;
+            writeln!(out)
+        })
+    }
+}
+
+/// Makes the output folder.
+///
+/// # Errors
+/// It cannot be made.
+pub(super) fn make_folder(dir: &Path) -> Result<(), CommandError> {
+    std::fs::create_dir_all(dir)
+        .map_err(|cause| CommandError::failed(format!("the folder {} cannot be made", dir.display()), cause))
+}
+
+/// Opens a file of the output folder for writing.
+///
+/// # Errors
+/// It cannot be made.
+pub(super) fn create(dir: &Path, name: &str) -> Result<BufWriter<File>, CommandError> {
+    let path = dir.join(name);
+    let file = File::create(&path);
+    file.map(BufWriter::new).map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
+}
+
+/// Writes one file of the output folder.
+fn save(
+    dir: &Path,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), CommandError> {
+    let mut out = create(dir, name)?;
+    let result = write(&mut out).and_then(|()| out.flush());
+    result.map_err(|cause| CommandError::failed(format!("{} cannot be written", dir.join(name).display()), cause))
+}
+
+fn strokes(ink: &[InkStroke]) -> Vec<Stroke> {
+    ink.iter().map(|stroke| Stroke { points: stroke.points_mm.clone() }).collect()
+}
+
+fn ink_in_robot_frame(config: &Config, ink: &[InkStroke]) -> Vec<[f64; 2]> {
+    let paper = &config.paper;
+    let place = |[x, y]: [f64; 2]| {
+        [paper.centre_mm[0] + x - 0.5 * paper.size_mm[0], paper.centre_mm[1] - y + 0.5 * paper.size_mm[1]]
+    };
+    ink.iter().flat_map(|stroke| densified(&stroke.points_mm)).map(place).collect()
+}
+
+/// Points of a line at most 0.25 mm apart, so that fast ink counts as a line and not as its samples.
+fn densified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    const STEP_MM: f64 = 0.25;
+    let mut dense: Vec<[f64; 2]> = points.first().copied().into_iter().collect();
+    for pair in points.windows(2) {
+        let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
+        let steps = ((x1 - x0).hypot(y1 - y0) / STEP_MM).ceil().max(1.0);
+        dense.extend((1..=steps as usize).map(|k| {
+            let t = k as f64 / steps;
+            [x0 + t * (x1 - x0), y0 + t * (y1 - y0)]
+        }));
+    }
+    dense
+}
+
+/// Prints what the drawing came to.
+pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
+    let good = |ok: bool, text: String| in_colour(&text, if ok { "32" } else { "1;31" });
+    let clean = report.cycles_late == 0
+        && report.frames_lost == 0
+        && report.working_counter_errors == 0
+        && report.reference_underruns == 0;
+    eprintln!();
+    eprintln!(
+        "Drew {} strokes, {:.2} m of line, in {:.1} s (planned {:.1} s).",
+        report.strokes,
+        report.pen_down_mm / 1_000.0,
+        report.drawn_s,
+        report.planned_s
+    );
+    eprintln!(
+        "The pen stayed within {} of the intended lines ({:.3} mm rms).",
+        good(report.path_deviation_max_mm <= 0.5, format!("{:.3} mm", report.path_deviation_max_mm)),
+        report.path_deviation_rms_mm
+    );
+    if report.drives.is_some() {
+        eprintln!("Ink missing: {}.", good(report.ink_missing_mm == 0.0, format!("{:.1} mm", report.ink_missing_mm)));
+    }
+    let shares = report.limits.map(|axis| axis.acceleration_rad_s2 / axis.acceleration_limit_rad_s2);
+    let share = shares.iter().fold(0.0_f64, |most, share| most.max(*share));
+    eprintln!("Joints used at most {:.0} % of their acceleration limit.", 100.0 * share);
+    eprintln!(
+        "{} milliseconds: {}.",
+        report.cycles,
+        good(
+            clean,
+            format!(
+                "{} late, {} frames lost, {} working counter errors, {} reference underruns",
+                report.cycles_late, report.frames_lost, report.working_counter_errors, report.reference_underruns
+            )
+        )
+    );
+    if let Some(correlation) = report.tone_correlation {
+        eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
+    }
+    if let Some(dir) = dir {
+        eprintln!("Written to {}: drawn.png, drawn.svg, report.json, telemetry.csv, intended.csv", dir.display());
+    }
+}

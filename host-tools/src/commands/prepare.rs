@@ -1,0 +1,104 @@
+//! From a file to an admitted path: the part of a drawing that needs no machine.
+
+use super::{CommandError, code};
+use crate::drawing::{Drawing, Input, OrderOptions, VectorizeOptions, load, order, to_path, vectorize_image};
+use crate::link::text;
+use etherpen::config::Config;
+use etherpen::link::protocol::{ConfigRefusal, PathVertex};
+use etherpen::motion::{Admission, Pen, Vertex};
+use etherpen::robot::Position;
+use image::RgbImage;
+use std::path::Path;
+
+/// A file made ready for drawing.
+pub(super) struct Prepared {
+    /// The picture it was made of.
+    pub(super) photograph: Option<RgbImage>,
+    /// The path in the robot's frame, every vertex admitted.
+    pub(super) path: Vec<Vertex>,
+}
+
+/// Reads, vectorises, orders and checks a file.
+///
+/// # Errors
+/// The file cannot be used, or a vertex is outside what the robot may use.
+pub(super) fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
+    let shown = file.display();
+    let refused = |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{shown}: {cause}"));
+    let input = load(file).map_err(|cause| refused(&cause))?;
+    let (photograph, path) = match input {
+        Input::Photograph(picture) => {
+            let options = VectorizeOptions { sheet_mm: config.paper.size_mm, ..VectorizeOptions::default() };
+            let drawing = vectorize_image(&picture, &options).map_err(|cause| refused(&cause))?;
+            (Some(picture), ordered(drawing, config))
+        }
+        Input::Drawing(drawing) => (None, ordered(drawing, config)),
+        Input::Path(path) => (None, path.vertices),
+    };
+    if !path.iter().any(|vertex| vertex.pen == Pen::Down) {
+        return Err(refused(&"there is nothing to draw in it"));
+    }
+    // What travels is what is checked: coordinates as the link carries them, without repetitions.
+    let mut path: Vec<Vertex> = path.iter().map(|vertex| from_wire(&to_wire(vertex))).collect();
+    path.dedup_by(|next, last| next.position == last.position);
+    let mut admission = Admission::new(config)
+        .map_err(|cause| CommandError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
+    for (index, vertex) in (0u32..).zip(&path) {
+        admission.check(index, vertex).map_err(|refusal| {
+            refused(&format!("stroke {}: {}", vertex.stroke + 1, text::vertex(&refusal)))
+        })?;
+    }
+    Ok(Prepared { photograph, path })
+}
+
+fn ordered(mut drawing: Drawing, config: &Config) -> Vec<Vertex> {
+    order(&mut drawing, &OrderOptions::default());
+    to_path(&drawing, &config.paper)
+}
+
+/// A vertex as it travels: micrometres.
+pub(super) fn to_wire(vertex: &Vertex) -> PathVertex {
+    let Position { x_mm, y_mm, z_mm } = vertex.position;
+    // A float that is out of range becomes the nearest integer, which the admission refuses.
+    let position_um = [x_mm, y_mm, z_mm].map(|mm| (mm * 1_000.0).round() as i32);
+    PathVertex { position_um, pen: vertex.pen, stroke: vertex.stroke }
+}
+
+fn from_wire(wire: &PathVertex) -> Vertex {
+    let [x_mm, y_mm, z_mm] = wire.position_um.map(|um| f64::from(um) / 1_000.0);
+    Vertex { position: Position { x_mm, y_mm, z_mm }, pen: wire.pen, stroke: wire.stroke }
+}
+
+/// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end.
+pub(super) fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
+    use etherpen::motion::{MotionCommand, MotionState, PERIOD_MS, Trajectory};
+    use etherpen::robot::{Delta, JointAngles};
+    let Some(first) = path.first() else { return 0.0 };
+    let Ok(delta) = Delta::new(&config.geometry) else { return 0.0 };
+    let Ok([a, b, c]) = delta.inverse(&first.position) else { return 0.0 };
+    let Ok(mut trajectory) = Trajectory::new(config).map(Box::new) else { return 0.0 };
+    trajectory.place(JointAngles([a, b, c, 0.0]));
+    let mut rest = path.iter();
+    let (mut periods, mut started) = (0u32, false);
+    loop {
+        while trajectory.free() > 0 {
+            match rest.next() {
+                // There is room, and the path was admitted.
+                Some(vertex) => drop(trajectory.push(*vertex)),
+                None => {
+                    trajectory.finish();
+                    break;
+                }
+            }
+        }
+        if !started {
+            started = trajectory.command(MotionCommand::Start).is_ok();
+        }
+        let moved = trajectory.step().len();
+        debug_assert_eq!(moved, PERIOD_MS);
+        periods += 1;
+        if !started || (trajectory.state() == MotionState::Idle && rest.len() == 0) {
+            return f64::from(periods) * PERIOD_MS as f64 / 1_000.0;
+        }
+    }
+}

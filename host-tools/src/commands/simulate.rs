@@ -1,0 +1,48 @@
+//! `etherpen simulate`: the same tasks and the same cell in virtual time, in this process.
+
+use super::display::Display;
+use super::outputs::{make_folder, summarise};
+use super::prepare::prepare;
+use super::run::{capture, conclude, run_error, task};
+use super::{CommandError, ConfigArguments};
+use crate::run;
+use std::path::PathBuf;
+
+/// Options of `etherpen simulate`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Photograph (PNG, JPEG) or CSV to draw.
+    file: PathBuf,
+    /// Folder for pictures, tables and figures.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the report as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The file, the configuration or the drawing failed.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let prepared = prepare(&arguments.file, &config)?;
+    let dir = arguments.out.as_deref();
+    if let Some(dir) = dir {
+        make_folder(dir)?;
+    }
+    let task = task(&config, &prepared);
+    let sink = dir.map(capture).transpose()?;
+    let mut display = Display::new();
+    let drawn = run::simulate(&task, sink, &mut |job| display.update(job)).map_err(|error| run_error(&error))?;
+    display.finish();
+    let report = conclude(&task, &prepared, &drawn, "simulation".to_owned(), dir)?;
+    summarise(&report, dir);
+    if arguments.json {
+        super::print_json(&report)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,67 @@
+//! `etherpen verify`: everything continuous integration asks, in one command.
+
+use super::{CommandError, code, in_colour};
+use crate::setup::{self, TARGET};
+use std::process::Command;
+use std::time::Instant;
+
+/// Options of `etherpen verify`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {}
+
+/// One step: what a person reads, and cargo's arguments.
+const STEPS: [(&str, &[&str]); 6] = [
+    ("format", &["fmt", "--all", "--check"]),
+    ("lints on the host", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]),
+    (
+        "lints of board nucleo",
+        &["clippy", "--release", "-p", "etherpen", "--target", TARGET, "--features", "nucleo", "--bin", "nucleo", "--", "-D", "warnings"],
+    ),
+    (
+        "lints of board emulated",
+        &["clippy", "--release", "-p", "etherpen", "--target", TARGET, "--features", "emulated", "--bin", "emulated", "--", "-D", "warnings"],
+    ),
+    ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
+    ("tests, on the host and in the emulator", &["test", "--workspace"]),
+];
+
+/// Runs the command.
+///
+/// # Errors
+/// The first step that failed; it has said why.
+pub fn run(_: &Arguments) -> Result<(), CommandError> {
+    let start = Instant::now();
+    announce("set-up");
+    setup::ensure_target()?;
+    setup::ensure_component("rustfmt")?;
+    setup::ensure_component("clippy")?;
+    setup::ensure_qemu()?;
+    for board in ["nucleo", "emulated"] {
+        announce(&format!("firmware of board {board}"));
+        let image = setup::build_firmware(board)?;
+        eprintln!("{}", image.display());
+    }
+    for (name, arguments) in STEPS {
+        announce(name);
+        step(name, arguments)?;
+    }
+    eprintln!("{} in {:.0} s", in_colour("verified", "1;32"), start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+fn announce(name: &str) {
+    eprintln!("{} {name}", in_colour("==", "1;34"));
+}
+
+fn step(name: &str, arguments: &[&str]) -> Result<(), CommandError> {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+    command.args(arguments).current_dir(setup::workspace());
+    if arguments.first() == Some(&"doc") {
+        command.env("RUSTDOCFLAGS", "-D warnings");
+    }
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(CommandError::new(code::FAILED, format!("{name} failed ({status})"))),
+        Err(cause) => Err(CommandError::failed("cargo cannot be started", cause)),
+    }
+}

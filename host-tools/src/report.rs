@@ -1,0 +1,350 @@
+//! What a drawing came to: the figures of `report.json` and the tables beside it.
+//!
+//! Everything is computed from what the firmware measured every millisecond, from the path that was intended and from
+//! the ink on the virtual paper; nothing is taken from the planner's own word.
+
+use etherpen::config::Config;
+use etherpen::link::protocol::{Counters, Sample};
+use etherpen::motion::{Pen, Vertex};
+use etherpen::robot::{AXES, Delta, JointAngles, Position};
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Intended ink counts as missing where no ink is within this distance, mm.
+const INK_REACH_MM: f64 = 0.5;
+/// Distance of the points at which intended ink is looked for, mm.
+const INK_STEP_MM: f64 = 0.1;
+/// How far ahead along a stroke the pen may have come since the last millisecond, mm.
+const SEARCH_AHEAD_MM: f64 = 12.0;
+
+/// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct AxisLimits {
+    /// Highest speed, rad/s.
+    pub speed_rad_s: f64,
+    /// Its limit, rad/s.
+    pub speed_limit_rad_s: f64,
+    /// Highest acceleration, rad/s2.
+    pub acceleration_rad_s2: f64,
+    /// Its limit, rad/s2.
+    pub acceleration_limit_rad_s2: f64,
+    /// Highest jerk, rad/s3.
+    pub jerk_rad_s3: f64,
+    /// Its limit, rad/s3: 2 A / T with the jerk window T; `null` without a window.
+    pub jerk_limit_rad_s3: Option<f64>,
+}
+
+/// The virtual drives.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Drives {
+    /// Bandwidth of the velocity loop, Hz.
+    pub bandwidth_hz: f64,
+    /// Age of a position when it is put on the bus, cycles of 1 ms.
+    pub input_delay_cycles: usize,
+    /// Age of a command when the drive acts on it, cycles of 1 ms.
+    pub output_delay_cycles: usize,
+}
+
+/// The figures of a drawing, as `report.json` has them.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Strokes drawn.
+    pub strokes: usize,
+    /// Length of the intended strokes, mm.
+    pub pen_down_mm: f64,
+    /// Length of the way between them, lifts included, mm.
+    pub pen_up_mm: f64,
+    /// Duration the planner computes for the path alone, s.
+    pub planned_s: f64,
+    /// Duration of the drawing on the machine, s.
+    pub drawn_s: f64,
+    /// Largest distance of a measured pen-down position from its stroke, mm.
+    pub path_deviation_max_mm: f64,
+    /// Root of the mean square of that distance, mm.
+    pub path_deviation_rms_mm: f64,
+    /// Intended length without ink near it, mm.
+    pub ink_missing_mm: f64,
+    /// Largest following error per axis, rad.
+    pub following_error_max_rad: [f64; AXES],
+    /// Peaks and limits per axis.
+    pub limits: [AxisLimits; AXES],
+    /// Milliseconds the firmware ran.
+    pub cycles: u32,
+    /// Output telegrams that were late.
+    pub cycles_late: u32,
+    /// Telegrams without a reply.
+    pub frames_lost: u32,
+    /// Replies with another working counter than expected.
+    pub working_counter_errors: u32,
+    /// Milliseconds without a reference.
+    pub reference_underruns: u32,
+    /// Times the path ran out of data.
+    pub path_starvations: u32,
+    /// Telemetry samples that were lost on the way.
+    pub telemetry_lost: u32,
+    /// Hash of the firmware image that ran, or `simulation`.
+    pub image: String,
+    /// The virtual drives; absent on a real machine.
+    pub drives: Option<Drives>,
+    /// Correlation of the drawn picture with the photograph, both blurred; absent without either.
+    pub tone_correlation: Option<f64>,
+}
+
+/// What a report is made of.
+pub struct Evidence<'a> {
+    /// The configuration that was in force.
+    pub config: &'a Config,
+    /// The intended path.
+    pub path: &'a [Vertex],
+    /// What the firmware measured.
+    pub samples: &'a [Sample],
+    /// Ink in the robot's frame, mm; absent where the paper cannot be read.
+    pub ink_mm: Option<&'a [[f64; 2]]>,
+    /// What the firmware counted.
+    pub counters: Counters,
+    /// Samples that were lost on the link.
+    pub telemetry_lost: u32,
+    /// Planner's duration, s.
+    pub planned_s: f64,
+    /// Name of what ran.
+    pub image: String,
+    /// The virtual drives.
+    pub drives: Option<Drives>,
+}
+
+/// One millisecond in the robot's frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// The sample as it came.
+    pub sample: Sample,
+    /// Measured position of the platform, mm.
+    pub position: Position,
+    /// Stroke the measured position belongs to.
+    pub stroke: u32,
+    /// Pen as the path had it for the measured position.
+    pub pen: Pen,
+}
+
+/// Puts the measured positions into the robot's frame. A drive acts on a reference some milliseconds later and its
+/// position takes another to come back; stroke and pen are those of the reference the position answers to.
+pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
+    let Ok(delta) = Delta::new(&config.geometry) else { return Vec::new() };
+    let axis = &config.axes[0];
+    let lag = (axis.feed_forward_lead_ms + axis.measurement_age_ms).round() as usize;
+    let with_lag = |index: usize| samples.get(index.saturating_sub(lag)).unwrap_or(&samples[0]);
+    let row = |(index, sample): (usize, &Sample)| {
+        let angles = JointAngles(sample.measured_rad.map(f64::from));
+        let (position, cause) = (delta.forward(&angles).unwrap_or_default(), with_lag(index));
+        Row { sample: *sample, position, stroke: cause.stroke, pen: cause.pen }
+    };
+    samples.iter().enumerate().map(row).collect()
+}
+
+impl Report {
+    /// Computes the figures.
+    pub fn new(evidence: &Evidence) -> Self {
+        let drawing: Vec<Sample> = drawn_part(evidence.samples).copied().collect();
+        let rows = rows(evidence.config, &drawing);
+        let strokes = strokes(evidence.path);
+        let (path_deviation_max_mm, path_deviation_rms_mm) = deviation(&rows, &strokes);
+        let (pen_down_mm, pen_up_mm) = lengths(evidence.path);
+        let ink_missing_mm = evidence.ink_mm.map_or(0.0, |ink| ink_missing(&strokes, ink));
+        let counters = &evidence.counters;
+        Self {
+            strokes: strokes.len(),
+            pen_down_mm,
+            pen_up_mm,
+            planned_s: evidence.planned_s,
+            drawn_s: drawing.len() as f64 / 1_000.0,
+            path_deviation_max_mm,
+            path_deviation_rms_mm,
+            ink_missing_mm,
+            following_error_max_rad: following_error(evidence.config, &drawing),
+            limits: limits(evidence.config, &drawing),
+            cycles: counters.cycles,
+            cycles_late: counters.cycles_late,
+            frames_lost: counters.frames_lost,
+            working_counter_errors: counters.working_counter_errors,
+            reference_underruns: counters.reference_underruns,
+            path_starvations: counters.path_starvations,
+            telemetry_lost: evidence.telemetry_lost,
+            image: evidence.image.clone(),
+            drives: evidence.drives,
+            tone_correlation: None,
+        }
+    }
+}
+
+/// From the first to the last sample in which the path was executed.
+fn drawn_part(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
+    use etherpen::application::Mode;
+    let active = |sample: &Sample| matches!(sample.mode, Mode::Drawing | Mode::Holding);
+    let first = samples.iter().position(active).unwrap_or(samples.len());
+    let last = samples.iter().rposition(active).map_or(first, |last| last + 1);
+    samples[first..last].iter()
+}
+
+/// The drawn polylines of a path with their stroke numbers, each from the vertex where the pen came down.
+pub fn strokes(path: &[Vertex]) -> Vec<(u32, Vec<Position>)> {
+    let mut strokes: Vec<(u32, Vec<Position>)> = Vec::new();
+    for pair in path.windows(2) {
+        if pair[1].pen == Pen::Up {
+            continue;
+        }
+        match strokes.last_mut() {
+            Some((number, points)) if *number == pair[1].stroke && points.last() == Some(&pair[0].position) => {
+                points.push(pair[1].position);
+            }
+            _ => strokes.push((pair[1].stroke, vec![pair[0].position, pair[1].position])),
+        }
+    }
+    strokes
+}
+
+fn lengths(path: &[Vertex]) -> (f64, f64) {
+    let mut sums = (0.0, 0.0);
+    for pair in path.windows(2) {
+        let length_mm = distance(&pair[0].position, &pair[1].position);
+        match pair[1].pen {
+            Pen::Down => sums.0 += length_mm,
+            Pen::Up => sums.1 += length_mm,
+        }
+    }
+    sums
+}
+
+fn distance(a: &Position, b: &Position) -> f64 {
+    ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
+}
+
+/// Distance from `p` to the segment from `a` to `b`, and where along it, 0 to 1.
+fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
+    let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
+    let length2 = dx * dx + dy * dy + dz * dz;
+    let along = (p.x_mm - a.x_mm) * dx + (p.y_mm - a.y_mm) * dy + (p.z_mm - a.z_mm) * dz;
+    let t = if length2 > 0.0 { (along / length2).clamp(0.0, 1.0) } else { 0.0 };
+    let foot = Position { x_mm: a.x_mm + t * dx, y_mm: a.y_mm + t * dy, z_mm: a.z_mm + t * dz };
+    (distance(p, &foot), t)
+}
+
+/// Follows each stroke in order: the foot of a measured position never moves back along it.
+fn deviation(rows: &[Row], strokes: &[(u32, Vec<Position>)]) -> (f64, f64) {
+    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0u64);
+    let (mut current, mut segment) = (usize::MAX, 0);
+    for row in rows.iter().filter(|row| row.pen == Pen::Down) {
+        let Ok(index) = strokes.binary_search_by_key(&row.stroke, |stroke| stroke.0) else { continue };
+        if index != current {
+            (current, segment) = (index, 0);
+        }
+        let points = &strokes[index].1;
+        let (mut best, mut best_segment, mut ahead_mm) = (f64::INFINITY, segment, 0.0);
+        for k in segment..points.len() - 1 {
+            let (away, _) = to_segment(&row.position, &points[k], &points[k + 1]);
+            if away < best {
+                (best, best_segment) = (away, k);
+            }
+            ahead_mm += distance(&points[k], &points[k + 1]);
+            if ahead_mm > SEARCH_AHEAD_MM {
+                break;
+            }
+        }
+        segment = best_segment;
+        largest = largest.max(best);
+        squares += best * best;
+        count += 1;
+    }
+    (largest, (squares / count.max(1) as f64).sqrt())
+}
+
+fn ink_missing(strokes: &[(u32, Vec<Position>)], ink_mm: &[[f64; 2]]) -> f64 {
+    let cell = |v: f64| (v / INK_REACH_MM).floor() as i64;
+    let mut cells: std::collections::HashMap<(i64, i64), Vec<[f64; 2]>> = std::collections::HashMap::new();
+    for point in ink_mm {
+        cells.entry((cell(point[0]), cell(point[1]))).or_default().push(*point);
+    }
+    let near = |x: f64, y: f64| {
+        let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j)));
+        let mut points = around.filter_map(|(i, j)| cells.get(&(cell(x) + i, cell(y) + j))).flatten();
+        points.any(|p| (p[0] - x).hypot(p[1] - y) <= INK_REACH_MM)
+    };
+    let mut missing_mm = 0.0;
+    for pair in strokes.iter().flat_map(|(_, points)| points.windows(2)) {
+        let length_mm = distance(&pair[0], &pair[1]);
+        let steps = (length_mm / INK_STEP_MM).ceil().max(1.0) as usize;
+        let lost = (0..steps).filter(|k| {
+            let t = (*k as f64 + 0.5) / steps as f64;
+            !near(
+                pair[0].x_mm + t * (pair[1].x_mm - pair[0].x_mm),
+                pair[0].y_mm + t * (pair[1].y_mm - pair[0].y_mm),
+            )
+        });
+        missing_mm += lost.count() as f64 * length_mm / steps as f64;
+    }
+    missing_mm
+}
+
+fn following_error(config: &Config, samples: &[Sample]) -> [f64; AXES] {
+    std::array::from_fn(|axis| {
+        let age = config.axes[axis].measurement_age_ms.round() as usize;
+        let errors = samples.iter().skip(age).zip(samples);
+        let error = errors.map(|(now, then)| f64::from(then.reference_rad[axis] - now.measured_rad[axis]).abs());
+        error.fold(0.0, f64::max)
+    })
+}
+
+fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
+    let motion = &config.motion;
+    let window_s = f64::from(motion.jerk_window_ms) / 1_000.0;
+    std::array::from_fn(|axis| {
+        let speed: Vec<f64> = samples.iter().map(|sample| f64::from(sample.reference_rad_s[axis])).collect();
+        let per_second = |values: &[f64]| -> Vec<f64> { values.windows(2).map(|w| (w[1] - w[0]) * 1_000.0).collect() };
+        let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, value| peak.max(value.abs()));
+        let acceleration = per_second(&speed);
+        AxisLimits {
+            speed_rad_s: peak(&speed),
+            speed_limit_rad_s: motion.joint_speed_rad_s[axis],
+            acceleration_rad_s2: peak(&acceleration),
+            acceleration_limit_rad_s2: motion.joint_acceleration_rad_s2[axis],
+            jerk_rad_s3: peak(&per_second(&acceleration)),
+            jerk_limit_rad_s3: (window_s > 0.0).then(|| 2.0 * motion.joint_acceleration_rad_s2[axis] / window_s),
+        }
+    })
+}
+
+/// Writes `telemetry.csv`.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
+    write!(out, "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm")?;
+    for k in 1..=AXES {
+        write!(out, ",q{k}_ref_rad,q{k}_rad,v{k}_ref_rad_s,v{k}_rad_s")?;
+    }
+    writeln!(out)?;
+    for Row { sample, position, stroke, pen } in rows {
+        let pen = u8::from(*pen == Pen::Down);
+        let Position { x_mm, y_mm, z_mm } = position;
+        write!(out, "{},{:?},{stroke},{pen},{x_mm:.4},{y_mm:.4},{z_mm:.4}", sample.t_ms, sample.mode)?;
+        for k in 0..AXES {
+            let (q_ref, q) = (sample.reference_rad[k], sample.measured_rad[k]);
+            let (v_ref, v) = (sample.reference_rad_s[k], sample.measured_rad_s[k]);
+            write!(out, ",{q_ref:.7},{q:.7},{v_ref:.5},{v:.5}")?;
+        }
+        writeln!(out)?;
+    }
+    out.flush()
+}
+
+/// Writes `intended.csv`: the drawn polylines.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_intended(path: &[Vertex], mut out: impl Write) -> io::Result<()> {
+    writeln!(out, "stroke,x_mm,y_mm,z_mm")?;
+    for (stroke, points) in strokes(path) {
+        for Position { x_mm, y_mm, z_mm } in points {
+            writeln!(out, "{stroke},{x_mm:.4},{y_mm:.4},{z_mm:.4}")?;
+        }
+    }
+    out.flush()
+}

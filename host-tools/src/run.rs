@@ -1,0 +1,153 @@
+//! One drawing against the virtual cell: by the tasks in virtual time, or by a firmware image in the emulator.
+//!
+//! Both runs take the same job to the same cell and leave the same evidence; only what executes the firmware's tasks
+//! differs. Neither depends on the wall clock.
+
+use crate::captured_cell::CapturedCell;
+use crate::cell::{Cell, CellOptions};
+use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, LogLine};
+use crate::link::error::JobError;
+use crate::link::job::{DrawJob, JobOptions, JobReport};
+use crate::simulation::{self, Host};
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Longest simulated time, ms: a day.
+const LIMIT_MS: u32 = 86_400_000;
+/// Virtual milliseconds between two looks at the job in a simulation.
+const LOOK_MS: u32 = 100;
+/// Wall time between two looks at the job in the emulator.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Where a capture goes.
+pub type Sink = Box<dyn Write + Send>;
+
+/// What is to be drawn in which cell.
+#[derive(Clone, Debug)]
+pub struct Task {
+    /// The configuration.
+    pub config: Config,
+    /// The path.
+    pub path: Vec<PathVertex>,
+    /// The virtual cell.
+    pub cell: CellOptions,
+}
+
+impl Task {
+    fn job(&self) -> DrawJob {
+        DrawJob::new(self.config.clone(), self.path.clone(), JobOptions::default())
+    }
+
+    fn cell(&self, sink: Option<Sink>) -> io::Result<CapturedCell> {
+        CapturedCell::new(Cell::new(&self.config, self.cell.clone()), sink)
+    }
+}
+
+/// What a run leaves behind.
+pub struct Drawn {
+    /// What the job collected.
+    pub job: JobReport,
+    /// How the job ended; `None` when it did not.
+    pub outcome: Option<Result<(), JobError>>,
+    /// The cell with its ink.
+    pub cell: Cell,
+}
+
+/// Why a run left nothing behind.
+#[derive(Debug)]
+pub enum RunError {
+    /// The capture could not be written.
+    Capture(io::Error),
+    /// The emulator.
+    Emulator(EmulatorError),
+}
+
+impl std::fmt::Display for RunError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Capture(cause) => write!(f, "the capture of the bus cannot be written: {cause}"),
+            Self::Emulator(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for RunError {}
+
+struct SimulatedHost<'a> {
+    job: DrawJob,
+    look: &'a mut dyn FnMut(&mut DrawJob),
+}
+
+impl Host for SimulatedHost<'_> {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        self.job.step(u64::from(ms), from_firmware, to_firmware, room);
+        if ms.is_multiple_of(LOOK_MS) {
+            (self.look)(&mut self.job);
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.job.outcome().is_some()
+    }
+}
+
+/// Draws in virtual time in this process; `look` is shown the job ten times a virtual second.
+///
+/// # Errors
+/// The capture cannot be written.
+pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJob)) -> Result<Drawn, RunError> {
+    let mut cell = task.cell(sink).map_err(RunError::Capture)?;
+    let mut host = SimulatedHost { job: task.job(), look };
+    simulation::run(&mut cell, &mut host, LIMIT_MS);
+    (host.look)(&mut host.job);
+    let outcome = host.job.outcome().copied();
+    let cell = cell.finish().map_err(RunError::Capture)?;
+    Ok(Drawn { job: host.job.into_report(), outcome, cell })
+}
+
+impl emulator::Link for DrawJob {
+    fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
+        if self.outcome().is_none() {
+            self.step(u64::from(ms), from_device, to_device, LINK_BYTES_MAX);
+        }
+    }
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Draws with a firmware image in the emulator; `look` is shown the job twenty times a second of wall time.
+///
+/// # Errors
+/// The emulator cannot be started or ended before the job did, or the capture cannot be written.
+pub fn emulate(
+    task: &Task,
+    image: &Path,
+    sink: Option<Sink>,
+    look: &mut dyn FnMut(&mut DrawJob),
+    log: impl FnMut(&LogLine) + Send + 'static,
+) -> Result<Drawn, RunError> {
+    let cell = Arc::new(Mutex::new(task.cell(sink).map_err(RunError::Capture)?));
+    let job = Arc::new(Mutex::new(task.job()));
+    let options = emulator::Options::default();
+    let emulator =
+        Emulator::start(image, &options, cell.clone(), job.clone(), log).map_err(RunError::Emulator)?;
+    while lock(&job).outcome().is_none() && emulator.is_running() {
+        look(&mut lock(&job));
+        std::thread::sleep(LOOK);
+    }
+    look(&mut lock(&job));
+    let ended = emulator.stop();
+    let outcome = lock(&job).outcome().copied();
+    if outcome.is_none() {
+        ended.map_err(RunError::Emulator)?;
+    }
+    let job = std::mem::replace(&mut *lock(&job), task.job());
+    let cell = std::mem::replace(&mut *lock(&cell), task.cell(None).map_err(RunError::Capture)?);
+    Ok(Drawn { job: job.into_report(), outcome, cell: cell.finish().map_err(RunError::Capture)? })
+}

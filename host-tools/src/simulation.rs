@@ -1,0 +1,131 @@
+//! The whole cell in virtual time in one process: the firmware's task bodies against the virtual cell.
+//!
+//! A millisecond of a board is a sequence of calls here, in the order of the board's priorities; no task body knows
+//! the difference. Nothing waits for a clock, so a run is as fast as the machine and the same on every machine.
+
+use crate::emulator::Segment;
+use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
+use etherpen::controller::{Channels, Parts};
+use etherpen::ethercat::transport::raw::RawTransport;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::task::{Context, Poll, Waker};
+
+/// What is said to the firmware and heard from it in one millisecond, at most this many bytes each way.
+pub const LINE_BYTES_PER_MS: usize = etherpen::link::device::LINE_BYTES_PER_MS;
+/// Length of a millisecond, us.
+const MILLISECOND_US: u64 = 1_000;
+/// When the reply to a telegram is there, us after the telegram.
+const ROUND_TRIP_US: u64 = 50;
+/// When the input reply is given up, us after the release.
+const DEADLINE_US: u64 = 300;
+
+/// The host's end of the link.
+pub trait Host {
+    /// One millisecond: takes what the firmware sent and appends what it is to receive, at most `room` bytes.
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize);
+
+    /// Whether the run is over.
+    fn is_over(&self) -> bool;
+}
+
+/// A network interface whose wire is the virtual segment.
+struct Wire<'c> {
+    cell: &'c mut dyn Segment,
+    time_us: u64,
+    arrived: VecDeque<Vec<u8>>,
+}
+
+struct Arrived(Vec<u8>);
+
+impl RxToken for Arrived {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(mut self, take: F) -> R {
+        take(&mut self.0)
+    }
+}
+
+struct Departing<'w, 'c>(&'w mut Wire<'c>);
+
+impl TxToken for Departing<'_, '_> {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, fill: F) -> R {
+        let mut frame = vec![0; length];
+        let result = fill(&mut frame);
+        let replies = self.0.cell.frame(self.0.time_us, &frame);
+        self.0.arrived.extend(replies);
+        result
+    }
+}
+
+impl<'c> Driver for Wire<'c> {
+    type RxToken<'a>
+        = Arrived
+    where
+        Self: 'a;
+    type TxToken<'a>
+        = Departing<'a, 'c>
+    where
+        Self: 'a;
+
+    fn receive(&mut self, _: &mut Context) -> Option<(Arrived, Departing<'_, 'c>)> {
+        let frame = self.arrived.pop_front()?;
+        Some((Arrived(frame), Departing(self)))
+    }
+
+    fn transmit(&mut self, _: &mut Context) -> Option<Departing<'_, 'c>> {
+        Some(Departing(self))
+    }
+
+    fn link_state(&mut self, _: &mut Context) -> LinkState {
+        LinkState::Up
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        let mut capabilities = Capabilities::default();
+        capabilities.max_transmission_unit = 1_514;
+        capabilities
+    }
+
+    fn hardware_address(&self) -> HardwareAddress {
+        HardwareAddress::Ethernet([0x10, 0, 0, 0, 0, 1])
+    }
+}
+
+/// Runs the firmware's tasks against the cell until the host says that it is over or `limit_ms` have passed.
+///
+/// Returns the virtual milliseconds that have passed.
+pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
+    let mut channels = Box::new(Channels::new());
+    let Parts { mut sampler, mut trajectory, mut host_bytes, mut link, mut supervisor } = channels.split("simulation");
+    let mut transport = RawTransport::new(Wire { cell, time_us: 0, arrived: VecDeque::new() });
+    let mut watch = std::pin::pin!(supervisor.run());
+    let mut to_firmware = Vec::new();
+    let mut from_firmware = [0; LINE_BYTES_PER_MS];
+    for ms in 1..=limit_ms {
+        let release_us = u64::from(ms) * MILLISECOND_US;
+        transport.driver_mut().time_us = release_us;
+        transport.driver_mut().cell.advance_to(release_us);
+        let trajectory_due = sampler.sample(&mut transport, 0);
+        for time_us in [ROUND_TRIP_US, 2 * ROUND_TRIP_US] {
+            transport.driver_mut().time_us = release_us + time_us;
+            sampler.bus_frame(&mut transport, (time_us * 1_000) as u32);
+        }
+        transport.driver_mut().time_us = release_us + DEADLINE_US;
+        sampler.bus_deadline(&mut transport, (DEADLINE_US * 1_000) as u32);
+        sampler.bus_frame(&mut transport, ((DEADLINE_US + ROUND_TRIP_US) * 1_000) as u32);
+
+        let sent = host_bytes.to_send(&mut from_firmware);
+        host.exchange(ms, &from_firmware[..sent], &mut to_firmware, LINE_BYTES_PER_MS);
+        host_bytes.received(&to_firmware);
+        to_firmware.clear();
+        if trajectory_due {
+            trajectory.release();
+        }
+        link.tick();
+        let poll = watch.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        debug_assert_eq!(poll, Poll::Pending, "the supervisor never ends");
+        if host.is_over() {
+            return ms;
+        }
+    }
+    limit_ms
+}

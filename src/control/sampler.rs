@@ -1,0 +1,413 @@
+//! The robot sampler: one millisecond of input, control and output.
+//!
+//! `sample` sends the input telegram, `bus_frame` takes its reply, steps the controllers and sends the output
+//! telegram in the same millisecond, `bus_deadline` does the same on predicted positions when the reply has not come.
+//! The three run at one priority and never pre-empt each other; everything that comes from or goes to the slower
+//! tasks passes through lock-free queues.
+//!
+//! Invariants: every released millisecond sends exactly one output telegram once the bus is configured; a drive gets
+//! a velocity other than zero only while it follows references of the epoch it was told; the first fault makes every
+//! following output a quick stop until the fault is cleared.
+
+use crate::application::{Fault, Power};
+use crate::config::{Axis, Bus};
+use crate::control::position::PositionController;
+use crate::control::supervision::{Observation, Supervision};
+use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
+use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters, Exchange};
+use crate::ethercat::transport::raw::{RawTransport, Sending};
+use crate::ethercat_robot::EtherCatRobot;
+use crate::io::{AxisCommand, AxisInput, Increments};
+use crate::motion::Reference;
+use crate::robot::AXES;
+use embassy_net_driver::Driver;
+use heapless::spsc::{Consumer, Producer};
+
+/// Length of the sample period, ns.
+pub const PERIOD_NS: u32 = 1_000_000;
+/// The output telegram counts as late when it is not with the MAC this long after the release, ns.
+pub const OUTPUT_LATE_NS: u32 = 500_000;
+/// Samples between two releases of the trajectory task.
+pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
+/// References the sampler looks ahead, for the feed-forward that is read ahead of time.
+pub const LOOK_AHEAD: usize = 12;
+/// Speed below which an axis stands still, rad/s.
+pub const STANDSTILL_RAD_S: f64 = 0.01;
+/// How long an axis must be below [`STANDSTILL_RAD_S`], ms.
+pub const STANDSTILL_MS: u16 = 20;
+
+/// A reference on its way to the sampler, with the start it belongs to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Queued {
+    /// The start ([`crate::application::Action::Place`]) this reference belongs to.
+    pub epoch: u8,
+    /// The reference.
+    pub reference: Reference,
+}
+
+/// What the slower side asks of the sampler.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // a handful, in static memory
+pub enum SamplerCommand {
+    /// Use these axes and bus limits.
+    Configure {
+        /// The axes.
+        axes: [Axis; AXES],
+        /// The bus.
+        bus: Bus,
+    },
+    /// Power of the drives.
+    Power(Power),
+    /// Take the resolvers' present angles as the reference.
+    TakeReference,
+    /// Follow the references of this start.
+    Follow {
+        /// Number of the start.
+        epoch: u8,
+    },
+    /// Forget the latched fault.
+    ClearFault,
+}
+
+/// What the sampler has counted since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SamplerCounters {
+    /// Released samples.
+    pub cycles: u32,
+    /// Output telegrams later than [`OUTPUT_LATE_NS`], or not sent at all.
+    pub cycles_late: u32,
+    /// Milliseconds without a reference while following.
+    pub underruns: u32,
+    /// Reports that found no room in their queue.
+    pub reports_dropped: u32,
+}
+
+/// One millisecond as the sampler saw it.
+#[derive(Clone, Copy, Debug)]
+pub struct CycleReport {
+    /// Number of the millisecond.
+    pub cycle: u32,
+    /// The reference that was followed.
+    pub reference: Reference,
+    /// Whether a reference was followed.
+    pub following: bool,
+    /// Measured or predicted joint positions, rad.
+    pub measured_rad: [f64; AXES],
+    /// Measured joint velocities, rad/s.
+    pub measured_rad_s: [f64; AXES],
+    /// Velocity commands after the clamp, rad/s.
+    pub output_rad_s: [f64; AXES],
+    /// Status words of the drives.
+    pub status_word: [u16; AXES],
+    /// Whether each axis delivered a valid position.
+    pub valid: [bool; AXES],
+    /// Whether each axis is referenced.
+    pub referenced: [bool; AXES],
+    /// Whether all axes stand still.
+    pub standstill: bool,
+    /// AL states OR-ed and number of slaves, when the broadcast came back.
+    pub al: Option<AlStatus>,
+    /// The latched fault.
+    pub fault: Option<Fault>,
+    /// The sampler's counters.
+    pub counters: SamplerCounters,
+    /// The bus' counters.
+    pub bus: BusCounters,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Waiting for the reply to the input telegram.
+    Input,
+    /// The output telegram of this millisecond has been sent.
+    Done,
+}
+
+/// The critical tasks' state.
+pub struct Sampler<'a> {
+    exchange: Exchange<'a>,
+    robot: EtherCatRobot,
+    axes: [Axis; AXES],
+    bus: Bus,
+    controllers: [PositionController; AXES],
+    supervision: Supervision,
+    commands: Consumer<'a, SamplerCommand>,
+    references: Consumer<'a, Queued>,
+    reports: Producer<'a, CycleReport>,
+    phase: Phase,
+    power: Power,
+    epoch: Option<u8>,
+    window: heapless::Deque<Reference, LOOK_AHEAD>,
+    reference: Reference,
+    inputs: [Option<AxisInput>; AXES],
+    status: [StatusWord; AXES],
+    was_enabled: [bool; AXES],
+    referenced: [bool; AXES],
+    reference_lost: [bool; AXES],
+    measured_rad: [f64; AXES],
+    measured_rad_s: [f64; AXES],
+    still_ms: u16,
+    late: bool,
+    counters: SamplerCounters,
+}
+
+impl<'a> Sampler<'a> {
+    /// A sampler that has no configuration yet and keeps the drives without power.
+    pub fn new(
+        exchange: Exchange<'a>,
+        commands: Consumer<'a, SamplerCommand>,
+        references: Consumer<'a, Queued>,
+        reports: Producer<'a, CycleReport>,
+    ) -> Self {
+        let axes = [Axis::default(); AXES];
+        Self {
+            exchange,
+            robot: EtherCatRobot::new(&axes),
+            axes,
+            bus: Bus::default(),
+            controllers: axes.map(|axis| PositionController::new(&axis)),
+            supervision: Supervision::new(),
+            commands,
+            references,
+            reports,
+            phase: Phase::Done,
+            power: Power::Off,
+            epoch: None,
+            window: heapless::Deque::new(),
+            reference: Reference::default(),
+            inputs: [None; AXES],
+            status: [StatusWord(0); AXES],
+            was_enabled: [false; AXES],
+            referenced: [false; AXES],
+            reference_lost: [false; AXES],
+            measured_rad: [0.0; AXES],
+            measured_rad_s: [0.0; AXES],
+            still_ms: 0,
+            late: false,
+            counters: SamplerCounters::default(),
+        }
+    }
+
+    /// Releases a millisecond: sends the input telegram. `elapsed_ns` is the time since the nominal release.
+    ///
+    /// Returns whether the trajectory task is to be released.
+    pub fn sample<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) -> bool {
+        if self.phase == Phase::Input {
+            // Neither the reply nor the deadline came in the last millisecond.
+            self.finish(transport, PERIOD_NS.saturating_add(elapsed_ns));
+        }
+        self.counters.cycles = self.counters.cycles.wrapping_add(1);
+        self.take_commands();
+        let exchange = &mut self.exchange;
+        transport.send(|frame| exchange.input_telegram(frame));
+        self.phase = Phase::Input;
+        self.counters.cycles.is_multiple_of(TRAJECTORY_PERIOD)
+    }
+
+    /// Takes the frames the MAC has received; the input reply leads to the output telegram.
+    pub fn bus_frame<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
+        while let Some(arrival) = transport.receive(|frame| self.exchange.receive(frame)) {
+            if arrival == Arrival::Input && self.phase == Phase::Input {
+                self.finish(transport, elapsed_ns);
+            }
+        }
+    }
+
+    /// The input reply is overdue: predicts, steps and sends the output telegram.
+    pub fn bus_deadline<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
+        if self.phase == Phase::Input {
+            self.finish(transport, elapsed_ns);
+        }
+    }
+
+    fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
+        self.phase = Phase::Done;
+        self.inputs = self.robot.read(&self.exchange);
+        self.measure();
+        let (following, underrun) = self.next_reference();
+        let output_rad_s = self.control(following);
+        self.supervise(following, underrun, &output_rad_s);
+        self.write(following, &output_rad_s);
+        let exchange = &mut self.exchange;
+        let sending = transport.send(|frame| exchange.output_telegram(frame));
+        self.late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
+        self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(self.late));
+        self.report(following, output_rad_s);
+    }
+
+    fn take_commands(&mut self) {
+        while let Some(command) = self.commands.dequeue() {
+            match command {
+                SamplerCommand::Configure { axes, bus } => {
+                    self.robot = EtherCatRobot::new(&axes);
+                    self.controllers = axes.map(|axis| PositionController::new(&axis));
+                    (self.axes, self.bus) = (axes, bus);
+                }
+                SamplerCommand::Power(power) => {
+                    self.power = power;
+                    if power != Power::On {
+                        self.epoch = None;
+                    }
+                }
+                SamplerCommand::TakeReference => {
+                    self.epoch = None;
+                    // A refusal leaves the axes unreferenced, which the operating modes wait for in vain and report.
+                    let _ = self.robot.reference();
+                }
+                SamplerCommand::Follow { epoch } => {
+                    self.epoch = Some(epoch);
+                    self.window.clear();
+                }
+                SamplerCommand::ClearFault => self.supervision.clear(),
+            }
+        }
+    }
+
+    /// Turns the inputs into joint angles and velocities; a missing one is predicted from the last velocity. Counts how
+    /// long all axes stand still.
+    fn measure(&mut self) {
+        let mut still = true;
+        for axis in 0..AXES {
+            let before_rad = self.measured_rad[axis];
+            let Some(input) = self.inputs[axis] else {
+                self.measured_rad[axis] = before_rad + self.measured_rad_s[axis] / CYCLES_PER_S;
+                continue;
+            };
+            self.status[axis] = input.status;
+            let angle_rad = input.angle_rad.unwrap_or_else(|| unreferenced_angle_rad(&self.axes[axis], input.position));
+            let same_zero = self.referenced[axis] == input.angle_rad.is_some();
+            self.measured_rad_s[axis] = if same_zero { (angle_rad - before_rad) * CYCLES_PER_S } else { 0.0 };
+            self.measured_rad[axis] = angle_rad;
+            self.reference_lost[axis] = self.referenced[axis] && input.angle_rad.is_none();
+            self.referenced[axis] = input.angle_rad.is_some();
+            still &= self.measured_rad_s[axis].abs() < STANDSTILL_RAD_S;
+        }
+        self.still_ms = if still { self.still_ms.saturating_add(1) } else { 0 };
+    }
+
+    /// Advances to this millisecond's reference: whether one is followed, and whether one was missing.
+    fn next_reference(&mut self) -> (bool, bool) {
+        let Some(epoch) = self.epoch else {
+            self.window.clear();
+            return (false, false);
+        };
+        let was_following = !self.window.is_empty();
+        self.window.pop_front();
+        while !self.window.is_full() {
+            let Some(queued) = self.references.dequeue() else { break };
+            if queued.epoch == epoch {
+                // There is room: the loop's condition.
+                let _ = self.window.push_back(queued.reference);
+            }
+        }
+        match self.window.front() {
+            Some(reference) => {
+                self.reference = *reference;
+                (true, false)
+            }
+            None => (false, was_following),
+        }
+    }
+
+    fn control(&mut self, following: bool) -> [f64; AXES] {
+        let mut output_rad_s = [0.0; AXES];
+        for (axis, output) in output_rad_s.iter_mut().enumerate() {
+            let controller = &mut self.controllers[axis];
+            if following {
+                let ahead = self.window.iter().map(|reference| reference.velocity_rad_s[axis]);
+                *output = controller.step(self.reference.position_rad[axis], self.measured_rad[axis], ahead);
+            } else {
+                controller.reset();
+            }
+        }
+        output_rad_s
+    }
+
+    fn supervise(&mut self, following: bool, underrun: bool, output_rad_s: &[f64; AXES]) {
+        self.counters.underruns = self.counters.underruns.wrapping_add(u32::from(underrun));
+        let mut seen = Observation {
+            valid: [false; AXES],
+            following_error_rad: [0.0; AXES],
+            output_rad_s: *output_rad_s,
+            status_word: [0; AXES],
+            drive_fault: [false; AXES],
+            reference_lost: [false; AXES],
+            al_status: self.exchange.al_status().map(|al| al.status as u8),
+            following: following || underrun,
+            underrun,
+            late: self.late,
+        };
+        for axis in 0..AXES {
+            let status = self.status[axis];
+            seen.valid[axis] = self.inputs[axis].is_some();
+            seen.status_word[axis] = status.0;
+            if following {
+                seen.following_error_rad[axis] = self.controllers[axis].reference_at_age() - self.measured_rad[axis];
+            }
+            seen.reference_lost[axis] = self.reference_lost[axis];
+            seen.drive_fault[axis] = seen.valid[axis] && (status.is_fault() || self.gave_up(axis));
+        }
+        self.supervision.step(&self.axes, &self.bus, &seen);
+    }
+
+    fn write(&mut self, following: bool, output_rad_s: &[f64; AXES]) {
+        let target = match (self.supervision.fault(), self.power) {
+            (_, Power::Off) => DriveTarget::Off,
+            (_, Power::FaultReset) => DriveTarget::FaultReset,
+            (Some(_), _) | (None, Power::QuickStop) => DriveTarget::QuickStop,
+            (None, Power::On) => DriveTarget::Enabled,
+        };
+        let moving = following && target == DriveTarget::Enabled && self.powered();
+        let commands = core::array::from_fn(|axis| AxisCommand {
+            target,
+            velocity_rad_s: if moving { output_rad_s[axis] } else { 0.0 },
+        });
+        self.robot.write(&mut self.exchange, &commands);
+    }
+
+    fn powered(&self) -> bool {
+        self.status.iter().all(|status| status.state() == DriveState::OperationEnabled)
+    }
+
+    /// Whether a drive that was in operation has left it although it is to stay there.
+    fn gave_up(&mut self, axis: usize) -> bool {
+        let enabled = self.status[axis].state() == DriveState::OperationEnabled;
+        let wanted = self.power == Power::On;
+        let gave_up = wanted && self.was_enabled[axis] && !enabled;
+        self.was_enabled[axis] = wanted && (enabled || self.was_enabled[axis]);
+        gave_up
+    }
+
+    fn report(&mut self, following: bool, output_rad_s: [f64; AXES]) {
+        let report = CycleReport {
+            cycle: self.counters.cycles,
+            reference: self.reference,
+            following,
+            measured_rad: self.measured_rad,
+            measured_rad_s: self.measured_rad_s,
+            output_rad_s,
+            status_word: self.status.map(|status| status.0),
+            valid: self.inputs.map(|input| input.is_some()),
+            referenced: self.referenced,
+            standstill: self.still_ms >= STANDSTILL_MS,
+            al: self.exchange.al_status(),
+            fault: self.supervision.fault(),
+            counters: self.counters,
+            bus: self.exchange.counters(),
+        };
+        if self.reports.enqueue(report).is_err() {
+            self.counters.reports_dropped = self.counters.reports_dropped.wrapping_add(1);
+        }
+    }
+}
+
+/// Joint angle from where the unwrapping began, rad: good for differences before there is a reference.
+fn unreferenced_angle_rad(axis: &Axis, position: Increments) -> f64 {
+    let increments_per_rad = axis.gear * f64::from(axis.increments_per_revolution) / core::f64::consts::TAU;
+    position.0 as f64 / increments_per_rad
+}
+
+/// Samples in a second.
+const CYCLES_PER_S: f64 = 1.0e9 / PERIOD_NS as f64;
+
+const _: () = assert!(OUTPUT_LATE_NS < PERIOD_NS);

@@ -1,0 +1,166 @@
+//! The controller as a board sees it: five task bodies and the lock-free channels between them.
+//!
+//! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
+//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes, `link`
+//! to the low-priority task that speaks the protocol and keeps the operating mode, `supervisor` to the task that
+//! brings up and watches the bus. A simulation calls the same parts in the same order in virtual time.
+//!
+//! Architecture invariant: nothing else passes between priorities; no part waits for another.
+
+use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
+use crate::ethercat::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Reply, Request};
+use crate::ethercat::cyclic::{CyclicPlan, Exchange, ExchangeEnd, Observation};
+use crate::ethercat::supervisor::{BusCommand, BusEvent, Supervisor, SupervisorEnd};
+use crate::link::task::LinkTask;
+use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
+use heapless::spsc::{Consumer, Producer, Queue};
+
+/// References between the trajectory task and the sampler: the period being read, the next one, and a spare.
+pub const REFERENCES: usize = 40;
+/// Cycle reports on their way to the link task: as many milliseconds as the trajectory task may keep it waiting.
+pub const REPORTS: usize = 33;
+/// Vertices between the link and the trajectory task.
+pub const VERTICES: usize = 513;
+/// Bytes received from the host that wait for the link task.
+pub const RECEIVED_BYTES: usize = 4_097;
+/// Bytes that wait for the line to the host.
+pub const SENT_BYTES: usize = 4_097;
+/// Acyclic requests in flight, and their replies.
+pub const ACYCLIC: usize = IN_FLIGHT_MAX + 1;
+/// The master's Ethernet address: locally administered, on a cable of its own.
+pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
+
+const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
+const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
+
+/// All queues between the tasks.
+#[derive(Default)]
+pub struct Channels {
+    references: Queue<Queued, REFERENCES>,
+    reports: Queue<CycleReport, REPORTS>,
+    sampler_commands: Queue<SamplerCommand, 17>,
+    vertices: Queue<PathItem, VERTICES>,
+    motion_orders: Queue<MotionOrder, 17>,
+    motion_reports: Queue<MotionReport, 5>,
+    requests: Queue<Request, ACYCLIC>,
+    replies: Queue<Reply, ACYCLIC>,
+    plans: Queue<CyclicPlan, 3>,
+    observations: Queue<Observation, 9>,
+    bus_commands: Queue<BusCommand, 5>,
+    bus_events: Queue<BusEvent, 17>,
+    received: Queue<u8, RECEIVED_BYTES>,
+    sent: Queue<u8, SENT_BYTES>,
+}
+
+/// The bodies of a board's tasks.
+pub struct Parts<'a> {
+    /// For the three critical tasks.
+    pub sampler: Sampler<'a>,
+    /// For the 12 ms task.
+    pub trajectory: TrajectoryTask<'a>,
+    /// For the task that moves the link's bytes.
+    pub host_bytes: HostBytes<'a>,
+    /// For the task that speaks with the host.
+    pub link: LinkTask<'a>,
+    /// For the task that brings up and watches the bus.
+    pub supervisor: Supervisor<'a>,
+}
+
+impl Channels {
+    /// Empty channels.
+    pub const fn new() -> Self {
+        Self {
+            references: Queue::new(),
+            reports: Queue::new(),
+            sampler_commands: Queue::new(),
+            vertices: Queue::new(),
+            motion_orders: Queue::new(),
+            motion_reports: Queue::new(),
+            requests: Queue::new(),
+            replies: Queue::new(),
+            plans: Queue::new(),
+            observations: Queue::new(),
+            bus_commands: Queue::new(),
+            bus_events: Queue::new(),
+            received: Queue::new(),
+            sent: Queue::new(),
+        }
+    }
+
+    /// Makes the task bodies; `board` is the name the firmware reports to the host.
+    pub fn split(&mut self, board: &'static str) -> Parts<'_> {
+        let (references_in, references_out) = self.references.split();
+        let (reports_in, reports_out) = self.reports.split();
+        let (sampler_commands_in, sampler_commands_out) = self.sampler_commands.split();
+        let (vertices_in, vertices_out) = self.vertices.split();
+        let (orders_in, orders_out) = self.motion_orders.split();
+        let (motion_reports_in, motion_reports_out) = self.motion_reports.split();
+        let (requests_in, requests_out) = self.requests.split();
+        let (replies_in, replies_out) = self.replies.split();
+        let (plans_in, plans_out) = self.plans.split();
+        let (observations_in, observations_out) = self.observations.split();
+        let (bus_commands_in, bus_commands_out) = self.bus_commands.split();
+        let (bus_events_in, bus_events_out) = self.bus_events.split();
+        let (received_in, received_out) = self.received.split();
+        let (sent_in, sent_out) = self.sent.split();
+        let end = ExchangeEnd { plans: plans_out, requests: requests_out, replies: replies_in, observations: observations_in };
+        let exchange = Exchange::new(end, MASTER_ADDRESS);
+        Parts {
+            sampler: Sampler::new(exchange, sampler_commands_out, references_out, reports_in),
+            trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
+            host_bytes: HostBytes { received: received_in, sent: sent_out, lost: 0 },
+            link: LinkTask::new(
+                board,
+                crate::link::task::LinkEnds {
+                    received: received_out,
+                    sent: sent_in,
+                    reports: reports_out,
+                    sampler_commands: sampler_commands_in,
+                    vertices: vertices_in,
+                    motion_orders: orders_in,
+                    motion_reports: motion_reports_out,
+                    bus_commands: bus_commands_in,
+                    bus_events: bus_events_out,
+                },
+            ),
+            supervisor: Supervisor::new(SupervisorEnd {
+                plans: plans_in,
+                port: AcyclicPort::new(requests_in, replies_out),
+                observations: observations_out,
+                commands: bus_commands_out,
+                events: bus_events_in,
+            }),
+        }
+    }
+}
+
+/// The link's bytes between a line's interrupt and the link task.
+pub struct HostBytes<'a> {
+    received: Producer<'a, u8>,
+    sent: Consumer<'a, u8>,
+    lost: u32,
+}
+
+impl HostBytes<'_> {
+    /// Takes bytes from the line; returns how many found room. The others are lost and the link retransmits.
+    pub fn received(&mut self, bytes: &[u8]) -> usize {
+        let taken = bytes.iter().take_while(|byte| self.received.enqueue(**byte).is_ok()).count();
+        self.lost = self.lost.wrapping_add((bytes.len() - taken) as u32);
+        taken
+    }
+
+    /// Fills `bytes` with what waits for the line; returns how many.
+    pub fn to_send(&mut self, bytes: &mut [u8]) -> usize {
+        let mut count = 0;
+        for (slot, byte) in bytes.iter_mut().zip(core::iter::from_fn(|| self.sent.dequeue())) {
+            *slot = byte;
+            count += 1;
+        }
+        count
+    }
+
+    /// Received bytes that found no room.
+    pub fn lost(&self) -> u32 {
+        self.lost
+    }
+}

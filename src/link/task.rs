@@ -1,0 +1,332 @@
+//! The link task: speaks with the host and keeps the operating mode, once a millisecond at low priority.
+//!
+//! It is the one place where the host's requests, the bus' events, the critical tasks' reports and the trajectory's
+//! progress meet. [`Application`] decides; this task checks what comes from outside, hands the decisions to the
+//! queues of the faster tasks and tells the host. It may be kept waiting by the trajectory task for several
+//! milliseconds; its queues hold what arrives meanwhile.
+
+use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
+use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
+use crate::config::Config;
+use crate::control::sampler::{CycleReport, SamplerCommand};
+use crate::drives::cia402::{DriveState, StatusWord};
+use crate::ethercat::supervisor::{BusCommand, BusEvent, BusSetup};
+use crate::motion::task::{MotionOrder, MotionReport, PathItem};
+use crate::motion::{Admission, Pen, Vertex};
+use crate::robot::{JointAngles, Position};
+use heapless::Vec;
+use heapless::spsc::{Consumer, Producer};
+
+/// Longest time between two status messages, ms.
+pub const STATUS_PERIOD_MS: u32 = 500;
+/// Bytes kept waiting for the line; few, so that an answer does not queue behind telemetry.
+const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
+
+/// The link task's ends of the channels.
+pub struct LinkEnds<'a> {
+    /// Bytes from the host.
+    pub received: Consumer<'a, u8>,
+    /// Bytes to the host.
+    pub sent: Producer<'a, u8>,
+    /// What the sampler saw.
+    pub reports: Consumer<'a, CycleReport>,
+    /// What the sampler is asked for.
+    pub sampler_commands: Producer<'a, SamplerCommand>,
+    /// The path.
+    pub vertices: Producer<'a, PathItem>,
+    /// What the trajectory is asked for.
+    pub motion_orders: Producer<'a, MotionOrder>,
+    /// Where the trajectory stands.
+    pub motion_reports: Consumer<'a, MotionReport>,
+    /// What the bus' supervisor is asked for.
+    pub bus_commands: Producer<'a, BusCommand>,
+    /// What the bus' supervisor has seen.
+    pub bus_events: Consumer<'a, BusEvent>,
+}
+
+/// The link task.
+pub struct LinkTask<'a> {
+    ends: LinkEnds<'a>,
+    endpoint: DeviceEndpoint,
+    application: Application,
+    /// Absent until a configuration has come.
+    admission: Option<Admission>,
+    config_hash: Option<u64>,
+    condition: Condition,
+    motion: MotionReport,
+    report: Option<CycleReport>,
+    slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
+    counters: Counters,
+    vertices_admitted: u32,
+    now_ms: u32,
+    told: (Mode, Option<Fault>, u32),
+}
+
+impl<'a> LinkTask<'a> {
+    /// A link task that waits for a host; `board` is at most 16 bytes.
+    pub fn new(board: &'static str, ends: LinkEnds<'a>) -> Self {
+        let capacity = u16::try_from(ends.vertices.capacity()).unwrap_or(u16::MAX);
+        Self {
+            ends,
+            endpoint: DeviceEndpoint::new(Identity { firmware: env!("CARGO_PKG_VERSION"), board, capacity }),
+            application: Application::new(),
+            admission: None,
+            config_hash: None,
+            condition: Condition { unpowered: true, ..Condition::default() },
+            motion: MotionReport::default(),
+            report: None,
+            slaves: Vec::new(),
+            counters: Counters::default(),
+            vertices_admitted: 0,
+            now_ms: 0,
+            told: (Mode::Startup, None, 0),
+        }
+    }
+
+    /// The operating mode.
+    pub fn mode(&self) -> Mode {
+        self.application.mode()
+    }
+
+    /// One millisecond.
+    pub fn tick(&mut self) {
+        self.now_ms = self.now_ms.wrapping_add(1);
+        self.take_events();
+        self.take_reports();
+        self.take_bytes();
+        let progress = Progress { idle: self.motion.idle, held: self.motion.held };
+        let silence_ms = self.endpoint.silence_ms(u64::from(self.now_ms)).unwrap_or(u64::from(u32::MAX));
+        let silence_ms = u32::try_from(silence_ms).unwrap_or(u32::MAX);
+        for action in self.application.step(self.now_ms, &self.condition, progress, silence_ms) {
+            self.carry_out(action);
+        }
+        self.tell();
+    }
+
+    fn take_bytes(&mut self) {
+        while let Some(byte) = self.ends.received.dequeue() {
+            let free = self.free();
+            match self.endpoint.receive(byte, u64::from(self.now_ms), free) {
+                None => {}
+                Some(DeviceEvent::Connected | DeviceEvent::Inquire) => self.tell_status(),
+                Some(DeviceEvent::Configure { id, config }) => {
+                    let result = self.configure(&config);
+                    self.endpoint.configured(id, result);
+                }
+                Some(DeviceEvent::Command { id, command }) => {
+                    let result = self.command(command);
+                    self.endpoint.answer(id, result);
+                }
+                Some(DeviceEvent::Path { vertices, last }) => self.take_path(&vertices, last),
+            }
+        }
+    }
+
+    /// Room for vertices; one place is kept for the end of the path.
+    fn free(&self) -> usize {
+        (self.ends.vertices.capacity() - self.ends.vertices.len()).saturating_sub(1)
+    }
+
+    fn configure(&mut self, config: &Config) -> Result<u64, ConfigRefusal> {
+        config.check()?;
+        let hash = config.hash().unwrap_or_default();
+        if self.config_hash == Some(hash) {
+            return Ok(hash);
+        }
+        if !self.application.may_configure() {
+            return Err(ConfigRefusal::NotInMode(self.application.mode()));
+        }
+        self.admission = Some(Admission::new(config)?);
+        self.config_hash = Some(hash);
+        self.slaves.clear();
+        self.application.configured(config.bus.host_silence_ms);
+        self.tell_sampler(SamplerCommand::Configure { axes: config.axes, bus: config.bus.clone() });
+        let _ = self.ends.motion_orders.enqueue(MotionOrder::Configure(config.clone()));
+        let _ = self.ends.bus_commands.enqueue(BusCommand::Start(BusSetup { bus: config.bus.clone(), axes: config.axes }));
+        Ok(hash)
+    }
+
+    fn command(&mut self, command: Command) -> Result<(), Refusal> {
+        let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured);
+        if let Command::Move { position } = command {
+            let admission = admission?;
+            admission.restart();
+            admission.check(0, &Vertex { position, pen: Pen::Up, stroke: 0 }).map_err(Refusal::Target)?;
+        }
+        self.application.command(command)?;
+        if let Command::Draw { .. } = command {
+            self.vertices_admitted = 0;
+            if let Some(admission) = &mut self.admission {
+                admission.restart();
+            }
+            self.motion = MotionReport::default();
+        }
+        Ok(())
+    }
+
+    fn take_path(&mut self, vertices: &[PathVertex], last: bool) {
+        let Some(admission) = &mut self.admission else { return };
+        for wire in vertices {
+            let vertex = Vertex { position: millimetres(wire.position_um), pen: wire.pen, stroke: wire.stroke };
+            if let Err(refusal) = admission.check(self.vertices_admitted, &vertex) {
+                self.endpoint.refuse_vertex(refusal);
+                let _ = self.ends.vertices.enqueue(PathItem::End);
+                return;
+            }
+            self.vertices_admitted = self.vertices_admitted.wrapping_add(1);
+            // There is room: no more were taken from the line than were free.
+            let _ = self.ends.vertices.enqueue(PathItem::Vertex(vertex));
+        }
+        if last {
+            let _ = self.ends.vertices.enqueue(PathItem::End);
+        }
+    }
+
+    fn take_events(&mut self) {
+        while let Some(event) = self.ends.bus_events.dequeue() {
+            self.take_event(&event);
+        }
+        while let Some(report) = self.ends.motion_reports.dequeue() {
+            self.motion = report;
+            self.counters.path_starvations = report.starvations;
+            self.counters.trajectory_overruns = report.overruns;
+        }
+    }
+
+    fn take_event(&mut self, event: &BusEvent) {
+        if let BusEvent::Slave { position, identity, report, .. } = *event {
+            let (vendor, product) = (identity.vendor, identity.product);
+            let (al_state, al_code) = (report.status, report.code);
+            let status = SlaveStatus { vendor, product, al_state, al_code, status_word: 0 };
+            match self.slaves.get_mut(usize::from(position)) {
+                Some(slave) => *slave = status,
+                // Slaves beyond those that a status describes are not shown.
+                None => drop(self.slaves.push(status)),
+            }
+        }
+        if let Some(condition) = event.condition() {
+            self.application.bus(condition);
+        }
+    }
+
+    fn take_reports(&mut self) {
+        while let Some(report) = self.ends.reports.dequeue() {
+            self.endpoint.sample(self.sample(&report));
+            self.counters.cycles = report.counters.cycles;
+            self.counters.cycles_late = report.counters.cycles_late;
+            self.counters.reference_underruns = report.counters.underruns;
+            self.counters.frames_lost = report.bus.frames_lost;
+            self.counters.frames_ignored = report.bus.frames_ignored();
+            self.counters.working_counter_errors = report.bus.working_counter_errors;
+            self.condition = condition(&report);
+            self.report = Some(report);
+        }
+        let counts = self.endpoint.counts();
+        let not_reported = self.report.map_or(0, |report| report.counters.reports_dropped);
+        self.counters.telemetry_dropped = counts.samples_dropped.wrapping_add(not_reported);
+        self.counters.link_errors = counts.frames.bad.wrapping_add(counts.not_understood);
+    }
+
+    fn sample(&self, report: &CycleReport) -> Sample {
+        let single = |values: &[f64; 4]| values.map(|value| value as f32);
+        Sample {
+            t_ms: report.cycle,
+            mode: self.application.mode(),
+            stroke: report.reference.stroke,
+            pen: if report.following { report.reference.pen } else { Pen::Up },
+            reference_rad: single(if report.following { &report.reference.position_rad } else { &report.measured_rad }),
+            measured_rad: single(&report.measured_rad),
+            reference_rad_s: if report.following { single(&report.reference.velocity_rad_s) } else { [0.0; 4] },
+            measured_rad_s: single(&report.measured_rad_s),
+        }
+    }
+
+    fn tell_sampler(&mut self, command: SamplerCommand) {
+        // The sampler empties its queue every millisecond; a step gives it fewer commands than the queue holds.
+        let _ = self.ends.sampler_commands.enqueue(command);
+    }
+
+    fn carry_out(&mut self, action: Action) {
+        match action {
+            Action::Power(power) => {
+                self.tell_sampler(SamplerCommand::Power(power));
+                if matches!(power, Power::QuickStop | Power::Off) {
+                    self.endpoint.close_path();
+                    self.tell_trajectory(MotionOrder::Abandon);
+                }
+            }
+            Action::ClearFault => self.tell_sampler(SamplerCommand::ClearFault),
+            Action::TakeReference => self.tell_sampler(SamplerCommand::TakeReference),
+            Action::Follow { epoch } => self.tell_sampler(SamplerCommand::Follow { epoch }),
+            Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),
+            Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),
+            Action::Motion(command) => self.tell_trajectory(MotionOrder::Command(command)),
+            Action::RecoverBus => {
+                let _ = self.ends.bus_commands.enqueue(BusCommand::Recover);
+            }
+        }
+    }
+
+    fn tell_trajectory(&mut self, order: MotionOrder) {
+        // The trajectory task empties its queue every 12 ms; commands come from a person or a host's job.
+        let _ = self.ends.motion_orders.enqueue(order);
+    }
+
+    fn tell(&mut self) {
+        let (free, motion) = (self.free(), self.motion);
+        self.endpoint.acknowledge(motion.executed, free, motion.finished);
+        let (mode, fault, since_ms) = self.told;
+        let changed = mode != self.application.mode() || fault != self.application.fault();
+        if changed || self.now_ms.wrapping_sub(since_ms) >= STATUS_PERIOD_MS {
+            self.tell_status();
+        }
+        let room = SENT_AHEAD_BYTES.saturating_sub(self.ends.sent.len());
+        let mut bytes = [0; SENT_AHEAD_BYTES];
+        let length = self.endpoint.transmit(u64::from(self.now_ms), bytes.get_mut(..room).unwrap_or_default());
+        for byte in bytes.iter().take(length) {
+            // There is room: the queue is longer than SENT_AHEAD_BYTES.
+            let _ = self.ends.sent.enqueue(*byte);
+        }
+    }
+
+    fn tell_status(&mut self) {
+        self.told = (self.application.mode(), self.application.fault(), self.now_ms);
+        if let Some(report) = &self.report {
+            for (slave, status_word) in self.slaves.iter_mut().zip(report.status_word) {
+                slave.status_word = status_word;
+            }
+        }
+        self.endpoint.status(Status {
+            mode: self.application.mode(),
+            fault: self.application.fault(),
+            referenced: self.condition.referenced,
+            config: self.config_hash,
+            override_percent: self.application.override_percent(),
+            counters: self.counters,
+            slaves: self.slaves.clone(),
+        });
+    }
+}
+
+fn millimetres(position_um: [i32; 3]) -> Position {
+    let [x_mm, y_mm, z_mm] = position_um.map(|um| f64::from(um) / 1_000.0);
+    Position { x_mm, y_mm, z_mm }
+}
+
+fn condition(report: &CycleReport) -> Condition {
+    let status = report.status_word.map(StatusWord);
+    let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;
+    let answering = || status.iter().zip(report.valid).filter_map(|(status, valid)| valid.then_some(status));
+    let valid = report.valid.iter().all(|valid| *valid);
+    Condition {
+        pose: JointAngles(report.measured_rad),
+        referenced: report.referenced.iter().all(|referenced| *referenced),
+        powered: valid && status.iter().all(in_operation),
+        unpowered: !answering().any(|status| status.is_powered()),
+        standstill: report.standstill,
+        drive_fault: answering().any(|status| status.is_fault()),
+        inputs_valid: valid,
+        fault: report.fault,
+    }
+}

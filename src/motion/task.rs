@@ -1,0 +1,201 @@
+//! The trajectory task: every 12 ms it plans and fills the ring with the next references.
+//!
+//! Released by every twelfth sample, below the critical tasks. It keeps at least one whole period of references ahead
+//! of the sampler, so that a release that runs up to its deadline costs nothing; every committed plan ends at rest,
+//! so that a release that never comes ends at rest too.
+
+use super::{MotionCommand, MotionState, PERIOD_MS, Trajectory, Vertex};
+use crate::config::Config;
+use crate::control::sampler::Queued;
+use crate::robot::JointAngles;
+use heapless::spsc::{Consumer, Producer};
+
+/// What the trajectory task is asked for.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // a handful, in static memory
+pub enum MotionOrder {
+    /// Use this configuration; what was planned is dropped.
+    Configure(Config),
+    /// Start at rest from this pose; the references carry the epoch.
+    Place {
+        /// The pose.
+        pose: JointAngles,
+        /// Number of this start.
+        epoch: u8,
+    },
+    /// A path begins: forget what is left of another one.
+    BeginPath,
+    /// Drop the path; the drives are stopping by themselves.
+    Abandon,
+    /// A command to the trajectory.
+    Command(MotionCommand),
+}
+
+/// An item of the path on its way to the trajectory task.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PathItem {
+    /// A vertex that was admitted.
+    Vertex(Vertex),
+    /// No more vertices come.
+    End,
+}
+
+/// Where the trajectory stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MotionReport {
+    /// At rest with nothing left to do.
+    pub idle: bool,
+    /// Standing on a held path.
+    pub held: bool,
+    /// Vertices of the path fully executed.
+    pub executed: u32,
+    /// Whether the path was executed to its end.
+    pub finished: bool,
+    /// Times the path ran out of data.
+    pub starvations: u32,
+    /// Releases that found the ring with less than a period in it.
+    pub overruns: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PathPhase {
+    /// There is no path.
+    None,
+    /// Vertices are being gathered; nothing moves yet.
+    Gathering,
+    /// The path is being executed and more vertices may come.
+    Running,
+    /// All vertices have come.
+    Complete,
+    /// The path was executed to its end.
+    Finished,
+}
+
+/// The 12 ms task.
+pub struct TrajectoryTask<'a> {
+    /// Absent until a configuration has come.
+    trajectory: Option<Trajectory>,
+    orders: Consumer<'a, MotionOrder>,
+    vertices: Consumer<'a, PathItem>,
+    references: Producer<'a, Queued>,
+    reports: Producer<'a, MotionReport>,
+    epoch: Option<u8>,
+    filled: bool,
+    path: PathPhase,
+    overruns: u32,
+}
+
+impl<'a> TrajectoryTask<'a> {
+    /// A task without a pose; it produces nothing until it is placed.
+    pub fn new(
+        orders: Consumer<'a, MotionOrder>,
+        vertices: Consumer<'a, PathItem>,
+        references: Producer<'a, Queued>,
+        reports: Producer<'a, MotionReport>,
+    ) -> Self {
+        Self {
+            trajectory: None,
+            orders,
+            vertices,
+            references,
+            reports,
+            epoch: None,
+            filled: false,
+            path: PathPhase::None,
+            overruns: 0,
+        }
+    }
+
+    /// One release.
+    pub fn release(&mut self) {
+        while let Some(order) = self.orders.dequeue() {
+            self.take_order(order);
+        }
+        let Some(trajectory) = &mut self.trajectory else { return };
+        self.path = take_vertices(trajectory, &mut self.vertices, self.path);
+        if let Some(epoch) = self.epoch {
+            self.overruns += u32::from(self.filled && self.references.is_empty());
+            self.filled = true;
+            while self.references.len() <= PERIOD_MS {
+                for reference in trajectory.step() {
+                    // There is room: the ring holds more than three periods.
+                    let _ = self.references.enqueue(Queued { epoch, reference });
+                }
+            }
+        }
+        let state = trajectory.state();
+        if state == MotionState::Idle && self.path == PathPhase::Complete {
+            self.path = PathPhase::Finished;
+        }
+        let report = MotionReport {
+            idle: state == MotionState::Idle,
+            held: state == MotionState::Held,
+            executed: trajectory.executed(),
+            finished: self.path == PathPhase::Finished,
+            starvations: trajectory.underruns(),
+            overruns: self.overruns,
+        };
+        // A report that finds no room is followed by a newer one 12 ms later.
+        let _ = self.reports.enqueue(report);
+    }
+
+    fn take_order(&mut self, order: MotionOrder) {
+        match order {
+            MotionOrder::Configure(config) => {
+                // The link task has refused geometries that are none.
+                self.trajectory = Trajectory::new(&config).ok();
+                self.epoch = None;
+                self.drop_path();
+            }
+            MotionOrder::Place { pose, epoch } => {
+                let placed = self.trajectory.as_mut().is_some_and(|trajectory| trajectory.place(pose));
+                self.epoch = placed.then_some(epoch);
+                self.filled = false;
+            }
+            MotionOrder::BeginPath => self.path = PathPhase::Gathering,
+            MotionOrder::Abandon => {
+                self.epoch = None;
+                self.drop_path();
+            }
+            MotionOrder::Command(command) => {
+                if command == MotionCommand::Cancel {
+                    self.drop_path();
+                }
+                if let Some(trajectory) = &mut self.trajectory {
+                    // The operating modes have admitted the command; what cannot be done at this moment is left undone.
+                    let _ = trajectory.command(command);
+                }
+            }
+        }
+    }
+
+    fn drop_path(&mut self) {
+        while self.vertices.dequeue().is_some() {}
+        self.path = PathPhase::None;
+    }
+}
+
+/// Hands vertices on while there is room; starts the path when the window is full or the path complete.
+fn take_vertices(trajectory: &mut Trajectory, vertices: &mut Consumer<'_, PathItem>, mut path: PathPhase) -> PathPhase {
+    while matches!(path, PathPhase::Gathering | PathPhase::Running) {
+        if trajectory.free() == 0 {
+            if path == PathPhase::Gathering {
+                let _ = trajectory.command(MotionCommand::Start);
+            }
+            return PathPhase::Running;
+        }
+        match vertices.dequeue() {
+            // There is room, and only finite vertices are admitted.
+            Some(PathItem::Vertex(vertex)) => drop(trajectory.push(vertex)),
+            Some(PathItem::End) => {
+                trajectory.finish();
+                if path == PathPhase::Gathering {
+                    let _ = trajectory.command(MotionCommand::Start);
+                }
+                path = PathPhase::Complete;
+            }
+            None => break,
+        }
+    }
+    path
+}
