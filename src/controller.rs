@@ -103,12 +103,21 @@ impl Channels {
         let (bus_events_in, bus_events_out) = self.bus_events.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
-        let end = ExchangeEnd { plans: plans_out, requests: requests_out, replies: replies_in, observations: observations_in };
+        let end = ExchangeEnd {
+            plans: plans_out,
+            requests: requests_out,
+            replies: replies_in,
+            observations: observations_in,
+        };
         let exchange = Exchange::new(end, MASTER_ADDRESS);
         Parts {
             sampler: Sampler::new(exchange, sampler_commands_out, references_out, reports_in),
             trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
-            host_bytes: HostBytes { received: received_in, sent: sent_out, lost: 0 },
+            host_bytes: HostBytes {
+                received: received_in,
+                sent: sent_out,
+                lost: 0,
+            },
             link: LinkTask::new(
                 board,
                 crate::link::task::LinkEnds {
@@ -144,7 +153,10 @@ pub struct HostBytes<'a> {
 impl HostBytes<'_> {
     /// Takes bytes from the line; returns how many found room. The others are lost and the link retransmits.
     pub fn received(&mut self, bytes: &[u8]) -> usize {
-        let taken = bytes.iter().take_while(|byte| self.received.enqueue(**byte).is_ok()).count();
+        let taken = bytes
+            .iter()
+            .take_while(|byte| self.received.enqueue(**byte).is_ok())
+            .count();
         self.lost = self.lost.wrapping_add((bytes.len() - taken) as u32);
         taken
     }

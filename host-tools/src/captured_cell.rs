@@ -19,7 +19,11 @@ impl CapturedCell {
     /// Those of the sink.
     pub fn new(cell: Cell, sink: Option<Box<dyn Write + Send>>) -> io::Result<Self> {
         let capture = sink.map(Capture::new).transpose()?;
-        Ok(Self { cell, capture, failure: None })
+        Ok(Self {
+            cell,
+            capture,
+            failure: None,
+        })
     }
 
     /// Completes the capture and gives the cell back.

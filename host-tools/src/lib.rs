@@ -1,7 +1,13 @@
 //! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
 #![forbid(unsafe_code)]
 
+pub mod captured_cell;
 pub mod cell;
+pub mod commands;
 pub mod drawing;
 pub mod emulator;
 pub mod link;
+pub mod report;
+pub mod run;
+pub mod setup;
+pub mod simulation;

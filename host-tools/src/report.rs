@@ -128,14 +128,21 @@ pub struct Row {
 /// Puts the measured positions into the robot's frame. A drive acts on a reference some milliseconds later and its
 /// position takes another to come back; stroke and pen are those of the reference the position answers to.
 pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
-    let Ok(delta) = Delta::new(&config.geometry) else { return Vec::new() };
+    let Ok(delta) = Delta::new(&config.geometry) else {
+        return Vec::new();
+    };
     let axis = &config.axes[0];
     let lag = (axis.feed_forward_lead_ms + axis.measurement_age_ms).round() as usize;
     let with_lag = |index: usize| samples.get(index.saturating_sub(lag)).unwrap_or(&samples[0]);
     let row = |(index, sample): (usize, &Sample)| {
         let angles = JointAngles(sample.measured_rad.map(f64::from));
         let (position, cause) = (delta.forward(&angles).unwrap_or_default(), with_lag(index));
-        Row { sample: *sample, position, stroke: cause.stroke, pen: cause.pen }
+        Row {
+            sample: *sample,
+            position,
+            stroke: cause.stroke,
+            pen: cause.pen,
+        }
     };
     samples.iter().enumerate().map(row).collect()
 }
@@ -222,8 +229,16 @@ fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
     let length2 = dx * dx + dy * dy + dz * dz;
     let along = (p.x_mm - a.x_mm) * dx + (p.y_mm - a.y_mm) * dy + (p.z_mm - a.z_mm) * dz;
-    let t = if length2 > 0.0 { (along / length2).clamp(0.0, 1.0) } else { 0.0 };
-    let foot = Position { x_mm: a.x_mm + t * dx, y_mm: a.y_mm + t * dy, z_mm: a.z_mm + t * dz };
+    let t = if length2 > 0.0 {
+        (along / length2).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let foot = Position {
+        x_mm: a.x_mm + t * dx,
+        y_mm: a.y_mm + t * dy,
+        z_mm: a.z_mm + t * dz,
+    };
     (distance(p, &foot), t)
 }
 
@@ -232,7 +247,9 @@ fn deviation(rows: &[Row], strokes: &[(u32, Vec<Position>)]) -> (f64, f64) {
     let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0u64);
     let (mut current, mut segment) = (usize::MAX, 0);
     for row in rows.iter().filter(|row| row.pen == Pen::Down) {
-        let Ok(index) = strokes.binary_search_by_key(&row.stroke, |stroke| stroke.0) else { continue };
+        let Ok(index) = strokes.binary_search_by_key(&row.stroke, |stroke| stroke.0) else {
+            continue;
+        };
         if index != current {
             (current, segment) = (index, 0);
         }
@@ -264,7 +281,9 @@ fn ink_missing(strokes: &[(u32, Vec<Position>)], ink_mm: &[[f64; 2]]) -> f64 {
     }
     let near = |x: f64, y: f64| {
         let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j)));
-        let mut points = around.filter_map(|(i, j)| cells.get(&(cell(x) + i, cell(y) + j))).flatten();
+        let mut points = around
+            .filter_map(|(i, j)| cells.get(&(cell(x) + i, cell(y) + j)))
+            .flatten();
         points.any(|p| (p[0] - x).hypot(p[1] - y) <= INK_REACH_MM)
     };
     let mut missing_mm = 0.0;
@@ -296,7 +315,10 @@ fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
     let motion = &config.motion;
     let window_s = f64::from(motion.jerk_window_ms) / 1_000.0;
     std::array::from_fn(|axis| {
-        let speed: Vec<f64> = samples.iter().map(|sample| f64::from(sample.reference_rad_s[axis])).collect();
+        let speed: Vec<f64> = samples
+            .iter()
+            .map(|sample| f64::from(sample.reference_rad_s[axis]))
+            .collect();
         let per_second = |values: &[f64]| -> Vec<f64> { values.windows(2).map(|w| (w[1] - w[0]) * 1_000.0).collect() };
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, value| peak.max(value.abs()));
         let acceleration = per_second(&speed);
@@ -321,10 +343,20 @@ pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
         write!(out, ",q{k}_ref_rad,q{k}_rad,v{k}_ref_rad_s,v{k}_rad_s")?;
     }
     writeln!(out)?;
-    for Row { sample, position, stroke, pen } in rows {
+    for Row {
+        sample,
+        position,
+        stroke,
+        pen,
+    } in rows
+    {
         let pen = u8::from(*pen == Pen::Down);
         let Position { x_mm, y_mm, z_mm } = position;
-        write!(out, "{},{:?},{stroke},{pen},{x_mm:.4},{y_mm:.4},{z_mm:.4}", sample.t_ms, sample.mode)?;
+        write!(
+            out,
+            "{},{:?},{stroke},{pen},{x_mm:.4},{y_mm:.4},{z_mm:.4}",
+            sample.t_ms, sample.mode
+        )?;
         for k in 0..AXES {
             let (q_ref, q) = (sample.reference_rad[k], sample.measured_rad[k]);
             let (v_ref, v) = (sample.reference_rad_s[k], sample.measured_rad_s[k]);

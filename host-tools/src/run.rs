@@ -106,7 +106,11 @@ pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJ
     (host.look)(&mut host.job);
     let outcome = host.job.outcome().copied();
     let cell = cell.finish().map_err(RunError::Capture)?;
-    Ok(Drawn { job: host.job.into_report(), outcome, cell })
+    Ok(Drawn {
+        job: host.job.into_report(),
+        outcome,
+        cell,
+    })
 }
 
 impl emulator::Link for DrawJob {
@@ -135,8 +139,7 @@ pub fn emulate(
     let cell = Arc::new(Mutex::new(task.cell(sink).map_err(RunError::Capture)?));
     let job = Arc::new(Mutex::new(task.job()));
     let options = emulator::Options::default();
-    let emulator =
-        Emulator::start(image, &options, cell.clone(), job.clone(), log).map_err(RunError::Emulator)?;
+    let emulator = Emulator::start(image, &options, cell.clone(), job.clone(), log).map_err(RunError::Emulator)?;
     while lock(&job).outcome().is_none() && emulator.is_running() {
         look(&mut lock(&job));
         std::thread::sleep(LOOK);
@@ -149,5 +152,9 @@ pub fn emulate(
     }
     let job = std::mem::replace(&mut *lock(&job), task.job());
     let cell = std::mem::replace(&mut *lock(&cell), task.cell(None).map_err(RunError::Capture)?);
-    Ok(Drawn { job: job.into_report(), outcome, cell: cell.finish().map_err(RunError::Capture)? })
+    Ok(Drawn {
+        job: job.into_report(),
+        outcome,
+        cell: cell.finish().map_err(RunError::Capture)?,
+    })
 }

@@ -29,12 +29,17 @@ impl std::fmt::Display for SetupError {
 impl std::error::Error for SetupError {}
 
 fn error<T>(message: impl Into<String>) -> Result<T, SetupError> {
-    Err(SetupError { message: message.into() })
+    Err(SetupError {
+        message: message.into(),
+    })
 }
 
 /// Root of the workspace this program was built from.
 pub fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new(".")).to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap_or(Path::new("."))
+        .to_path_buf()
 }
 
 /// Where cargo puts what it builds: `CARGO_TARGET_DIR` or `target` in the workspace.
@@ -54,7 +59,10 @@ fn cargo() -> Command {
 
 fn output(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
-    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
 /// Whether `program` can be started.
@@ -68,12 +76,21 @@ pub fn is_installed(program: &str) -> bool {
 /// The command that has to be run by hand.
 pub fn ensure_target() -> Result<(), SetupError> {
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]));
-    let installed = |root: &String| Path::new(root.trim()).join("lib/rustlib").join(TARGET).join("lib").is_dir();
+    let installed = |root: &String| {
+        Path::new(root.trim())
+            .join("lib/rustlib")
+            .join(TARGET)
+            .join("lib")
+            .is_dir()
+    };
     if sysroot.as_ref().is_some_and(installed) {
         return Ok(());
     }
     eprintln!("etherpen: adding the Rust target {TARGET}");
-    let added = Command::new("rustup").args(["target", "add", TARGET]).current_dir(workspace()).status();
+    let added = Command::new("rustup")
+        .args(["target", "add", TARGET])
+        .current_dir(workspace())
+        .status();
     match added {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => error(format!(
@@ -96,9 +113,15 @@ pub fn ensure_component(component: &str) -> Result<(), SetupError> {
         return Ok(());
     }
     eprintln!("etherpen: adding the toolchain's component {component}");
-    match Command::new("rustup").args(["component", "add", component]).current_dir(workspace()).status() {
+    match Command::new("rustup")
+        .args(["component", "add", component])
+        .current_dir(workspace())
+        .status()
+    {
         Ok(status) if status.success() => Ok(()),
-        _ => error(format!("{component} is missing.\nTry: rustup component add {component}")),
+        _ => error(format!(
+            "{component} is missing.\nTry: rustup component add {component}"
+        )),
     }
 }
 
@@ -138,10 +161,18 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
         return error(by_hand);
     };
     let apt = |arguments: &[&str]| {
-        let words: Vec<&str> = prefix.iter().copied().chain(["apt-get", "-q"]).chain(arguments.iter().copied()).collect();
+        let words: Vec<&str> = prefix
+            .iter()
+            .copied()
+            .chain(["apt-get", "-q"])
+            .chain(arguments.iter().copied())
+            .collect();
         let mut command = Command::new(words[0]);
         // Data goes to stdout; what a package manager says is no data.
-        command.args(&words[1..]).env("DEBIAN_FRONTEND", "noninteractive").stdout(Stdio::null());
+        command
+            .args(&words[1..])
+            .env("DEBIAN_FRONTEND", "noninteractive")
+            .stdout(Stdio::null());
         command.status().is_ok_and(|status| status.success())
     };
     let install = ["install", "-y", "--no-install-recommends", package];
@@ -166,11 +197,13 @@ fn sudo_needs_no_password() -> bool {
 pub fn ensure_qemu() -> Result<(), SetupError> {
     ensure_program(QEMU)?;
     let version = output(Command::new(QEMU).arg("--version")).unwrap_or_default();
-    let major = version.split_whitespace().find_map(|word| word.split('.').next()?.parse::<u32>().ok());
+    let major = version
+        .split_whitespace()
+        .find_map(|word| word.split('.').next()?.parse::<u32>().ok());
     match major {
-        Some(major) if major < QEMU_MAJOR_MIN => {
-            error(format!("{QEMU} {major} is too old; version {QEMU_MAJOR_MIN} or newer is needed."))
-        }
+        Some(major) if major < QEMU_MAJOR_MIN => error(format!(
+            "{QEMU} {major} is too old; version {QEMU_MAJOR_MIN} or newer is needed."
+        )),
         _ => Ok(()),
     }
 }
@@ -182,11 +215,24 @@ pub fn ensure_qemu() -> Result<(), SetupError> {
 pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
     ensure_target()?;
     let mut command = cargo();
-    command.args(["build", "--release", "-p", "etherpen", "--target", TARGET, "--no-default-features"]);
-    let status = command.args(["--features", board, "--bin", board]).stdout(Stdio::null()).status();
+    command.args([
+        "build",
+        "--release",
+        "-p",
+        "etherpen",
+        "--target",
+        TARGET,
+        "--no-default-features",
+    ]);
+    let status = command
+        .args(["--features", board, "--bin", board])
+        .stdout(Stdio::null())
+        .status();
     match status {
         Ok(status) if status.success() => Ok(target_dir().join(TARGET).join("release").join(board)),
-        Ok(status) => error(format!("the firmware image `{board}` could not be built (cargo: {status})")),
+        Ok(status) => error(format!(
+            "the firmware image `{board}` could not be built (cargo: {status})"
+        )),
         Err(cause) => error(format!("cargo cannot be started: {cause}")),
     }
 }

@@ -95,8 +95,18 @@ impl<'c> Driver for Wire<'c> {
 /// Returns the virtual milliseconds that have passed.
 pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
     let mut channels = Box::new(Channels::new());
-    let Parts { mut sampler, mut trajectory, mut host_bytes, mut link, mut supervisor } = channels.split("simulation");
-    let mut transport = RawTransport::new(Wire { cell, time_us: 0, arrived: VecDeque::new() });
+    let Parts {
+        mut sampler,
+        mut trajectory,
+        mut host_bytes,
+        mut link,
+        mut supervisor,
+    } = channels.split("simulation");
+    let mut transport = RawTransport::new(Wire {
+        cell,
+        time_us: 0,
+        arrived: VecDeque::new(),
+    });
     let mut watch = std::pin::pin!(supervisor.run());
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];

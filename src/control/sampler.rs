@@ -274,9 +274,15 @@ impl<'a> Sampler<'a> {
                 continue;
             };
             self.status[axis] = input.status;
-            let angle_rad = input.angle_rad.unwrap_or_else(|| unreferenced_angle_rad(&self.axes[axis], input.position));
+            let angle_rad = input
+                .angle_rad
+                .unwrap_or_else(|| unreferenced_angle_rad(&self.axes[axis], input.position));
             let same_zero = self.referenced[axis] == input.angle_rad.is_some();
-            self.measured_rad_s[axis] = if same_zero { (angle_rad - before_rad) * CYCLES_PER_S } else { 0.0 };
+            self.measured_rad_s[axis] = if same_zero {
+                (angle_rad - before_rad) * CYCLES_PER_S
+            } else {
+                0.0
+            };
             self.measured_rad[axis] = angle_rad;
             self.reference_lost[axis] = self.referenced[axis] && input.angle_rad.is_none();
             self.referenced[axis] = input.angle_rad.is_some();
@@ -366,7 +372,9 @@ impl<'a> Sampler<'a> {
     }
 
     fn powered(&self) -> bool {
-        self.status.iter().all(|status| status.state() == DriveState::OperationEnabled)
+        self.status
+            .iter()
+            .all(|status| status.state() == DriveState::OperationEnabled)
     }
 
     /// Whether a drive that was in operation has left it although it is to stay there.

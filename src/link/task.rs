@@ -69,11 +69,18 @@ impl<'a> LinkTask<'a> {
         let capacity = u16::try_from(ends.vertices.capacity()).unwrap_or(u16::MAX);
         Self {
             ends,
-            endpoint: DeviceEndpoint::new(Identity { firmware: env!("CARGO_PKG_VERSION"), board, capacity }),
+            endpoint: DeviceEndpoint::new(Identity {
+                firmware: env!("CARGO_PKG_VERSION"),
+                board,
+                capacity,
+            }),
             application: Application::new(),
             admission: None,
             config_hash: None,
-            condition: Condition { unpowered: true, ..Condition::default() },
+            condition: Condition {
+                unpowered: true,
+                ..Condition::default()
+            },
             motion: MotionReport::default(),
             report: None,
             slaves: Vec::new(),
@@ -95,10 +102,19 @@ impl<'a> LinkTask<'a> {
         self.take_events();
         self.take_reports();
         self.take_bytes();
-        let progress = Progress { idle: self.motion.idle, held: self.motion.held };
-        let silence_ms = self.endpoint.silence_ms(u64::from(self.now_ms)).unwrap_or(u64::from(u32::MAX));
+        let progress = Progress {
+            idle: self.motion.idle,
+            held: self.motion.held,
+        };
+        let silence_ms = self
+            .endpoint
+            .silence_ms(u64::from(self.now_ms))
+            .unwrap_or(u64::from(u32::MAX));
         let silence_ms = u32::try_from(silence_ms).unwrap_or(u32::MAX);
-        for action in self.application.step(self.now_ms, &self.condition, progress, silence_ms) {
+        for action in self
+            .application
+            .step(self.now_ms, &self.condition, progress, silence_ms)
+        {
             self.carry_out(action);
         }
         self.tell();
@@ -141,9 +157,15 @@ impl<'a> LinkTask<'a> {
         self.config_hash = Some(hash);
         self.slaves.clear();
         self.application.configured(config.bus.host_silence_ms);
-        self.tell_sampler(SamplerCommand::Configure { axes: config.axes, bus: config.bus.clone() });
+        self.tell_sampler(SamplerCommand::Configure {
+            axes: config.axes,
+            bus: config.bus.clone(),
+        });
         let _ = self.ends.motion_orders.enqueue(MotionOrder::Configure(config.clone()));
-        let _ = self.ends.bus_commands.enqueue(BusCommand::Start(BusSetup { bus: config.bus.clone(), axes: config.axes }));
+        let _ = self.ends.bus_commands.enqueue(BusCommand::Start(BusSetup {
+            bus: config.bus.clone(),
+            axes: config.axes,
+        }));
         Ok(hash)
     }
 
@@ -152,7 +174,16 @@ impl<'a> LinkTask<'a> {
         if let Command::Move { position } = command {
             let admission = admission?;
             admission.restart();
-            admission.check(0, &Vertex { position, pen: Pen::Up, stroke: 0 }).map_err(Refusal::Target)?;
+            admission
+                .check(
+                    0,
+                    &Vertex {
+                        position,
+                        pen: Pen::Up,
+                        stroke: 0,
+                    },
+                )
+                .map_err(Refusal::Target)?;
         }
         self.application.command(command)?;
         if let Command::Draw { .. } = command {
@@ -168,7 +199,11 @@ impl<'a> LinkTask<'a> {
     fn take_path(&mut self, vertices: &[PathVertex], last: bool) {
         let Some(admission) = &mut self.admission else { return };
         for wire in vertices {
-            let vertex = Vertex { position: millimetres(wire.position_um), pen: wire.pen, stroke: wire.stroke };
+            let vertex = Vertex {
+                position: millimetres(wire.position_um),
+                pen: wire.pen,
+                stroke: wire.stroke,
+            };
             if let Err(refusal) = admission.check(self.vertices_admitted, &vertex) {
                 self.endpoint.refuse_vertex(refusal);
                 let _ = self.ends.vertices.enqueue(PathItem::End);
@@ -195,10 +230,22 @@ impl<'a> LinkTask<'a> {
     }
 
     fn take_event(&mut self, event: &BusEvent) {
-        if let BusEvent::Slave { position, identity, report, .. } = *event {
+        if let BusEvent::Slave {
+            position,
+            identity,
+            report,
+            ..
+        } = *event
+        {
             let (vendor, product) = (identity.vendor, identity.product);
             let (al_state, al_code) = (report.status, report.code);
-            let status = SlaveStatus { vendor, product, al_state, al_code, status_word: 0 };
+            let status = SlaveStatus {
+                vendor,
+                product,
+                al_state,
+                al_code,
+                status_word: 0,
+            };
             match self.slaves.get_mut(usize::from(position)) {
                 Some(slave) => *slave = status,
                 // Slaves beyond those that a status describes are not shown.
@@ -234,10 +281,22 @@ impl<'a> LinkTask<'a> {
             t_ms: report.cycle,
             mode: self.application.mode(),
             stroke: report.reference.stroke,
-            pen: if report.following { report.reference.pen } else { Pen::Up },
-            reference_rad: single(if report.following { &report.reference.position_rad } else { &report.measured_rad }),
+            pen: if report.following {
+                report.reference.pen
+            } else {
+                Pen::Up
+            },
+            reference_rad: single(if report.following {
+                &report.reference.position_rad
+            } else {
+                &report.measured_rad
+            }),
             measured_rad: single(&report.measured_rad),
-            reference_rad_s: if report.following { single(&report.reference.velocity_rad_s) } else { [0.0; 4] },
+            reference_rad_s: if report.following {
+                single(&report.reference.velocity_rad_s)
+            } else {
+                [0.0; 4]
+            },
             measured_rad_s: single(&report.measured_rad_s),
         }
     }
@@ -283,7 +342,9 @@ impl<'a> LinkTask<'a> {
         }
         let room = SENT_AHEAD_BYTES.saturating_sub(self.ends.sent.len());
         let mut bytes = [0; SENT_AHEAD_BYTES];
-        let length = self.endpoint.transmit(u64::from(self.now_ms), bytes.get_mut(..room).unwrap_or_default());
+        let length = self
+            .endpoint
+            .transmit(u64::from(self.now_ms), bytes.get_mut(..room).unwrap_or_default());
         for byte in bytes.iter().take(length) {
             // There is room: the queue is longer than SENT_AHEAD_BYTES.
             let _ = self.ends.sent.enqueue(*byte);
@@ -317,7 +378,12 @@ fn millimetres(position_um: [i32; 3]) -> Position {
 fn condition(report: &CycleReport) -> Condition {
     let status = report.status_word.map(StatusWord);
     let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;
-    let answering = || status.iter().zip(report.valid).filter_map(|(status, valid)| valid.then_some(status));
+    let answering = || {
+        status
+            .iter()
+            .zip(report.valid)
+            .filter_map(|(status, valid)| valid.then_some(status))
+    };
     let valid = report.valid.iter().all(|valid| *valid);
     Condition {
         pose: JointAngles(report.measured_rad),

@@ -17,6 +17,7 @@ mod ring;
 mod scan;
 mod shaping;
 mod straight;
+pub mod task;
 mod trajectory;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};

@@ -148,7 +148,10 @@ impl<'a> TrajectoryTask<'a> {
                 self.drop_path();
             }
             MotionOrder::Place { pose, epoch } => {
-                let placed = self.trajectory.as_mut().is_some_and(|trajectory| trajectory.place(pose));
+                let placed = self
+                    .trajectory
+                    .as_mut()
+                    .is_some_and(|trajectory| trajectory.place(pose));
                 self.epoch = placed.then_some(epoch);
                 self.filled = false;
             }

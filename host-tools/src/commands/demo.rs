@@ -32,8 +32,14 @@ pub struct Arguments {
 /// A tool is missing, the photograph cannot be used, the emulator cannot be reached or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let photo = arguments.photo.clone().unwrap_or_else(|| setup::workspace().join("samples/astronaut.png"));
-    let dir = arguments.out.clone().unwrap_or_else(|| setup::workspace().join("target/demo"));
+    let photo = arguments
+        .photo
+        .clone()
+        .unwrap_or_else(|| setup::workspace().join("samples/astronaut.png"));
+    let dir = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| setup::workspace().join("target/demo"));
     eprintln!("Vectorising {}", photo.display());
     let prepared = prepare(&photo, &config)?;
     make_folder(&dir)?;
@@ -48,8 +54,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         let _ = writeln!(log, "{line}");
     };
     let mut display = Display::new();
-    let drawn = run::emulate(&task, &image, Some(capture(&dir)?), &mut |job| display.update(job), write_log)
-        .map_err(|error| run_error(&error))?;
+    let drawn = run::emulate(
+        &task,
+        &image,
+        Some(capture(&dir)?),
+        &mut |job| display.update(job),
+        write_log,
+    )
+    .map_err(|error| run_error(&error))?;
     display.finish();
     let report = conclude(&task, &prepared, &drawn, image_hash(&image)?, Some(&dir))?;
     summarise(&report, Some(&dir));

@@ -94,9 +94,10 @@ impl Display {
 
 fn event_text(event: &JobEvent) -> Option<String> {
     match event {
-        JobEvent::Connected(welcome) => {
-            Some(format!("connected: firmware {} on board {}", welcome.firmware, welcome.board))
-        }
+        JobEvent::Connected(welcome) => Some(format!(
+            "connected: firmware {} on board {}",
+            welcome.firmware, welcome.board
+        )),
         JobEvent::Phase(phase) => Some(format!("{phase}")),
         JobEvent::Fault(fault) => Some(format!("FAULT: {}", text::fault(fault))),
         JobEvent::Refused(command, refusal) => Some(format!("refused {command:?}: {}", text::refusal(refusal))),

@@ -37,22 +37,38 @@ pub struct Arguments {
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let name: PortName = arguments.port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    let name: PortName = arguments
+        .port
+        .parse()
+        .map_err(|cause| CommandError::new(code::USAGE, cause))?;
     let prepared = prepare(&arguments.file, &config)?;
     if let Some(dir) = &arguments.out {
         make_folder(dir)?;
     }
     let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let vertices: Vec<_> = prepared.path.iter().map(to_wire).collect();
-    let options = JobOptions { session: std::process::id(), ..JobOptions::default() };
+    let options = JobOptions {
+        session: std::process::id(),
+        ..JobOptions::default()
+    };
     let mut job = DrawJob::new(config.clone(), vertices, options);
     let mut display = Display::new();
     let result = run_job(port, &mut job, &operator()?, &mut |show| display.show(&show));
     display.finish();
     let job = job.into_report();
     let planned_s = planned_s(&config, &prepared.path);
-    let image = job.welcome.as_ref().map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
-    let outcome = Outcome { config: &config, prepared: &prepared, job: &job, cell: None, image, planned_s };
+    let image = job
+        .welcome
+        .as_ref()
+        .map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
+    let outcome = Outcome {
+        config: &config,
+        prepared: &prepared,
+        job: &job,
+        cell: None,
+        image,
+        planned_s,
+    };
     let report = outcome.report();
     if let Some(dir) = &arguments.out {
         outcome.write(dir, &report)?;
@@ -79,7 +95,11 @@ fn operator() -> Result<Receiver<Control>, CommandError> {
     std::thread::spawn(move || {
         for signal in signals.forever() {
             let again = holding.swap(true, Ordering::Relaxed);
-            let control = if again || signal == SIGTERM { Control::Cancel } else { Control::Hold };
+            let control = if again || signal == SIGTERM {
+                Control::Cancel
+            } else {
+                Control::Hold
+            };
             if control == Control::Hold {
                 eprintln!("\nholding: Enter resumes, Ctrl-C again cancels");
             }

@@ -55,7 +55,11 @@ impl TcpLine {
     fn listen(port: u16) -> std::io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener, client: None, waiting: Vec::new() })
+        Ok(Self {
+            listener,
+            client: None,
+            waiting: Vec::new(),
+        })
     }
 
     fn accept(&mut self) {
@@ -118,18 +122,33 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let faults = read_faults(arguments)?;
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
-    let cell = Cell::new(&config, CellOptions { faults, ..CellOptions::default() });
+    let cell = Cell::new(
+        &config,
+        CellOptions {
+            faults,
+            ..CellOptions::default()
+        },
+    );
     let cell = CapturedCell::new(cell, None).map_err(|cause| CommandError::failed("the cell", cause))?;
     let show_log = arguments.log;
     let pace = match arguments.pace {
         PaceArgument::Max => Pace::Max,
         PaceArgument::Realtime => Pace::RealTime,
     };
-    let options = Options { pace, ..Options::default() };
+    let options = Options {
+        pace,
+        ..Options::default()
+    };
     let line = TcpLine::listen(arguments.port).map_err(|cause| {
-        CommandError::new(code::CONNECTION, format!("port {} on 127.0.0.1 cannot be used: {cause}", arguments.port))
+        CommandError::new(
+            code::CONNECTION,
+            format!("port {} on 127.0.0.1 cannot be used: {cause}", arguments.port),
+        )
     })?;
-    let address = line.listener.local_addr().map_err(|cause| CommandError::failed("the port", cause))?;
+    let address = line
+        .listener
+        .local_addr()
+        .map_err(|cause| CommandError::failed("the port", cause))?;
     let emulator = Emulator::start(&image, &options, cell, line, move |line| {
         if show_log {
             eprintln!("{line}");
@@ -148,8 +167,11 @@ fn announce(address: &str) {
 }
 
 fn read_faults(arguments: &Arguments) -> Result<Script, CommandError> {
-    let Some(path) = &arguments.faults else { return Ok(Script::default()) };
+    let Some(path) = &arguments.faults else {
+        return Ok(Script::default());
+    };
     let text = std::fs::read_to_string(path)
         .map_err(|cause| CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
-    text.parse().map_err(|cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display())))
+    text.parse()
+        .map_err(|cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display())))
 }

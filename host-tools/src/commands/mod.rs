@@ -50,7 +50,10 @@ pub mod code {
 impl CommandError {
     /// An error with its exit code.
     pub fn new(code: u8, message: impl std::fmt::Display) -> Self {
-        Self { code, message: message.to_string() }
+        Self {
+            code,
+            message: message.to_string(),
+        }
     }
 
     /// The work failed while doing `what`.
@@ -86,12 +89,22 @@ impl ConfigArguments {
             None => return Ok(Config::default()),
         };
         let shown = path.display();
-        let text = std::fs::read_to_string(path)
-            .map_err(|cause| CommandError::new(code::USAGE, format!("the configuration {shown} cannot be read: {cause}")))?;
+        let text = std::fs::read_to_string(path).map_err(|cause| {
+            CommandError::new(
+                code::USAGE,
+                format!("the configuration {shown} cannot be read: {cause}"),
+            )
+        })?;
         let config: Config = toml::from_str(&text)
             .map_err(|cause| CommandError::new(code::USAGE, format!("the configuration {shown} is wrong:\n{cause}")))?;
         config.check().map_err(|cause| {
-            CommandError::new(code::USAGE, format!("the configuration {shown} is wrong: {}", crate::link::text::config_error(&cause)))
+            CommandError::new(
+                code::USAGE,
+                format!(
+                    "the configuration {shown} is wrong: {}",
+                    crate::link::text::config_error(&cause)
+                ),
+            )
         })?;
         Ok(config)
     }

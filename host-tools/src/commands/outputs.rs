@@ -46,14 +46,24 @@ impl Outcome<'_> {
             path: &self.prepared.path,
             samples: &self.job.samples,
             ink_mm: ink.as_deref(),
-            counters: self.job.status.as_ref().map(|status| status.counters).unwrap_or_default(),
+            counters: self
+                .job
+                .status
+                .as_ref()
+                .map(|status| status.counters)
+                .unwrap_or_default(),
             telemetry_lost: u32::try_from(self.job.link.samples_missing).unwrap_or(u32::MAX),
             planned_s: self.planned_s,
             image: self.image.clone(),
             drives,
         });
         if let (Some(photograph), Some((cell, _))) = (&self.prepared.photograph, self.cell) {
-            let drawn = render_rgb(&strokes(cell.ink()), self.config.paper.size_mm, PEN_WIDTH_MM, PIXELS_PER_MM);
+            let drawn = render_rgb(
+                &strokes(cell.ink()),
+                self.config.paper.size_mm,
+                PEN_WIDTH_MM,
+                PIXELS_PER_MM,
+            );
             report.tone_correlation = Some(tone_correlation(photograph, &drawn));
         }
         report
@@ -69,10 +79,14 @@ impl Outcome<'_> {
             let png = render_png(&ink, sheet, PEN_WIDTH_MM, PIXELS_PER_MM)
                 .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
             save(dir, "drawn.png", |out| out.write_all(&png))?;
-            save(dir, "drawn.svg", |out| out.write_all(write_svg(&ink, sheet, PEN_WIDTH_MM).as_bytes()))?;
+            save(dir, "drawn.svg", |out| {
+                out.write_all(write_svg(&ink, sheet, PEN_WIDTH_MM).as_bytes())
+            })?;
         }
         save(dir, "intended.csv", |out| write_intended(&self.prepared.path, out))?;
-        save(dir, "telemetry.csv", |out| write_telemetry(&rows(self.config, &self.job.samples), out))?;
+        save(dir, "telemetry.csv", |out| {
+            write_telemetry(&rows(self.config, &self.job.samples), out)
+        })?;
         save(dir, "report.json", |out| {
             serde_json::to_writer_pretty(&mut *out, report)?;
             writeln!(out)
@@ -96,7 +110,8 @@ pub(super) fn make_folder(dir: &Path) -> Result<(), CommandError> {
 pub(super) fn create(dir: &Path, name: &str) -> Result<BufWriter<File>, CommandError> {
     let path = dir.join(name);
     let file = File::create(&path);
-    file.map(BufWriter::new).map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
+    file.map(BufWriter::new)
+        .map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
 }
 
 /// Writes one file of the output folder.
@@ -111,15 +126,25 @@ fn save(
 }
 
 fn strokes(ink: &[InkStroke]) -> Vec<Stroke> {
-    ink.iter().map(|stroke| Stroke { points: stroke.points_mm.clone() }).collect()
+    ink.iter()
+        .map(|stroke| Stroke {
+            points: stroke.points_mm.clone(),
+        })
+        .collect()
 }
 
 fn ink_in_robot_frame(config: &Config, ink: &[InkStroke]) -> Vec<[f64; 2]> {
     let paper = &config.paper;
     let place = |[x, y]: [f64; 2]| {
-        [paper.centre_mm[0] + x - 0.5 * paper.size_mm[0], paper.centre_mm[1] - y + 0.5 * paper.size_mm[1]]
+        [
+            paper.centre_mm[0] + x - 0.5 * paper.size_mm[0],
+            paper.centre_mm[1] - y + 0.5 * paper.size_mm[1],
+        ]
     };
-    ink.iter().flat_map(|stroke| densified(&stroke.points_mm)).map(place).collect()
+    ink.iter()
+        .flat_map(|stroke| densified(&stroke.points_mm))
+        .map(place)
+        .collect()
 }
 
 /// Points of a line at most 0.25 mm apart, so that fast ink counts as a line and not as its samples.
@@ -154,15 +179,26 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
     );
     eprintln!(
         "The pen stayed within {} of the intended lines ({:.3} mm rms).",
-        good(report.path_deviation_max_mm <= 0.5, format!("{:.3} mm", report.path_deviation_max_mm)),
+        good(
+            report.path_deviation_max_mm <= 0.5,
+            format!("{:.3} mm", report.path_deviation_max_mm)
+        ),
         report.path_deviation_rms_mm
     );
     if report.drives.is_some() {
-        eprintln!("Ink missing: {}.", good(report.ink_missing_mm == 0.0, format!("{:.1} mm", report.ink_missing_mm)));
+        eprintln!(
+            "Ink missing: {}.",
+            good(report.ink_missing_mm == 0.0, format!("{:.1} mm", report.ink_missing_mm))
+        );
     }
-    let shares = report.limits.map(|axis| axis.acceleration_rad_s2 / axis.acceleration_limit_rad_s2);
+    let shares = report
+        .limits
+        .map(|axis| axis.acceleration_rad_s2 / axis.acceleration_limit_rad_s2);
     let share = shares.iter().fold(0.0_f64, |most, share| most.max(*share));
-    eprintln!("Joints used at most {:.0} % of their acceleration limit.", 100.0 * share);
+    eprintln!(
+        "Joints used at most {:.0} % of their acceleration limit.",
+        100.0 * share
+    );
     eprintln!(
         "{} milliseconds: {}.",
         report.cycles,
@@ -178,6 +214,9 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
     }
     if let Some(dir) = dir {
-        eprintln!("Written to {}: drawn.png, drawn.svg, report.json, telemetry.csv, intended.csv", dir.display());
+        eprintln!(
+            "Written to {}: drawn.png, drawn.svg, report.json, telemetry.csv, intended.csv",
+            dir.display()
+        );
     }
 }

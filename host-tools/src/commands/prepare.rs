@@ -28,7 +28,10 @@ pub(super) fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandE
     let input = load(file).map_err(|cause| refused(&cause))?;
     let (photograph, path) = match input {
         Input::Photograph(picture) => {
-            let options = VectorizeOptions { sheet_mm: config.paper.size_mm, ..VectorizeOptions::default() };
+            let options = VectorizeOptions {
+                sheet_mm: config.paper.size_mm,
+                ..VectorizeOptions::default()
+            };
             let drawing = vectorize_image(&picture, &options).map_err(|cause| refused(&cause))?;
             (Some(picture), ordered(drawing, config))
         }
@@ -44,9 +47,9 @@ pub(super) fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandE
     let mut admission = Admission::new(config)
         .map_err(|cause| CommandError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
     for (index, vertex) in (0u32..).zip(&path) {
-        admission.check(index, vertex).map_err(|refusal| {
-            refused(&format!("stroke {}: {}", vertex.stroke + 1, text::vertex(&refusal)))
-        })?;
+        admission
+            .check(index, vertex)
+            .map_err(|refusal| refused(&format!("stroke {}: {}", vertex.stroke + 1, text::vertex(&refusal))))?;
     }
     Ok(Prepared { photograph, path })
 }
@@ -61,12 +64,20 @@ pub(super) fn to_wire(vertex: &Vertex) -> PathVertex {
     let Position { x_mm, y_mm, z_mm } = vertex.position;
     // A float that is out of range becomes the nearest integer, which the admission refuses.
     let position_um = [x_mm, y_mm, z_mm].map(|mm| (mm * 1_000.0).round() as i32);
-    PathVertex { position_um, pen: vertex.pen, stroke: vertex.stroke }
+    PathVertex {
+        position_um,
+        pen: vertex.pen,
+        stroke: vertex.stroke,
+    }
 }
 
 fn from_wire(wire: &PathVertex) -> Vertex {
     let [x_mm, y_mm, z_mm] = wire.position_um.map(|um| f64::from(um) / 1_000.0);
-    Vertex { position: Position { x_mm, y_mm, z_mm }, pen: wire.pen, stroke: wire.stroke }
+    Vertex {
+        position: Position { x_mm, y_mm, z_mm },
+        pen: wire.pen,
+        stroke: wire.stroke,
+    }
 }
 
 /// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end.
@@ -74,9 +85,15 @@ pub(super) fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
     use etherpen::motion::{MotionCommand, MotionState, PERIOD_MS, Trajectory};
     use etherpen::robot::{Delta, JointAngles};
     let Some(first) = path.first() else { return 0.0 };
-    let Ok(delta) = Delta::new(&config.geometry) else { return 0.0 };
-    let Ok([a, b, c]) = delta.inverse(&first.position) else { return 0.0 };
-    let Ok(mut trajectory) = Trajectory::new(config).map(Box::new) else { return 0.0 };
+    let Ok(delta) = Delta::new(&config.geometry) else {
+        return 0.0;
+    };
+    let Ok([a, b, c]) = delta.inverse(&first.position) else {
+        return 0.0;
+    };
+    let Ok(mut trajectory) = Trajectory::new(config).map(Box::new) else {
+        return 0.0;
+    };
     trajectory.place(JointAngles([a, b, c, 0.0]));
     let mut rest = path.iter();
     let (mut periods, mut started) = (0u32, false);

@@ -13,7 +13,11 @@ use std::path::Path;
 /// A task for a prepared file in the default cell.
 pub(super) fn task(config: &Config, prepared: &Prepared) -> Task {
     let path = prepared.path.iter().map(to_wire).collect();
-    Task { config: config.clone(), path, cell: CellOptions::default() }
+    Task {
+        config: config.clone(),
+        path,
+        cell: CellOptions::default(),
+    }
 }
 
 /// The capture's file in the output folder.

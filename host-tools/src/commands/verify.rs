@@ -12,14 +12,45 @@ pub struct Arguments {}
 /// One step: what a person reads, and cargo's arguments.
 const STEPS: [(&str, &[&str]); 6] = [
     ("format", &["fmt", "--all", "--check"]),
-    ("lints on the host", &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"]),
+    (
+        "lints on the host",
+        &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"],
+    ),
     (
         "lints of board nucleo",
-        &["clippy", "--release", "-p", "etherpen", "--target", TARGET, "--features", "nucleo", "--bin", "nucleo", "--", "-D", "warnings"],
+        &[
+            "clippy",
+            "--release",
+            "-p",
+            "etherpen",
+            "--target",
+            TARGET,
+            "--features",
+            "nucleo",
+            "--bin",
+            "nucleo",
+            "--",
+            "-D",
+            "warnings",
+        ],
     ),
     (
         "lints of board emulated",
-        &["clippy", "--release", "-p", "etherpen", "--target", TARGET, "--features", "emulated", "--bin", "emulated", "--", "-D", "warnings"],
+        &[
+            "clippy",
+            "--release",
+            "-p",
+            "etherpen",
+            "--target",
+            TARGET,
+            "--features",
+            "emulated",
+            "--bin",
+            "emulated",
+            "--",
+            "-D",
+            "warnings",
+        ],
     ),
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
     ("tests, on the host and in the emulator", &["test", "--workspace"]),
@@ -45,7 +76,11 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
         announce(name);
         step(name, arguments)?;
     }
-    eprintln!("{} in {:.0} s", in_colour("verified", "1;32"), start.elapsed().as_secs_f64());
+    eprintln!(
+        "{} in {:.0} s",
+        in_colour("verified", "1;32"),
+        start.elapsed().as_secs_f64()
+    );
     Ok(())
 }
 
