@@ -20,7 +20,7 @@ pub(crate) const DIRECTION: [(f64, f64); DIRECTIONS] = [
 /// Distance of the inner polygon's sides from its centre in a circle of radius 1: cosine of 11.25 degrees.
 const POLYGON: f64 = 0.980_785_280_403_230_4;
 /// Part of the acceleration limits that the scan uses.
-const ACCELERATION_PART: f64 = 0.985;
+const ACCELERATION_PART: f64 = 0.998;
 /// Part of the speed limits that the scan uses.
 const SPEED_PART: f64 = 0.999;
 

@@ -33,7 +33,13 @@ const LINE_MIN_MM: f64 = 1.0e-6;
 const CURVE_STEP_MM: f64 = 2.0;
 /// Intervals of a blend and of a span at least.
 const BLEND_INTERVALS: u16 = 8;
+/// The same where the blend is long enough for the joints' derivatives to change on it.
+const LONG_BLEND_INTERVALS: u16 = 14;
+/// Trim from which a blend is long, mm.
+const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
+/// Deflection of the curve's direction over a span, as a part of its length, up to which fewer intervals do.
+const SPAN_GENTLE: f64 = 0.1;
 /// Intervals of a line at least; even, so that a move from rest to rest can change from speeding up to slowing down in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
@@ -243,7 +249,16 @@ impl Shaper {
         };
         let span = |control: [Vector; 4]| {
             let curve = Curve::spline(&control);
-            Some(piece(curve, curve_intervals(leg_length, SPAN_INTERVALS), label))
+            let deflection = length(&subtract(
+                &subtract(&control[3], &control[2]),
+                &subtract(&control[1], &control[0]),
+            ));
+            let at_least = if deflection < SPAN_GENTLE * leg_length {
+                1
+            } else {
+                SPAN_INTERVALS
+            };
+            Some(piece(curve, curve_intervals(leg_length, at_least), label))
         };
         let line = |from: Vector, to: Vector| {
             let line_length = length(&subtract(&to, &from));
@@ -260,7 +275,12 @@ impl Shaper {
                 let leg_after = subtract(&after.point, &end.point);
                 let direction_after = unit(&leg_after, length(&leg_after));
                 let curve = Curve::blend(&end.point, &direction, &direction_after, trim, shape);
-                let mut blend = piece(curve, curve_intervals(2.0 * trim, BLEND_INTERVALS), label);
+                let at_least = if trim < LONG_BLEND_MM {
+                    BLEND_INTERVALS
+                } else {
+                    LONG_BLEND_INTERVALS
+                };
+                let mut blend = piece(curve, curve_intervals(2.0 * trim, at_least), label);
                 blend.exit = Label {
                     stroke: after.stroke,
                     pen: after.pen,

@@ -24,6 +24,8 @@ use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
 pub const QUEUE_VERTICES: usize = QUEUE;
 /// Part of the tolerance that the moving average may take.
 const AVERAGE_PART_MAX: f64 = 0.5;
+/// Part of the lift under which a pen on its way counts as down.
+const NEAR_PAPER: f64 = 0.5;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
@@ -449,8 +451,9 @@ impl Motion {
     /// From a rest on the path: the pen goes up if it is down.
     fn leave_path(&mut self, then: Then) {
         let mut above = self.here.point;
+        let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
         above[2] += self.pen_lift_mm;
-        if self.here.label.pen == Pen::Down && self.area.check(&above.into()).is_ok() {
+        if (near_paper || self.here.label.pen == Pen::Down) && self.area.check(&above.into()).is_ok() {
             let label = Label {
                 pen: Pen::Up,
                 ..self.here.label

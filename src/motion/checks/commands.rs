@@ -1,0 +1,237 @@
+//! Requirements on commands: hold, starvation, override, cancel, jog, moves, refusals.
+
+use super::*;
+
+#[test]
+fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
+    let config = Config::default();
+    let (path, _) = portrait(&mut Random::new(11), 3);
+    for hold_at in 1..45 {
+        let name = format!("hold after {hold_at} periods");
+        let mut run = Run::new(&config, &path);
+        run.command(MotionCommand::Start);
+        for _ in 0..hold_at {
+            run.feed(usize::MAX);
+            run.step();
+        }
+        if run.trajectory.state() != MotionState::Running {
+            break;
+        }
+        run.command(MotionCommand::Hold);
+        run.until(MotionState::Held);
+        let held = *run.references.last().unwrap();
+        assert_eq!((held.velocity_rad_s, held.pen), ([0.0; AXES], Pen::Up), "{name}");
+        assert!(run.end()[2] > -849.9, "{name}: pen is down");
+        run.step();
+        assert_eq!(run.references.last().unwrap().position_rad, held.position_rad, "{name}");
+        run.command(MotionCommand::Resume);
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        // Off the path the pen is up: the retract is reported so.
+        assert!(
+            run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS),
+            "{name}"
+        );
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+    }
+}
+
+#[test]
+fn a_hold_and_its_end_may_come_at_any_time() {
+    let config = Config::default();
+    let (path, _) = portrait(&mut Random::new(12), 2);
+    for seed in 1..60 {
+        let mut random = Random::new(seed);
+        let mut run = Run::new(&config, &path);
+        run.command(MotionCommand::Start);
+        for _ in 0..60 {
+            run.feed(1 + random.below(6));
+            run.step();
+            let command = match random.below(12) {
+                0 => MotionCommand::Hold,
+                1 | 2 => MotionCommand::Resume,
+                3 => MotionCommand::Override(10 + random.below(191) as u8),
+                _ => continue,
+            };
+            // Not every command fits every state; none may break a limit.
+            let _ = run.trajectory.command(command);
+        }
+        run.command(MotionCommand::Override(100));
+        let _ = run.trajectory.command(MotionCommand::Resume);
+        for _ in 0..4 {
+            run.step();
+        }
+        let _ = run.trajectory.command(MotionCommand::Resume);
+        run.config.motion.speed_mm_s = 800.0;
+        run.until(MotionState::Idle);
+        run.check_limits(&format!("seed {seed}"));
+        assert!(run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS));
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns() {
+    let config = Config::default();
+    let (path, _) = portrait(&mut Random::new(5), 3);
+    for part in 4..30 {
+        let name = format!("{part} vertices");
+        let mut run = Run::new(&config, &path);
+        run.command(MotionCommand::Start);
+        run.feed(part);
+        for _ in 0..120 {
+            run.step();
+        }
+        assert_eq!(run.trajectory.state(), MotionState::Starved, "{name}");
+        assert_eq!(run.trajectory.underruns(), 1, "{name}");
+        let waiting = *run.references.last().unwrap();
+        assert_eq!((waiting.velocity_rad_s, waiting.pen), ([0.0; AXES], Pen::Up), "{name}");
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        assert!(
+            run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS),
+            "{name}"
+        );
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+    }
+}
+
+#[test]
+fn an_override_scales_the_speed_within_the_other_limits() {
+    let config = Config::default();
+    let path = [
+        vertex([-100.0, 0.0, -850.0], Pen::Up, 0),
+        vertex([100.0, 0.0, -850.0], Pen::Down, 0),
+    ];
+    for (percent, speed) in [(10, 40.0), (50, 200.0), (100, 400.0), (200, 800.0)] {
+        let mut run = Run::new(&config, &path);
+        run.command(MotionCommand::Override(percent));
+        run.config.motion.speed_mm_s = speed;
+        let worst = run.whole().check_limits("override");
+        assert!(worst[2] > 0.99, "{percent} %: {worst:?}");
+    }
+    let mut run = Run::new(&config, &path);
+    for percent in [0, 9, 201, 255] {
+        let refusal = run.trajectory.command(MotionCommand::Override(percent));
+        assert_eq!(refusal, Err(MotionRefusal::Override { percent }));
+    }
+    run.feed(usize::MAX);
+    run.command(MotionCommand::Start);
+    for percent in [200, 30, 150, 10, 200, 100] {
+        run.command(MotionCommand::Override(percent));
+        for _ in 0..4 {
+            run.step();
+        }
+    }
+    run.until(MotionState::Idle);
+    run.config.motion.speed_mm_s = 800.0;
+    run.check_limits("changing override");
+}
+
+#[test]
+fn a_cancel_ends_on_the_path_with_the_pen_up_and_a_new_path_can_follow() {
+    let config = Config::default();
+    let (path, _) = portrait(&mut Random::new(3), 2);
+    for cancel_at in 1..40 {
+        let name = format!("cancel after {cancel_at} periods");
+        let mut run = Run::new(&config, &path);
+        run.feed(usize::MAX);
+        run.command(MotionCommand::Start);
+        for _ in 0..cancel_at {
+            run.step();
+        }
+        run.command(MotionCommand::Cancel);
+        for _ in 0..40 {
+            run.step();
+        }
+        assert_eq!(run.trajectory.state(), MotionState::Idle, "{name}");
+        assert_eq!(run.trajectory.free(), QUEUE_VERTICES);
+        assert!(run.end()[2] > -849.9, "{name}: pen is down");
+        run.check_limits(&name);
+        let executed = run.trajectory.executed();
+        assert!(executed < path.len() as u32);
+        run.pushed = 0;
+        run.command(MotionCommand::Start);
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+    }
+}
+
+#[test]
+fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
+    let config = Config::default();
+    let start = [vertex([0.0, 0.0, -850.0], Pen::Up, 0)];
+    let mut run = Run::new(&config, &start);
+    for _ in 0..20 {
+        run.command(MotionCommand::Jog([50.0, 0.0, 0.0]));
+        run.step();
+    }
+    let moved = run.end()[0];
+    assert!(moved > 9.0 && moved < 12.0, "{moved}");
+    for _ in 0..20 {
+        run.step();
+    }
+    assert_eq!(run.trajectory.state(), MotionState::Idle);
+    assert!(run.end()[0] < moved + 50.0 * 0.1 + 1.5);
+    for direction in [[300.0, 40.0, 0.0], [0.0, 0.0, 300.0], [-20.0, -300.0, -300.0]] {
+        for _ in 0..500 {
+            run.command(MotionCommand::Jog(direction));
+            run.step();
+        }
+        let area = crate::robot::WorkArea::new(&config).unwrap();
+        assert!(area.check(&run.end().into()).is_ok(), "{direction:?} leads outside");
+    }
+    run.command(MotionCommand::JogStop);
+    run.until(MotionState::Idle);
+    run.check_limits("jog");
+    let refusal = run.trajectory.command(MotionCommand::Jog([f64::NAN, 0.0, 0.0]));
+    assert!(matches!(refusal, Err(MotionRefusal::Target(_))));
+}
+
+#[test]
+fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
+    let config = Config::default();
+    let mut run = Run::new(&config, &[vertex([0.0, 0.0, -850.0], Pen::Up, 0)]);
+    let at = |x_mm, y_mm, z_mm| Position { x_mm, y_mm, z_mm };
+    for target in [at(400.0, 0.0, -900.0), at(-300.0, 300.0, -850.0), at(0.0, 0.0, -847.0)] {
+        run.command(MotionCommand::MoveTo(target));
+        assert_eq!(
+            run.trajectory.command(MotionCommand::Pen(Pen::Up)),
+            Err(MotionRefusal::State(MotionState::Moving))
+        );
+        run.until(MotionState::Idle);
+        assert!(length(&subtract(&run.end(), &target.into())) < 1.0e-6);
+    }
+    run.command(MotionCommand::Pen(Pen::Down));
+    run.until(MotionState::Idle);
+    assert!((run.end()[2] + 850.0).abs() < 1.0e-6 && run.references.last().unwrap().pen == Pen::Down);
+    run.command(MotionCommand::Pen(Pen::Up));
+    run.until(MotionState::Idle);
+    assert!((run.end()[2] + 847.0).abs() < 1.0e-6);
+    for target in [at(f64::NAN, 0.0, -850.0), at(0.0, 900.0, -850.0), at(0.0, 0.0, 0.0)] {
+        let refusal = run.trajectory.command(MotionCommand::MoveTo(target));
+        assert!(matches!(refusal, Err(MotionRefusal::Target(_))), "{target:?}");
+    }
+    run.check_limits("moves");
+}
+
+#[test]
+fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
+    let config = Config::default();
+    let mut trajectory = placed(&config, [0.0, 0.0, -850.0]);
+    let refusal = trajectory.push(vertex([f64::INFINITY, 0.0, 0.0], Pen::Up, 0));
+    assert!(matches!(refusal, Err(MotionRefusal::Target(_))));
+    let mut pushed = 0;
+    while trajectory
+        .push(vertex([0.01 * f64::from(pushed + 1), 0.0, -850.0], Pen::Down, 0))
+        .is_ok()
+    {
+        pushed += 1;
+    }
+    assert_eq!((pushed as usize, trajectory.free()), (QUEUE_VERTICES, 0));
+    let mut lost = Trajectory::new(&config).unwrap();
+    assert!(!lost.place(JointAngles([f64::NAN; AXES])));
+    assert_eq!(lost.command(MotionCommand::Start), Err(MotionRefusal::NotPlaced));
+    assert!(lost.step().iter().all(|r| r.velocity_rad_s == [0.0; AXES]));
+}
