@@ -244,7 +244,7 @@ pub enum BusCondition {
 /// What the trajectory reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// Whether it is at rest with nothing left to do.
+    /// Whether it is at rest with nothing left to do and has taken all orders.
     pub idle: bool,
     /// Whether it stands on a held path.
     pub held: bool,
@@ -298,8 +298,10 @@ impl Default for Application {
     }
 }
 
-/// Time after a motion command within which the trajectory may still report the rest before it, ms.
-const MOTION_SETTLE_MS: u32 = 30;
+/// Time until the reports of the other tasks answer to an action, ms.
+const SETTLE_MS: u32 = 2;
+/// Time until a reset shows in the drives' status, ms.
+const RESET_MS: u32 = 30;
 
 impl Application {
     /// The machine before a configuration has come.
@@ -613,7 +615,7 @@ impl Application {
         match self.enabling {
             Enabling::No => {}
             Enabling::Referencing { since_ms } => {
-                if self.condition.referenced && self.waited_ms(since_ms) >= 2 {
+                if self.condition.referenced && self.waited_ms(since_ms) >= SETTLE_MS {
                     self.enabling = Enabling::No;
                     if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
                         self.follow_from_here();
@@ -666,7 +668,7 @@ impl Application {
         let Some(since_ms) = self.recovering_since_ms else {
             return;
         };
-        if self.waited_ms(since_ms) < MOTION_SETTLE_MS {
+        if self.waited_ms(since_ms) < RESET_MS {
             return;
         }
         let bus_is_well = match self.bus {
@@ -690,7 +692,7 @@ impl Application {
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
-        let settled = self.waited_ms(self.motion_started_ms) > MOTION_SETTLE_MS;
+        let settled = self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
             Mode::Drawing | Mode::Moving if settled && progress.idle => self.mode = Mode::Idle,

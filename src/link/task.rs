@@ -59,6 +59,7 @@ pub struct LinkTask<'a> {
     slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
     counters: Counters,
     vertices_admitted: u32,
+    orders_sent: u32,
     now_ms: u32,
     told: (Mode, Option<Fault>, u32),
 }
@@ -86,6 +87,7 @@ impl<'a> LinkTask<'a> {
             slaves: Vec::new(),
             counters: Counters::default(),
             vertices_admitted: 0,
+            orders_sent: 0,
             now_ms: 0,
             told: (Mode::Startup, None, 0),
         }
@@ -161,7 +163,7 @@ impl<'a> LinkTask<'a> {
             axes: config.axes,
             bus: config.bus.clone(),
         });
-        let _ = self.ends.motion_orders.enqueue(MotionOrder::Configure(config.clone()));
+        self.tell_trajectory(MotionOrder::Configure(config.clone()));
         let _ = self.ends.bus_commands.enqueue(BusCommand::Start(BusSetup {
             bus: config.bus.clone(),
             axes: config.axes,
@@ -329,12 +331,15 @@ impl<'a> LinkTask<'a> {
 
     fn tell_trajectory(&mut self, order: MotionOrder) {
         // The trajectory task empties its queue every 12 ms; commands come from a person or a host's job.
-        let _ = self.ends.motion_orders.enqueue(order);
+        if self.ends.motion_orders.enqueue(order).is_ok() {
+            self.orders_sent = self.orders_sent.wrapping_add(1);
+        }
     }
 
     fn tell(&mut self) {
         let (free, motion) = (self.free(), self.motion);
-        self.endpoint.acknowledge(motion.executed, free, motion.finished);
+        let finished = motion.finished && motion.orders == self.orders_sent;
+        self.endpoint.acknowledge(motion.executed, free, finished);
         let (mode, fault, since_ms) = self.told;
         let changed = mode != self.application.mode() || fault != self.application.fault();
         if changed || self.now_ms.wrapping_sub(since_ms) >= STATUS_PERIOD_MS {

@@ -53,8 +53,10 @@ pub struct MotionReport {
     pub finished: bool,
     /// Times the path ran out of data.
     pub starvations: u32,
-    /// Releases that found the ring with less than a period in it.
+    /// Releases that found the ring empty: the release before came too late.
     pub overruns: u32,
+    /// Orders taken so far; a report answers to the orders it counts.
+    pub orders: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +84,10 @@ pub struct TrajectoryTask<'a> {
     epoch: Option<u8>,
     filled: bool,
     path: PathPhase,
+    /// A hold that came before the path began to move.
+    held_before_start: bool,
     overruns: u32,
+    orders_taken: u32,
 }
 
 impl<'a> TrajectoryTask<'a> {
@@ -102,17 +107,22 @@ impl<'a> TrajectoryTask<'a> {
             epoch: None,
             filled: false,
             path: PathPhase::None,
+            held_before_start: false,
             overruns: 0,
+            orders_taken: 0,
         }
     }
 
     /// One release.
     pub fn release(&mut self) {
         while let Some(order) = self.orders.dequeue() {
+            self.orders_taken = self.orders_taken.wrapping_add(1);
             self.take_order(order);
         }
         let Some(trajectory) = &mut self.trajectory else { return };
-        self.path = take_vertices(trajectory, &mut self.vertices, self.path);
+        if !self.held_before_start {
+            self.path = take_vertices(trajectory, &mut self.vertices, self.path);
+        }
         if let Some(epoch) = self.epoch {
             self.overruns += u32::from(self.filled && self.references.is_empty());
             self.filled = true;
@@ -127,13 +137,22 @@ impl<'a> TrajectoryTask<'a> {
         if state == MotionState::Idle && self.path == PathPhase::Complete {
             self.path = PathPhase::Finished;
         }
+        let path_pending = matches!(
+            self.path,
+            PathPhase::Gathering | PathPhase::Running | PathPhase::Complete
+        );
         let report = MotionReport {
-            idle: state == MotionState::Idle,
-            held: state == MotionState::Held,
-            executed: trajectory.executed(),
+            idle: state == MotionState::Idle && !path_pending,
+            held: state == MotionState::Held || self.held_before_start,
+            executed: if self.path == PathPhase::Gathering {
+                0
+            } else {
+                trajectory.executed()
+            },
             finished: self.path == PathPhase::Finished,
             starvations: trajectory.underruns(),
             overruns: self.overruns,
+            orders: self.orders_taken,
         };
         // A report that finds no room is followed by a newer one 12 ms later.
         let _ = self.reports.enqueue(report);
@@ -161,8 +180,11 @@ impl<'a> TrajectoryTask<'a> {
                 self.drop_path();
             }
             MotionOrder::Command(command) => {
-                if command == MotionCommand::Cancel {
-                    self.drop_path();
+                match command {
+                    MotionCommand::Cancel => self.drop_path(),
+                    MotionCommand::Hold => self.held_before_start = self.path == PathPhase::Gathering,
+                    MotionCommand::Resume => self.held_before_start = false,
+                    _ => {}
                 }
                 if let Some(trajectory) = &mut self.trajectory {
                     // The operating modes have admitted the command; what cannot be done at this moment is left undone.
@@ -175,6 +197,7 @@ impl<'a> TrajectoryTask<'a> {
     fn drop_path(&mut self) {
         while self.vertices.dequeue().is_some() {}
         self.path = PathPhase::None;
+        self.held_before_start = false;
     }
 }
 
