@@ -22,10 +22,27 @@ const BOARDS: [Board; 2] = [
     },
     Board {
         feature: "CARGO_FEATURE_NUCLEO",
-        regions: "REGION_ALIAS(FLASH, H743_FLASH);\nREGION_ALIAS(RAM, H743_DTCM);\n",
+        regions: NUCLEO_REGIONS,
         interrupts: None,
     },
 ];
+
+/// Statics in AXI SRAM, the stack alone in DTCM (an overflow then leaves the memory and faults instead of overwriting),
+/// what the Ethernet DMA touches in SRAM3, which it reaches and `src/bin/nucleo/memory.rs` makes non-cacheable.
+const NUCLEO_REGIONS: &str = "\
+REGION_ALIAS(FLASH, H743_FLASH);
+REGION_ALIAS(RAM, H743_AXI_SRAM);
+_stack_start = ORIGIN(H743_DTCM) + LENGTH(H743_DTCM);
+_stack_end = ORIGIN(H743_DTCM);
+SECTIONS
+{
+  .eth_dma (NOLOAD) : ALIGN(32)
+  {
+    *(.eth_dma .eth_dma.*);
+    . = ALIGN(32);
+  } > H743_SRAM3
+} INSERT AFTER .uninit;
+";
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

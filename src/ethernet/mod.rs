@@ -3,4 +3,6 @@
 //! A driver here talks to a small register trait, so that its logic is safe code and is tested on the host against a model
 //! of the chip; a board supplies the volatile accesses.
 
+pub mod descriptors;
 pub mod lan9118;
+pub mod phy;

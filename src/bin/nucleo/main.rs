@@ -1,1 +1,245 @@
-fn main() {}
+//! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK.
+//!
+//! This folder is wiring: which interrupt releases which task of the library, at which priority, and the drivers of this
+//! chip. What a task does is in `etherpen::controller`; the emulated board runs the same tasks at the same priorities.
+//!
+//! | task | released by | priority | deadline |
+//! |---|---|---|---|
+//! | `sample` | TIM1 update, every 1 ms | 15 | 1 ms |
+//! | `bus_frame` | ETH, received frame | 15 | the drives' next cycle |
+//! | `bus_deadline` | TIM1 compare, 300 us after the sample | 15 | 500 us after the sample |
+//! | `host_bytes` | USART3, and `link` every 1 ms | 10 | 8 bytes on the line, 86 us |
+//! | `trajectory` | `sample`, every 12 ms | 6 | 12 ms |
+//! | `link` | `sample`, every 1 ms | 3 | 1 ms |
+//! | `supervisor` | `link`, every 1 ms | 1 | none |
+//! | `phy` | `link`, every 1 ms | 1 | none |
+//!
+//! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
+//! they release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section.
+//! Critical sections mask up to priority 14 (`critical.rs`). Nothing else is at hardware priority 0 or 1: the HAL's time
+//! driver is not linked, and `start_up_check` panics otherwise. DMA memory is in SRAM3, not cached (`memory.rs`).
+//!
+//! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
+//! `Cargo.toml` (with its `embassy-stm32` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
+//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins and the serial port's), `memory.rs` (the SRAM
+//! that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every chip whose MAC embassy calls
+//! `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare vectors.
+#![no_std]
+#![no_main]
+
+mod clocks;
+mod critical;
+mod eth;
+mod health;
+mod memory;
+mod panic;
+mod phy;
+mod pins;
+mod release;
+mod serial;
+mod start_up;
+mod timer;
+
+use defmt_rtt as _;
+
+/// Name by which the host knows the board.
+const BOARD: &str = "nucleo";
+
+#[rtic::app(device = embassy_stm32::pac, peripherals = false, dispatchers = [LPTIM5])]
+mod app {
+    use crate::critical::{self, CRITICAL_PRIORITY};
+    use crate::eth::Ethernet;
+    use crate::health::{self, Health, Periods};
+    use crate::phy::{self as link_state, Sma};
+    use crate::release::Release;
+    use crate::serial::{self, Serial};
+    use crate::{BOARD, clocks, memory, panic, pins, start_up, timer};
+    use core::future::poll_fn;
+    use core::mem::MaybeUninit;
+    use core::pin::pin;
+    use embassy_stm32::pac::Interrupt;
+    use embassy_stm32::uid;
+    use etherpen::control::sampler::Sampler;
+    use etherpen::controller::{Channels, Parts};
+    use etherpen::ethercat::supervisor::Supervisor;
+    use etherpen::ethercat::transport::raw::RawTransport;
+    use etherpen::ethernet::phy::Phy;
+    use etherpen::link::task::LinkTask;
+    use etherpen::motion::task::TrajectoryTask;
+
+    /// Interrupts of the critical tasks.
+    const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
+
+    /// What the critical tasks share: they have one priority, so no lock exists.
+    #[shared]
+    struct Shared {
+        #[lock_free]
+        sampler: &'static mut Sampler<'static>,
+        #[lock_free]
+        wire: RawTransport<Ethernet>,
+    }
+
+    #[local]
+    struct Local {
+        trajectory: &'static mut TrajectoryTask<'static>,
+        link: &'static mut LinkTask<'static>,
+        serial: Serial,
+        supervisor: &'static mut Supervisor<'static>,
+        phy: Phy,
+    }
+
+    /// Runs once with interrupts disabled: memory and clocks, drivers, then the check of all priorities.
+    #[init(local = [channels: Channels = Channels::new(), parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit()])]
+    fn init(mut context: init::Context) -> (Shared, Local) {
+        let cause = panic::take();
+        let core = &mut context.core;
+        memory::start(&mut core.MPU, &mut core.SCB, &mut core.CPUID);
+        pins::start(clocks::start());
+        if let Some(cause) = cause {
+            defmt::error!("the previous run ended in a panic: {=str}", cause.text());
+        }
+        let (channels, space) = (context.local.channels, context.local.parts);
+        let parts = start_up::on_large_stack(|| space.write(channels.split(BOARD)));
+        let wire = RawTransport::new(Ethernet::new(hardware_address(uid::uid())));
+        let serial = Serial::new(&mut parts.host_bytes);
+        critical::start_up_check(&mut core.SYST, &CRITICAL);
+        assert!(supervisor::spawn().is_ok(), "the supervisor starts once");
+        defmt::info!(
+            "{=str}: {=u32} MHz, serial line at {=u32} baud",
+            BOARD,
+            clocks::CORE_HZ / 1_000_000,
+            serial::BAUD
+        );
+        timer::start();
+        (
+            Shared {
+                sampler: &mut parts.sampler,
+                wire,
+            },
+            Local {
+                trajectory: &mut parts.trajectory,
+                link: &mut parts.link,
+                serial,
+                supervisor: &mut parts.supervisor,
+                phy: Phy::new(),
+            },
+        )
+    }
+
+    /// Sleeps between interrupts; the time asleep is counted.
+    #[idle]
+    fn idle(_: idle::Context) -> ! {
+        loop {
+            health::sleep();
+        }
+    }
+
+    /// Sends the input telegram, and releases `link` and every twelfth time `trajectory`.
+    ///
+    /// Period 1 ms, priority 15, deadline: the next release. Overrun: the elapsed time handed over shows the lateness,
+    /// which the sampler counts; more than the configured number in a second is a fault.
+    #[task(binds = TIM1_UP, priority = 15, shared = [sampler, wire], local = [periods: Periods = Periods::new()])]
+    fn sample(context: sample::Context) {
+        const { assert!(CRITICAL_PRIORITY == 15) };
+        health::woke();
+        timer::acknowledge_sample();
+        context.local.periods.released();
+        let resources = context.shared;
+        if resources.sampler.sample(resources.wire, timer::elapsed_ns()) {
+            health::trajectory_released();
+            rtic::pend(Interrupt::LPTIM2);
+        }
+        rtic::pend(Interrupt::LPTIM3);
+    }
+
+    /// Takes received frames: on the input reply control and the output telegram, on the output reply the counters.
+    ///
+    /// Twice per ms and once per foreign frame, priority 15, deadline: 500 us after the sample for the output telegram.
+    /// Overrun: `bus_deadline` has sent the output of this cycle already; the late reply is counted.
+    #[task(binds = ETH, priority = 15, shared = [sampler, wire])]
+    fn bus_frame(context: bus_frame::Context) {
+        health::woke();
+        let resources = context.shared;
+        resources.wire.driver_mut().acknowledge();
+        resources.sampler.bus_frame(resources.wire, timer::elapsed_ns());
+    }
+
+    /// Sends the output telegram on predicted positions if no valid input has come.
+    ///
+    /// 300 us after every sample, priority 15, deadline 500 us after the sample. Overrun: that cycle's output is late,
+    /// the sampler counts it; the drives bridge one.
+    #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire])]
+    fn bus_deadline(context: bus_deadline::Context) {
+        health::woke();
+        timer::acknowledge_bus_deadline();
+        let resources = context.shared;
+        resources.sampler.bus_deadline(resources.wire, timer::elapsed_ns());
+    }
+
+    /// Moves bytes between the serial port's FIFOs and the link's queues.
+    ///
+    /// On 8 received bytes, an idle line or an empty transmit FIFO, and every ms; priority 10, deadline 86 us (the other
+    /// half of the receive FIFO). Overrun: bytes are lost and counted, the link repeats the frame.
+    #[task(binds = USART3, priority = 10, local = [serial])]
+    fn host_bytes(context: host_bytes::Context) {
+        health::woke();
+        context.local.serial.service();
+    }
+
+    /// Plans ahead and fills the ring with the next 12 references.
+    ///
+    /// Period 12 ms, priority 6, deadline 12 ms. Overrun: a release that found the one before not completed is counted;
+    /// the ring holds a plan that ends at rest, so late planning slows the motion down and never starves it.
+    #[task(binds = LPTIM2, priority = 6, local = [trajectory])]
+    fn trajectory(context: trajectory::Context) {
+        health::trajectory_runs(|| context.local.trajectory.release());
+    }
+
+    /// Messages of the host, telemetry; then releases the serial port, the supervisor and the PHY.
+    ///
+    /// Period 1 ms, priority 3, deadline 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
+    #[task(binds = LPTIM3, priority = 3, local = [link])]
+    fn link(context: link::Context) {
+        context.local.link.tick();
+        rtic::pend(Interrupt::USART3);
+        rtic::pend(Interrupt::LPTIM4);
+        SUPERVISOR.now();
+    }
+
+    static SUPERVISOR: Release = Release::new();
+
+    /// Brings the bus up, watches it, repairs it.
+    ///
+    /// One step every ms, priority 1, no deadline: what it decides is slow. Overrun: steps merge.
+    #[task(priority = 1, local = [supervisor])]
+    async fn supervisor(context: supervisor::Context) {
+        // It registers no waker: what it waits for are critical tasks, which may not wake.
+        let mut run = pin!(context.local.supervisor.run());
+        poll_fn(|task| {
+            SUPERVISOR.wait(task.waker());
+            run.as_mut().poll(task)
+        })
+        .await
+    }
+
+    /// Polls the PHY for the link's state, and logs what changed and what was counted.
+    ///
+    /// Period 1 ms, priority 1, no deadline. Overrun: steps merge; the link's state is known later.
+    #[task(binds = LPTIM4, priority = 1, local = [phy, health: Health = Health::new()])]
+    fn phy(context: phy::Context) {
+        if let Some(event) = context.local.phy.step(&mut Sma) {
+            link_state::publish(context.local.phy.link_is_up());
+            defmt::info!("PHY: {}", defmt::Debug2Format(&event));
+        }
+        context.local.health.step();
+    }
+
+    /// A locally administered address from the chip's unique number (FNV-1a), so that two boards differ.
+    fn hardware_address(unique: [u8; 12]) -> [u8; 6] {
+        let folded = unique.iter().fold(0x811C_9DC5u32, |hash, byte| {
+            (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
+        });
+        let [a, b, c, d] = folded.to_le_bytes();
+        [0x02, 0x00, a, b, c, d]
+    }
+}

@@ -1,0 +1,77 @@
+//! Clock tree: 480 MHz core, 240 MHz buses and timers, 120 MHz peripherals.
+//!
+//! 480 MHz at voltage scale 0 rather than 400 MHz at scale 1: the critical path's share of a millisecond is the figure
+//! that counts here, and the board's revision V silicon at room temperature is specified for it. Scale 0 limits the
+//! junction to 105 degrees C; a hotter cabinet takes scale 1, multiplier 100 and `CORE_HZ` 400 MHz, nothing else.
+//! Revision Y cannot run at scale 0 and is refused by its identity before the clocks change.
+//!
+//! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle then is as exact as
+//! a crystal, which the internal oscillator (1 %) is not. CSI feeds the compensation cell of fast outputs.
+
+use embassy_stm32::pac::DBGMCU;
+use embassy_stm32::rcc::{
+    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk, TimerPrescaler,
+    VoltageScale,
+};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::{Config, Peripherals, interrupt::Priority};
+
+/// Clock of the processor, Hz.
+pub(crate) const CORE_HZ: u32 = 480_000_000;
+/// Clock of the buses and of the Ethernet MAC's registers, Hz.
+pub(crate) const BUS_HZ: u32 = CORE_HZ / 2;
+/// Kernel clock of the timers on APB1 and APB2, Hz: twice the peripherals' clock.
+pub(crate) const TIMER_HZ: u32 = BUS_HZ;
+/// Clock of the peripherals on APB1 to APB4, Hz.
+pub(crate) const PERIPHERAL_HZ: u32 = BUS_HZ / 2;
+
+const HSE_HZ: u32 = 8_000_000;
+const PLL_MULTIPLIER: u32 = 120;
+const _: () = assert!(HSE_HZ * PLL_MULTIPLIER / 2 == CORE_HZ);
+
+/// `REV_ID` of DBGMCU_IDC for revision Y (RM0433, debug chapter).
+const REVISION_Y: u16 = 0x1003;
+
+/// Starts the clocks and hands out the chip's peripherals.
+///
+/// No embassy time driver is linked, and the DMA interrupts that the HAL enables get the lowest priority: nothing sits
+/// at hardware priority 0.
+///
+/// # Panics
+///
+/// On revision Y silicon, and when called twice.
+pub(crate) fn start() -> Peripherals {
+    assert!(
+        DBGMCU.idc().read().rev_id() != REVISION_Y,
+        "silicon revision Y: 480 MHz is out of its range"
+    );
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse {
+        freq: Hertz(HSE_HZ),
+        mode: HseMode::Bypass,
+    });
+    config.rcc.csi = true;
+    config.rcc.hsi48 = None;
+    config.rcc.pll1 = Some(Pll {
+        source: PllSource::HSE,
+        prediv: PllPreDiv::DIV1,
+        mul: PllMul::MUL120,
+        fracn: None,
+        divp: Some(PllDiv::DIV2),
+        divq: None,
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.d1c_pre = AHBPrescaler::DIV1;
+    config.rcc.ahb_pre = AHBPrescaler::DIV2;
+    config.rcc.apb1_pre = APBPrescaler::DIV2;
+    config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config.rcc.apb3_pre = APBPrescaler::DIV2;
+    config.rcc.apb4_pre = APBPrescaler::DIV2;
+    config.rcc.timer_prescaler = TimerPrescaler::DefaultX2;
+    config.rcc.voltage_scale = VoltageScale::Scale0;
+    config.dma_interrupt_priority = Priority::P15;
+    config.bdma_interrupt_priority = Priority::P15;
+    config.mdma_interrupt_priority = Priority::P15;
+    embassy_stm32::init(config)
+}

@@ -1,0 +1,52 @@
+//! Memory attributes: what the Ethernet DMA shares is not cached, the rest is.
+//!
+//! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain D2,
+//! and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere, unaligned
+//! access still allowed. It must be in force before the D-cache is on and before the first descriptor is written.
+
+use cortex_m::peripheral::{CPUID, MPU, SCB};
+use embassy_stm32::pac::RCC;
+
+/// Start of SRAM1, SRAM2 and SRAM3, which follow each other (RM0433, memory map).
+const D2_SRAM_START: u32 = 0x3000_0000;
+/// SRAM1 128 KiB, SRAM2 128 KiB, SRAM3 32 KiB.
+const D2_SRAM_SIZE: u32 = 288 * 1024;
+/// An MPU region is a power of two and lies on its own size.
+const REGION_SIZE: u32 = 512 * 1024;
+/// Eighths of the region without memory behind them are left to the default map.
+const SUBREGIONS_OFF: u32 = 0b1110_0000;
+
+const _: () = assert!(REGION_SIZE.is_power_of_two() && D2_SRAM_START.is_multiple_of(REGION_SIZE));
+const _: () = assert!(D2_SRAM_SIZE <= REGION_SIZE / 8 * SUBREGIONS_OFF.trailing_zeros());
+
+/// Never execute, full access, TEX 001 C 0 B 0 S 1: normal, shareable, non-cacheable (ARMv7-M, MPU_RASR).
+const NON_CACHEABLE: u32 = 1 << 28 | 0b011 << 24 | 0b001 << 19 | 1 << 18;
+const REGION_ENABLE: u32 = 1;
+/// MPU_CTRL: on, with the default map for everything outside the region.
+const MPU_ENABLE: u32 = 0b101;
+
+/// Clocks the D2 SRAM, makes it non-cacheable and turns both caches on.
+pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
+    RCC.ahb2enr().modify(|enable| {
+        enable.set_sram1en(true);
+        enable.set_sram2en(true);
+        enable.set_sram3en(true);
+    });
+    // The clock enable takes effect two bus cycles later; a read back spends them.
+    let _ = RCC.ahb2enr().read();
+    cortex_m::asm::dmb();
+    // SAFETY: no D2 SRAM is in use yet, so no access changes its meaning under way; the default map stays in force for
+    // all other memory, and the barriers end every access under the old attributes.
+    unsafe {
+        mpu.ctrl.write(0);
+        mpu.rnr.write(0);
+        mpu.rbar.write(D2_SRAM_START);
+        mpu.rasr
+            .write(NON_CACHEABLE | SUBREGIONS_OFF << 8 | (REGION_SIZE.trailing_zeros() - 1) << 1 | REGION_ENABLE);
+        mpu.ctrl.write(MPU_ENABLE);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+    scb.enable_icache();
+    scb.enable_dcache(cpuid);
+}

@@ -1,0 +1,50 @@
+//! Pins of the NUCLEO-H743ZI2 (UM2407): which pin is what, and nothing else.
+//!
+//! | pins | signal | function |
+//! |---|---|---|
+//! | PA1, PA7, PC4, PC5 | RMII reference clock, carrier sense, receive data 0 and 1 | 11 |
+//! | PG11, PG13, PB13 | RMII transmit enable, transmit data 0 and 1 (PB13 through its jumper, closed by default) | 11 |
+//! | PA2, PC1 | PHY management data and clock | 11 |
+//! | PD8, PD9 | USART3 transmit and receive, wired to the ST-LINK's virtual serial port | 7 |
+
+use core::mem;
+use embassy_stm32::gpio::{AfType, AnyPin, Flex, OutputType, Pull, Speed};
+use embassy_stm32::{Peri, Peripherals};
+
+/// Alternate function of the Ethernet MAC on every pin used here (datasheet, alternate function tables).
+const ETHERNET_FUNCTION: u8 = 11;
+/// Alternate function of USART3 on port D.
+const SERIAL_FUNCTION: u8 = 7;
+
+/// Gives every pin to its peripheral, for good.
+pub(crate) fn start(chip: Peripherals) {
+    let fast = AfType::output(OutputType::PushPull, Speed::VeryHigh);
+    let ethernet: [Peri<'static, AnyPin>; 9] = [
+        chip.PA1.into(),
+        chip.PA2.into(),
+        chip.PA7.into(),
+        chip.PB13.into(),
+        chip.PC1.into(),
+        chip.PC4.into(),
+        chip.PC5.into(),
+        chip.PG11.into(),
+        chip.PG13.into(),
+    ];
+    for pin in ethernet {
+        assign(pin, ETHERNET_FUNCTION, fast);
+    }
+    assign(
+        chip.PD8.into(),
+        SERIAL_FUNCTION,
+        AfType::output(OutputType::PushPull, Speed::High),
+    );
+    // Pulled up: an open line reads idle instead of a stream of breaks.
+    assign(chip.PD9.into(), SERIAL_FUNCTION, AfType::input(Pull::Up));
+}
+
+fn assign(pin: Peri<'static, AnyPin>, function: u8, kind: AfType) {
+    let mut pin = Flex::new(pin);
+    pin.set_as_af_unchecked(function, kind);
+    // Dropping it would disconnect the pin.
+    mem::forget(pin);
+}

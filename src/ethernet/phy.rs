@@ -1,0 +1,341 @@
+//! A PHY over the management interface: one transaction at a time, never waited for.
+//!
+//! A register access takes some 30 us on the wire. Each step collects the transaction that the step before started and
+//! starts the next, so that no step blocks, a PHY that is missing or dies costs nothing, and one that comes back is found
+//! again. The PHY offers 100 Mbit/s full duplex alone, all that EtherCAT knows, so a MAC set to it always agrees.
+//!
+//! Registers: IEEE 802.3 clause 22; nothing here is particular to one PHY.
+
+/// Addresses on the management bus.
+pub const ADDRESSES: u8 = 32;
+/// Steps between two looks at the link.
+pub const POLL_PERIOD_STEPS: u8 = 10;
+/// Steps after which a transaction counts as lost.
+pub const TRANSACTION_STEPS_MAX: u8 = 5;
+
+const BASIC_CONTROL: u8 = 0;
+const BASIC_STATUS: u8 = 1;
+const IDENTIFIER_1: u8 = 2;
+const ADVERTISEMENT: u8 = 4;
+
+/// Auto-negotiation on, and begun anew.
+const NEGOTIATE: u16 = 1 << 12 | 1 << 9;
+/// 100BASE-TX full duplex, selector IEEE 802.3.
+const FULL_DUPLEX_100: u16 = 1 << 8 | 1;
+const LINK_UP: u16 = 1 << 2;
+const NEGOTIATED: u16 = 1 << 5;
+
+/// The management interface of a MAC: clause 22 transactions that run by themselves.
+pub trait Management {
+    /// Starts to read `register` (0 to 31) of the PHY at `address` (0 to 31).
+    fn start_read(&mut self, address: u8, register: u8);
+    /// Starts to write `value` to `register` of the PHY at `address`.
+    fn start_write(&mut self, address: u8, register: u8, value: u16);
+    /// What the transaction that was started last read, once it has ended; anything after a write.
+    fn result(&mut self) -> Option<u16>;
+}
+
+/// What a step found out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A PHY answers at this address.
+    Found(u8),
+    /// The PHY does not answer any more; the link is down.
+    Lost,
+    /// The link came up.
+    LinkUp,
+    /// The link went down.
+    LinkDown,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Asking one address after the other for its identifier.
+    Searching,
+    Advertising,
+    Negotiating,
+    /// Reading the status.
+    Polling,
+    /// This many steps until the next look.
+    Resting(u8),
+}
+
+/// The PHY's state machine.
+pub struct Phy {
+    state: State,
+    address: u8,
+    link_is_up: bool,
+    /// Steps since the transaction under way was started; none is under way without a value.
+    waited: Option<u8>,
+}
+
+impl Default for Phy {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Phy {
+    /// Knows no PHY yet: the first steps search for one, beginning at address 0.
+    pub const fn new() -> Self {
+        Self {
+            state: State::Searching,
+            address: 0,
+            link_is_up: false,
+            waited: None,
+        }
+    }
+
+    /// Whether the link was up, negotiated, at the last look.
+    pub const fn link_is_up(&self) -> bool {
+        self.link_is_up
+    }
+
+    /// One step, at most one register access; call it every millisecond.
+    pub fn step(&mut self, bus: &mut impl Management) -> Option<Event> {
+        let Some(waited) = self.waited else {
+            self.start(bus);
+            return None;
+        };
+        let Some(value) = bus.result() else {
+            self.waited = Some(waited + 1);
+            return if waited + 1 < TRANSACTION_STEPS_MAX {
+                None
+            } else {
+                self.search_next()
+            };
+        };
+        self.waited = None;
+        self.finish(value)
+    }
+
+    /// Starts the transaction of the state.
+    fn start(&mut self, bus: &mut impl Management) {
+        match self.state {
+            State::Searching => bus.start_read(self.address, IDENTIFIER_1),
+            State::Advertising => bus.start_write(self.address, ADVERTISEMENT, FULL_DUPLEX_100),
+            State::Negotiating => bus.start_write(self.address, BASIC_CONTROL, NEGOTIATE),
+            State::Polling | State::Resting(0) => bus.start_read(self.address, BASIC_STATUS),
+            State::Resting(steps) => {
+                self.state = State::Resting(steps - 1);
+                return;
+            }
+        }
+        self.waited = Some(0);
+    }
+
+    /// Takes the result of the state's transaction.
+    fn finish(&mut self, value: u16) -> Option<Event> {
+        // The data line is pulled up: where nobody answers, ones are read. No identifier is zero.
+        let answers = value != u16::MAX;
+        match self.state {
+            State::Searching if !answers || value == 0 => self.search_next(),
+            State::Searching => {
+                self.state = State::Advertising;
+                Some(Event::Found(self.address))
+            }
+            State::Advertising => {
+                self.state = State::Negotiating;
+                None
+            }
+            State::Negotiating => {
+                self.state = State::Polling;
+                None
+            }
+            State::Polling | State::Resting(_) if !answers => self.search_next(),
+            State::Polling | State::Resting(_) => {
+                self.state = State::Resting(POLL_PERIOD_STEPS);
+                self.set_link(value & (LINK_UP | NEGOTIATED) == LINK_UP | NEGOTIATED)
+            }
+        }
+    }
+
+    fn set_link(&mut self, up: bool) -> Option<Event> {
+        if self.link_is_up == up {
+            return None;
+        }
+        self.link_is_up = up;
+        Some(if up { Event::LinkUp } else { Event::LinkDown })
+    }
+
+    /// Gives the address up and goes on with the next.
+    fn search_next(&mut self) -> Option<Event> {
+        let was_known = self.state != State::Searching;
+        *self = Self {
+            address: (self.address + 1) % ADDRESSES,
+            ..Self::new()
+        };
+        was_known.then_some(Event::Lost)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    /// A management bus with at most one PHY, whose transactions last a number of steps.
+    struct Bus {
+        phy_at: Option<u8>,
+        status: u16,
+        steps: u8,
+        hangs: bool,
+        left: u8,
+        value: u16,
+        written: Vec<(u8, u16)>,
+        started: usize,
+    }
+
+    impl Bus {
+        fn with_phy_at(address: u8) -> Self {
+            Self {
+                phy_at: Some(address),
+                status: 0,
+                steps: 1,
+                hangs: false,
+                left: 0,
+                value: 0,
+                written: Vec::new(),
+                started: 0,
+            }
+        }
+
+        fn begin(&mut self, value: u16) {
+            assert_eq!(self.left, 0, "a transaction was started on a busy bus");
+            self.left = self.steps;
+            self.value = value;
+            self.started += 1;
+        }
+    }
+
+    impl Management for Bus {
+        fn start_read(&mut self, address: u8, register: u8) {
+            assert!(address < ADDRESSES);
+            let value = match register {
+                _ if self.phy_at != Some(address) => u16::MAX,
+                IDENTIFIER_1 => 0x0007,
+                BASIC_STATUS => self.status,
+                other => panic!("register {other} was read"),
+            };
+            self.begin(value);
+        }
+
+        fn start_write(&mut self, address: u8, register: u8, value: u16) {
+            assert_eq!(self.phy_at, Some(address));
+            self.written.push((register, value));
+            self.begin(0);
+        }
+
+        fn result(&mut self) -> Option<u16> {
+            if self.hangs {
+                self.left = 0;
+                return None;
+            }
+            self.left = self.left.saturating_sub(1);
+            (self.left == 0).then_some(self.value)
+        }
+    }
+
+    fn run(phy: &mut Phy, bus: &mut Bus, steps: usize) -> Vec<Event> {
+        (0..steps).filter_map(|_| phy.step(bus)).collect()
+    }
+
+    /// More than a whole search takes.
+    const SEARCH_STEPS: usize = 5 * ADDRESSES as usize;
+
+    #[test]
+    fn a_phy_is_found_at_any_address_and_offers_full_duplex_alone() {
+        for address in [0, 1, 17, ADDRESSES - 1] {
+            let mut bus = Bus::with_phy_at(address);
+            bus.status = LINK_UP | NEGOTIATED;
+            let mut phy = Phy::new();
+            let events = run(&mut phy, &mut bus, SEARCH_STEPS);
+            assert_eq!(events, [Event::Found(address), Event::LinkUp]);
+            assert_eq!(bus.written, [(4, 0x0101), (0, 0x1200)]);
+            assert!(phy.link_is_up());
+        }
+    }
+
+    #[test]
+    fn a_missing_phy_is_searched_for_ever_without_an_event() {
+        let mut bus = Bus::with_phy_at(0);
+        bus.phy_at = None;
+        let mut phy = Phy::new();
+        assert_eq!(run(&mut phy, &mut bus, 10 * SEARCH_STEPS), []);
+        assert!(!phy.link_is_up());
+        bus.phy_at = Some(3);
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), [Event::Found(3)]);
+    }
+
+    #[test]
+    fn a_link_without_finished_negotiation_is_down() {
+        let mut bus = Bus::with_phy_at(0);
+        bus.status = LINK_UP;
+        let mut phy = Phy::new();
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), [Event::Found(0)]);
+        bus.status = NEGOTIATED;
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), []);
+    }
+
+    #[test]
+    fn a_pulled_cable_is_seen_within_two_polls() {
+        let mut bus = Bus::with_phy_at(0);
+        bus.status = LINK_UP | NEGOTIATED;
+        let mut phy = Phy::new();
+        run(&mut phy, &mut bus, SEARCH_STEPS);
+        bus.status = 0;
+        let polls = 2 * (usize::from(POLL_PERIOD_STEPS) + 2);
+        assert_eq!(run(&mut phy, &mut bus, polls), [Event::LinkDown]);
+        bus.status = LINK_UP | NEGOTIATED;
+        assert_eq!(run(&mut phy, &mut bus, polls), [Event::LinkUp]);
+    }
+
+    #[test]
+    fn a_phy_that_dies_takes_the_link_down_and_is_configured_again_when_it_returns() {
+        let mut bus = Bus::with_phy_at(5);
+        bus.status = LINK_UP | NEGOTIATED;
+        let mut phy = Phy::new();
+        run(&mut phy, &mut bus, SEARCH_STEPS);
+        bus.phy_at = None;
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), [Event::Lost]);
+        assert!(!phy.link_is_up());
+        bus.phy_at = Some(5);
+        bus.written.clear();
+        assert_eq!(
+            run(&mut phy, &mut bus, 2 * SEARCH_STEPS),
+            [Event::Found(5), Event::LinkUp]
+        );
+        assert_eq!(bus.written.len(), 2);
+    }
+
+    #[test]
+    fn an_interface_that_never_ends_a_transaction_is_given_up_and_recovers() {
+        let mut bus = Bus::with_phy_at(0);
+        bus.status = LINK_UP | NEGOTIATED;
+        let mut phy = Phy::new();
+        run(&mut phy, &mut bus, SEARCH_STEPS);
+        bus.hangs = true;
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), [Event::Lost]);
+        bus.hangs = false;
+        assert_eq!(
+            run(&mut phy, &mut bus, 2 * SEARCH_STEPS),
+            [Event::Found(0), Event::LinkUp]
+        );
+    }
+
+    #[test]
+    fn a_slow_transaction_is_waited_for_and_the_bus_rests_between_polls() {
+        let mut bus = Bus::with_phy_at(0);
+        bus.steps = TRANSACTION_STEPS_MAX - 1;
+        bus.status = LINK_UP | NEGOTIATED;
+        let mut phy = Phy::new();
+        assert_eq!(run(&mut phy, &mut bus, SEARCH_STEPS), [Event::Found(0), Event::LinkUp]);
+        bus.started = 0;
+        run(&mut phy, &mut bus, 100);
+        assert!(
+            bus.started <= 100 / usize::from(POLL_PERIOD_STEPS),
+            "{} transactions",
+            bus.started
+        );
+    }
+}
