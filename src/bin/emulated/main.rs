@@ -7,7 +7,6 @@
 #![no_std]
 #![no_main]
 
-mod controller;
 mod critical;
 mod device;
 mod health;
@@ -25,7 +24,7 @@ mod wire;
 
 #[rtic::app(device = crate::device, peripherals = false, dispatchers = [FREE6])]
 mod app {
-    use crate::controller::{Channels, LinkTask, Sampler, Supervisor, TrajectoryTask};
+
     use crate::device::Interrupt;
     use crate::health::{FRAMES_FAILED, Health, PERIODS_MISSED, TRAJECTORY_OVERRUNS};
     use crate::lan9118::Mmio;
@@ -34,10 +33,16 @@ mod app {
     use crate::serial::{Route, Serial};
     use crate::timer::Clock;
     use crate::uart::Uart;
-    use crate::wire::{self, Wire};
+    use crate::wire::Wire;
     use crate::{critical, load, metronome};
     use core::sync::atomic::{AtomicU32, Ordering};
+    use etherpen::control::sampler::Sampler;
+    use etherpen::controller::{Channels, MASTER_ADDRESS};
+    use etherpen::ethercat::supervisor::Supervisor;
+    use etherpen::ethercat::transport::raw::RawTransport;
     use etherpen::ethernet::lan9118::Lan9118;
+    use etherpen::link::task::LinkTask;
+    use etherpen::motion::task::TrajectoryTask;
 
     /// Interrupts of the tasks that nothing may mask.
     const CRITICAL: [Interrupt; 4] = [
@@ -53,7 +58,7 @@ mod app {
     #[shared]
     struct Shared {
         #[lock_free]
-        wire: Wire,
+        transport: RawTransport<Wire>,
         #[lock_free]
         sampler: Sampler<'static>,
         #[lock_free]
@@ -78,7 +83,7 @@ mod app {
         let (bus, route) = route();
         // SAFETY: `init` runs once, and it is the only caller.
         let mmio = unsafe { Mmio::take() };
-        let mac = match Lan9118::start(mmio, wire::ADDRESS) {
+        let mac = match Lan9118::start(mmio, MASTER_ADDRESS) {
             Ok(mac) => mac,
             Err(error) => panic!("Ethernet controller: {error:?}"),
         };
@@ -86,7 +91,7 @@ mod app {
         let clock = unsafe { Clock::start() };
         defmt::info!("emulated board, lockstep {=bool}", bus.is_some());
         let shared = Shared {
-            wire: Wire::new(mac, bus, clock),
+            transport: RawTransport::new(Wire::new(mac, bus, clock)),
             sampler: parts.sampler,
             serial: Serial::new(parts.host_bytes, route),
         };
@@ -121,15 +126,16 @@ mod app {
     ///
     /// Period 1 ms, priority 15 (critical), deadline 500 us for the output telegram that follows from it. An overrun shows
     /// as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
-    #[task(binds = TIMER0, priority = 15, shared = [wire, sampler])]
+    #[task(binds = TIMER0, priority = 15, shared = [transport, sampler])]
     fn sample(cx: sample::Context) {
         load::woke();
-        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        let wire = transport.driver_mut();
         wire.clock.release();
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
         PERIODS_MISSED.store(wire.clock.missed(), Ordering::Relaxed);
         let elapsed_ns = wire.clock.elapsed_ns();
-        if sampler.sample(wire, elapsed_ns) {
+        if sampler.sample(transport, elapsed_ns) {
             TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
             rtic::pend(Interrupt::FREE15);
         }
@@ -140,38 +146,40 @@ mod app {
     ///
     /// Released twice a millisecond, when a reply's time on the wire is over (lockstep) or by `arrival` (free-running),
     /// priority 15 (critical), deadline as for `sample`. Frames that come while it runs release it again.
-    #[task(binds = DUAL_TIMER, priority = 15, shared = [wire, sampler])]
+    #[task(binds = DUAL_TIMER, priority = 15, shared = [transport, sampler])]
     fn bus_frame(cx: bus_frame::Context) {
         load::woke();
-        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        let wire = transport.driver_mut();
         wire.clock.delivery.acknowledge();
         let elapsed_ns = wire.clock.elapsed_ns();
-        sampler.bus_frame(wire, elapsed_ns);
+        sampler.bus_frame(transport, elapsed_ns);
     }
 
     /// Hands a received frame's interrupt on to `bus_frame`.
     ///
     /// Released by the Ethernet controller, priority 15 (critical). In lockstep the frames have been waited for when they
     /// come, and this task does not run (see `wire`).
-    #[task(binds = LAN9118, priority = 15, shared = [wire])]
+    #[task(binds = LAN9118, priority = 15, shared = [transport])]
     fn arrival(cx: arrival::Context) {
         load::woke();
-        cx.shared.wire.acknowledge();
+        cx.shared.transport.driver_mut().acknowledge();
         rtic::pend(Interrupt::DUAL_TIMER);
     }
 
     /// Sends the output telegram from predicted positions when no valid input has come.
     ///
     /// Period 1 ms, 300 us behind `sample`, priority 15 (critical), deadline as for `sample`.
-    #[task(binds = TIMER1, priority = 15, shared = [wire, sampler])]
+    #[task(binds = TIMER1, priority = 15, shared = [transport, sampler])]
     fn bus_deadline(cx: bus_deadline::Context) {
         load::woke();
-        let (wire, sampler) = (cx.shared.wire, cx.shared.sampler);
+        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        let wire = transport.driver_mut();
         if wire.clock.deadline.acknowledge() {
             let elapsed_ns = wire.clock.elapsed_ns();
-            sampler.bus_deadline(wire, elapsed_ns);
+            sampler.bus_deadline(transport, elapsed_ns);
         }
-        FRAMES_FAILED.store(wire.failures(), Ordering::Relaxed);
+        FRAMES_FAILED.store(transport.driver_mut().failures(), Ordering::Relaxed);
     }
 
     /// Exchanges the link's bytes between the static queues and the host.

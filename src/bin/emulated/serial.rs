@@ -1,8 +1,8 @@
 //! The serial link's way to the host: the lockstep's files or UART0.
 
-use crate::controller::HostBytes;
 use crate::lockstep::Link;
 use crate::uart::Uart;
+use etherpen::controller::HostBytes;
 
 /// Where the link's bytes go.
 pub(crate) enum Route {

@@ -174,7 +174,7 @@ impl Clock {
     pub(crate) fn release(&mut self) {
         self.sample.acknowledge();
         self.advance();
-        while self.elapsed_counts() >= PERIOD_COUNTS {
+        while !is_before(free_run(), self.released_at.wrapping_add(PERIOD_COUNTS)) {
             self.advance();
             self.missed = self.missed.wrapping_add(1);
         }
@@ -202,7 +202,11 @@ impl Clock {
     }
 
     fn elapsed_counts(&self) -> u32 {
-        free_run().wrapping_sub(self.released_at)
+        let now = free_run();
+        if is_before(now, self.released_at) {
+            return 0;
+        }
+        now.wrapping_sub(self.released_at)
     }
 
     /// Nanoseconds since the nominal release of this millisecond.

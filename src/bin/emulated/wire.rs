@@ -18,9 +18,6 @@ use cortex_m::peripheral::NVIC;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 use etherpen::ethernet::lan9118::{self, Lan9118, RxToken};
 
-/// The MAC address, locally administered.
-pub(crate) const ADDRESS: [u8; 6] = [0x02, 0, 0, 0, 0, 0x01];
-
 /// Controller, clock and lockstep.
 pub(crate) struct Wire {
     mac: Lan9118<Mmio>,
