@@ -3,7 +3,7 @@
 //! A photograph becomes lines that a pen can draw ([`vectorize`]), the lines are put into an order that costs little
 //! drawing time ([`order`]), and leave as a path in the robot's frame ([`to_path`]) or as a picture ([`render_png`],
 //! [`write_svg`]). Lists of coordinates enter through [`load`] as well. Everything is a pure function of its input and
-//! its options: the same photograph gives the same strokes on every machine and in every run.
+//! its options: the same photograph gives the same strokes in every run.
 //!
 //! Invariant: a [`Drawing`] that leaves this module has finite points inside its sheet, and every stroke has at least
 //! two of them.

@@ -110,7 +110,8 @@ pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> S
 /// How well the tones of a drawing follow a photograph: correlation (-1 to 1) of both in grey, blurred.
 ///
 /// The rendered sheet is compared with the photograph as a whole: both are resized to 512 pixels in width, the drawing
-/// to the photograph's shape, and blurred with sigma 12 pixels. Pictures of one tone give 0.
+/// to the photograph's shape, and blurred with sigma 12 pixels. Pictures of one tone give 0. Where the photograph does
+/// not fill the sheet, crop the rendered sheet to `VectorizeOptions::picture_mm` first.
 #[must_use]
 pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
     let (width, height) = photograph.dimensions();

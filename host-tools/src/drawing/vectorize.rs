@@ -35,10 +35,8 @@ const COVERAGE_MAX: f32 = 0.66;
 const COVERAGE_MIN: f32 = 0.13;
 /// Scale of the ink in the face, whatever the time.
 const FACE_GAIN: f32 = 0.9;
-/// A spot is at least this much darker than what is around it, which is at least so light; most spots drawn.
-const SPOT_MIN: f32 = 0.07;
-const SPOT_AROUND_MIN: f32 = 0.5;
-const SPOTS_MAX: usize = 8;
+/// Weight of wide lines in the face, where fine ones count.
+const COARSE_IN_FACE: f32 = 0.4;
 /// Rounds of hatching to meet the time wanted.
 const TONE_ROUNDS: usize = 3;
 
@@ -73,6 +71,19 @@ impl Default for VectorizeOptions {
             time_max_s: 110.0,
             seed: 1,
         }
+    }
+}
+
+impl VectorizeOptions {
+    /// Where a picture of so many pixels lies on the sheet: left, top, width and height, mm.
+    ///
+    /// # Errors
+    ///
+    /// [`DrawingError::BadOptions`] if the sheet leaves no room.
+    pub fn picture_mm(&self, width_px: u32, height_px: u32) -> Result<[f64; 4], DrawingError> {
+        let frame = Frame::new(width_px, height_px, self)?;
+        let ([left, top], [width, height]) = (frame.corner_mm, frame.size_mm);
+        Ok([left, top, width, height])
     }
 }
 
@@ -121,10 +132,9 @@ pub fn vectorize(path: impl AsRef<Path>, options: &VectorizeOptions) -> Result<D
 /// [`DrawingError::BadOptions`], [`DrawingError::TooSmall`], [`DrawingError::TooLarge`] or [`DrawingError::Blank`].
 pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result<Drawing, DrawingError> {
     check_size(picture.width(), picture.height())?;
-    let frame = Frame::new(picture, options)?;
+    let frame = Frame::new(picture.width(), picture.height(), options)?;
     let study = Study::of(picture, &frame, options)?;
-    let mut lines = study.spots();
-    lines.extend(study.lines(options));
+    let lines = study.lines(options);
     let mut drawing = study.drawing(&lines, options);
     keep_within(&mut drawing, options);
     if drawing.strokes.is_empty() {
@@ -143,7 +153,7 @@ struct Frame {
 }
 
 impl Frame {
-    fn new(picture: &RgbImage, options: &VectorizeOptions) -> Result<Self, DrawingError> {
+    fn new(width_px: u32, height_px: u32, options: &VectorizeOptions) -> Result<Self, DrawingError> {
         let VectorizeOptions {
             sheet_mm,
             margin_mm,
@@ -158,7 +168,7 @@ impl Frame {
         if !usable || !margin_usable || room[0].min(room[1]) < 8.0 * pen_width_mm {
             return Err(DrawingError::BadOptions);
         }
-        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        let (width, height) = (f64::from(width_px.max(1)), f64::from(height_px.max(1)));
         let scale = (room[0] / width).min(room[1] / height);
         let size_mm = [width * scale, height * scale];
         let mm_per_px = (pen_width_mm / PX_PER_PEN).max(size_mm[0].max(size_mm[1]) / WORK_SIDE_MAX);
@@ -240,7 +250,10 @@ impl Study {
         let flow = Flow::of(&self.calm, sigma(1.2), HATCH_ANGLE_RAD, 1e-4);
         let fine = edges::line_strength(&self.calm, &flow, sigma(0.55));
         let coarse = edges::line_strength(&self.calm, &flow, sigma(1.1));
-        let mixed = coarse.mixed(&fine, &self.focus);
+        let mixed = coarse.mixed(
+            &fine.zip(&coarse, |fine, coarse| fine.max(COARSE_IN_FACE * coarse)),
+            &self.focus,
+        );
         let texture = mixed.blurred(sigma(8.0));
         let high = self
             .focus
@@ -257,46 +270,6 @@ impl Study {
                 time_s > 0.0
             })
             .take(options.strokes_max / 2)
-            .collect()
-    }
-
-    /// Small dark spots of the face, pupils and nostrils, as little spirals.
-    fn spots(&self) -> Vec<Edge> {
-        let sigma = |pens: f64| (pens * self.pen) as f32;
-        let around = self.calm.blurred(sigma(5.0));
-        let darkness = self
-            .calm
-            .blurred(sigma(1.8))
-            .zip(&self.calm.blurred(sigma(0.9)), |wide, spot| wide - spot);
-        let reach = (2.5 * self.pen) as isize;
-        let mut found = Vec::new();
-        for y in 0..darkness.height() as isize {
-            for x in 0..darkness.width() as isize {
-                let dark = darkness.at(x, y);
-                if dark * self.focus.at(x, y) < SPOT_MIN || around.at(x, y) < SPOT_AROUND_MIN {
-                    continue;
-                }
-                let mut near = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
-                if near.all(|(dx, dy)| darkness.at(x + dx, y + dy) <= dark) {
-                    found.push((dark, [x as f64, y as f64]));
-                }
-            }
-        }
-        found.sort_by(|a, b| b.0.total_cmp(&a.0));
-        found.truncate(SPOTS_MAX);
-        let spiral = |centre: Point| {
-            (0..=32).map(f64::from).map(move |k| {
-                let (sine, cosine) = (k * std::f64::consts::TAU / 16.0).sin_cos();
-                let radius = 0.8 * self.pen * k / 32.0;
-                [centre[0] + radius * cosine, centre[1] + radius * sine]
-            })
-        };
-        found
-            .into_iter()
-            .map(|(dark, centre)| Edge {
-                points: spiral(centre).collect(),
-                weight: f64::from(dark),
-            })
             .collect()
     }
 
@@ -446,6 +419,24 @@ mod tests {
             assert!((margin_mm..=drawing.sheet_mm[1] - margin_mm).contains(&y), "y {y}");
         }
         assert!(drawing.strokes.iter().all(|stroke| stroke.points.len() > 1));
+    }
+
+    #[test]
+    fn a_tall_picture_is_compared_where_it_lies_on_the_sheet() {
+        let Sample { picture, .. } = &samples()[0];
+        let tall = image::imageops::crop_imm(picture, 60, 0, 300, 400).to_image();
+        let options = VectorizeOptions {
+            sheet_mm: [140.0, 100.0],
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_image(&tall, &options).expect("a drawing");
+        let [left, top, width, height] = options.picture_mm(300, 400).expect("room");
+        assert_eq!([left, top, width, height], [35.5, 4.0, 69.0, 92.0]);
+        let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 5.0);
+        let window = [left, top, width, height].map(|mm| (mm * 5.0) as u32);
+        let part = image::imageops::crop_imm(&rendered, window[0], window[1], window[2], window[3]).to_image();
+        let (here, whole) = (tone_correlation(&tall, &part), tone_correlation(&tall, &rendered));
+        assert!(here > 0.85 && here > whole, "{here}, {whole}");
     }
 
     #[test]
