@@ -8,6 +8,8 @@ use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::link::protocol::{Command, ConfigRefusal};
+use etherpen::motion::RefusalReason;
+use etherpen::robot::{KinematicsError, Outside};
 
 /// An operating mode in a few words.
 pub fn mode(mode: Mode) -> &'static str {
@@ -58,25 +60,65 @@ pub fn refusal(refusal: &Refusal) -> String {
     }
 }
 
-/// Why a vertex was refused and what to try.
+/// Why a vertex was refused and what to try; vertices are counted from 0, as in the path's file.
 pub fn vertex(refusal: &etherpen::motion::Refusal) -> String {
-    format!(
-        "vertex {} of the path was refused ({}); move or scale the drawing so that it lies within the work area",
-        refusal.index,
-        words(&format!("{:?}", refusal.reason))
-    )
+    let (why, hint) = match refusal.reason {
+        RefusalReason::NotFinite => ("a coordinate is not a finite number".into(), "check the input file"),
+        RefusalReason::Repeated { distance_mm } => (
+            format!("it lies only {distance_mm:.4} mm from the one before"),
+            "remove repeated points from the path",
+        ),
+        RefusalReason::Outside(why) => (outside(&why), MOVE_OR_SCALE),
+        RefusalReason::Leg { at, outside: why } => (
+            format!(
+                "the straight line to it leaves the work area at x {:.1}, y {:.1}, z {:.1} mm: {}",
+                at.x_mm,
+                at.y_mm,
+                at.z_mm,
+                outside(&why)
+            ),
+            MOVE_OR_SCALE,
+        ),
+    };
+    format!("vertex {} of the path was refused: {why}; {hint}", refusal.index)
 }
 
-/// Spells a variant's name and its values as words.
-fn words(debug: &str) -> String {
-    let mut text = String::new();
-    for letter in debug.chars().filter(|letter| !matches!(letter, '{' | '}' | '(' | ')')) {
-        if letter.is_uppercase() && !text.is_empty() && !text.ends_with(' ') {
-            text.push(' ');
+const MOVE_OR_SCALE: &str = "move or scale the drawing so that it lies within the work area";
+
+/// Why a position is outside what the robot may use.
+pub fn outside(outside: &Outside) -> String {
+    match *outside {
+        Outside::Radius { radius_mm, limit_mm } => {
+            format!("it is {radius_mm:.1} mm from the robot's axis (limit {limit_mm:.1} mm)")
         }
-        text.extend(letter.to_lowercase());
+        Outside::Height { z_mm, low_mm, high_mm } => {
+            format!("its height is {z_mm:.1} mm (allowed {low_mm:.1} to {high_mm:.1} mm)")
+        }
+        Outside::Kinematics(KinematicsError::Apart) => "the forearms do not meet there".into(),
+        Outside::Kinematics(KinematicsError::NotFinite) => "a coordinate is not a finite number".into(),
+        Outside::Kinematics(KinematicsError::Unreachable { arm, .. }) => {
+            format!("arm {} does not reach it", one(arm))
+        }
+        Outside::Kinematics(KinematicsError::Singular { arm, .. }) | Outside::Stretched { arm, .. } => {
+            format!("arm {} would be stretched out", one(arm))
+        }
+        Outside::Kinematics(KinematicsError::Range {
+            arm,
+            angle_rad,
+            low_rad,
+            high_rad,
+        })
+        | Outside::Margin {
+            arm,
+            angle_rad,
+            low_rad,
+            high_rad,
+        } => format!(
+            "arm {} would stand at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
+            one(arm)
+        ),
+        Outside::Flat { .. } => "the forearms would lie in a plane".into(),
     }
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Why a configuration was not taken and what to try.
@@ -238,7 +280,7 @@ fn bring_up_code(code: u32) -> (String, &'static str) {
 mod tests {
     use super::*;
     use etherpen::config::Config;
-    use etherpen::motion::RefusalReason;
+    use etherpen::robot::Position;
 
     #[test]
     fn axes_and_slaves_are_counted_from_one() {
@@ -271,19 +313,28 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_vertex_is_told_in_words() {
-        let text = vertex(&etherpen::motion::Refusal {
-            index: 17,
-            reason: RefusalReason::NotFinite,
-        });
+    fn a_refused_vertex_is_told_with_its_place_and_the_limit() {
+        let radius = Outside::Radius {
+            radius_mm: 571.25,
+            limit_mm: 565.0,
+        };
+        let reason = RefusalReason::Leg {
+            at: Position::default(),
+            outside: radius,
+        };
+        let text = vertex(&etherpen::motion::Refusal { index: 17, reason });
         assert!(
-            text.starts_with("vertex 17 of the path was refused (not finite); "),
+            text.starts_with("vertex 17 of the path was refused: the straight line"),
             "{text}"
         );
-        assert_eq!(
-            words("Joint { axis: 2, angle_rad: 1.5 }"),
-            "joint axis: 2, angle_rad: 1.5"
-        );
+        assert!(text.contains("(limit 565.0 mm); move or scale"), "{text}");
+        let arm = Outside::Margin {
+            arm: 0,
+            angle_rad: -0.7,
+            low_rad: -0.6,
+            high_rad: 1.7,
+        };
+        assert!(outside(&arm).contains("arm 1 would stand at -0.700 rad"));
     }
 
     #[test]
