@@ -37,19 +37,19 @@ pub const VELOCITY: DriveDescription = DriveDescription {
     encode,
 };
 
-/// Quick-stop deceleration as object 0x6085 takes it: velocity digits per second.
+/// Quick-stop deceleration as object 0x6085 takes it: position increments per second squared at the motor.
 ///
 /// `None` when it does not fit 32 bits or is below 1.
-pub fn quick_stop_digits_s(axis: &Axis) -> Option<u32> {
+pub fn quick_stop_increments_s2(axis: &Axis) -> Option<u32> {
     let motor_rad_s2 = axis.quick_stop_rad_s2 * axis.gear.abs();
-    let digits_s = motor_rad_s2 / TAU * 60.0 * axis.digits_per_rpm;
+    let increments_s2 = motor_rad_s2 / TAU * f64::from(axis.increments_per_revolution);
     (1.0..=f64::from(u32::MAX))
-        .contains(&digits_s)
-        .then_some(digits_s as u32)
+        .contains(&increments_s2)
+        .then_some(increments_s2 as u32)
 }
 
 fn settings(axis: &Axis) -> Option<Settings> {
-    let quick_stop = quick_stop_digits_s(axis)?;
+    let quick_stop = quick_stop_increments_s2(axis)?;
     let list = [
         Setting::new(0x1C12, 0, 0, 1).or_fixed(),
         Setting::new(0x1C12, 1, RX_PDO_VELOCITY as u32, 2).or_fixed(),
@@ -112,10 +112,10 @@ mod tests {
     }
 
     #[test]
-    fn the_quick_stop_is_written_in_digits_and_bounded() {
+    fn the_quick_stop_is_written_in_increments_and_bounded() {
         let mut axis = Axis::default();
-        // 100 rad/s2 at the joint are 1200 rad/s2 at the motor: 11,459 rpm a second with 139.81 digits each.
-        assert_eq!(quick_stop_digits_s(&axis), Some(1_602_106));
+        // 100 rad/s2 at the joint are 1200 rad/s2, that is 190.99 revolutions/s2, at the motor.
+        assert_eq!(quick_stop_increments_s2(&axis), Some(200_263_264));
         axis.quick_stop_rad_s2 = 1e9;
         assert_eq!(settings(&axis), None);
         axis.quick_stop_rad_s2 = f64::NAN;

@@ -114,7 +114,7 @@ fn four_drives_reach_op_with_every_setting_written() {
                 assert_eq!(slave.objects[&(0x1C13, 1)], [0x01, 0x1B]);
                 assert_eq!(slave.objects[&(0x6060, 0)], [0xFE]);
                 assert_eq!(slave.objects[&(0x60C2, 2)], [0xFD]);
-                assert_eq!(slave.objects[&(0x6085, 0)], 1_602_106_u32.to_le_bytes());
+                assert_eq!(slave.objects[&(0x6085, 0)], 200_263_264_u32.to_le_bytes());
                 let watchdog = usize::from(register::WATCHDOG_SYNC_MANAGER);
                 assert_eq!(slave.memory[watchdog..watchdog + 2], [100, 0]);
                 assert_eq!((slave.manager(2).control, slave.manager(3).control), (0x64, 0x20));
@@ -350,6 +350,29 @@ fn a_slave_that_is_still_missing_is_refused() {
     );
 }
 
+#[test]
+fn a_slave_plugged_in_behind_the_others_is_reported_once_and_never_mapped() {
+    let (mut plugged_ms, mut reports) = (None, 0);
+    run(
+        FakeSegment::drives(4),
+        |_| false,
+        |now_ms, bench, events| {
+            if events.contains(&BusEvent::Operational) {
+                bench.segment.slaves.push(FakeSlave::drive());
+                plugged_ms = Some(now_ms);
+            }
+            reports += usize::from(events.contains(&BusEvent::Found { slaves: 5 }));
+            let lost = events.iter().any(|event| matches!(event, BusEvent::SlaveLost { .. }));
+            assert!(!lost, "{events:?}");
+            if plugged_ms.is_none_or(|since_ms| now_ms < since_ms + 500) {
+                return Next::On;
+            }
+            assert_eq!((reports, bench.exchange.plan().slaves.len()), (1, 4));
+            Next::Done
+        },
+    );
+}
+
 /// Runs one future over a port against a drive whose mailbox is set up.
 fn with_dictionary<T>(
     losses: Losses,
@@ -467,4 +490,16 @@ fn a_whole_bring_up_has_no_malformed_frame() {
             if now_ms > 20 { Next::Done } else { Next::On }
         },
     );
+}
+
+#[test]
+fn the_masters_static_memory_fits_32_kib() {
+    let mut queues = Box::new(BusQueues::new());
+    let (_, supervisor_end, _) = queues.split();
+    let mut supervisor = Supervisor::new(supervisor_end);
+    let state = size_of::<Supervisor<'_>>();
+    let future = size_of_val(&supervisor.run());
+    let (exchange, queues) = (size_of::<Exchange<'_>>(), size_of::<BusQueues>());
+    std::println!("exchange {exchange}, queues {queues}, supervisor {state}, its future {future} bytes");
+    assert!(exchange + queues + state + future <= 32 * 1024);
 }

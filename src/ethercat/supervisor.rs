@@ -96,6 +96,7 @@ pub struct Supervisor<'a> {
     running: bool,
     slaves: Vec<Slave, SLAVES_MAX>,
     generation: u8,
+    extra_reported: u16,
     seen: Option<Observation>,
     suspicion_ms: u32,
     inspected_ms: u32,
@@ -114,6 +115,7 @@ impl<'a> Supervisor<'a> {
             running: false,
             slaves: Vec::new(),
             generation: 0,
+            extra_reported: 0,
             seen: None,
             suspicion_ms: 0,
             inspected_ms: 0,
@@ -402,6 +404,7 @@ impl<'a> Supervisor<'a> {
         let paused = now_ms.wrapping_sub(self.inspected_ms) < INSPECTION_PAUSE_MS;
         if self.suspicion_ms >= SUSPICION_MS && !paused {
             self.inspect(0..self.slaves.len()).await;
+            self.report_extra().await;
             self.inspected_ms = self.end.port.now_ms();
         } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
             self.looked_ms = now_ms;
@@ -409,6 +412,16 @@ impl<'a> Supervisor<'a> {
             self.look_next = number + 1;
             self.inspect(number..number + 1).await;
         }
+    }
+
+    /// Reports slaves that were plugged in behind the configured ones, once.
+    async fn report_extra(&mut self) {
+        let slaves = self.seen.map_or(0, |seen| seen.al.slaves);
+        let known = self.slaves.len() as u16;
+        if slaves > known && slaves != self.extra_reported {
+            self.emit(BusEvent::Found { slaves }).await;
+        }
+        self.extra_reported = slaves.max(known);
     }
 
     /// Whether the critical side sees anything else than what is known.
