@@ -106,6 +106,13 @@ impl Plan {
         }
     }
 
+    /// Plans for another robot or with other limits from now on, at the speed of the path; what was pushed is invalid.
+    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits) {
+        self.delta = delta;
+        self.limits = limits;
+        self.wanted = 1.0;
+    }
+
     /// Drops everything and rests at a point.
     pub(crate) fn rest_at(&mut self, point: Vector, label: Label) {
         self.pieces.clear();

@@ -75,8 +75,10 @@ enum PathPhase {
 
 /// The 12 ms task.
 pub struct TrajectoryTask<'a> {
-    /// Absent until a configuration has come.
+    /// Built once and reconfigured in place; absent if the built-in configuration is no robot.
     trajectory: Option<Trajectory>,
+    /// A configuration has come.
+    configured: bool,
     orders: Consumer<'a, MotionOrder>,
     vertices: Consumer<'a, PathItem>,
     references: Producer<'a, Queued>,
@@ -99,7 +101,8 @@ impl<'a> TrajectoryTask<'a> {
         reports: Producer<'a, MotionReport>,
     ) -> Self {
         Self {
-            trajectory: None,
+            trajectory: Trajectory::new(&Config::default()).ok(),
+            configured: false,
             orders,
             vertices,
             references,
@@ -119,7 +122,9 @@ impl<'a> TrajectoryTask<'a> {
             self.orders_taken = self.orders_taken.wrapping_add(1);
             self.take_order(order);
         }
-        let Some(trajectory) = &mut self.trajectory else { return };
+        let Some(trajectory) = self.trajectory.as_mut().filter(|_| self.configured) else {
+            return;
+        };
         if !self.held_before_start {
             self.path = take_vertices(trajectory, &mut self.vertices, self.path);
         }
@@ -162,7 +167,10 @@ impl<'a> TrajectoryTask<'a> {
         match order {
             MotionOrder::Configure(config) => {
                 // The link task has refused geometries that are none.
-                self.trajectory = Trajectory::new(&config).ok();
+                self.configured = self
+                    .trajectory
+                    .as_mut()
+                    .is_some_and(|trajectory| trajectory.reconfigure(&config).is_ok());
                 self.epoch = None;
                 self.drop_path();
             }
@@ -170,6 +178,7 @@ impl<'a> TrajectoryTask<'a> {
                 let placed = self
                     .trajectory
                     .as_mut()
+                    .filter(|_| self.configured)
                     .is_some_and(|trajectory| trajectory.place(pose));
                 self.epoch = placed.then_some(epoch);
                 self.filled = false;
@@ -186,7 +195,7 @@ impl<'a> TrajectoryTask<'a> {
                     MotionCommand::Resume => self.held_before_start = false,
                     _ => {}
                 }
-                if let Some(trajectory) = &mut self.trajectory {
+                if let Some(trajectory) = self.trajectory.as_mut().filter(|_| self.configured) {
                     // The operating modes have admitted the command; what cannot be done at this moment is left undone.
                     let _ = trajectory.command(command);
                 }

@@ -123,6 +123,37 @@ impl Trajectory {
         })
     }
 
+    /// Takes other limits and another geometry over, in place: the stage's memory is too large to be moved on a task's
+    /// stack. Forgets path and pose.
+    ///
+    /// # Errors
+    /// A geometry that is no delta robot; then nothing changes.
+    pub fn reconfigure(&mut self, config: &Config) -> Result<(), GeometryError> {
+        let area = WorkArea::new(config)?;
+        let (window_ms, average_mm) = averaging(config);
+        let motion = &mut self.motion;
+        motion.area = area;
+        motion.limits = Limits::new(&config.motion);
+        motion.pen_down_z_mm = config.paper.pen_down_z_mm;
+        motion.pen_lift_mm = config.paper.pen_lift_mm;
+        motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
+        motion.dead_man_ms = config.bus.dead_man_ms;
+        motion.shaper = Shaper::new(Tolerances {
+            drawing_mm: config.motion.tolerance_mm - average_mm,
+            travel_mm: config.motion.travel_tolerance_mm - average_mm,
+        });
+        motion.plan.reconfigure(*area.delta(), motion.limits);
+        motion.here = PathSample::default();
+        motion.pushed = 0;
+        motion.begun = false;
+        motion.underruns = 0;
+        motion.work = 0;
+        motion.drop_path();
+        self.interpolator = MicroInterpolator::new(*area.delta(), window_ms);
+        self.pose = None;
+        Ok(())
+    }
+
     /// Takes the measured pose, at rest, as the place to begin from; forgets any path.
     ///
     /// Returns whether the pose is one of the robot's; without one, references stay where they are and commands are

@@ -14,8 +14,8 @@ unsafe extern "C" {
     static _ram_end: u8;
 }
 
-/// Least space in bytes that the builder must find.
-const SPACE_MIN: usize = 192 * 1024;
+/// Least space in bytes that the builder must find: its frames take 217 KiB, counted in the image.
+const SPACE_MIN: usize = 288 * 1024;
 
 /// Runs `build` with the free end of AXI SRAM as its stack. Call it in `init`, once, before interrupts are enabled.
 ///

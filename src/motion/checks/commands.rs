@@ -235,3 +235,38 @@ fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
     assert_eq!(lost.command(MotionCommand::Start), Err(MotionRefusal::NotPlaced));
     assert!(lost.step().iter().all(|r| r.velocity_rad_s == [0.0; AXES]));
 }
+
+#[test]
+fn a_reconfigured_stage_is_as_good_as_new() {
+    let first = Config::default();
+    let mut second = Config::default();
+    second.motion.tolerance_mm = 0.2;
+    second.paper.pen_lift_mm += 1.0;
+    let path = [[0.0, 0.0], [40.0, 10.0], [10.0, 60.0], [-30.0, 20.0]].map(|[x, y]| {
+        let point = [x, y, second.paper.pen_down_z_mm];
+        vertex(point, Pen::Down, 1)
+    });
+    let start: Vector = path[0].position.into();
+    let references = |mut trajectory: Trajectory| -> Vec<[Reference; PERIOD_MS]> {
+        for vertex in path {
+            trajectory.push(vertex).unwrap();
+        }
+        trajectory.finish();
+        trajectory.command(MotionCommand::Start).unwrap();
+        (0..200).map(|_| trajectory.step()).collect()
+    };
+    let mut used = placed(&first, start);
+    for vertex in path {
+        used.push(vertex).unwrap();
+    }
+    used.command(MotionCommand::Start).unwrap();
+    for _ in 0..20 {
+        used.step();
+    }
+    used.reconfigure(&second).unwrap();
+    let [a, b, c] = Delta::new(&second.geometry).unwrap().inverse(&start.into()).unwrap();
+    assert!(used.place(JointAngles([a, b, c, 0.0])));
+    let (used, new) = (references(used), references(placed(&second, start)));
+    assert_eq!(used, new);
+    assert_ne!(new[0], new[199], "the path moved");
+}
