@@ -9,7 +9,7 @@ use core::ptr;
 
 unsafe extern "C" {
     /// First byte behind the statics (cortex-m-rt's linker script).
-    static __sheap: u8;
+    static __euninit: u8;
     /// First byte behind AXI SRAM.
     static _ram_end: u8;
 }
@@ -23,7 +23,7 @@ const SPACE_MIN: usize = 288 * 1024;
 ///
 /// When the statics leave too little space, instead of running into them.
 pub(crate) fn on_large_stack<R, F: FnOnce() -> R>(build: F) -> R {
-    let (bottom, top) = (&raw const __sheap as usize, &raw const _ram_end as usize);
+    let (bottom, top) = (&raw const __euninit as usize, &raw const _ram_end as usize);
     assert!(
         top.saturating_sub(bottom) >= SPACE_MIN,
         "AXI SRAM is too full to build the tasks"
