@@ -14,8 +14,10 @@ use std::io::{self, Write};
 const INK_REACH_MM: f64 = 0.5;
 /// Distance of the points at which intended ink is looked for, mm.
 const INK_STEP_MM: f64 = 0.1;
-/// How far ahead along a stroke the pen may have come since the last millisecond, mm.
-const SEARCH_AHEAD_MM: f64 = 12.0;
+/// How far ahead along its stroke the pen may have come since the last millisecond, mm: 2 m/s.
+const AHEAD_MM: f64 = 2.0;
+/// How far back along its stroke the nearest point may lie, mm: noise, not motion.
+const BACK_MM: f64 = 0.5;
 
 /// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -224,7 +226,7 @@ fn distance(a: &Position, b: &Position) -> f64 {
     ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
 }
 
-/// Distance from `p` to the segment from `a` to `b`, and where along it, 0 to 1.
+/// Distance from `p` to the segment from `a` to `b`, and how far along it the nearest point lies, mm.
 fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
     let length2 = dx * dx + dy * dy + dz * dz;
@@ -239,35 +241,67 @@ fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
         y_mm: a.y_mm + t * dy,
         z_mm: a.z_mm + t * dz,
     };
-    (distance(p, &foot), t)
+    (distance(p, &foot), t * length2.sqrt())
 }
 
-/// Follows each stroke in order: the foot of a measured position never moves back along it.
+/// Follows one stroke in order: the nearest point is looked for close to the last one only, never on a neighbour.
+struct Follower<'a> {
+    points: &'a [Position],
+    /// Segment of the last nearest point, and how far along the stroke that segment begins, mm.
+    segment: usize,
+    begin_mm: f64,
+    /// How far along the stroke the last nearest point lies, mm.
+    foot_mm: f64,
+}
+
+impl<'a> Follower<'a> {
+    fn new(points: &'a [Position]) -> Self {
+        Self {
+            points,
+            segment: 0,
+            begin_mm: 0.0,
+            foot_mm: 0.0,
+        }
+    }
+
+    fn segment_mm(&self, segment: usize) -> f64 {
+        distance(&self.points[segment], &self.points[segment + 1])
+    }
+
+    /// Distance of the next measured position, mm.
+    fn step(&mut self, position: &Position) -> f64 {
+        let (mut segment, mut begin_mm) = (self.segment, self.begin_mm);
+        while segment > 0 && begin_mm > self.foot_mm - BACK_MM {
+            segment -= 1;
+            begin_mm -= self.segment_mm(segment);
+        }
+        let (mut nearest_mm, ahead_mm) = (f64::INFINITY, self.foot_mm + AHEAD_MM);
+        while segment + 1 < self.points.len() && begin_mm <= ahead_mm {
+            let (away_mm, along_mm) = to_segment(position, &self.points[segment], &self.points[segment + 1]);
+            if away_mm < nearest_mm {
+                nearest_mm = away_mm;
+                (self.segment, self.begin_mm, self.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
+            }
+            begin_mm += self.segment_mm(segment);
+            segment += 1;
+        }
+        nearest_mm
+    }
+}
+
+/// Largest distance of the pen-down positions from their strokes, and the root of the mean square, mm.
 fn deviation(rows: &[Row], strokes: &[(u32, Vec<Position>)]) -> (f64, f64) {
     let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0u64);
-    let (mut current, mut segment) = (usize::MAX, 0);
+    let mut current: Option<(u32, Follower)> = None;
     for row in rows.iter().filter(|row| row.pen == Pen::Down) {
-        let Ok(index) = strokes.binary_search_by_key(&row.stroke, |stroke| stroke.0) else {
-            continue;
-        };
-        if index != current {
-            (current, segment) = (index, 0);
+        if current.as_ref().is_none_or(|(stroke, _)| *stroke != row.stroke) {
+            let points = strokes.iter().find(|(stroke, _)| *stroke == row.stroke);
+            current = points.map(|(stroke, points)| (*stroke, Follower::new(points)));
         }
-        let points = &strokes[index].1;
-        let (mut best, mut best_segment, mut ahead_mm) = (f64::INFINITY, segment, 0.0);
-        for k in segment..points.len() - 1 {
-            let (away, _) = to_segment(&row.position, &points[k], &points[k + 1]);
-            if away < best {
-                (best, best_segment) = (away, k);
-            }
-            ahead_mm += distance(&points[k], &points[k + 1]);
-            if ahead_mm > SEARCH_AHEAD_MM {
-                break;
-            }
-        }
-        segment = best_segment;
-        largest = largest.max(best);
-        squares += best * best;
+        let Some((_, follower)) = &mut current else { continue };
+        let away_mm = follower.step(&row.position);
+        largest = largest.max(away_mm);
+        squares += away_mm * away_mm;
         count += 1;
     }
     (largest, (squares / count.max(1) as f64).sqrt())
@@ -379,4 +413,76 @@ pub fn write_intended(path: &[Vertex], mut out: impl Write) -> io::Result<()> {
         }
     }
     out.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x_mm: f64, y_mm: f64) -> Position {
+        Position {
+            x_mm,
+            y_mm,
+            z_mm: -850.0,
+        }
+    }
+
+    /// Two legs of 20 mm, 1 mm apart, joined at the far end.
+    fn hairpin() -> Vec<Position> {
+        vec![at(0.0, 0.0), at(20.0, 0.0), at(20.0, 1.0), at(0.0, 1.0)]
+    }
+
+    #[test]
+    fn a_position_is_compared_with_its_own_leg_and_not_with_the_neighbour() {
+        let points = hairpin();
+        let mut follower = Follower::new(&points);
+        let largest = (0..20)
+            .map(|x| follower.step(&at(f64::from(x), 0.8)))
+            .fold(0.0, f64::max);
+        assert!((largest - 0.8).abs() < 1e-9, "{largest}");
+    }
+
+    #[test]
+    fn a_stroke_followed_to_its_end_has_no_deviation() {
+        let points = hairpin();
+        let mut follower = Follower::new(&points);
+        let there = (0..=40).map(|k| at(f64::from(k) * 0.5, 0.0));
+        let back = (0..=40).map(|k| at(20.0 - f64::from(k) * 0.5, 1.0));
+        for position in there.chain([at(20.0, 0.5)]).chain(back) {
+            assert!(follower.step(&position) < 1e-9, "{position:?}");
+        }
+    }
+
+    #[test]
+    fn ink_is_missing_where_none_is_near() {
+        let strokes = vec![(0, vec![at(0.0, 0.0), at(10.0, 0.0)])];
+        let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
+        let missing_mm = ink_missing(&strokes, &ink);
+        assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
+    }
+
+    #[test]
+    fn strokes_begin_where_the_pen_came_down() {
+        let vertex = |x_mm, pen, stroke| Vertex {
+            position: at(x_mm, 0.0),
+            pen,
+            stroke,
+        };
+        let path = [
+            vertex(0.0, Pen::Up, 0),
+            vertex(1.0, Pen::Down, 0),
+            vertex(2.0, Pen::Down, 0),
+            vertex(3.0, Pen::Up, 1),
+            vertex(4.0, Pen::Down, 1),
+        ];
+        let strokes = strokes(&path);
+        assert_eq!(
+            strokes,
+            [
+                (0, vec![at(0.0, 0.0), at(1.0, 0.0), at(2.0, 0.0)]),
+                (1, vec![at(3.0, 0.0), at(4.0, 0.0)])
+            ]
+        );
+        assert_eq!(lengths(&path), (3.0, 1.0));
+    }
 }
