@@ -70,6 +70,11 @@ impl BlendShape {
 }
 
 impl Curve {
+    /// All of it in the origin.
+    pub(crate) const NONE: Self = Self {
+        coefficients: [[0.0; 3]; COEFFICIENTS],
+    };
+
     pub(crate) fn line(from: &Vector, to: &Vector) -> Self {
         let mut curve = Self::default();
         curve.coefficients[0] = *from;

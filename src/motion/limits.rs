@@ -37,6 +37,15 @@ pub(crate) struct Limits {
 }
 
 impl Limits {
+    /// Nothing may move.
+    pub(crate) const NONE: Self = Self {
+        joint_speed_squared: [0.0; ARMS],
+        joint_acceleration: [0.0; ARMS],
+        acceleration: 0.0,
+        drawing_squared: 0.0,
+        travel_squared: 0.0,
+    };
+
     pub(crate) fn new(motion: &Motion) -> Self {
         let speed_squared = |speed: f64| speed * speed * SPEED_PART * SPEED_PART;
         let [a, b, c, _] = motion.joint_speed_rad_s;

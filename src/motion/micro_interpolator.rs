@@ -31,6 +31,13 @@ pub(crate) struct PathSample {
     pub(crate) label: Label,
 }
 
+impl PathSample {
+    pub(crate) const NONE: Self = Self {
+        point: [0.0; 3],
+        label: Label::NONE,
+    };
+}
+
 /// Motion along the path with constant acceleration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stretch {
@@ -118,12 +125,12 @@ pub(crate) struct MicroInterpolator {
 }
 
 impl MicroInterpolator {
-    /// Interpolator with a moving average over `window_ms`; 0 and 1 switch it off.
-    pub(crate) fn new(delta: Delta, window_ms: u16) -> Self {
+    /// Interpolator without an average, for no robot; see [`MicroInterpolator::configure`].
+    pub(crate) const fn new() -> Self {
         Self {
-            delta,
-            window: [([0; AXES], Label::default()); WINDOW_MAX],
-            length: usize::from(window_ms).clamp(1, WINDOW_MAX),
+            delta: Delta::NONE,
+            window: [([0; AXES], Label::NONE); WINDOW_MAX],
+            length: 1,
             newest: 0,
             sums: [0; AXES],
             still_ms: WINDOW_MAX,
@@ -131,10 +138,17 @@ impl MicroInterpolator {
         }
     }
 
+    /// Takes a robot and a moving average over `window_ms`; 0 and 1 switch it off. Rests until placed.
+    pub(crate) fn configure(&mut self, delta: Delta, window_ms: u16) {
+        self.delta = delta;
+        self.length = usize::from(window_ms).clamp(1, WINDOW_MAX);
+        self.still_ms = WINDOW_MAX;
+    }
+
     /// Rests at a pose.
     pub(crate) fn place(&mut self, pose: &JointAngles) {
         let parts = pose.0.map(to_parts);
-        self.window = [(parts, Label::default()); WINDOW_MAX];
+        self.window = [(parts, Label::NONE); WINDOW_MAX];
         self.sums = parts.map(|value| value * self.length as i64);
         self.still_ms = WINDOW_MAX;
         self.fourth_axis_rad = pose.0[AXES - 1];
@@ -237,7 +251,8 @@ mod tests {
 
     fn run(window_ms: u16) -> (MicroInterpolator, [[Reference; PERIOD_MS]; 12]) {
         let delta = Delta::new(&Geometry::default()).unwrap();
-        let mut interpolator = MicroInterpolator::new(delta, window_ms);
+        let mut interpolator = MicroInterpolator::new();
+        interpolator.configure(delta, window_ms);
         let [a, b, c] = delta.angles(&[0.0, 0.0, -850.0]);
         interpolator.place(&JointAngles([a, b, c, 0.25]));
         let mut there = There {

@@ -13,8 +13,8 @@ use super::micro_interpolator::{PathSample, Stretch};
 use super::ring::Ring;
 use super::scan::{Interval, Row};
 use super::shaping::{Label, PIECES_PER_LEG, Piece};
-use crate::robot::Delta;
 use crate::robot::vector::{Vector, length};
+use crate::robot::{Delta, JointRows};
 
 /// Points of the grid: the look-ahead.
 pub(crate) const POINTS: usize = 256;
@@ -32,7 +32,7 @@ const ARRIVED_MM: f64 = 1.0e-9;
 const _: () = assert!(GROWTH < POINTS && PIECES_PER_LEG < PIECES);
 
 /// The interval that begins at a point of the grid.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Span {
     length_mm: f64,
     piece: u32,
@@ -41,7 +41,16 @@ struct Span {
     stretch: [f64; 2],
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+impl Span {
+    const NONE: Self = Self {
+        length_mm: 0.0,
+        piece: 0,
+        parameter: [0.0; 2],
+        stretch: [0.0; 2],
+    };
+}
+
+#[derive(Clone, Copy, Debug)]
 struct GridPoint {
     row: Row,
     /// Largest squared speed that the robot allows, mm2/s2.
@@ -52,6 +61,20 @@ struct GridPoint {
     reach: f64,
     span: Span,
     stop: bool,
+}
+
+impl GridPoint {
+    const NONE: Self = Self {
+        row: Row {
+            joints: JointRows::NONE,
+            curvature: 0.0,
+        },
+        cap: 0.0,
+        nominal: 0.0,
+        reach: 0.0,
+        span: Span::NONE,
+        stop: false,
+    };
 }
 
 /// How the motion goes on at the next point of the grid.
@@ -87,12 +110,13 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    pub(crate) fn new(delta: Delta, limits: Limits) -> Self {
+    /// An empty plan; nothing may move before [`Plan::reconfigure`].
+    pub(crate) const fn new() -> Self {
         Self {
-            delta,
-            limits,
-            pieces: Ring::new(),
-            points: Ring::new(),
+            delta: Delta::NONE,
+            limits: Limits::NONE,
+            pieces: Ring::new(Piece::NONE),
+            points: Ring::new(GridPoint::NONE),
             next_piece: 0,
             next_interval: 0,
             settled: 0,
@@ -102,15 +126,16 @@ impl Plan {
             offset_mm: 0.0,
             squared: 0.0,
             stretch: None,
-            rest: PathSample::default(),
+            rest: PathSample::NONE,
         }
     }
 
-    /// Plans for another robot or with other limits from now on, at the speed of the path; what was pushed is invalid.
+    /// Plans for another robot or with other limits from now on, at the speed of the path; drops what was pushed.
     pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits) {
         self.delta = delta;
         self.limits = limits;
         self.wanted = 1.0;
+        self.rest_at([0.0; 3], Label::NONE);
     }
 
     /// Drops everything and rests at a point.
@@ -224,7 +249,7 @@ impl Plan {
             cap: self.limits.cap(&joints, curvature),
             nominal,
             reach: 0.0,
-            span: Span::default(),
+            span: Span::NONE,
             stop,
         }
     }

@@ -10,15 +10,16 @@ pub(crate) struct Ring<T, const N: usize> {
     length: u32,
 }
 
-impl<T: Copy + Default, const N: usize> Ring<T, N> {
+impl<T: Copy, const N: usize> Ring<T, N> {
     const CAPACITY: u32 = {
         assert!(N.is_power_of_two() && N <= 1 << 16);
         N as u32
     };
 
-    pub(crate) fn new() -> Self {
+    /// An empty ring; `filler` fills the places that are not in use.
+    pub(crate) const fn new(filler: T) -> Self {
         Self {
-            items: [T::default(); N],
+            items: [filler; N],
             first: 0,
             length: 0,
         }
@@ -103,7 +104,7 @@ mod tests {
 
     #[test]
     fn items_keep_their_number_until_they_are_removed_also_over_the_wrap() {
-        let mut ring = Ring::<u32, 4>::new();
+        let mut ring = Ring::<u32, 4>::new(0);
         ring.first = u32::MAX - 1;
         for value in 0..4 {
             assert!(ring.push(value));

@@ -57,12 +57,29 @@ pub(crate) struct Node {
     pub(crate) count: u32,
 }
 
+impl Node {
+    pub(crate) const NONE: Self = Self {
+        point: [0.0; 3],
+        pen: Pen::Up,
+        stroke: 0,
+        count: 0,
+    };
+}
+
 /// What a moment of the path belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Label {
     pub(crate) stroke: u32,
     pub(crate) pen: Pen,
     pub(crate) vertex: u32,
+}
+
+impl Label {
+    pub(crate) const NONE: Self = Self {
+        stroke: 0,
+        pen: Pen::Up,
+        vertex: 0,
+    };
 }
 
 /// A piece of the shaped path.
@@ -79,6 +96,17 @@ pub(crate) struct Piece {
     pub(crate) vertex_after: u32,
     /// The path rests at its end.
     pub(crate) stop_after: bool,
+}
+
+impl Piece {
+    pub(crate) const NONE: Self = Self {
+        curve: Curve::NONE,
+        intervals: 0,
+        entry: Label::NONE,
+        exit: Label::NONE,
+        vertex_after: 0,
+        stop_after: false,
+    };
 }
 
 /// Tolerances of the shape, with the moving average's share taken off, mm.
@@ -119,12 +147,20 @@ pub(crate) struct Shaper {
 }
 
 impl Shaper {
-    pub(crate) fn new(tolerances: Tolerances) -> Self {
+    /// Shapes with a tolerance of 0 until told otherwise.
+    pub(crate) const fn new() -> Self {
         Self {
-            tolerances,
-            node: Node::default(),
+            tolerances: Tolerances {
+                drawing_mm: 0.0,
+                travel_mm: 0.0,
+            },
+            node: Node::NONE,
             start: Start::Straight { trim: 0.0 },
         }
+    }
+
+    pub(crate) fn configure(&mut self, tolerances: Tolerances) {
+        self.tolerances = tolerances;
     }
 
     /// Begins anew from a point at rest.

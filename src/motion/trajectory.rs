@@ -85,31 +85,21 @@ struct Motion {
 }
 
 impl Trajectory {
-    /// Stage with the limits of a configuration; it has no pose yet.
-    ///
-    /// # Errors
-    /// A geometry that is no delta robot.
-    pub fn new(config: &Config) -> Result<Self, GeometryError> {
-        let area = WorkArea::new(config)?;
-        let limits = Limits::new(&config.motion);
-        let (window_ms, average_mm) = averaging(config);
-        let tolerances = Tolerances {
-            drawing_mm: config.motion.tolerance_mm - average_mm,
-            travel_mm: config.motion.travel_tolerance_mm - average_mm,
-        };
-        Ok(Self {
+    /// Stage without a configuration, for a static: it rests, and refuses commands.
+    pub const fn unconfigured() -> Self {
+        Self {
             motion: Motion {
-                area,
-                limits,
-                pen_down_z_mm: config.paper.pen_down_z_mm,
-                pen_lift_mm: config.paper.pen_lift_mm,
-                starve_dwell_ms: usize::from(config.motion.starve_dwell_ms),
-                dead_man_ms: config.bus.dead_man_ms,
-                queue: Ring::new(),
-                shaper: Shaper::new(tolerances),
-                plan: Plan::new(*area.delta(), limits),
+                area: WorkArea::NONE,
+                limits: Limits::NONE,
+                pen_down_z_mm: 0.0,
+                pen_lift_mm: 0.0,
+                starve_dwell_ms: 0,
+                dead_man_ms: 0,
+                queue: Ring::new(Node::NONE),
+                shaper: Shaper::new(),
+                plan: Plan::new(),
                 activity: Activity::Rest,
-                here: PathSample::default(),
+                here: PathSample::NONE,
                 finished: false,
                 fresh: true,
                 pushed: 0,
@@ -118,38 +108,49 @@ impl Trajectory {
                 underruns: 0,
                 work: 0,
             },
-            interpolator: MicroInterpolator::new(*area.delta(), window_ms),
+            interpolator: MicroInterpolator::new(),
             pose: None,
-        })
+        }
     }
 
-    /// Takes other limits and another geometry over, in place: the stage's memory is too large to be moved on a task's
-    /// stack. Forgets path and pose.
+    /// Stage with the limits of a configuration; it has no pose yet. About 64 KiB pass over the stack; a board keeps
+    /// an [`Trajectory::unconfigured`] stage in a static instead.
     ///
     /// # Errors
-    /// A geometry that is no delta robot; then nothing changes.
+    /// A geometry that is no delta robot.
+    pub fn new(config: &Config) -> Result<Self, GeometryError> {
+        let mut trajectory = Self::unconfigured();
+        trajectory.reconfigure(config)?;
+        Ok(trajectory)
+    }
+
+    /// Takes over a configuration in place; forgets the path, and the pose until it is placed again.
+    ///
+    /// # Errors
+    /// A geometry that is no delta robot; then nothing has changed.
     pub fn reconfigure(&mut self, config: &Config) -> Result<(), GeometryError> {
         let area = WorkArea::new(config)?;
+        let limits = Limits::new(&config.motion);
         let (window_ms, average_mm) = averaging(config);
         let motion = &mut self.motion;
         motion.area = area;
-        motion.limits = Limits::new(&config.motion);
+        motion.limits = limits;
         motion.pen_down_z_mm = config.paper.pen_down_z_mm;
         motion.pen_lift_mm = config.paper.pen_lift_mm;
         motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
         motion.dead_man_ms = config.bus.dead_man_ms;
-        motion.shaper = Shaper::new(Tolerances {
+        motion.shaper.configure(Tolerances {
             drawing_mm: config.motion.tolerance_mm - average_mm,
             travel_mm: config.motion.travel_tolerance_mm - average_mm,
         });
-        motion.plan.reconfigure(*area.delta(), motion.limits);
-        motion.here = PathSample::default();
+        motion.plan.reconfigure(*area.delta(), limits);
+        motion.here = PathSample::NONE;
         motion.pushed = 0;
         motion.begun = false;
         motion.underruns = 0;
         motion.work = 0;
         motion.drop_path();
-        self.interpolator = MicroInterpolator::new(*area.delta(), window_ms);
+        self.interpolator.configure(*area.delta(), window_ms);
         self.pose = None;
         Ok(())
     }
@@ -170,7 +171,7 @@ impl Trajectory {
         };
         self.motion.here = PathSample {
             point: position.into(),
-            label: Label::default(),
+            label: Label::NONE,
         };
         self.motion.drop_path();
         self.pose = Some(pose);
@@ -185,7 +186,8 @@ impl Trajectory {
     /// Appends a vertex to the path. One that repeats the last one is merged with it.
     ///
     /// # Errors
-    /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex that is not finite.
+    /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex outside the work area; its leg is the
+    /// business of [`super::Admission`].
     pub fn push(&mut self, vertex: Vertex) -> Result<(), MotionRefusal> {
         self.motion.push(&vertex)
     }
@@ -278,10 +280,10 @@ fn averaging(config: &Config) -> (u16, f64) {
 impl Motion {
     fn push(&mut self, vertex: &Vertex) -> Result<(), MotionRefusal> {
         let point = Vector::from(vertex.position);
-        if !point.iter().all(|value| value.is_finite()) {
+        if let Err(outside) = self.area.check(&vertex.position) {
             return Err(MotionRefusal::Target(Refusal {
                 index: self.pushed,
-                reason: RefusalReason::NotFinite,
+                reason: RefusalReason::Outside(outside),
             }));
         }
         if self.queue.room() == 0 {
@@ -475,7 +477,7 @@ impl Motion {
         self.shaper.place(Node {
             point: self.here.point,
             count: self.here.label.vertex,
-            ..Node::default()
+            ..Node::NONE
         });
     }
 

@@ -87,6 +87,14 @@ pub struct JointRows {
     pub bend: [f64; ARMS],
 }
 
+impl JointRows {
+    /// Joints that do not move.
+    pub(crate) const NONE: Self = Self {
+        slope: [0.0; ARMS],
+        bend: [0.0; ARMS],
+    };
+}
+
 /// How far a position is from the singularities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditioning {
@@ -116,6 +124,15 @@ struct ArmPose {
 }
 
 impl Delta {
+    /// No robot: fills the place of one that is not configured yet.
+    pub(crate) const NONE: Self = Self {
+        azimuths: [(0.0, 0.0); ARMS],
+        offset_mm: 0.0,
+        upper_arm_mm: 0.0,
+        forearm_mm: 0.0,
+        range_rad: [0.0; 2],
+    };
+
     /// Takes over the geometry.
     ///
     /// # Errors

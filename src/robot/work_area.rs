@@ -74,6 +74,17 @@ pub struct WorkArea {
 }
 
 impl WorkArea {
+    /// No space at all: fills the place of a work area that is not configured yet.
+    pub(crate) const NONE: Self = Self {
+        delta: Delta::NONE,
+        cylinder: Cylinder {
+            radius_mm: 0.0,
+            z_low_mm: 0.0,
+            z_high_mm: 0.0,
+        },
+        range_rad: [0.0; 2],
+    };
+
     /// The work area of a configuration.
     ///
     /// # Errors
