@@ -49,6 +49,10 @@ unsafe impl critical_section::Impl for BelowCritical {
 
 /// Panics unless every enabled interrupt except `critical` can be masked by a critical section.
 pub(crate) fn start_up_check(critical: &[Interrupt]) {
+    assert!(
+        critical.iter().all(|interrupt| NVIC::is_enabled(*interrupt)),
+        "the check comes before the interrupts are enabled"
+    );
     for number in 0..INTERRUPTS as u16 {
         let interrupt = AnyInterrupt(number);
         if !NVIC::is_enabled(interrupt) {
@@ -69,16 +73,22 @@ pub(crate) fn start_up_check(critical: &[Interrupt]) {
     }
 }
 
-/// Sleeps in a critical task until `done`, which is asked again after each occurrence of `interrupt`.
+/// Sleeps in a critical task until `done`, which is asked after each occurrence of `interrupt`.
 ///
-/// The interrupt is a critical one and not the running task's own, which could not wake the core. `done` has to clear the interrupt before it looks, so that an occurrence after the look keeps the core awake.
+/// The interrupt is a critical one, not the running task's own, which could not wake the core, and it was cleared before
+/// its cause was set off. `done` has to clear it before it looks, so that an occurrence after the look keeps the core awake.
+/// It is not asked before the first occurrence: whether that comes before or during the sleep then makes no difference,
+/// not even to the count of instructions.
 pub(crate) fn woken_by(interrupt: Interrupt, mut done: impl FnMut() -> bool) {
     // An interrupt of the running task's own priority would not wake the core; one that could preempt it does, and the
     // core's mask keeps it from being taken.
     cortex_m::interrupt::disable();
     set_priority(interrupt, 0);
-    while !done() {
+    loop {
         cortex_m::asm::wfi();
+        if done() {
+            break;
+        }
     }
     set_priority(interrupt, hardware_priority(CRITICAL_PRIORITY));
     // SAFETY: the mask was clear when the task began, tasks run with it clear, and `done` is over.

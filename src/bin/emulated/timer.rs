@@ -14,6 +14,8 @@ pub(crate) const PERIOD_COUNTS: u32 = CLOCK_HZ / 1000;
 const DEADLINE_COUNTS: u32 = PERIOD_COUNTS * 3 / 10;
 /// Counts from a frame's sending to its reply's arrival in lockstep, 30 us.
 const DELIVERY_COUNTS: u32 = PERIOD_COUNTS * 3 / 100;
+/// Periods before the first release: the end of `init` still moves the tasks' data with all interrupts masked.
+const START_PERIODS: u32 = 50;
 const NS_PER_COUNT: u32 = 1_000_000_000 / CLOCK_HZ;
 const COUNTS_PER_US: u64 = CLOCK_HZ as u64 / 1_000_000;
 
@@ -150,7 +152,7 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// Takes the timers and lets the first millisecond begin one period from now.
+    /// Takes the timers and lets the first millisecond begin [`START_PERIODS`] and one from now.
     ///
     /// # Safety
     /// Call it once: the clock owns the timers.
@@ -165,8 +167,8 @@ impl Clock {
             releases: 0,
             missed: 0,
         };
-        let first = clock.released_at.wrapping_add(PERIOD_COUNTS);
-        clock.sample.set(first);
+        clock.released_at = clock.released_at.wrapping_add(START_PERIODS * PERIOD_COUNTS);
+        clock.sample.set(clock.released_at.wrapping_add(PERIOD_COUNTS));
         clock
     }
 

@@ -85,26 +85,33 @@ pub(crate) struct TxToken<'a> {
 }
 
 impl TxToken<'_> {
+    fn clear_arrival(&mut self) {
+        self.inner.acknowledge();
+        NVIC::unpend(Interrupt::LAN9118);
+    }
+
     /// Sleeps until `wanted` frames wait in the controller.
     fn await_replies(&mut self, wanted: u32) {
         self.clock.pause();
         critical::woken_by(Interrupt::LAN9118, || {
-            self.inner.acknowledge();
-            NVIC::unpend(Interrupt::LAN9118);
+            self.clear_arrival();
             frames_waiting() >= wanted
         });
-        // The last of them may have come between the two looks; `bus_frame` is released by the clock, not by it.
-        self.inner.acknowledge();
-        NVIC::unpend(Interrupt::LAN9118);
+        // The last of several may have come between the two looks; `bus_frame` is released by the clock, not by it.
+        self.clear_arrival();
         self.clock.resume_and_deliver();
     }
 }
 
 impl embassy_net_driver::TxToken for TxToken<'_> {
     fn consume<T, F: FnOnce(&mut [u8]) -> T>(mut self, length: usize, f: F) -> T {
+        let Some(bus) = self.bus else {
+            return self.inner.send(length, f).0;
+        };
         let waiting = frames_waiting();
+        self.clear_arrival();
         let (result, sent) = self.inner.send(length, f);
-        if let (Some(bus), true) = (self.bus, sent) {
+        if sent {
             let replies = bus.frame_sent(self.clock.time_us());
             if replies > 0 {
                 self.await_replies(waiting + u32::from(replies));
