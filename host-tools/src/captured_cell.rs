@@ -48,6 +48,16 @@ impl CapturedCell {
     }
 }
 
+impl Segment for Cell {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        Cell::frame(self, time_us, frame)
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        Cell::advance_to(self, time_us);
+    }
+}
+
 impl Segment for CapturedCell {
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.record(time_us, Direction::Sent, frame);

@@ -692,11 +692,12 @@ impl Application {
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
-        let settled = self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
+        // The references of the last period are still on their way when the trajectory rests.
+        let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
-            Mode::Drawing | Mode::Moving if settled && progress.idle => self.mode = Mode::Idle,
-            Mode::Stopping if self.cancelling && settled && progress.idle => {
+            Mode::Drawing | Mode::Moving if at_rest => self.mode = Mode::Idle,
+            Mode::Stopping if self.cancelling && at_rest => {
                 self.cancelling = false;
                 self.mode = Mode::Idle;
             }

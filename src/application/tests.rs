@@ -175,6 +175,13 @@ fn commands_the_mode_does_not_allow_change_nothing() {
 fn a_drawing_ends_in_idle_when_the_path_is_executed() {
     let mut plant = Plant::drawing();
     plant.progress.idle = true;
+    plant.run(10);
+    assert_eq!(
+        plant.mode(),
+        Mode::Drawing,
+        "the last references are still being followed"
+    );
+    plant.condition.standstill = true;
     plant.run(1);
     assert_eq!(plant.mode(), Mode::Idle);
 }
@@ -211,6 +218,7 @@ fn cancel_stops_on_the_path_and_returns_to_idle() {
     plant.run(100);
     assert_eq!(plant.mode(), Mode::Stopping);
     plant.progress.idle = true;
+    plant.condition.standstill = true;
     plant.run(1);
     assert_eq!((plant.mode(), plant.power), (Mode::Idle, Power::On));
 }

@@ -104,9 +104,10 @@ impl<'a> LinkTask<'a> {
         self.take_events();
         self.take_reports();
         self.take_bytes();
+        let up_to_date = self.motion.orders == self.orders_sent;
         let progress = Progress {
-            idle: self.motion.idle,
-            held: self.motion.held,
+            idle: self.motion.idle && up_to_date,
+            held: self.motion.held && up_to_date,
         };
         let silence_ms = self
             .endpoint
@@ -338,8 +339,9 @@ impl<'a> LinkTask<'a> {
 
     fn tell(&mut self) {
         let (free, motion) = (self.free(), self.motion);
-        let finished = motion.finished && motion.orders == self.orders_sent;
-        self.endpoint.acknowledge(motion.executed, free, finished);
+        let finished = motion.finished && motion.orders == self.orders_sent && self.application.mode() != Mode::Drawing;
+        let followed = self.report.map_or(0, |report| report.reference.vertex);
+        self.endpoint.acknowledge(motion.executed.min(followed), free, finished);
         let (mode, fault, since_ms) = self.told;
         let changed = mode != self.application.mode() || fault != self.application.fault();
         if changed || self.now_ms.wrapping_sub(since_ms) >= STATUS_PERIOD_MS {

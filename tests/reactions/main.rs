@@ -1,0 +1,394 @@
+//! What goes wrong, and what happens then: the reactions of the operating modes, with firmware tasks and virtual cell.
+//!
+//! Everything runs in virtual time. The cell tells the truth about the drives; the operator knows only what the
+//! firmware says over the link.
+
+mod robot;
+
+use etherpen::application::{Fault, Mode, Refusal, StopSource};
+use etherpen::config::Config;
+use etherpen::link::protocol::{Command, ConfigRefusal, PathVertex};
+use etherpen::motion::{Pen, RefusalReason};
+use etherpen::robot::Position;
+use host_tools::cell::{AlState, DriveState, Fault as CellFault};
+use robot::{Robot, path};
+
+/// A speed at which a joint stands, rad/s.
+const STILL_RAD_S: f64 = 1.0e-3;
+
+/// The one way every fault takes: standstill, brakes, power off, refusal of motion until acknowledged.
+fn assert_described_standstill(robot: &mut Robot, expected: impl Fn(&Fault) -> bool) {
+    robot.run_until("a fault is told", |robot| robot.fault().is_some());
+    robot.run(150);
+    assert!(
+        robot.speed_rad_s() < STILL_RAD_S,
+        "still moving at {} rad/s",
+        robot.speed_rad_s()
+    );
+    robot.wait_for(Mode::Fault);
+    robot.run(200);
+    let fault = robot.fault().unwrap();
+    assert!(expected(&fault), "{fault:?}");
+    let cell = robot.cell();
+    assert!(
+        cell.slaves
+            .iter()
+            .all(|slave| slave.drive != DriveState::OperationEnabled),
+        "{:?}",
+        cell.slaves
+    );
+    assert_eq!(robot.command(Command::Enable), Err(Refusal::NotInMode(Mode::Fault)));
+    assert_eq!(
+        robot.command(Command::Draw { job: 9 }),
+        Err(Refusal::NotInMode(Mode::Fault))
+    );
+}
+
+/// Acknowledges, powers up again and draws to the end.
+fn assert_recovers_and_draws(robot: &mut Robot) {
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    assert_eq!(robot.fault(), None);
+    if !robot.status.as_ref().unwrap().referenced {
+        robot.command(Command::Reference).unwrap();
+        robot.run(100);
+    }
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Idle);
+    robot.draw(path());
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    assert_eq!(robot.fault(), None);
+}
+
+#[test]
+fn a_stop_ends_in_a_latched_standstill_and_is_recovered() {
+    let mut robot = Robot::drawing();
+    robot.command(Command::Stop).unwrap();
+    assert_described_standstill(&mut robot, |fault| *fault == Fault::EmergencyStop(StopSource::Link));
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn a_drive_fault_stops_all_axes_names_the_axis_and_is_reset() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Drive(2, 0x2310));
+    assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::Drive { axis: 1, .. }));
+    let states = robot.cell().slaves;
+    assert!(
+        states.iter().all(|slave| slave.al_state == AlState::Operational),
+        "the bus keeps running: {states:?}"
+    );
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn a_lost_slave_stops_the_others_and_is_brought_back_after_the_acknowledgement() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Remove(3));
+    assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::SlaveLost { slave: 2 }));
+    let others = robot.cell().slaves;
+    assert!(
+        [0, 1, 3].iter().all(|k| others[*k].al_state == AlState::Operational),
+        "the rest of the bus runs: {others:?}"
+    );
+    robot.command(Command::Acknowledge).unwrap();
+    robot.run(1_000);
+    assert_eq!(robot.mode(), Mode::Fault, "it is not back yet");
+    robot.run(15_000);
+    robot.inject(CellFault::Insert(3));
+    robot.run(100);
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn stalled_frames_stop_the_motors_by_the_drives_own_watchdog() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Stall(300));
+    robot.run(150);
+    assert!(
+        robot.speed_rad_s() < STILL_RAD_S,
+        "the watchdog has stopped the motors while nothing got through"
+    );
+    assert_described_standstill(&mut robot, |fault| {
+        matches!(
+            fault,
+            Fault::Blind { .. } | Fault::SlaveState { .. } | Fault::SlaveLost { .. }
+        )
+    });
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn a_slave_that_leaves_op_is_named_with_its_al_code() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Retreat(4, 0x001A));
+    let expected = |fault: &Fault| {
+        matches!(
+            fault,
+            Fault::SlaveState {
+                slave: 3,
+                al_code: 0x001A,
+                ..
+            }
+        )
+    };
+    assert_described_standstill(&mut robot, expected);
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn a_power_cycled_drive_comes_back_without_its_reference() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Power(4, 500));
+    assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::SlaveLost { slave: 3 }));
+    robot.run(1_000);
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    assert!(
+        !robot.status.as_ref().unwrap().referenced,
+        "repair never restores a reference"
+    );
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Unreferenced);
+    assert_eq!(robot.command(Command::Draw { job: 2 }), Err(Refusal::NotReferenced));
+    robot.command(Command::Reference).unwrap();
+    robot.wait_for(Mode::Idle);
+    robot.draw(path());
+    robot.run_until("the path is executed", |robot| robot.ack.finished);
+}
+
+#[test]
+fn a_frozen_resolver_is_a_following_error_with_axis_and_limit() {
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Stuck(1, 400));
+    let limit = Config::default().axes[0].following_error_max_rad as f32;
+    assert_described_standstill(
+        &mut robot,
+        |fault| matches!(fault, Fault::FollowingError { axis: 0, error_rad, limit_rad } if error_rad > limit_rad && *limit_rad == limit),
+    );
+}
+
+#[test]
+fn single_bad_frames_cost_one_cycle_each_and_the_drawing_goes_on() {
+    let mut robot = Robot::drawing();
+    let faults = [
+        CellFault::Drop,
+        CellFault::Lose,
+        CellFault::Delay(1),
+        CellFault::Duplicate,
+        CellFault::Truncate(30),
+        CellFault::Index(1),
+        CellFault::Foreign,
+        CellFault::Counter(-1),
+    ];
+    for fault in faults {
+        robot.inject(fault);
+        robot.run(40);
+        assert_eq!(robot.fault(), None, "{fault:?}");
+    }
+    robot.run_until("the path is executed", |robot| robot.ack.finished);
+    robot.run(600);
+    let counters = robot.status.as_ref().unwrap().counters;
+    assert!(
+        counters.frames_lost >= 4 && counters.frames_ignored >= 4,
+        "{counters:?}"
+    );
+    assert_eq!((counters.cycles_late, counters.reference_underruns), (0, 0));
+}
+
+#[test]
+fn a_held_drawing_is_the_same_drawing() {
+    let undisturbed = {
+        let mut robot = Robot::drawing();
+        robot.run_until("the path is executed", |robot| robot.ack.finished);
+        robot.ink().iter().map(|stroke| stroke.points_mm.len()).sum::<usize>()
+    };
+    let mut robot = Robot::drawing();
+    robot.command(Command::Hold).unwrap();
+    robot.run(2_000);
+    assert_eq!(robot.mode(), Mode::Holding);
+    assert!(
+        robot.speed_rad_s() < STILL_RAD_S && !robot.cell().pen_touches,
+        "the pen is lifted while held"
+    );
+    assert_eq!(robot.command(Command::Hold), Err(Refusal::NotInMode(Mode::Holding)));
+    robot.command(Command::Resume).unwrap();
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    let held = robot.ink().iter().map(|stroke| stroke.points_mm.len()).sum::<usize>();
+    assert!(
+        held >= undisturbed && held < undisturbed + 300,
+        "{held} points of ink, {undisturbed} undisturbed"
+    );
+}
+
+#[test]
+fn a_hold_before_the_path_has_come_lets_nothing_move_until_resume() {
+    let mut robot = Robot::idle();
+    robot.command(Command::Draw { job: 1 }).unwrap();
+    robot.command(Command::Hold).unwrap();
+    robot.run(500);
+    assert_eq!((robot.mode(), robot.speed_rad_s() < STILL_RAD_S), (Mode::Holding, true));
+    robot.command(Command::Cancel).unwrap();
+    robot.wait_for(Mode::Idle);
+}
+
+#[test]
+fn cancel_lifts_the_pen_and_forgets_the_rest() {
+    let mut robot = Robot::drawing();
+    robot.command(Command::Cancel).unwrap();
+    robot.wait_for(Mode::Idle);
+    assert!(robot.speed_rad_s() < STILL_RAD_S && !robot.cell().pen_touches);
+    robot.run(1_000);
+    assert!(!robot.ack.finished);
+    robot.draw(path());
+    robot.run_until("another path is executed", |robot| robot.ack.finished);
+}
+
+#[test]
+fn a_silent_host_leads_to_holding_and_only_resume_moves_again() {
+    let mut robot = Robot::drawing();
+    robot.plugged = false;
+    robot.run(1_500);
+    assert!(robot.speed_rad_s() < STILL_RAD_S && !robot.cell().pen_touches);
+    robot.plugged = true;
+    robot.wait_for(Mode::Holding);
+    robot.run(1_000);
+    assert_eq!(robot.mode(), Mode::Holding);
+    robot.command(Command::Resume).unwrap();
+    robot.run_until("the path is executed", |robot| robot.ack.finished);
+}
+
+#[test]
+fn half_speed_takes_longer_and_is_reported() {
+    let mut robot = Robot::drawing();
+    assert_eq!(
+        robot.command(Command::Override { percent: 5 }),
+        Err(Refusal::OverrideRange(5))
+    );
+    robot.command(Command::Override { percent: 25 }).unwrap();
+    robot.run(200);
+    let peak = (0..100).fold(0.0_f64, |peak, _| {
+        robot.run(1);
+        peak.max(robot.speed_rad_s())
+    });
+    assert!(peak < 0.5, "{peak} rad/s at a quarter of the speed");
+    robot.run(600);
+    assert_eq!(robot.status.as_ref().unwrap().override_percent, 25);
+}
+
+#[test]
+fn a_jog_ends_without_its_dead_man_message() {
+    let mut robot = Robot::idle();
+    let jog = Command::Jog {
+        velocity_mm_s: [0.0, 50.0, 0.0],
+    };
+    for _ in 0..6 {
+        robot.command(jog).unwrap();
+        robot.run(50);
+    }
+    assert_eq!(robot.mode(), Mode::Moving);
+    assert!(robot.speed_rad_s() > 0.02);
+    robot.wait_for(Mode::Idle);
+    assert!(robot.speed_rad_s() < STILL_RAD_S);
+    let before = robot.cell().platform.unwrap();
+    assert!(before.y_mm > 5.0 && before.y_mm < 60.0, "{before:?}");
+}
+
+#[test]
+fn targets_outside_the_work_area_are_refused_before_anything_moves() {
+    let mut robot = Robot::idle();
+    let far = Command::Move {
+        position: Position {
+            x_mm: 900.0,
+            y_mm: 0.0,
+            z_mm: -800.0,
+        },
+    };
+    assert!(matches!(robot.command(far), Err(Refusal::Target(_))));
+    let near = Position {
+        x_mm: 50.0,
+        y_mm: -20.0,
+        z_mm: -800.0,
+    };
+    robot.command(Command::Move { position: near }).unwrap();
+    robot.run(100);
+    assert_eq!(robot.mode(), Mode::Moving);
+    robot.wait_for(Mode::Idle);
+    let there = robot.cell().platform.unwrap();
+    assert!(
+        (there.x_mm - 50.0).abs() < 0.05 && (there.z_mm + 800.0).abs() < 0.05,
+        "{there:?}"
+    );
+}
+
+#[test]
+fn a_vertex_outside_the_work_area_is_refused_with_its_index() {
+    let mut robot = Robot::idle();
+    let mut path = path();
+    let outside = PathVertex {
+        position_um: [800_000, 0, -850_000],
+        pen: Pen::Down,
+        stroke: 0,
+    };
+    path[5] = outside;
+    robot.draw(path);
+    robot.run_until("the vertex is refused", |robot| !robot.refused.is_empty());
+    let refusal = robot.refused[0];
+    assert_eq!(refusal.index, 5);
+    assert!(matches!(refusal.reason, RefusalReason::Outside(_)), "{refusal:?}");
+}
+
+#[test]
+fn a_configuration_is_needed_checked_and_kept() {
+    let mut robot = Robot::new();
+    robot.run(200);
+    assert_eq!(robot.command(Command::Enable), Err(Refusal::NotConfigured));
+    let mut wrong = Config::default();
+    wrong.axes[3].feedback_gain_per_s = 1.0e6;
+    robot.configure(&wrong);
+    assert!(matches!(robot.configured[0], Err(ConfigRefusal::Bounds(error)) if error.field.axis == Some(3)));
+    assert_eq!(robot.command(Command::Enable), Err(Refusal::NotConfigured));
+    let mut flat = Config::default();
+    flat.geometry.arm_azimuths_deg = [0.0, 0.0, 240.0];
+    robot.configure(&flat);
+    assert!(
+        matches!(robot.configured[1], Err(ConfigRefusal::Geometry(_))),
+        "{:?}",
+        robot.configured
+    );
+
+    let mut robot = Robot::idle();
+    robot.configure(&Config::default());
+    assert_eq!(
+        robot.configured[1], robot.configured[0],
+        "the same configuration disturbs nothing"
+    );
+    assert_eq!(robot.mode(), Mode::Idle);
+    let mut other = Config::default();
+    other.motion.speed_mm_s = 300.0;
+    robot.configure(&other);
+    assert_eq!(robot.configured[2], Err(ConfigRefusal::NotInMode(Mode::Idle)));
+    assert_eq!(robot.status.as_ref().unwrap().config, Config::default().hash());
+}
+
+#[test]
+fn power_is_taken_only_from_a_robot_that_stands_with_its_brakes_closed() {
+    let mut robot = Robot::idle();
+    robot.command(Command::Disable).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    let cell = robot.cell();
+    assert!(
+        cell.slaves
+            .iter()
+            .all(|slave| slave.drive == DriveState::SwitchOnDisabled),
+        "{:?}",
+        cell.slaves
+    );
+    let before = cell.joints;
+    robot.run(1_000);
+    assert_eq!(robot.cell().joints, before, "the platform does not sink");
+}

@@ -1,0 +1,238 @@
+//! A robot in virtual time and an operator at its link, one millisecond at a time.
+
+use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::config::Config;
+use etherpen::link::protocol::{Command, ConfigRefusal, PathAck, PathVertex, Sample, Status};
+use etherpen::motion::Pen;
+use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
+use host_tools::link::session::{Event, Session};
+use host_tools::simulation::{self, Host};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+
+/// Longest wait for anything, ms of virtual time.
+const WAIT_MAX_MS: u32 = 60_000;
+/// Bytes on the line in a millisecond.
+const LINE_BYTES_PER_MS: usize = simulation::LINE_BYTES_PER_MS;
+
+struct Bridge {
+    up: SyncSender<(u32, Vec<u8>)>,
+    down: Receiver<Vec<u8>>,
+    over: bool,
+}
+
+impl Host for Bridge {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, _: usize) {
+        let said = self.up.send((ms, from_firmware.to_vec()));
+        match self.down.recv() {
+            Ok(bytes) if said.is_ok() => to_firmware.extend(bytes),
+            _ => self.over = true,
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.over
+    }
+}
+
+/// The robot and its operator.
+pub(crate) struct Robot {
+    up: Receiver<(u32, Vec<u8>)>,
+    down: SyncSender<Vec<u8>>,
+    cell: Arc<Mutex<Cell>>,
+    session: Session,
+    /// Whether the operator's cable is plugged in.
+    pub(crate) plugged: bool,
+    /// The last status.
+    pub(crate) status: Option<Status>,
+    /// The last acknowledgement of the path.
+    pub(crate) ack: PathAck,
+    /// All samples.
+    pub(crate) samples: Vec<Sample>,
+    /// Answers to configurations.
+    pub(crate) configured: Vec<Result<u64, ConfigRefusal>>,
+    /// Refused vertices.
+    pub(crate) refused: Vec<etherpen::motion::Refusal>,
+    answers: Vec<(u16, Result<(), Refusal>)>,
+}
+
+impl Robot {
+    /// A robot whose firmware waits for its configuration.
+    pub(crate) fn new() -> Self {
+        let cell = Arc::new(Mutex::new(Cell::new(&Config::default(), CellOptions::default())));
+        let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
+        let mut segment = cell.clone();
+        std::thread::spawn(move || {
+            let mut bridge = Bridge {
+                up: up_in,
+                down: down_out,
+                over: false,
+            };
+            simulation::run(&mut segment, &mut bridge, u32::MAX - 1);
+        });
+        let mut session = Session::new(7);
+        session.connect();
+        Self {
+            up,
+            down,
+            cell,
+            session,
+            plugged: true,
+            status: None,
+            ack: PathAck::default(),
+            samples: Vec::new(),
+            configured: Vec::new(),
+            refused: Vec::new(),
+            answers: Vec::new(),
+        }
+    }
+
+    /// Referenced, enabled, at rest.
+    pub(crate) fn idle() -> Self {
+        let mut robot = Self::new();
+        robot.configure(&Config::default());
+        robot.wait_for(Mode::DrivesOff);
+        robot.command(Command::Reference).unwrap();
+        robot.run(100);
+        robot.command(Command::Enable).unwrap();
+        robot.wait_for(Mode::Idle);
+        robot
+    }
+
+    /// In the middle of a drawing.
+    pub(crate) fn drawing() -> Self {
+        let mut robot = Self::idle();
+        robot.draw(path());
+        robot.run_until("the pen moves", |robot| {
+            robot.speed_rad_s() > 0.2 && robot.ack.executed > 2
+        });
+        robot
+    }
+
+    /// Sends a configuration and waits for the answer.
+    pub(crate) fn configure(&mut self, config: &Config) {
+        let before = self.configured.len();
+        self.session.configure(config.clone());
+        self.run_until("the configuration is answered", |robot| robot.configured.len() > before);
+    }
+
+    /// Starts a drawing.
+    pub(crate) fn draw(&mut self, path: Vec<PathVertex>) {
+        self.command(Command::Draw { job: 1 }).unwrap();
+        self.session.start_path(1, path.into());
+    }
+
+    /// Sends a command and waits for the answer.
+    pub(crate) fn command(&mut self, command: Command) -> Result<(), Refusal> {
+        let id = self.session.command(command);
+        self.run_until("the command is answered", |robot| {
+            robot.answers.iter().any(|(answered, _)| *answered == id)
+        });
+        let answer = self.answers.iter().find(|(answered, _)| *answered == id);
+        self.session.inquire();
+        answer.unwrap().1
+    }
+
+    /// Lets a fault happen in the cell.
+    pub(crate) fn inject(&mut self, fault: CellFault) {
+        self.cell.lock().unwrap().inject(fault);
+    }
+
+    /// The cell as it is.
+    pub(crate) fn cell(&self) -> CellState {
+        self.cell.lock().unwrap().state()
+    }
+
+    /// The ink on the paper.
+    pub(crate) fn ink(&self) -> Vec<InkStroke> {
+        self.cell.lock().unwrap().ink().to_vec()
+    }
+
+    /// Largest true speed of a joint, rad/s.
+    pub(crate) fn speed_rad_s(&self) -> f64 {
+        self.cell()
+            .velocities
+            .0
+            .iter()
+            .fold(0.0, |most, speed| most.max(speed.abs()))
+    }
+
+    /// The mode last told.
+    pub(crate) fn mode(&self) -> Mode {
+        self.status.as_ref().map_or(Mode::Startup, |status| status.mode)
+    }
+
+    /// The fault last told.
+    pub(crate) fn fault(&self) -> Option<Fault> {
+        self.status.as_ref().and_then(|status| status.fault)
+    }
+
+    /// Lets virtual time pass.
+    pub(crate) fn run(&mut self, duration_ms: u32) {
+        for _ in 0..duration_ms {
+            let (ms, bytes) = self.up.recv().expect("the simulation runs");
+            let now_ms = u64::from(ms);
+            let mut line = [0; LINE_BYTES_PER_MS];
+            let mut length = 0;
+            if self.plugged {
+                self.session.receive(&bytes, now_ms);
+                while let Some(event) = self.session.next_event() {
+                    self.take(event);
+                }
+                length = self.session.transmit(now_ms, &mut line);
+            }
+            self.down.send(line[..length].to_vec()).expect("the simulation runs");
+        }
+    }
+
+    /// Lets time pass until something holds.
+    pub(crate) fn run_until(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
+        for _ in 0..WAIT_MAX_MS {
+            if holds(self) {
+                return;
+            }
+            self.run(1);
+        }
+        panic!("{what}: not within {WAIT_MAX_MS} ms; status {:?}", self.status);
+    }
+
+    /// Lets time pass until the firmware tells this mode.
+    pub(crate) fn wait_for(&mut self, mode: Mode) {
+        self.run_until(&format!("{mode:?}"), |robot| robot.mode() == mode);
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Answered { id, result, .. } => self.answers.push((id, result)),
+            Event::Configured(result) => self.configured.push(result),
+            Event::Ack(ack) => self.ack = ack,
+            Event::VertexRefused(refusal) => self.refused.push(refusal),
+            Event::Status(status) => self.status = Some(status),
+            Event::Samples { samples, .. } => self.samples.extend(samples),
+            Event::Connected(_) | Event::VersionRefused { .. } | Event::Restarted => {}
+        }
+    }
+}
+
+/// Two strokes of about a second each: zigzags of 60 mm.
+pub(crate) fn path() -> Vec<PathVertex> {
+    let mut path = Vec::new();
+    for stroke in 0..2u32 {
+        let y_um = 30_000 * stroke as i32;
+        let mut go = |x_um: i32, y_um: i32, z_um: i32, pen: Pen| {
+            path.push(PathVertex {
+                position_um: [x_um, y_um, z_um],
+                pen,
+                stroke,
+            });
+        };
+        go(-30_000, y_um, -847_000, Pen::Up);
+        go(-30_000, y_um, -850_000, Pen::Up);
+        for leg in 1..=8 {
+            let x_um = if leg % 2 == 0 { -30_000 } else { 30_000 };
+            go(x_um, y_um + 2_500 * leg, -850_000, Pen::Down);
+        }
+        go(-30_000, y_um + 20_000, -847_000, Pen::Up);
+    }
+    path
+}
