@@ -85,7 +85,7 @@ impl Supervision {
 
     /// One millisecond: returns the latched cause, if there is one.
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
-        self.count_late(bus, seen.late);
+        self.count_late(bus, seen.late, seen.following);
         for (axis, number) in (0..AXES).zip(0u8..) {
             self.blind_ms[axis] = if seen.valid[axis] {
                 0
@@ -105,9 +105,9 @@ impl Supervision {
         self.fault
     }
 
-    fn count_late(&mut self, bus: &Bus, late: bool) {
+    fn count_late(&mut self, bus: &Bus, late: bool, following: bool) {
         self.late += u16::from(late);
-        if self.late > bus.late_max_per_s {
+        if following && self.late > bus.late_max_per_s {
             self.latch(Fault::CyclesLate {
                 late: self.late,
                 limit: bus.late_max_per_s,
@@ -270,14 +270,20 @@ mod tests {
     }
 
     #[test]
-    fn more_late_cycles_than_configured_within_a_second_fault() {
-        let late = Observation {
-            late: true,
-            following: false,
-            ..well()
-        };
+    fn more_late_cycles_than_configured_within_a_second_fault_when_something_moves() {
+        let late = Observation { late: true, ..well() };
         assert_eq!(run(10, &late), None);
         assert_eq!(run(11, &late), Some(Fault::CyclesLate { late: 11, limit: 10 }));
+        assert_eq!(
+            run(
+                500,
+                &Observation {
+                    following: false,
+                    ..late
+                }
+            ),
+            None
+        );
     }
 
     #[test]

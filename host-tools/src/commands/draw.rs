@@ -24,6 +24,9 @@ pub struct Arguments {
     /// Folder for tables and figures.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Acknowledge a fault that is latched from before; lost drives are brought back.
+    #[arg(long)]
+    acknowledge: bool,
     /// Print the report as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -49,6 +52,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let vertices: Vec<_> = prepared.path.iter().map(to_wire).collect();
     let options = JobOptions {
         session: std::process::id(),
+        acknowledge: arguments.acknowledge,
         ..JobOptions::default()
     };
     let mut job = DrawJob::new(config.clone(), vertices, options);

@@ -4,11 +4,13 @@ use super::run::emulator_error;
 use super::{CommandError, ConfigArguments, code};
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions, Script};
-use crate::emulator::{Emulator, LINK_BYTES_MAX, Link, Options, Pace};
+use crate::emulator::free_running::FreeRunning;
+use crate::emulator::{Emulator, LINK_BYTES_MAX, Link, LogLine, Options, Pace};
 use crate::setup;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Options of `etherpen emulate`.
 #[derive(clap::Args, Debug)]
@@ -41,6 +43,8 @@ enum PaceArgument {
     Realtime,
 }
 
+/// Time between two looks at a free-running emulator.
+const LOOK: Duration = Duration::from_millis(100);
 /// Bytes that may wait for a client that does not read; older ones are dropped, as a serial line would.
 const WAITING_BYTES_MAX: usize = 1 << 20;
 
@@ -139,6 +143,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         pace,
         ..Options::default()
     };
+    let log = move |line: &LogLine| {
+        if show_log {
+            eprintln!("{line}");
+        }
+    };
+    if arguments.free_running {
+        return free_run(arguments.port, &image, &options, cell, log);
+    }
     let line = TcpLine::listen(arguments.port).map_err(|cause| {
         CommandError::new(
             code::CONNECTION,
@@ -149,12 +161,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .listener
         .local_addr()
         .map_err(|cause| CommandError::failed("the port", cause))?;
-    let emulator = Emulator::start(&image, &options, cell, line, move |line| {
-        if show_log {
-            eprintln!("{line}");
-        }
-    })
-    .map_err(|error| emulator_error(&error))?;
+    let emulator = Emulator::start(&image, &options, cell, line, log).map_err(|error| emulator_error(&error))?;
     announce(&address.to_string());
     emulator.wait().map(|_| ()).map_err(|error| emulator_error(&error))
 }
@@ -164,6 +171,22 @@ fn announce(address: &str) {
     eprintln!("The firmware runs in the emulator. In another terminal:");
     eprintln!("  cargo run --release --bin etherpen -- draw samples/astronaut.png --port tcp:{address}");
     eprintln!("Ctrl-C ends it.");
+}
+
+/// Runs without lockstep until the emulator ends.
+fn free_run(
+    port: u16,
+    image: &Path,
+    options: &Options,
+    cell: CapturedCell,
+    log: impl FnMut(&LogLine) + Send + 'static,
+) -> Result<(), CommandError> {
+    let running = FreeRunning::start(image, &options.qemu, port, cell, log).map_err(|error| emulator_error(&error))?;
+    announce(&format!("127.0.0.1:{}", running.port()));
+    while running.is_running() {
+        std::thread::sleep(LOOK);
+    }
+    running.stop().map_err(|error| emulator_error(&error))
 }
 
 fn read_faults(arguments: &Arguments) -> Result<Script, CommandError> {

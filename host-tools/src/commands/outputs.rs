@@ -214,8 +214,13 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
     }
     if let Some(dir) = dir {
+        let pictures = if report.drives.is_some() {
+            "drawn.png, drawn.svg, bus.pcapng, "
+        } else {
+            ""
+        };
         eprintln!(
-            "Written to {}: drawn.png, drawn.svg, report.json, telemetry.csv, intended.csv",
+            "Written to {}: {pictures}report.json, telemetry.csv, intended.csv",
             dir.display()
         );
     }

@@ -190,6 +190,11 @@ impl Bench {
                 self.mode = Mode::Stopping;
                 self.then = Some((now_ms + 20, Mode::Idle));
             }
+            Command::Acknowledge => {
+                require(Mode::Fault, self.mode)?;
+                self.fault = None;
+                self.then = Some((now_ms + 40, Mode::DrivesOff));
+            }
             Command::Stop => self.stop(Fault::EmergencyStop(etherpen::application::StopSource::Link), now_ms),
             _ => {}
         }

@@ -12,6 +12,8 @@ pub enum Phase {
     Connecting,
     /// Waiting for the first status.
     Inspecting,
+    /// Waiting for a fault from before to be cleared.
+    Acknowledging,
     /// Waiting for the configuration's hash.
     Configuring,
     /// Waiting for the bus to be operational.
@@ -33,6 +35,7 @@ impl fmt::Display for Phase {
         f.write_str(match self {
             Self::Connecting => "connecting",
             Self::Inspecting => "asking for the status",
+            Self::Acknowledging => "acknowledging the fault",
             Self::Configuring => "sending the configuration",
             Self::BusUp => "bringing up the bus",
             Self::Referencing => "taking the reference",
@@ -152,7 +155,11 @@ impl fmt::Display for JobError {
                 } else {
                     "fault"
                 };
-                write!(f, "{when}: {}", text::fault(fault))
+                write!(f, "{when}: {}", text::fault(fault))?;
+                if *before {
+                    f.write_str("; `draw --acknowledge` clears it once its cause has gone")?;
+                }
+                Ok(())
             }
             Self::Timeout { phase, waited_ms } => write!(
                 f,

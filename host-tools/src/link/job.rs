@@ -2,8 +2,9 @@
 //!
 //! Connect, look, configure, wait for the bus, reference, enable, draw, bring to rest: each phase waits for what the
 //! firmware reports, never for a time to pass, and has a limit after which the job says what it waited for.
-//! Invariants: a fault that is found is reported and never acknowledged from here; progress counts executed vertices,
-//! not sent ones; whatever ends the job early, the robot is asked to come to rest and to give up its power first.
+//! Invariants: a fault that is found is reported, and acknowledged only when the options say so; progress counts
+//! executed vertices, not sent ones; whatever ends the job early, the robot is asked to come to rest and to give up its
+//! power first.
 
 use super::error::{JobError, Phase};
 use super::progress::{PathMeasure, Progress};
@@ -317,6 +318,9 @@ impl DrawJob {
 
     /// Whether there is a fault; the job ends with it once the robot stands.
     fn faulted(&mut self) -> bool {
+        if self.options.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging) {
+            return false;
+        }
         let Some(status) = self.status.as_ref().filter(|_| self.fresh) else {
             return self.fault_since_ms.is_some();
         };
@@ -348,6 +352,8 @@ impl DrawJob {
         match self.phase {
             Phase::Connecting | Phase::Configuring => {}
             Phase::Inspecting => self.inspect(mode),
+            Phase::Acknowledging if mode != Mode::Fault => self.enter(Phase::Inspecting),
+            Phase::Acknowledging => self.request(Command::Acknowledge),
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
                     self.enter(Phase::Referencing);
@@ -366,6 +372,9 @@ impl DrawJob {
     fn inspect(&mut self, mode: Mode) {
         if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping) {
             return self.fail(JobError::Busy(mode));
+        }
+        if mode == Mode::Fault {
+            return self.enter(Phase::Acknowledging);
         }
         let in_force = self.status.as_ref().and_then(|status| status.config);
         if in_force.is_some() && in_force == self.config.hash() {
@@ -527,6 +536,23 @@ mod tests {
         run(&mut bench, &mut job, 1_000, |_, _, _| {});
         assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
         assert!(bench.commands.is_empty() && bench.config.is_none());
+    }
+
+    #[test]
+    fn a_fault_from_before_is_acknowledged_when_the_person_says_so() {
+        let options = JobOptions {
+            acknowledge: true,
+            ..JobOptions::default()
+        };
+        let (mut bench, mut job) = (Bench::new(1, 0), DrawJob::new(Config::default(), path(10), options));
+        (bench.mode, bench.fault) = (Mode::Fault, Some(Fault::SlaveLost { slave: 0 }));
+        run(&mut bench, &mut job, 5_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Ok(())));
+        let acknowledgements = bench
+            .commands
+            .iter()
+            .filter(|command| **command == Command::Acknowledge);
+        assert_eq!((acknowledgements.count(), bench.vertices.len()), (1, 10));
     }
 
     #[test]

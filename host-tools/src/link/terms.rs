@@ -17,6 +17,8 @@ pub struct JobOptions {
     pub job: u16,
     /// Longest wait for the firmware's answer to the greeting, ms.
     pub connect_max_ms: u64,
+    /// Whether a fault that was latched before is acknowledged.
+    pub acknowledge: bool,
 }
 
 impl Default for JobOptions {
@@ -25,6 +27,7 @@ impl Default for JobOptions {
             session: 1,
             job: 1,
             connect_max_ms: 5_000,
+            acknowledge: false,
         }
     }
 }
