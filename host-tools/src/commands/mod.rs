@@ -142,3 +142,15 @@ pub fn print_json(value: &impl serde::Serialize) -> Result<(), CommandError> {
     let text = serde_json::to_string_pretty(value).map_err(|cause| CommandError::failed("the report", cause))?;
     writeln!(std::io::stdout(), "{text}").map_err(|cause| CommandError::failed("stdout", cause))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sample_configuration_lists_the_defaults() {
+        let path = crate::setup::workspace().join("samples/etherpen.toml");
+        let config = ConfigArguments { config: Some(path) }.load().unwrap();
+        assert_eq!(config, Config::default());
+    }
+}
