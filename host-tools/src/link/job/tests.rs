@@ -1,0 +1,292 @@
+//! Jobs against a bench that answers as the firmware does.
+
+use super::super::bench::{Bench, path};
+use super::*;
+use etherpen::application::Fault;
+
+fn job(count: usize) -> DrawJob {
+    DrawJob::new(Config::default(), path(count), JobOptions::default())
+}
+
+/// Runs until the job ends, with `at` called every millisecond before the job's step.
+fn run(bench: &mut Bench, job: &mut DrawJob, limit_ms: u64, mut at: impl FnMut(u64, &mut Bench, &mut DrawJob)) {
+    for now_ms in 0..limit_ms {
+        at(now_ms, bench, job);
+        bench.step(now_ms, |arrived, room| {
+            let mut out = Vec::new();
+            job.step(now_ms, arrived, &mut out, room);
+            out
+        });
+        if job.outcome().is_some() {
+            return;
+        }
+    }
+    panic!("still {} after {limit_ms} ms", job.phase());
+}
+
+fn events(job: &mut DrawJob) -> Vec<JobEvent> {
+    std::iter::from_fn(|| job.next_event()).collect()
+}
+
+#[test]
+fn a_whole_drawing_ends_without_power_and_leaves_every_sample() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(2_000));
+    let mut executed_mm = 0.0;
+    run(&mut bench, &mut job, 10_000, |_, bench, job| {
+        let progress = job.progress();
+        assert!(progress.vertices <= bench.executed as usize && progress.executed_mm >= executed_mm);
+        executed_mm = progress.executed_mm;
+    });
+    assert_eq!(job.outcome(), Some(&Ok(())));
+    assert_eq!((bench.mode, bench.vertices.len()), (Mode::DrivesOff, 2_000));
+    let expected = [
+        Command::Reference,
+        Command::Enable,
+        Command::Draw { job: 1 },
+        Command::Disable,
+    ];
+    assert_eq!(bench.commands, expected);
+    let report = job.into_report();
+    let in_order = report.samples.windows(2).all(|pair| pair[1].t_ms == pair[0].t_ms + 1);
+    assert!(in_order && report.link.samples_missing == 0 && report.samples.len() > 2_000);
+    assert!((2.0..2.2).contains(&report.drawn_s), "{}", report.drawn_s);
+    assert_eq!((report.progress.vertices, report.progress.left_s), (2_000, 0.0));
+    assert_eq!(
+        report.welcome.map(|welcome| welcome.board.as_str().to_owned()),
+        Some("bench".into())
+    );
+}
+
+#[test]
+fn two_runs_are_the_same_byte_by_byte() {
+    let bytes = || {
+        let (mut bench, mut job, mut all) = (Bench::new(5, 200), job(300), Vec::new());
+        for now_ms in 0..3_000 {
+            bench.step(now_ms, |arrived, room| {
+                let mut out = Vec::new();
+                job.step(now_ms, arrived, &mut out, room);
+                all.extend_from_slice(&out);
+                out
+            });
+        }
+        all
+    };
+    assert_eq!(bytes(), bytes());
+}
+
+#[test]
+fn over_a_bad_line_the_drawing_is_complete_and_the_gaps_are_told() {
+    for seed in [3, 0xbad] {
+        println!("seed {seed:#x}");
+        let (mut bench, mut job) = (Bench::new(seed, 500), job(1_000));
+        run(&mut bench, &mut job, 60_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Ok(())), "seed {seed:#x}");
+        assert_eq!(bench.vertices, path(1_000), "seed {seed:#x}");
+        let missing: u64 = events(&mut job)
+            .iter()
+            .map(|event| match event {
+                JobEvent::SamplesMissing { missing, .. } => u64::from(*missing),
+                _ => 0,
+            })
+            .sum();
+        let report = job.into_report();
+        assert!(missing > 0 && missing == report.link.samples_missing);
+    }
+}
+
+#[test]
+fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(10));
+    let fault = Fault::Drive {
+        axis: 1,
+        status_word: 8,
+    };
+    (bench.mode, bench.fault) = (Mode::Fault, Some(fault));
+    run(&mut bench, &mut job, 1_000, |_, _, _| {});
+    assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
+    assert!(bench.commands.is_empty() && bench.config.is_none());
+}
+
+#[test]
+fn a_fault_from_before_is_acknowledged_when_the_person_says_so() {
+    let options = JobOptions {
+        acknowledge: true,
+        ..JobOptions::default()
+    };
+    let (mut bench, mut job) = (Bench::new(1, 0), DrawJob::new(Config::default(), path(10), options));
+    (bench.mode, bench.fault) = (Mode::Fault, Some(Fault::SlaveLost { slave: 0 }));
+    run(&mut bench, &mut job, 5_000, |_, _, _| {});
+    assert_eq!(job.outcome(), Some(&Ok(())));
+    let acknowledgements = bench
+        .commands
+        .iter()
+        .filter(|command| **command == Command::Acknowledge);
+    assert_eq!((acknowledgements.count(), bench.vertices.len()), (1, 10));
+}
+
+#[test]
+fn a_fault_while_drawing_is_told_at_once_and_ends_the_job_when_the_robot_stands() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    bench.fault_at_vertex = Some(500);
+    let mut told_in = None;
+    run(&mut bench, &mut job, 10_000, |_, bench, job| {
+        if events(job).iter().any(|event| matches!(event, JobEvent::Fault(_))) {
+            told_in = Some(bench.mode);
+        }
+    });
+    assert_eq!(told_in, Some(Mode::Stopping));
+    let fault = Fault::SlaveLost { slave: 2 };
+    assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: false })));
+    assert_eq!(bench.mode, Mode::Fault);
+    assert!(
+        job.into_report().samples.len() > 500,
+        "the telemetry of a failed drawing is kept"
+    );
+}
+
+#[test]
+fn cancel_stops_the_drawing_and_takes_the_power_before_the_job_ends() {
+    for cancel_ms in [0, 5, 30, 75, 80, 110, 130, 500, 1_000] {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(3_000));
+        run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
+            if now_ms == cancel_ms {
+                job.control(Control::Cancel);
+            }
+        });
+        assert_eq!(
+            job.outcome(),
+            Some(&Err(JobError::Cancelled)),
+            "cancelled at {cancel_ms} ms"
+        );
+        let without_power = matches!(bench.mode, Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff);
+        assert!(without_power, "cancelled at {cancel_ms} ms: {:?}", bench.mode);
+        assert!(bench.executed < 1_000);
+    }
+}
+
+#[test]
+fn a_refused_vertex_ends_the_drawing_with_the_power_off() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    bench.refuse_vertex = Some(300);
+    run(&mut bench, &mut job, 10_000, |_, _, _| {});
+    assert!(matches!(job.outcome(), Some(Err(JobError::Vertex(refusal))) if refusal.index == 300));
+    assert_eq!((bench.mode, bench.vertices.len()), (Mode::DrivesOff, 300));
+}
+
+#[test]
+fn a_drawing_that_another_program_ended_is_noticed() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    run(&mut bench, &mut job, 10_000, |now_ms, bench, _| {
+        if now_ms == 600 {
+            bench.mode = Mode::Idle;
+        }
+    });
+    assert!(matches!(
+        job.outcome(),
+        Some(Err(JobError::EndedEarly { total: 1_000, .. }))
+    ));
+    assert_eq!(bench.mode, Mode::DrivesOff);
+}
+
+#[test]
+fn hold_waits_without_a_limit_and_resume_completes() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    run(&mut bench, &mut job, 60_000, |now_ms, bench, job| match now_ms {
+        500 => job.control(Control::Hold),
+        600..40_000 => assert_eq!(bench.mode, Mode::Holding),
+        40_000 => job.control(Control::Resume),
+        _ => {}
+    });
+    assert_eq!(job.outcome(), Some(&Ok(())));
+}
+
+#[test]
+fn stop_is_a_fault_and_an_operators_refused_command_is_only_told() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    let mut refused = 0;
+    run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
+        match now_ms {
+            300 => job.control(Control::Resume),
+            500 => job.control(Control::Stop),
+            _ => {}
+        }
+        let told = events(job);
+        refused += told
+            .iter()
+            .filter(|event| matches!(event, JobEvent::Refused(Command::Resume, _)))
+            .count();
+    });
+    let by_link = Fault::EmergencyStop(etherpen::application::StopSource::Link);
+    let expected = JobError::Fault {
+        fault: by_link,
+        before: false,
+    };
+    assert_eq!((job.outcome(), refused), (Some(&Err(expected)), 1));
+}
+
+#[test]
+fn a_silent_port_another_configuration_in_bounds_and_a_busy_robot_are_told() {
+    let mut silent = job(1);
+    for now_ms in 0..6_000 {
+        silent.step(now_ms, &[], &mut Vec::new(), 92);
+    }
+    assert_eq!(silent.outcome(), Some(&Err(JobError::NoAnswer { waited_ms: 5_001 })));
+    let mut config = Config::default();
+    config.axes[0].gear = 0.0;
+    let (mut bench, mut refused) = (Bench::new(1, 0), DrawJob::new(config, path(1), JobOptions::default()));
+    run(&mut bench, &mut refused, 1_000, |_, _, _| {});
+    assert!(matches!(refused.outcome(), Some(Err(JobError::Config(_)))));
+    let (mut bench, mut busy) = (Bench::new(1, 0), job(1));
+    bench.mode = Mode::Holding;
+    run(&mut bench, &mut busy, 1_000, |_, _, _| {});
+    assert_eq!(busy.outcome(), Some(&Err(JobError::Busy(Mode::Holding))));
+}
+
+#[test]
+fn a_lost_link_ends_the_job_and_commands_nothing_more() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(3_000));
+    let mut now_ms = 0;
+    while job.outcome().is_none() {
+        let mut out = Vec::new();
+        if now_ms < 1_000 {
+            bench.step(now_ms, |arrived, room| {
+                job.step(now_ms, arrived, &mut out, room);
+                std::mem::take(&mut out)
+            });
+        } else {
+            job.step(now_ms, &[], &mut out, 92);
+        }
+        now_ms += 1;
+    }
+    assert!(matches!(job.outcome(), Some(Err(JobError::LinkLost { .. }))));
+    assert!((4_000..4_010).contains(&now_ms), "{now_ms}");
+}
+
+#[test]
+fn nonsense_in_good_frames_makes_no_panic() {
+    let seed = 0x5eed_0003;
+    println!("seed {seed:#x}");
+    let mut random = super::super::bench::Line::new(seed, 0);
+    let mut understood = 0;
+    for _ in 0..20 {
+        let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+        for now_ms in 0..800 {
+            bench.step(now_ms, |arrived, room| {
+                let mut out = Vec::new();
+                job.step(now_ms, arrived, &mut out, room);
+                out
+            });
+            let mut payload = [[0u8; 32]; 4];
+            for byte in payload.as_flattened_mut() {
+                *byte = random.random() as u8 >> (random.random() % 8);
+            }
+            // Any message but a greeting, which ends the connection.
+            payload[0][0] = 1 + (random.random() % 6) as u8;
+            let mut frame = [0; etherpen::link::frame::FRAME_BYTES_MAX];
+            let length = etherpen::link::frame::encode(&payload, &mut frame).unwrap();
+            job.step(now_ms, &frame[..length], &mut Vec::new(), 0);
+            understood += events(&mut job).len();
+        }
+    }
+    assert!(understood > 200, "{understood}");
+}

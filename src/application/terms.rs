@@ -1,0 +1,147 @@
+//! Modes, faults and refusals: the words in which the firmware tells where it stands.
+
+use serde::{Deserialize, Serialize};
+
+/// Operating mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Mode {
+    /// Waiting for a configuration.
+    #[default]
+    Startup,
+    /// The bus is being brought up.
+    BusConfiguring,
+    /// The bus is operational, the drives are without power.
+    DrivesOff,
+    /// The drives hold the pose, the joint angles are not known.
+    Unreferenced,
+    /// Enabled and at rest.
+    Idle,
+    /// A jog or a single move.
+    Moving,
+    /// A path is being drawn.
+    Drawing,
+    /// A drawing is held on its path.
+    Holding,
+    /// On the way to a standstill, before the power is taken from the drives.
+    Stopping,
+    /// A fault is latched.
+    Fault,
+}
+
+/// Who asked for an emergency stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StopSource {
+    /// A command over the link.
+    Link,
+    /// The board's input.
+    Input,
+}
+
+/// The cause of a fault, with what was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Fault {
+    /// Emergency stop.
+    EmergencyStop(StopSource),
+    /// No valid measurement for longer than the blind limit.
+    Blind {
+        /// Milliseconds without a measurement.
+        blind_ms: u16,
+        /// The limit.
+        limit_ms: u16,
+    },
+    /// A slave stopped answering.
+    SlaveLost {
+        /// Position in the chain, from 0.
+        slave: u8,
+    },
+    /// A slave left the operational state.
+    SlaveState {
+        /// Position in the chain, from 0.
+        slave: u8,
+        /// AL state with the error flag.
+        al_state: u8,
+        /// AL status code.
+        al_code: u16,
+    },
+    /// A drive reported a fault.
+    Drive {
+        /// Axis, from 0.
+        axis: u8,
+        /// CiA 402 status word.
+        status_word: u16,
+    },
+    /// The measured position is too far from its reference.
+    FollowingError {
+        /// Axis, from 0.
+        axis: u8,
+        /// Measured error, rad.
+        error_rad: f32,
+        /// Limit, rad.
+        limit_rad: f32,
+    },
+    /// The controller asked for more than the output limit for longer than a moment.
+    OutputLimit {
+        /// Axis, from 0.
+        axis: u8,
+        /// Velocity asked for, rad/s.
+        output_rad_s: f32,
+        /// Limit, rad/s.
+        limit_rad_s: f32,
+    },
+    /// Positions were missing in motion for so long that the turn is no longer known.
+    ReferenceLost {
+        /// Axis, from 0.
+        axis: u8,
+    },
+    /// Too many late cycles within a second.
+    CyclesLate {
+        /// Late cycles in the last second.
+        late: u16,
+        /// The limit.
+        limit: u16,
+    },
+    /// The ring of references ran dry.
+    ReferenceUnderrun,
+    /// The drives did not take power in time.
+    EnableTimeout {
+        /// How long was waited, ms.
+        waited_ms: u16,
+    },
+    /// The bus could not be brought up.
+    BusConfiguration {
+        /// Position in the chain, from 0.
+        slave: u8,
+        /// Step that failed.
+        step: u8,
+        /// AL status or SDO abort code.
+        code: u32,
+    },
+    /// Other drives on the bus than the configuration expects.
+    UnexpectedBus {
+        /// Drives found.
+        found: u8,
+        /// Drives expected.
+        expected: u8,
+    },
+}
+
+/// Why a command was refused; nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Refusal {
+    /// The mode does not allow it.
+    NotInMode(Mode),
+    /// There is no configuration yet.
+    NotConfigured,
+    /// The joint angles are not referenced.
+    NotReferenced,
+    /// The target is outside what the robot may use.
+    Target(crate::motion::Refusal),
+    /// The override is outside 10 to 200 percent.
+    OverrideRange(u8),
+    /// The cause of the fault is still there.
+    CauseRemains(Fault),
+    /// The robot is moving.
+    Moving,
+    /// A value is not a finite number.
+    NotFinite,
+}

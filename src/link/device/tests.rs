@@ -1,0 +1,307 @@
+//! Requirements of the firmware's end of the link.
+
+use super::super::protocol::{Counters, Hello, PathVertex, SLAVES_REPORTED, SlaveStatus};
+use super::*;
+use crate::application::Mode;
+use crate::motion::Pen;
+
+const IDENTITY: Identity = Identity {
+    firmware: "0.1.0",
+    board: "simulation",
+    capacity: 512,
+};
+
+fn endpoint() -> DeviceEndpoint {
+    let mut endpoint = DeviceEndpoint::new(IDENTITY);
+    assert_eq!(
+        say(&mut endpoint, 0, 9, &hello(1)).as_slice(),
+        &[DeviceEvent::Connected]
+    );
+    endpoint
+}
+
+fn hello(session: u32) -> HostMessage {
+    HostMessage::Hello(Hello {
+        protocol: PROTOCOL_VERSION,
+        session,
+    })
+}
+
+fn command(id: u16, command: Command) -> HostMessage {
+    HostMessage::Command { id, command }
+}
+
+fn path(first: u32, count: usize, last: bool) -> HostMessage {
+    let vertices = (first..).take(count).map(|index| vertex(index as i32)).collect();
+    HostMessage::Path {
+        job: 3,
+        first,
+        vertices,
+        last,
+    }
+}
+
+fn vertex(x_um: i32) -> PathVertex {
+    PathVertex {
+        position_um: [x_um, 0, -850_000],
+        pen: Pen::Down,
+        stroke: 0,
+    }
+}
+
+fn say(
+    endpoint: &mut DeviceEndpoint,
+    now_ms: u64,
+    free: usize,
+    message: &HostMessage,
+) -> heapless::Vec<DeviceEvent, 4> {
+    let mut frame = [0; FRAME_BYTES_MAX];
+    let length = encode(message, &mut frame).unwrap();
+    frame[..length]
+        .iter()
+        .filter_map(|byte| endpoint.receive(*byte, now_ms, free))
+        .collect()
+}
+
+fn hear(endpoint: &mut DeviceEndpoint, now_ms: u64) -> heapless::Vec<DeviceMessage, 16> {
+    let mut bytes = [0; 4 * FRAME_BYTES_MAX];
+    let length = endpoint.transmit(now_ms, &mut bytes);
+    let mut decoder: Decoder = Decoder::new();
+    let messages = bytes[..length].iter().filter_map(|byte| {
+        let payload = decoder.push(*byte)?.unwrap();
+        Some(decode(payload).unwrap())
+    });
+    messages.collect()
+}
+
+fn drawing() -> DeviceEndpoint {
+    let mut endpoint = endpoint();
+    say(&mut endpoint, 0, 100, &command(1, Command::Draw { job: 3 }));
+    endpoint.answer(1, Ok(()));
+    hear(&mut endpoint, 0);
+    endpoint
+}
+
+#[test]
+fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_right_greeting() {
+    let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
+    let wrong = HostMessage::Hello(Hello {
+        protocol: PROTOCOL_VERSION + 1,
+        session: 5,
+    });
+    assert!(say(&mut endpoint, 0, 0, &wrong).is_empty());
+    let answer = hear(&mut endpoint, 0);
+    assert!(matches!(&answer[..], [DeviceMessage::Welcome(welcome)]
+        if welcome.protocol == PROTOCOL_VERSION && welcome.session == 0 && welcome.board == "simulation"));
+    assert!(say(&mut endpoint, 1, 0, &command(1, Command::Enable)).is_empty());
+    assert_eq!((endpoint.counts().refused, endpoint.silence_ms(9)), (1, None));
+    assert_eq!(
+        say(&mut endpoint, 2, 0, &hello(5)).as_slice(),
+        &[DeviceEvent::Connected]
+    );
+    assert!(
+        say(&mut endpoint, 3, 0, &hello(5)).is_empty(),
+        "a repeated greeting is no new connection"
+    );
+    assert_eq!(endpoint.silence_ms(13), Some(10));
+}
+
+#[test]
+fn a_repeated_request_is_answered_again_but_handed_out_once() {
+    let mut endpoint = endpoint();
+    hear(&mut endpoint, 0);
+    let enable = command(7, Command::Enable);
+    assert_eq!(say(&mut endpoint, 1, 0, &enable).len(), 1);
+    assert!(say(&mut endpoint, 2, 0, &enable).is_empty());
+    assert!(hear(&mut endpoint, 2).is_empty(), "no answer before the application's");
+    endpoint.answer(7, Err(Refusal::NotReferenced));
+    let answer = DeviceMessage::Answer {
+        id: 7,
+        result: Err(Refusal::NotReferenced),
+    };
+    assert_eq!(&hear(&mut endpoint, 3)[..], core::slice::from_ref(&answer));
+    assert!(say(&mut endpoint, 4, 0, &enable).is_empty());
+    assert_eq!(&hear(&mut endpoint, 4)[..], &[answer]);
+    let configure = HostMessage::Configure {
+        id: 8,
+        config: Config::default(),
+    };
+    assert_eq!(say(&mut endpoint, 5, 0, &configure).len(), 1);
+    endpoint.configured(8, Ok(99));
+    assert!(say(&mut endpoint, 6, 0, &configure).is_empty());
+    assert_eq!(
+        &hear(&mut endpoint, 6)[..],
+        &[DeviceMessage::Configured { id: 8, result: Ok(99) }]
+    );
+}
+
+fn sample(t_ms: u32) -> Sample {
+    let angle = (t_ms as f32).sin();
+    Sample {
+        t_ms: 100_000_000 + t_ms,
+        mode: Mode::Drawing,
+        stroke: 20_000,
+        pen: Pen::Down,
+        reference_rad: [angle; 4],
+        measured_rad: [angle * 0.999; 4],
+        reference_rad_s: [angle * 7.1; 4],
+        measured_rad_s: [angle * 7.3; 4],
+    }
+}
+
+fn full_status() -> Status {
+    let slave = SlaveStatus {
+        vendor: u32::MAX,
+        product: u32::MAX,
+        al_state: 8,
+        al_code: 0,
+        status_word: u16::MAX,
+    };
+    Status {
+        mode: Mode::Drawing,
+        fault: None,
+        referenced: true,
+        config: Some(u64::MAX),
+        override_percent: 100,
+        counters: Counters {
+            cycles: u32::MAX,
+            ..Counters::default()
+        },
+        slaves: core::iter::repeat_n(slave, SLAVES_REPORTED).collect(),
+    }
+}
+
+#[test]
+fn a_sample_every_millisecond_fits_the_line_beside_acknowledgements_answers_and_status() {
+    let mut endpoint = drawing();
+    let mut decoder: Decoder = Decoder::new();
+    let (mut received, mut bytes) = (0u32, 0usize);
+    let duration_ms = 20_000u32;
+    for t_ms in 0..duration_ms {
+        let now_ms = u64::from(t_ms);
+        endpoint.sample(sample(t_ms));
+        if t_ms % 4 == 0 {
+            say(&mut endpoint, now_ms, 500, &path(t_ms * 4, 16, false));
+        }
+        if t_ms % 500 == 0 {
+            endpoint.status(full_status());
+            let id = (t_ms / 500) as u16 + 2;
+            say(
+                &mut endpoint,
+                now_ms,
+                500,
+                &command(id, Command::Override { percent: 90 }),
+            );
+            endpoint.answer(id, Ok(()));
+        }
+        endpoint.acknowledge(t_ms, 500, false);
+        let mut line = [0; LINE_BYTES_PER_MS];
+        let length = endpoint.transmit(now_ms, &mut line);
+        bytes += length;
+        for byte in &line[..length] {
+            let Some(payload) = decoder.push(*byte) else { continue };
+            if let Ok(DeviceMessage::Telemetry { sequence, samples }) = decode(payload.unwrap()) {
+                assert_eq!(sequence, received);
+                received += samples.len() as u32;
+            }
+        }
+    }
+    assert_eq!(endpoint.counts().samples_dropped, 0);
+    assert!(duration_ms - received < 16, "{received} of {duration_ms}");
+    let share = bytes as f64 / (duration_ms as usize * LINE_BYTES_PER_MS) as f64;
+    assert!(share < 0.95, "{share} of the line is used");
+}
+
+#[test]
+fn on_a_slow_line_the_oldest_samples_are_dropped_counted_and_seen_in_the_sequence() {
+    let mut endpoint = endpoint();
+    hear(&mut endpoint, 0);
+    (0..100).for_each(|t_ms| endpoint.sample(sample(t_ms)));
+    assert_eq!(endpoint.counts().samples_dropped, 36);
+    let messages = hear(&mut endpoint, 1);
+    assert!(matches!(&messages[0], DeviceMessage::Telemetry { sequence: 36, samples } if samples.len() == 4));
+}
+
+#[test]
+fn nothing_is_chosen_before_there_is_room_so_that_the_most_urgent_goes_first() {
+    let mut endpoint = endpoint();
+    hear(&mut endpoint, 0);
+    endpoint.status(full_status());
+    assert_eq!(endpoint.transmit(1, &mut []), 0);
+    say(&mut endpoint, 2, 0, &command(2, Command::Stop));
+    endpoint.answer(2, Ok(()));
+    let messages = hear(&mut endpoint, 2);
+    assert!(matches!(
+        messages[..],
+        [DeviceMessage::Answer { id: 2, .. }, DeviceMessage::Status(_)]
+    ));
+}
+
+#[test]
+fn a_frame_once_begun_is_finished_before_a_more_urgent_one() {
+    let mut endpoint = endpoint();
+    hear(&mut endpoint, 0);
+    endpoint.status(full_status());
+    let mut bytes = [0; FRAME_BYTES_MAX];
+    assert_eq!(endpoint.transmit(1, &mut bytes[..10]), 10);
+    say(&mut endpoint, 2, 0, &command(2, Command::Stop));
+    endpoint.answer(2, Ok(()));
+    let length = 10 + endpoint.transmit(2, &mut bytes[10..]);
+    let mut decoder: Decoder = Decoder::new();
+    let mut kinds = bytes[..length].iter().filter_map(|byte| {
+        let payload = decoder.push(*byte)?.unwrap();
+        Some(matches!(decode(payload).unwrap(), DeviceMessage::Status(_)))
+    });
+    assert_eq!((kinds.next(), kinds.next()), (Some(true), Some(false)));
+}
+
+fn next_random(state: &mut u32) -> u32 {
+    *state ^= *state << 13;
+    *state ^= *state >> 17;
+    *state ^= *state << 5;
+    *state
+}
+
+#[test]
+fn garbage_makes_no_panic_and_no_event() {
+    let seed = 0x5eed_0001_u32;
+    let mut state = seed;
+    let mut endpoint = endpoint();
+    for now_ms in 0..100_000 {
+        let random = next_random(&mut state);
+        let byte = (random >> 8) as u8 * u8::from(!random.is_multiple_of(20));
+        assert_eq!(endpoint.receive(byte, now_ms, 10), None, "seed {seed:#x}");
+    }
+    assert!(endpoint.counts().frames.bad > 1000);
+}
+
+#[test]
+fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room() {
+    let seed = 0x5eed_0002_u32;
+    let mut state = seed;
+    let mut endpoint = drawing();
+    let mut events = 0;
+    for now_ms in 0..20_000 {
+        let mut payload = [[0u8; 32]; 4];
+        for byte in payload.as_flattened_mut() {
+            *byte = (next_random(&mut state) >> 8) as u8 >> (next_random(&mut state) % 8);
+        }
+        payload[0][0] = (next_random(&mut state) % 7) as u8;
+        let mut frame = [0; FRAME_BYTES_MAX];
+        let length = encode(&payload, &mut frame).unwrap();
+        for byte in &frame[..length] {
+            let Some(event) = endpoint.receive(*byte, now_ms, 5) else {
+                continue;
+            };
+            events += 1;
+            match event {
+                DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
+                DeviceEvent::Path { vertices, .. } => assert!(vertices.len() <= 5, "seed {seed:#x}"),
+                _ => {}
+            }
+        }
+        let mut out = [0; LINE_BYTES_PER_MS];
+        endpoint.transmit(now_ms, &mut out);
+    }
+    assert!(events > 100, "seed {seed:#x}: only {events} messages were understood");
+}
