@@ -109,22 +109,21 @@ mod tests {
     #[test]
     fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
         let mut config = Config::default();
-        config.geometry.arm_range_rad[1] = 1.2;
-        let area = WorkArea::new(&config).unwrap();
-        let at = |x_mm: f64, z_mm: f64| Position { x_mm, y_mm: 0.0, z_mm };
-        // The reachable space bulges upwards towards the rim at its floor.
-        let floor = (0..400)
-            .map(|step| -950.0 + 0.5 * f64::from(step))
-            .find(|z| area.check(&at(-520.0, *z)).is_ok() && area.check(&at(520.0, *z)).is_ok());
-        let ceiling_out = (0..1000)
-            .map(|step| -700.0 - 0.2 * f64::from(step))
-            .find(|z| area.check(&at(0.0, *z)).is_err());
-        if let (Some(floor), Some(_)) = (floor, ceiling_out) {
-            let mut admission = Admission::new(&config).unwrap();
-            assert_eq!(admission.check(0, &vertex(-520.0, 0.0, floor)), Ok(()));
-            let result = admission.check(1, &vertex(520.0, 0.0, floor));
-            let expected = check_leg(&area, &at(-520.0, floor), &at(520.0, floor));
-            assert_eq!(result.is_ok(), expected.is_ok());
-        }
+        // Below the lowest elbow hangs a sphere of the forearm's length that the platform cannot enter.
+        config.geometry.arm_range_rad[0] = 0.0;
+        config.geometry.arm_margin_rad = 0.2;
+        let mut admission = Admission::new(&config).unwrap();
+        assert_eq!(admission.check(0, &vertex(400.0, -150.0, -856.0)), Ok(()));
+        let refusal = admission.check(1, &vertex(400.0, 150.0, -856.0)).unwrap_err();
+        assert!(
+            matches!(refusal, Refusal { index: 1, reason: RefusalReason::Leg { at, .. } } if at.y_mm.abs() < 149.0),
+            "{refusal:?}"
+        );
+        admission.restart();
+        assert_eq!(
+            admission.check(1, &vertex(400.0, 150.0, -856.0)),
+            Ok(()),
+            "the end alone is inside"
+        );
     }
 }
