@@ -8,9 +8,9 @@
 //! Architecture invariant: nothing else passes between priorities; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
-use crate::ethercat::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Reply, Request};
-use crate::ethercat::cyclic::{CyclicPlan, Exchange, ExchangeEnd, Observation};
-use crate::ethercat::supervisor::{BusCommand, BusEvent, Supervisor, SupervisorEnd};
+use crate::ethercat::BusQueues;
+use crate::ethercat::cyclic::Exchange;
+use crate::ethercat::supervisor::Supervisor;
 use crate::link::task::LinkTask;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -25,8 +25,6 @@ pub const VERTICES: usize = 513;
 pub const RECEIVED_BYTES: usize = 4_097;
 /// Bytes that wait for the line to the host.
 pub const SENT_BYTES: usize = 4_097;
-/// Acyclic requests in flight, and their replies.
-pub const ACYCLIC: usize = IN_FLIGHT_MAX + 1;
 /// The master's Ethernet address: locally administered, on a cable of its own.
 pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 
@@ -42,12 +40,7 @@ pub struct Channels {
     vertices: Queue<PathItem, VERTICES>,
     motion_orders: Queue<MotionOrder, 17>,
     motion_reports: Queue<MotionReport, 5>,
-    requests: Queue<Request, ACYCLIC>,
-    replies: Queue<Reply, ACYCLIC>,
-    plans: Queue<CyclicPlan, 3>,
-    observations: Queue<Observation, 9>,
-    bus_commands: Queue<BusCommand, 5>,
-    bus_events: Queue<BusEvent, 17>,
+    bus: BusQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
 }
@@ -76,12 +69,7 @@ impl Channels {
             vertices: Queue::new(),
             motion_orders: Queue::new(),
             motion_reports: Queue::new(),
-            requests: Queue::new(),
-            replies: Queue::new(),
-            plans: Queue::new(),
-            observations: Queue::new(),
-            bus_commands: Queue::new(),
-            bus_events: Queue::new(),
+            bus: BusQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
         }
@@ -95,21 +83,10 @@ impl Channels {
         let (vertices_in, vertices_out) = self.vertices.split();
         let (orders_in, orders_out) = self.motion_orders.split();
         let (motion_reports_in, motion_reports_out) = self.motion_reports.split();
-        let (requests_in, requests_out) = self.requests.split();
-        let (replies_in, replies_out) = self.replies.split();
-        let (plans_in, plans_out) = self.plans.split();
-        let (observations_in, observations_out) = self.observations.split();
-        let (bus_commands_in, bus_commands_out) = self.bus_commands.split();
-        let (bus_events_in, bus_events_out) = self.bus_events.split();
+        let (exchange_end, supervisor_end, bus) = self.bus.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
-        let end = ExchangeEnd {
-            plans: plans_out,
-            requests: requests_out,
-            replies: replies_in,
-            observations: observations_in,
-        };
-        let exchange = Exchange::new(end, MASTER_ADDRESS);
+        let exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
             sampler: Sampler::new(exchange, sampler_commands_out, references_out, reports_in),
             trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
@@ -128,17 +105,10 @@ impl Channels {
                     vertices: vertices_in,
                     motion_orders: orders_in,
                     motion_reports: motion_reports_out,
-                    bus_commands: bus_commands_in,
-                    bus_events: bus_events_out,
+                    bus,
                 },
             ),
-            supervisor: Supervisor::new(SupervisorEnd {
-                plans: plans_in,
-                port: AcyclicPort::new(requests_in, replies_out),
-                observations: observations_out,
-                commands: bus_commands_out,
-                events: bus_events_in,
-            }),
+            supervisor: Supervisor::new(supervisor_end),
         }
     }
 }

@@ -11,7 +11,8 @@ use crate::application::{Action, Application, Condition, Fault, Mode, Power, Pro
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::drives::cia402::{DriveState, StatusWord};
-use crate::ethercat::supervisor::{BusCommand, BusEvent, BusSetup};
+use crate::ethercat::ApplicationEnd;
+use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
 use crate::robot::{JointAngles, Position};
@@ -39,10 +40,8 @@ pub struct LinkEnds<'a> {
     pub motion_orders: Producer<'a, MotionOrder>,
     /// Where the trajectory stands.
     pub motion_reports: Consumer<'a, MotionReport>,
-    /// What the bus' supervisor is asked for.
-    pub bus_commands: Producer<'a, BusCommand>,
-    /// What the bus' supervisor has seen.
-    pub bus_events: Consumer<'a, BusEvent>,
+    /// The bus' supervisor.
+    pub bus: ApplicationEnd<'a>,
 }
 
 /// The link task.
@@ -165,7 +164,7 @@ impl<'a> LinkTask<'a> {
             bus: config.bus.clone(),
         });
         self.tell_trajectory(MotionOrder::Configure(config.clone()));
-        let _ = self.ends.bus_commands.enqueue(BusCommand::Start(BusSetup {
+        let _ = self.ends.bus.commands.enqueue(BusCommand::Start(BusSetup {
             bus: config.bus.clone(),
             axes: config.axes,
         }));
@@ -222,7 +221,7 @@ impl<'a> LinkTask<'a> {
     }
 
     fn take_events(&mut self) {
-        while let Some(event) = self.ends.bus_events.dequeue() {
+        while let Some(event) = self.ends.bus.events.dequeue() {
             self.take_event(&event);
         }
         while let Some(report) = self.ends.motion_reports.dequeue() {
@@ -325,7 +324,7 @@ impl<'a> LinkTask<'a> {
             Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),
             Action::Motion(command) => self.tell_trajectory(MotionOrder::Command(command)),
             Action::RecoverBus => {
-                let _ = self.ends.bus_commands.enqueue(BusCommand::Recover);
+                let _ = self.ends.bus.commands.enqueue(BusCommand::Recover);
             }
         }
     }

@@ -4,7 +4,7 @@ use super::display::Display;
 use super::outputs::{create, make_folder, summarise};
 use super::prepare::prepare;
 use super::run::{capture, conclude, image_hash, run_error, task};
-use super::{CommandError, ConfigArguments};
+use super::{CommandError, DrawingArguments};
 use crate::emulator::LogLine;
 use crate::{run, setup};
 use std::io::Write;
@@ -13,17 +13,11 @@ use std::path::PathBuf;
 /// Options of `etherpen demo`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG) or CSV to draw; without it the bundled portrait.
+    /// Photograph (PNG, JPEG) or CSV to draw; without it the bundled portrait. Results go to target/demo, or to --out.
     #[arg(long, value_name = "FILE")]
     photo: Option<PathBuf>,
-    /// Folder for pictures, tables and figures; without it target/demo.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Print the report as JSON on stdout.
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    config: ConfigArguments,
+    drawing: DrawingArguments,
 }
 
 /// Runs the command.
@@ -31,12 +25,13 @@ pub struct Arguments {
 /// # Errors
 /// A tool is missing, the photograph cannot be used, the emulator cannot be reached or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let config = arguments.config.load()?;
+    let config = arguments.drawing.config.load()?;
     let photo = arguments
         .photo
         .clone()
         .unwrap_or_else(|| setup::workspace().join("samples/astronaut.png"));
     let dir = arguments
+        .drawing
         .out
         .clone()
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
@@ -65,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     display.finish();
     let report = conclude(&task, &prepared, &drawn, image_hash(&image)?, Some(&dir))?;
     summarise(&report, Some(&dir));
-    if arguments.json {
+    if arguments.drawing.json {
         super::print_json(&report)?;
     }
     Ok(())

@@ -3,7 +3,7 @@
 use super::display::Display;
 use super::outputs::{Outcome, make_folder, summarise};
 use super::prepare::{planned_s, prepare, to_wire};
-use super::{CommandError, ConfigArguments, code, job_error};
+use super::{CommandError, DrawingArguments, code, job_error};
 use crate::link::job::{Control, DrawJob, JobOptions};
 use crate::link::port::{Port, PortName, RunError, run_job};
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -21,17 +21,11 @@ pub struct Arguments {
     /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]
     port: String,
-    /// Folder for tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     /// Acknowledge a fault that is latched from before; lost drives are brought back.
     #[arg(long)]
     acknowledge: bool,
-    /// Print the report as JSON on stdout.
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    config: ConfigArguments,
+    drawing: DrawingArguments,
 }
 
 /// Runs the command.
@@ -39,13 +33,13 @@ pub struct Arguments {
 /// # Errors
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let config = arguments.config.load()?;
+    let config = arguments.drawing.config.load()?;
     let name: PortName = arguments
         .port
         .parse()
         .map_err(|cause| CommandError::new(code::USAGE, cause))?;
     let prepared = prepare(&arguments.file, &config)?;
-    if let Some(dir) = &arguments.out {
+    if let Some(dir) = &arguments.drawing.out {
         make_folder(dir)?;
     }
     let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
@@ -74,15 +68,15 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         planned_s,
     };
     let report = outcome.report();
-    if let Some(dir) = &arguments.out {
+    if let Some(dir) = &arguments.drawing.out {
         outcome.write(dir, &report)?;
     }
     result.map_err(|error| match error {
         RunError::Job(error) => job_error(&error),
         RunError::Port(error) => CommandError::new(code::CONNECTION, error),
     })?;
-    summarise(&report, arguments.out.as_deref());
-    if arguments.json {
+    summarise(&report, arguments.drawing.out.as_deref());
+    if arguments.drawing.json {
         super::print_json(&report)?;
     }
     Ok(())

@@ -76,6 +76,20 @@ pub struct ConfigArguments {
     pub config: Option<PathBuf>,
 }
 
+/// Options of every command that draws.
+#[derive(clap::Args, Debug, Default)]
+pub struct DrawingArguments {
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the report as JSON on stdout.
+    #[arg(long)]
+    pub json: bool,
+    /// The configuration.
+    #[command(flatten)]
+    pub config: ConfigArguments,
+}
+
 impl ConfigArguments {
     /// Reads and checks the configuration.
     ///

@@ -4,7 +4,7 @@ use super::display::Display;
 use super::outputs::{make_folder, summarise};
 use super::prepare::prepare;
 use super::run::{capture, conclude, run_error, task};
-use super::{CommandError, ConfigArguments};
+use super::{CommandError, DrawingArguments};
 use crate::run;
 use std::path::PathBuf;
 
@@ -13,14 +13,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Photograph (PNG, JPEG) or CSV to draw.
     file: PathBuf,
-    /// Folder for pictures, tables and figures.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Print the report as JSON on stdout.
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    config: ConfigArguments,
+    drawing: DrawingArguments,
 }
 
 /// Runs the command.
@@ -28,9 +22,9 @@ pub struct Arguments {
 /// # Errors
 /// The file, the configuration or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let config = arguments.config.load()?;
+    let config = arguments.drawing.config.load()?;
     let prepared = prepare(&arguments.file, &config)?;
-    let dir = arguments.out.as_deref();
+    let dir = arguments.drawing.out.as_deref();
     if let Some(dir) = dir {
         make_folder(dir)?;
     }
@@ -41,7 +35,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     display.finish();
     let report = conclude(&task, &prepared, &drawn, "simulation".to_owned(), dir)?;
     summarise(&report, dir);
-    if arguments.json {
+    if arguments.drawing.json {
         super::print_json(&report)?;
     }
     Ok(())
