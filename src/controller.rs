@@ -25,7 +25,7 @@ pub const VERTICES: usize = 513;
 pub const RECEIVED_BYTES: usize = 4_097;
 /// Bytes that wait for the line to the host.
 pub const SENT_BYTES: usize = 4_097;
-/// The master's Ethernet address: locally administered, on a cable of its own.
+/// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
 pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 
 const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
