@@ -37,8 +37,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
     eprintln!("Vectorising {}", photo.display());
     let prepared = prepare(&photo, &config)?;
-    make_folder(&dir)?;
     setup::ensure_qemu()?;
+    make_folder(&dir)?;
     eprintln!("Building the firmware for the emulated board");
     let image = setup::build_firmware("emulated")?;
     eprintln!("Starting the firmware in QEMU (mps2-an500, Cortex-M7)");

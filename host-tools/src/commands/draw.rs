@@ -68,7 +68,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         planned_s,
     };
     let report = outcome.report();
-    if let Some(dir) = &arguments.drawing.out {
+    // A drawing that never began has nothing to show.
+    if let Some(dir) = &arguments.drawing.out
+        && !job.samples.is_empty()
+    {
         outcome.write(dir, &report)?;
     }
     result.map_err(|error| match error {

@@ -7,8 +7,8 @@ mod display;
 pub mod draw;
 pub mod emulate;
 mod outputs;
-mod prepare;
-mod run;
+pub mod prepare;
+pub mod run;
 pub mod simulate;
 pub mod verify;
 

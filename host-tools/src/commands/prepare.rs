@@ -11,18 +11,18 @@ use image::RgbImage;
 use std::path::Path;
 
 /// A file made ready for drawing.
-pub(super) struct Prepared {
+pub struct Prepared {
     /// The picture it was made of.
-    pub(super) photograph: Option<RgbImage>,
+    pub photograph: Option<RgbImage>,
     /// The path in the robot's frame, every vertex admitted.
-    pub(super) path: Vec<Vertex>,
+    pub path: Vec<Vertex>,
 }
 
 /// Reads, vectorises, orders and checks a file.
 ///
 /// # Errors
 /// The file cannot be used, or a vertex is outside what the robot may use.
-pub(super) fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
+pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
     let shown = file.display();
     let refused = |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{shown}: {cause}"));
     let input = load(file).map_err(|cause| refused(&cause))?;
@@ -60,7 +60,7 @@ fn ordered(mut drawing: Drawing, config: &Config) -> Vec<Vertex> {
 }
 
 /// A vertex as it travels: micrometres.
-pub(super) fn to_wire(vertex: &Vertex) -> PathVertex {
+pub fn to_wire(vertex: &Vertex) -> PathVertex {
     let Position { x_mm, y_mm, z_mm } = vertex.position;
     // A float that is out of range becomes the nearest integer, which the admission refuses.
     let position_um = [x_mm, y_mm, z_mm].map(|mm| (mm * 1_000.0).round() as i32);
@@ -81,7 +81,7 @@ fn from_wire(wire: &PathVertex) -> Vertex {
 }
 
 /// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end.
-pub(super) fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
+pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
     use etherpen::motion::{MotionCommand, MotionState, PERIOD_MS, Trajectory};
     use etherpen::robot::{Delta, JointAngles};
     let Some(first) = path.first() else { return 0.0 };

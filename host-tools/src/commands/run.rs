@@ -11,7 +11,7 @@ use etherpen::config::Config;
 use std::path::Path;
 
 /// A task for a prepared file in the default cell.
-pub(super) fn task(config: &Config, prepared: &Prepared) -> Task {
+pub fn task(config: &Config, prepared: &Prepared) -> Task {
     let path = prepared.path.iter().map(to_wire).collect();
     Task {
         config: config.clone(),
@@ -24,7 +24,7 @@ pub(super) fn task(config: &Config, prepared: &Prepared) -> Task {
 ///
 /// # Errors
 /// It cannot be made.
-pub(super) fn capture(dir: &Path) -> Result<Sink, CommandError> {
+pub fn capture(dir: &Path) -> Result<Sink, CommandError> {
     Ok(Box::new(create(dir, "bus.pcapng")?))
 }
 
@@ -32,7 +32,7 @@ pub(super) fn capture(dir: &Path) -> Result<Sink, CommandError> {
 ///
 /// # Errors
 /// The results cannot be written, or the job failed.
-pub(super) fn conclude(
+pub fn conclude(
     task: &Task,
     prepared: &Prepared,
     drawn: &Drawn,
@@ -59,7 +59,7 @@ pub(super) fn conclude(
 }
 
 /// An emulator's error with its exit code.
-pub(super) fn emulator_error(error: &EmulatorError) -> CommandError {
+pub fn emulator_error(error: &EmulatorError) -> CommandError {
     let code = match error {
         EmulatorError::QemuMissing { .. } => code::TOOL,
         _ => code::CONNECTION,
@@ -68,7 +68,7 @@ pub(super) fn emulator_error(error: &EmulatorError) -> CommandError {
 }
 
 /// A run's error with its exit code.
-pub(super) fn run_error(error: &RunError) -> CommandError {
+pub fn run_error(error: &RunError) -> CommandError {
     match error {
         RunError::Emulator(error) => emulator_error(error),
         RunError::Capture(_) => CommandError::new(code::FAILED, error),
@@ -79,7 +79,7 @@ pub(super) fn run_error(error: &RunError) -> CommandError {
 ///
 /// # Errors
 /// The image cannot be read.
-pub(super) fn image_hash(image: &Path) -> Result<String, CommandError> {
+pub fn image_hash(image: &Path) -> Result<String, CommandError> {
     let bytes = std::fs::read(image)
         .map_err(|cause| CommandError::failed(format!("the image {} cannot be read", image.display()), cause))?;
     let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {

@@ -1,7 +1,8 @@
 //! The emulator's process and its working directory; neither outlives its owner.
 //!
-//! They end with [`Process`], with a signal that ends this program, and, in lockstep, with anything else that ends this
-//! program: the firmware reads the end of its files and stops the emulator.
+//! They end with [`Process`], with a signal that ends this program, and with anything else that ends it: a guard, a shell
+//! that waits for the end of its input, then ends the emulator and removes the directory. The firmware in lockstep finds
+//! its files closed as well, but only once it has opened them: an emulator that still starts would wait for ever.
 
 use super::error::EmulatorError;
 use rustix::fs::{CWD, FileType, Mode, mknodat};
@@ -22,6 +23,9 @@ use std::sync::{Mutex, Once, PoisonError};
 const OUTPUT_FILE: &str = "qemu.out";
 /// How much of that output an error shows, bytes.
 const OUTPUT_SHOWN: usize = 2000;
+
+/// The guard's script: its input ends with this program, however that ends.
+const GUARD: &str = "read -r _; kill -9 \"$1\"; rm -rf \"$2\"";
 
 /// What a signal has to clean up.
 static LIVE: Mutex<Vec<Live>> = Mutex::new(Vec::new());
@@ -102,6 +106,7 @@ impl Drop for Directory {
 /// A running emulator.
 pub(crate) struct Process {
     child: Child,
+    guard: Option<Child>,
     directory: Directory,
 }
 
@@ -137,7 +142,26 @@ impl Process {
                 entry.child = Some(child.id());
             }
         }
-        Ok(Self { child, directory })
+        // From here on the emulator ends with its owner, also when the guard cannot be started.
+        let mut process = Self {
+            child,
+            guard: None,
+            directory,
+        };
+        process.guard = Some(process.guard().map_err(EmulatorError::io("starting /bin/sh"))?);
+        Ok(process)
+    }
+
+    /// Starts the guard, in a process group of its own: what ends this program must not end it as well.
+    fn guard(&self) -> io::Result<Child> {
+        Command::new("/bin/sh")
+            .args(["-c", GUARD, "guard", &self.child.id().to_string()])
+            .arg(&self.directory.path)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .process_group(0)
+            .spawn()
     }
 
     /// How it ended, if it has.
@@ -156,7 +180,12 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Fails only if it has ended already; `wait` then collects it.
+        // The guard goes first: the emulator's number is free for others once it was waited for. Killing fails only if
+        // a process has ended already; `wait` then collects it.
+        if let Some(guard) = &mut self.guard {
+            let _ = guard.kill();
+            let _ = guard.wait();
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,0 +1,122 @@
+//! The command line with the emulator: a drawing over the port, and ends that leave nothing behind.
+
+use crate::program::{Folder, Running, emulator_of, etherpen, runs, strokes, wait_until};
+use host_tools::commands::code;
+use host_tools::setup;
+use rustix::process::{Pid, Signal, kill_process};
+
+fn send(id: u32, signal: Signal) {
+    let pid = Pid::from_raw(id as i32).expect("an id");
+    kill_process(pid, signal).expect("the process runs");
+}
+
+/// `etherpen emulate`, its emulator's process and the port it prints.
+fn emulate(folder: &Folder) -> (Running, u32, String) {
+    setup::build_firmware("emulated").expect("the firmware builds");
+    let mut program = Running::start(etherpen(folder).arg("emulate"));
+    let port = program.wait_for("port", |program| program.stdout().lines().next().map(str::to_owned));
+    assert!(port.starts_with("tcp:127.0.0.1:"), "{port}");
+    let emulator = program.wait_for("emulator", |program| emulator_of(program.id()));
+    (program, emulator, port)
+}
+
+fn draw(folder: &Folder, port: &str) -> Running {
+    let mut command = etherpen(folder);
+    command.arg("draw").arg(strokes()).args(["--port", port, "--json"]);
+    Running::start(command.arg("--out").arg(folder.join("out")))
+}
+
+fn wait_for_drawing(program: &mut Running) {
+    program.wait_for("beginning of the drawing", |program| {
+        program.stderr().lines().any(|line| line == "drawing").then_some(())
+    });
+}
+
+/// Waits until the emulator's process and its working directory are gone.
+fn wait_until_all_is_gone(emulator: u32, folder: &Folder) {
+    wait_until("end of the emulator", || !runs(emulator));
+    let temporary = folder.join("tmp");
+    wait_until("removal of its directory", || {
+        let mut entries = std::fs::read_dir(&temporary).expect("the folder for temporary files");
+        entries.next().is_none()
+    });
+}
+
+#[test]
+fn a_drawing_goes_over_the_port_that_the_emulator_prints() {
+    let folder = Folder::new();
+    let (mut emulate, emulator, port) = emulate(&folder);
+    let mut draw = draw(&folder, &port);
+    let status = draw.end();
+    assert_eq!(status.code(), Some(0), "{}", draw.stderr());
+    let mut written = None;
+    wait_until("report on stdout", || {
+        written = serde_json::from_str::<serde_json::Value>(&draw.stdout()).ok();
+        written.is_some()
+    });
+    let report = written.expect("JSON");
+    assert_eq!(report["strokes"], 6);
+    for counter in [
+        "cycles_late",
+        "frames_lost",
+        "working_counter_errors",
+        "reference_underruns",
+    ] {
+        assert_eq!(report[counter], 0, "{counter}");
+    }
+    for name in ["report.json", "telemetry.csv", "intended.csv"] {
+        assert!(folder.join("out").join(name).is_file(), "{name}");
+    }
+    send(emulate.id(), Signal::INT);
+    assert_eq!(emulate.end().code(), None, "the signal ends it: {}", emulate.stderr());
+    wait_until_all_is_gone(emulator, &folder);
+}
+
+#[test]
+fn an_emulator_ends_with_its_program_whatever_ends_that() {
+    let folder = Folder::new();
+    let (mut program, emulator, _) = emulate(&folder);
+    send(program.id(), Signal::TERM);
+    program.end();
+    wait_until_all_is_gone(emulator, &folder);
+    // Nobody can act on this signal; the emulator may not have started its firmware yet.
+    let (mut program, emulator, _) = emulate(&folder);
+    send(program.id(), Signal::KILL);
+    program.end();
+    wait_until_all_is_gone(emulator, &folder);
+}
+
+#[test]
+fn a_drawing_whose_emulator_dies_ends_with_the_lost_connection() {
+    let folder = Folder::new();
+    let (mut program, emulator, port) = emulate(&folder);
+    let mut draw = draw(&folder, &port);
+    wait_for_drawing(&mut draw);
+    send(emulator, Signal::KILL);
+    for (who, hint) in [(&mut program, "the emulator ended"), (&mut draw, &*port)] {
+        let status = who.end();
+        assert_eq!(status.code(), Some(i32::from(code::CONNECTION)), "{}", who.stderr());
+        wait_until("message", || who.stderr().contains(hint));
+    }
+    wait_until_all_is_gone(emulator, &folder);
+}
+
+#[test]
+fn a_demo_whose_emulator_dies_says_so_and_leaves_no_process() {
+    let folder = Folder::new();
+    setup::build_firmware("emulated").expect("the firmware builds");
+    let mut command = etherpen(&folder);
+    command
+        .args(["demo", "--photo"])
+        .arg(strokes())
+        .arg("--out")
+        .arg(folder.join("out"));
+    let mut demo = Running::start(&mut command);
+    wait_for_drawing(&mut demo);
+    let emulator = emulator_of(demo.id()).expect("it draws in the emulator");
+    send(emulator, Signal::KILL);
+    let status = demo.end();
+    assert_eq!(status.code(), Some(i32::from(code::CONNECTION)), "{}", demo.stderr());
+    wait_until("message", || demo.stderr().contains("the emulator ended"));
+    wait_until_all_is_gone(emulator, &folder);
+}

@@ -1,0 +1,177 @@
+//! The program as a person starts it: folders that vanish, processes that are watched.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Wall time that even a very busy machine needs less of.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
+/// Time between two looks at what is waited for.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// The short drawing.
+pub(crate) fn strokes() -> PathBuf {
+    host_tools::setup::workspace().join("samples/strokes.csv")
+}
+
+/// A folder of a test's own, removed with its owner.
+pub(crate) struct Folder(PathBuf);
+
+impl Folder {
+    pub(crate) fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("pentest-{}-{number}", std::process::id()));
+        fs::create_dir(&path).expect("a folder for the test");
+        Self(path)
+    }
+
+    pub(crate) fn join(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    /// A file with this content.
+    pub(crate) fn file(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.join(name);
+        fs::write(&path, content).expect("a file of the test");
+        path
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What cannot be removed lies in the system's folder for temporary files.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// The program, started in `folder`, its temporary files in `folder/tmp`.
+pub(crate) fn etherpen(folder: &Folder) -> Command {
+    let temporary = folder.join("tmp");
+    fs::create_dir_all(&temporary).expect("a folder for temporary files");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_etherpen"));
+    command
+        .current_dir(&folder.0)
+        .env("TMPDIR", &temporary)
+        .stdin(Stdio::null());
+    command
+}
+
+/// Runs the program to its end: exit code, stdout, stderr.
+pub(crate) fn run(command: &mut Command) -> (Option<i32>, String, String) {
+    let Output { status, stdout, stderr } = command.output().expect("the program starts");
+    let text = |bytes| String::from_utf8(bytes).expect("the program prints UTF-8");
+    (status.code(), text(stdout), text(stderr))
+}
+
+/// The program, running.
+pub(crate) struct Running {
+    child: Child,
+    stdout: Arc<Mutex<String>>,
+    stderr: Arc<Mutex<String>>,
+}
+
+impl Running {
+    pub(crate) fn start(command: &mut Command) -> Self {
+        let piped = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = piped.spawn().expect("the program starts");
+        let stdout = collect(child.stdout.take().expect("it is piped"));
+        let stderr = collect(child.stderr.take().expect("it is piped"));
+        Self { child, stdout, stderr }
+    }
+
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub(crate) fn stdout(&self) -> String {
+        self.stdout.lock().expect("nobody panics with it").clone()
+    }
+
+    pub(crate) fn stderr(&self) -> String {
+        self.stderr.lock().expect("nobody panics with it").clone()
+    }
+
+    /// Waits until `found` finds something in a program that still runs.
+    pub(crate) fn wait_for<T>(&mut self, what: &str, mut found: impl FnMut(&Self) -> Option<T>) -> T {
+        let begun = Instant::now();
+        loop {
+            if let Some(thing) = found(self) {
+                return thing;
+            }
+            let ended = self.child.try_wait().expect("a child can be asked");
+            assert!(
+                ended.is_none() && begun.elapsed() < PATIENCE,
+                "no {what}; ended: {ended:?}; {}",
+                self.stderr()
+            );
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    pub(crate) fn end(&mut self) -> ExitStatus {
+        let mut status = None;
+        wait_until("end of the program", || {
+            status = self.child.try_wait().expect("a child can be asked");
+            status.is_some()
+        });
+        status.expect("it has ended")
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Fails only if it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn collect(pipe: impl Read + Send + 'static) -> Arc<Mutex<String>> {
+    let text = Arc::new(Mutex::new(String::new()));
+    let shared = text.clone();
+    std::thread::spawn(move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            let mut text = shared.lock().expect("nobody panics with it");
+            text.push_str(&line);
+            text.push('\n');
+        }
+    });
+    text
+}
+
+/// Waits until something is so.
+pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < PATIENCE, "{what} did not come");
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// State letter and parent of a process, from its line in /proc (proc(5)); `None` when there is none.
+fn process(stat: &Path) -> Option<(char, u32)> {
+    let line = fs::read_to_string(stat).ok()?;
+    let mut fields = line.rsplit_once(')')?.1.split_whitespace();
+    Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
+}
+
+/// Whether a process still runs.
+pub(crate) fn runs(id: u32) -> bool {
+    process(&PathBuf::from(format!("/proc/{id}/stat"))).is_some_and(|(state, _)| state != 'Z')
+}
+
+/// The emulator that a running program has started.
+pub(crate) fn emulator_of(parent: u32) -> Option<u32> {
+    let entries = fs::read_dir("/proc").expect("this system has /proc");
+    entries.flatten().find_map(|entry| {
+        let id = entry.file_name().to_str()?.parse().ok()?;
+        let (_, its_parent) = process(&entry.path().join("stat"))?;
+        let name = fs::read_to_string(entry.path().join("comm")).ok()?;
+        (its_parent == parent && name.starts_with("qemu-system")).then_some(id)
+    })
+}
