@@ -14,7 +14,7 @@ use host_tools::commands::run::{conclude, task};
 use host_tools::report::{Report, rows};
 use host_tools::run::{Drawn, Task};
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Farthest a pen may be from its line, mm.
 const DEVIATION_MAX_MM: f64 = 0.5;
@@ -64,9 +64,7 @@ pub(crate) fn assert_clean(prepared: &Prepared, task: &Task, drawn: &Drawn) -> R
 /// Compares a run with the golden file, or writes the file when that is asked for.
 pub(crate) fn compare(task: &Task, drawn: &Drawn, report: &Report) {
     let table = table(task, drawn, report);
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/golden")
-        .join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(GOLDEN);
     if std::env::var_os(RENEW).is_some() {
         std::fs::write(&path, &table).expect("the golden file can be written");
         return;
