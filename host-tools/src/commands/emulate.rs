@@ -162,15 +162,16 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .local_addr()
         .map_err(|cause| CommandError::failed("the port", cause))?;
     let emulator = Emulator::start(&image, &options, cell, line, log).map_err(|error| emulator_error(&error))?;
-    announce(&address.to_string());
+    announce(&address.to_string())?;
     emulator.wait().map(|_| ()).map_err(|error| emulator_error(&error))
 }
 
-fn announce(address: &str) {
-    println!("tcp:{address}");
+fn announce(address: &str) -> Result<(), CommandError> {
+    writeln!(std::io::stdout(), "tcp:{address}").map_err(|cause| CommandError::failed("stdout", cause))?;
     eprintln!("The firmware runs in the emulator. In another terminal:");
     eprintln!("  cargo run --release --bin etherpen -- draw samples/astronaut.png --port tcp:{address}");
     eprintln!("Ctrl-C ends it.");
+    Ok(())
 }
 
 /// Runs without lockstep until the emulator ends.
@@ -182,7 +183,7 @@ fn free_run(
     log: impl FnMut(&LogLine) + Send + 'static,
 ) -> Result<(), CommandError> {
     let running = FreeRunning::start(image, &options.qemu, port, cell, log).map_err(|error| emulator_error(&error))?;
-    announce(&format!("127.0.0.1:{}", running.port()));
+    announce(&format!("127.0.0.1:{}", running.port()))?;
     while running.is_running() {
         std::thread::sleep(LOOK);
     }

@@ -43,9 +43,20 @@ fn wait_until_all_is_gone(emulator: u32, folder: &Folder) {
 }
 
 #[test]
-fn a_drawing_goes_over_the_port_that_the_emulator_prints() {
+fn a_drawing_goes_over_the_port_that_the_emulator_prints_also_after_one_that_was_cancelled() {
     let folder = Folder::new();
     let (mut emulate, emulator, port) = emulate(&folder);
+    let mut cancelled = draw(&folder, &port);
+    wait_for_drawing(&mut cancelled);
+    send(cancelled.id(), Signal::TERM);
+    let status = cancelled.end();
+    assert_eq!(
+        status.code(),
+        Some(i32::from(code::INTERRUPTED)),
+        "{}",
+        cancelled.stderr()
+    );
+    wait_until("message", || cancelled.stderr().contains("cancelled"));
     let mut draw = draw(&folder, &port);
     let status = draw.end();
     assert_eq!(status.code(), Some(0), "{}", draw.stderr());

@@ -123,7 +123,7 @@ fn started(model: &mut Model) -> Lan9118<&mut Model> {
     Lan9118::start(model, ADDRESS).expect("the model starts")
 }
 
-fn model<'a, 'b>(driver: &'a mut Lan9118<&'b mut Model>) -> &'a mut Model {
+fn model<'a>(driver: &'a mut Lan9118<&mut Model>) -> &'a mut Model {
     driver.port.registers
 }
 
