@@ -57,14 +57,12 @@ impl Outcome<'_> {
             image: self.image.clone(),
             drives,
         });
-        if let (Some(photograph), Some((cell, _))) = (&self.prepared.photograph, self.cell) {
-            let drawn = render_rgb(
-                &strokes(cell.ink()),
-                self.config.paper.size_mm,
-                PEN_WIDTH_MM,
-                PIXELS_PER_MM,
-            );
-            report.tone_correlation = Some(tone_correlation(photograph, &drawn));
+        if let (Some((picture, place_mm)), Some((cell, _))) = (&self.prepared.photograph, self.cell) {
+            let sheet_mm = self.config.paper.size_mm;
+            let drawn = render_rgb(&strokes(cell.ink()), sheet_mm, PEN_WIDTH_MM, PIXELS_PER_MM);
+            let [left, top, width, height] = place_mm.map(|mm| (mm * PIXELS_PER_MM).round() as u32);
+            let drawn = image::imageops::crop_imm(&drawn, left, top, width, height).to_image();
+            report.tone_correlation = Some(tone_correlation(picture, &drawn));
         }
         report
     }

@@ -12,8 +12,8 @@ use std::path::Path;
 
 /// A file made ready for drawing.
 pub struct Prepared {
-    /// The picture it was made of.
-    pub photograph: Option<RgbImage>,
+    /// The picture it was made of, and where it lies on the sheet: left, top, width and height, mm.
+    pub photograph: Option<(RgbImage, [f64; 4])>,
     /// The path in the robot's frame, every vertex admitted.
     pub path: Vec<Vertex>,
 }
@@ -33,7 +33,10 @@ pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
                 ..VectorizeOptions::default()
             };
             let drawing = vectorize_image(&picture, &options).map_err(|cause| refused(&cause))?;
-            (Some(picture), ordered(drawing, config))
+            let place_mm = options
+                .picture_mm(picture.width(), picture.height())
+                .map_err(|cause| refused(&cause))?;
+            (Some((picture, place_mm)), ordered(drawing, config))
         }
         Input::Drawing(drawing) => (None, ordered(drawing, config)),
         Input::Path(path) => (None, path.vertices),
