@@ -294,6 +294,9 @@ pub struct ConfigError {
     pub high: f64,
 }
 
+/// Longest motion without a measurement that any configuration may allow, ms: half a motor turn takes 10 ms.
+const BLIND_MAX_MS: f64 = 8.0;
+
 struct Bound {
     name: &'static str,
     value: f64,
@@ -341,7 +344,7 @@ impl Axis {
 
 impl Config {
     /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
-    fn scalars(&self) -> [Bound; 32] {
+    fn scalars(&self) -> [Bound; 36] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
         let reach = geometry.upper_arm_mm + geometry.forearm_mm;
@@ -452,6 +455,10 @@ impl Config {
                 60_000.0,
             ),
             bound("bus.drives", f64::from(bus.drives), AXES as f64, AXES as f64),
+            bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
+            bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
+            bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),
+            bound("bus.dead_man_ms", f64::from(bus.dead_man_ms), 20.0, 500.0),
             bound(
                 "bus.watchdog_ms",
                 f64::from(bus.watchdog_ms),
@@ -547,7 +554,7 @@ mod tests {
     #[test]
     fn the_watchdog_is_longer_than_the_blind_limit() {
         let mut config = Config::default();
-        config.bus.blind_max_ms = config.bus.watchdog_ms;
+        config.bus.watchdog_ms = config.bus.blind_max_ms;
         assert_eq!(config.check().unwrap_err().field.name(), "bus.watchdog_ms");
     }
 

@@ -50,21 +50,25 @@ pub struct Drives {
 /// The figures of a drawing, as `report.json` has them.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
+    /// Whether the whole path was executed.
+    pub completed: bool,
     /// Strokes drawn.
     pub strokes: usize,
+    /// Strokes of the path.
+    pub strokes_intended: usize,
     /// Length of the intended strokes, mm.
     pub pen_down_mm: f64,
     /// Length of the way between them, lifts included, mm.
     pub pen_up_mm: f64,
-    /// Duration the planner computes for the path alone, s.
+    /// Duration the planner computes for the path alone, s; `null` where it cannot be planned.
     pub planned_s: f64,
     /// Duration of the drawing on the machine, s.
     pub drawn_s: f64,
-    /// Largest distance of a measured pen-down position from its stroke, mm.
+    /// Largest distance of a measured pen-down position from its stroke, mm; `null` without any.
     pub path_deviation_max_mm: f64,
     /// Root of the mean square of that distance, mm.
     pub path_deviation_rms_mm: f64,
-    /// Intended length without ink near it, mm.
+    /// Intended length without ink near it, mm; `null` where the paper cannot be read.
     pub ink_missing_mm: f64,
     /// Largest following error per axis, rad.
     pub following_error_max_rad: [f64; AXES],
@@ -104,8 +108,8 @@ pub struct Evidence<'a> {
     pub ink_mm: Option<&'a [[f64; 2]]>,
     /// What the firmware counted.
     pub counters: Counters,
-    /// Samples that were lost on the link.
-    pub telemetry_lost: u32,
+    /// Whether the whole path was executed.
+    pub completed: bool,
     /// Planner's duration, s.
     pub planned_s: f64,
     /// Name of what ran.
@@ -157,14 +161,22 @@ impl Report {
         let strokes = strokes(evidence.path);
         let (path_deviation_max_mm, path_deviation_rms_mm) = deviation(&rows, &strokes);
         let (pen_down_mm, pen_up_mm) = lengths(evidence.path);
-        let ink_missing_mm = evidence.ink_mm.map_or(0.0, |ink| ink_missing(&strokes, ink));
+        let ink_missing_mm = evidence.ink_mm.map_or(f64::NAN, |ink| ink_missing(&strokes, ink));
+        let mut drawn: Vec<u32> = rows
+            .iter()
+            .filter(|row| row.pen == Pen::Down)
+            .map(|row| row.stroke)
+            .collect();
+        drawn.dedup();
         let counters = &evidence.counters;
         Self {
-            strokes: strokes.len(),
+            completed: evidence.completed,
+            strokes: drawn.len(),
+            strokes_intended: strokes.len(),
             pen_down_mm,
             pen_up_mm,
             planned_s: evidence.planned_s,
-            drawn_s: drawing.len() as f64 / 1_000.0,
+            drawn_s: f64::from(span_ms(&drawing)) / 1_000.0,
             path_deviation_max_mm,
             path_deviation_rms_mm,
             ink_missing_mm,
@@ -176,11 +188,19 @@ impl Report {
             working_counter_errors: counters.working_counter_errors,
             reference_underruns: counters.reference_underruns,
             path_starvations: counters.path_starvations,
-            telemetry_lost: evidence.telemetry_lost,
+            telemetry_lost: span_ms(evidence.samples).saturating_sub(evidence.samples.len() as u32),
             image: evidence.image.clone(),
             drives: evidence.drives,
             tone_correlation: None,
         }
+    }
+}
+
+/// Milliseconds from the first to the last sample, both included.
+fn span_ms(samples: &[Sample]) -> u32 {
+    match (samples.first(), samples.last()) {
+        (Some(first), Some(last)) => last.t_ms.wrapping_sub(first.t_ms).wrapping_add(1),
+        _ => 0,
     }
 }
 
@@ -304,7 +324,10 @@ fn deviation(rows: &[Row], strokes: &[(u32, Vec<Position>)]) -> (f64, f64) {
         squares += away_mm * away_mm;
         count += 1;
     }
-    (largest, (squares / count.max(1) as f64).sqrt())
+    if count == 0 {
+        return (f64::NAN, f64::NAN);
+    }
+    (largest, (squares / count as f64).sqrt())
 }
 
 fn ink_missing(strokes: &[(u32, Vec<Position>)], ink_mm: &[[f64; 2]]) -> f64 {

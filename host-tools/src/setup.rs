@@ -51,9 +51,14 @@ pub fn target_dir() -> PathBuf {
     }
 }
 
-fn cargo() -> Command {
+/// A cargo command in the workspace.
+pub(crate) fn cargo() -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-    command.current_dir(workspace());
+    // Flags from the environment would replace those that the boards need.
+    command
+        .current_dir(workspace())
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS");
     command
 }
 
@@ -164,15 +169,12 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
         let words: Vec<&str> = prefix
             .iter()
             .copied()
-            .chain(["apt-get", "-q"])
+            .chain(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q"])
             .chain(arguments.iter().copied())
             .collect();
         let mut command = Command::new(words[0]);
         // Data goes to stdout; what a package manager says is no data.
-        command
-            .args(&words[1..])
-            .env("DEBIAN_FRONTEND", "noninteractive")
-            .stdout(Stdio::null());
+        command.args(&words[1..]).stdout(Stdio::null());
         command.status().is_ok_and(|status| status.success())
     };
     let install = ["install", "-y", "--no-install-recommends", package];
@@ -215,8 +217,8 @@ pub fn ensure_qemu() -> Result<(), SetupError> {
 pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
     ensure_target()?;
     let mut command = cargo();
+    command.arg("build").arg("--target-dir").arg(target_dir());
     command.args([
-        "build",
         "--release",
         "-p",
         "etherpen",

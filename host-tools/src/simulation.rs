@@ -114,7 +114,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         let release_us = u64::from(ms) * MILLISECOND_US;
         transport.driver_mut().time_us = release_us;
         transport.driver_mut().cell.advance_to(release_us);
-        let trajectory_due = sampler.sample(&mut transport, 0);
+        let trajectory_due = sampler.sample(&mut transport, 0, 0);
         for time_us in [ROUND_TRIP_US, 2 * ROUND_TRIP_US] {
             transport.driver_mut().time_us = release_us + time_us;
             sampler.bus_frame(&mut transport, (time_us * 1_000) as u32);

@@ -24,6 +24,8 @@ pub const STANDSTILL_MAX_MS: u32 = 1_000;
 pub const ENABLE_MAX_MS: u32 = 3_000;
 /// Longest wait for the bus and the drives to recover after an acknowledgement, ms.
 pub const RECOVERY_MAX_MS: u32 = 10_000;
+/// AL state OP without the error flag.
+const AL_OPERATIONAL: u8 = 8;
 /// Most actions of one step.
 pub const ACTIONS_MAX: usize = 8;
 
@@ -148,6 +150,9 @@ pub struct Application {
     cancelling: bool,
     motion_started_ms: u32,
     host_silence_max_ms: u16,
+    /// What the drives were last asked for.
+    power: Power,
+    has_configuration: bool,
     actions: Vec<Action, ACTIONS_MAX>,
 }
 
@@ -188,6 +193,8 @@ impl Application {
             cancelling: false,
             motion_started_ms: 0,
             host_silence_max_ms: 500,
+            power: Power::Off,
+            has_configuration: false,
             actions: Vec::new(),
         }
     }
@@ -214,13 +221,22 @@ impl Application {
 
     /// Whether another configuration may be taken now: the drives are without power and nothing is under way.
     pub fn may_configure(&self) -> bool {
-        let at_rest = matches!(self.mode, Mode::Startup | Mode::DrivesOff | Mode::Fault);
+        // A fault is cleared by an acknowledgement, unless it is about what the configuration expects of the bus.
+        let at_rest = match self.mode {
+            Mode::Startup | Mode::DrivesOff => true,
+            Mode::Fault => matches!(
+                self.fault,
+                Some(Fault::UnexpectedBus { .. } | Fault::BusConfiguration { .. })
+            ),
+            _ => false,
+        };
         at_rest && self.stop.is_none() && self.enabling == Enabling::No && self.recovering_since_ms.is_none()
     }
 
     /// A checked configuration was taken: the bus is being brought up.
     pub fn configured(&mut self, host_silence_max_ms: u16) {
         self.host_silence_max_ms = host_silence_max_ms;
+        self.has_configuration = true;
         self.mode = Mode::BusConfiguring;
         self.fault = None;
         self.bus = None;
@@ -235,6 +251,11 @@ impl Application {
                     self.mode = Mode::DrivesOff;
                 }
             }
+            // It answers again and only waits to be taken back: that was not the cause.
+            BusCondition::Failed(Fault::SlaveState {
+                al_state: AL_OPERATIONAL,
+                ..
+            }) if self.fault.is_some() => {}
             // The supervisor knows which slave and why, the critical tasks only that something is wrong.
             BusCondition::Failed(fault) => match self.fault {
                 Some(Fault::Blind { .. } | Fault::SlaveLost { .. } | Fault::SlaveState { .. }) => {
@@ -320,11 +341,19 @@ impl Application {
         self.step_stop();
         self.step_recovery();
         self.step_motion(progress, host_silence_ms);
+        self.take_actions()
+    }
+
+    /// What is to be done since the last call; to be asked after each command.
+    pub fn take_actions(&mut self) -> Vec<Action, ACTIONS_MAX> {
         core::mem::take(&mut self.actions)
     }
 
     fn act(&mut self, action: Action) {
-        // At most a handful of transitions can happen in one millisecond; the capacity covers all of them.
+        if let Action::Power(power) = action {
+            self.power = power;
+        }
+        // One command or one millisecond makes at most a handful of transitions; the capacity covers all of them.
         let _ = self.actions.push(action);
     }
 
@@ -419,6 +448,11 @@ impl Application {
         if self.stop.is_some() || self.recovering_since_ms.is_some() {
             return Err(Refusal::Moving);
         }
+        if !self.has_configuration {
+            self.fault = None;
+            self.mode = Mode::Startup;
+            return Ok(());
+        }
         if !matches!(self.bus, Some(BusCondition::Operational)) || !self.condition.inputs_valid {
             self.act(Action::RecoverBus);
             self.bus = None;
@@ -450,10 +484,13 @@ impl Application {
         self.enabling = Enabling::No;
         self.cancelling = false;
         self.recovering_since_ms = None;
-        let has_power = !self.condition.unpowered;
-        if has_power {
+        // Silence of the drives is no proof: what they were asked for counts too.
+        let may_have_power = matches!(self.power, Power::On | Power::QuickStop) || !self.condition.unpowered;
+        if may_have_power {
             self.mode = Mode::Stopping;
-            self.begin_stop();
+            if self.stop.is_none() {
+                self.begin_stop();
+            }
         } else {
             self.act(Action::Power(Power::Off));
             self.mode = Mode::Fault;
@@ -555,7 +592,7 @@ impl Application {
         let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
-            Mode::Drawing | Mode::Moving if at_rest => self.mode = Mode::Idle,
+            Mode::Drawing | Mode::Moving | Mode::Holding if at_rest => self.mode = Mode::Idle,
             Mode::Stopping if self.cancelling && at_rest => {
                 self.cancelling = false;
                 self.mode = Mode::Idle;

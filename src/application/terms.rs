@@ -144,4 +144,6 @@ pub enum Refusal {
     Moving,
     /// A value is not a finite number.
     NotFinite,
+    /// Too many commands at once.
+    Busy,
 }

@@ -28,7 +28,6 @@ pub struct PositionController {
     feed_forward_gain: f64,
     lead_ms: f64,
     age_ms: f64,
-    output_max_rad_s: f64,
     history: [f64; HISTORY],
     newest: usize,
     filled: bool,
@@ -43,7 +42,6 @@ impl PositionController {
             feed_forward_gain: axis.feed_forward_gain,
             lead_ms: within(axis.feed_forward_lead_ms, LEAD_MAX_MS),
             age_ms: within(axis.measurement_age_ms, AGE_MAX_MS),
-            output_max_rad_s: axis.output_max_rad_s,
             history: [0.0; HISTORY],
             newest: 0,
             filled: false,
@@ -60,17 +58,12 @@ impl PositionController {
     /// `reference_rad` is the position reference of this millisecond, `measured_rad` the latest measurement. `ahead`
     /// gives the velocity references from this millisecond on; where it ends, its last value goes on.
     ///
-    /// Returns the velocity command, rad/s at the joint.
+    /// Returns the velocity command, rad/s at the joint, before any clamp; not finite when an input is not.
     pub fn step(&mut self, reference_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
         self.remember(reference_rad);
         let error = self.reference_at_age() - measured_rad;
         let forward = interpolate(ahead, self.lead_ms + DIFFERENCE_CENTRE_MS);
-        let command = self.feedback_gain_per_s * error + self.feed_forward_gain * forward;
-        if command.is_finite() {
-            command.min(self.output_max_rad_s).max(0.0 - self.output_max_rad_s)
-        } else {
-            0.0
-        }
+        self.feedback_gain_per_s * error + self.feed_forward_gain * forward
     }
 
     /// The reference that the latest measurement is compared with, rad.
@@ -148,11 +141,10 @@ mod tests {
     }
 
     #[test]
-    fn the_command_is_limited_and_never_not_a_number() {
+    fn the_command_is_not_clamped_so_that_the_supervision_sees_what_was_asked_for() {
         let mut controller = PositionController::new(&axis(1.0, 3.1));
-        assert_eq!(controller.step(10.0, 0.0, [0.0]), 27.0);
-        assert_eq!(controller.step(-90.0, 50.0, [0.0]), -27.0);
-        assert_eq!(controller.step(0.0, f64::NAN, [0.0]), 0.0);
+        assert_eq!(controller.step(10.0, 0.0, [0.0]), 800.0);
+        assert!(controller.step(0.0, f64::NAN, [0.0]).is_nan());
     }
 
     #[test]

@@ -27,6 +27,8 @@ use heapless::spsc::{Consumer, Producer};
 pub const PERIOD_NS: u32 = 1_000_000;
 /// The output telegram counts as late when it is not with the MAC this long after the release, ns.
 pub const OUTPUT_LATE_NS: u32 = 500_000;
+/// Frames taken in one run of `bus_frame`, so that foreign traffic cannot keep the critical tasks busy.
+pub const FRAMES_PER_RUN: usize = 8;
 /// Samples between two releases of the trajectory task.
 pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
 /// References the sampler looks ahead, for the feed-forward that is read ahead of time.
@@ -147,7 +149,8 @@ pub struct Sampler<'a> {
     measured_rad: [f64; AXES],
     measured_rad_s: [f64; AXES],
     still_ms: u16,
-    late: bool,
+    late: u16,
+    missed: u32,
     counters: SamplerCounters,
 }
 
@@ -183,20 +186,28 @@ impl<'a> Sampler<'a> {
             measured_rad: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
             still_ms: 0,
-            late: false,
+            late: 0,
+            missed: 0,
             counters: SamplerCounters::default(),
         }
     }
 
-    /// Releases a millisecond: sends the input telegram. `elapsed_ns` is the time since the nominal release.
+    /// Releases a millisecond: sends the input telegram. `elapsed_ns` is the time since the nominal release, and
+    /// `missed` counts the milliseconds since the start in which no sample could be released.
     ///
     /// Returns whether the trajectory task is to be released.
-    pub fn sample<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) -> bool {
+    pub fn sample<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32, missed: u32) -> bool {
         if self.phase == Phase::Input {
             // Neither the reply nor the deadline came in the last millisecond.
             self.finish(transport, PERIOD_NS.saturating_add(elapsed_ns));
         }
         self.counters.cycles = self.counters.cycles.wrapping_add(1);
+        let newly_missed = missed.wrapping_sub(self.missed);
+        self.missed = missed;
+        self.counters.cycles_late = self.counters.cycles_late.wrapping_add(newly_missed);
+        self.late = self
+            .late
+            .saturating_add(u16::try_from(newly_missed).unwrap_or(u16::MAX));
         self.take_commands();
         let exchange = &mut self.exchange;
         transport.send(|frame| exchange.input_telegram(frame));
@@ -204,13 +215,19 @@ impl<'a> Sampler<'a> {
         self.counters.cycles.is_multiple_of(TRAJECTORY_PERIOD)
     }
 
-    /// Takes the frames the MAC has received; the input reply leads to the output telegram.
-    pub fn bus_frame<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
-        while let Some(arrival) = transport.receive(|frame| self.exchange.receive(frame)) {
+    /// Takes frames the MAC has received, at most [`FRAMES_PER_RUN`]; the input reply leads to the output telegram.
+    ///
+    /// Returns whether more may be waiting: then this is to be called again, after what is as urgent.
+    pub fn bus_frame<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) -> bool {
+        for _ in 0..FRAMES_PER_RUN {
+            let Some(arrival) = transport.receive(|frame| self.exchange.receive(frame)) else {
+                return false;
+            };
             if arrival == Arrival::Input && self.phase == Phase::Input {
                 self.finish(transport, elapsed_ns);
             }
         }
+        true
     }
 
     /// The input reply is overdue: predicts, steps and sends the output telegram.
@@ -230,8 +247,9 @@ impl<'a> Sampler<'a> {
         self.write(following, &output_rad_s);
         let exchange = &mut self.exchange;
         let sending = transport.send(|frame| exchange.output_telegram(frame));
-        self.late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
-        self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(self.late));
+        let late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
+        self.late = u16::from(late);
+        self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
         self.report(following, output_rad_s);
     }
 
@@ -271,6 +289,8 @@ impl<'a> Sampler<'a> {
             let before_rad = self.measured_rad[axis];
             let Some(input) = self.inputs[axis] else {
                 self.measured_rad[axis] = before_rad + self.measured_rad_s[axis] / CYCLES_PER_S;
+                // Silence is no standstill: the last speed that was seen decides.
+                still &= self.measured_rad_s[axis].abs() < STANDSTILL_RAD_S;
                 continue;
             };
             self.status[axis] = input.status;
@@ -339,6 +359,7 @@ impl<'a> Sampler<'a> {
             drive_fault: [false; AXES],
             reference_lost: [false; AXES],
             al_status: self.exchange.al_status().map(|al| al.status as u8),
+            power: self.power == Power::On,
             following: following || underrun,
             underrun,
             late: self.late,

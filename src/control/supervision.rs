@@ -29,12 +29,14 @@ pub struct Observation {
     pub reference_lost: [bool; AXES],
     /// AL state of all slaves, OR-ed, with the error flag, when the broadcast came back.
     pub al_status: Option<u8>,
+    /// Whether the drives are to have power.
+    pub power: bool,
     /// Whether the drives follow references.
     pub following: bool,
     /// Whether the ring of references was empty.
     pub underrun: bool,
-    /// Whether the last output telegram was late.
-    pub late: bool,
+    /// Output telegrams since the last cycle that were late or not sent at all.
+    pub late: u16,
 }
 
 /// AL state OP without the error flag.
@@ -96,8 +98,11 @@ impl Supervision {
                 self.latch(Fault::ReferenceLost { axis: number });
             }
         }
-        if seen.following {
+        if seen.power {
             self.look_at_bus(bus, seen);
+            self.look_at_drives(seen);
+        }
+        if seen.following {
             self.look_at_axes(axes, seen);
         } else {
             self.clamped = [0; AXES];
@@ -105,8 +110,8 @@ impl Supervision {
         self.fault
     }
 
-    fn count_late(&mut self, bus: &Bus, late: bool, following: bool) {
-        self.late += u16::from(late);
+    fn count_late(&mut self, bus: &Bus, late: u16, following: bool) {
+        self.late = self.late.saturating_add(late);
         if following && self.late > bus.late_max_per_s {
             self.latch(Fault::CyclesLate {
                 late: self.late,
@@ -146,7 +151,7 @@ impl Supervision {
         }
     }
 
-    fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+    fn look_at_drives(&mut self, seen: &Observation) {
         for (axis, number) in (0..AXES).zip(0u8..) {
             if seen.drive_fault[axis] {
                 self.latch(Fault::Drive {
@@ -154,6 +159,11 @@ impl Supervision {
                     status_word: seen.status_word[axis],
                 });
             }
+        }
+    }
+
+    fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+        for (axis, number) in (0..AXES).zip(0u8..) {
             let (error, limit) = (seen.following_error_rad[axis].abs(), axes[axis].following_error_max_rad);
             if error.is_nan() || error > limit {
                 self.latch(Fault::FollowingError {
@@ -163,7 +173,11 @@ impl Supervision {
                 });
             }
             let (output, limit) = (seen.output_rad_s[axis].abs(), axes[axis].output_max_rad_s);
-            self.clamped[axis] = if output <= limit { 0 } else { self.clamped[axis] + 1 };
+            self.clamped[axis] = if output <= limit {
+                0
+            } else {
+                self.clamped[axis].saturating_add(1)
+            };
             if self.clamped[axis] >= CLAMPED_CYCLES_MAX {
                 let (output_rad_s, limit_rad_s) = (seen.output_rad_s[axis] as f32, limit as f32);
                 self.latch(Fault::OutputLimit {
@@ -189,9 +203,10 @@ mod tests {
             drive_fault: [false; AXES],
             reference_lost: [false; AXES],
             al_status: Some(AL_OPERATIONAL),
+            power: true,
             following: true,
             underrun: false,
-            late: false,
+            late: 0,
         }
     }
 
@@ -271,7 +286,7 @@ mod tests {
 
     #[test]
     fn more_late_cycles_than_configured_within_a_second_fault_when_something_moves() {
-        let late = Observation { late: true, ..well() };
+        let late = Observation { late: 1, ..well() };
         assert_eq!(run(10, &late), None);
         assert_eq!(run(11, &late), Some(Fault::CyclesLate { late: 11, limit: 10 }));
         assert_eq!(
@@ -299,6 +314,7 @@ mod tests {
     #[test]
     fn nothing_that_moves_nothing_is_a_fault() {
         let idle = Observation {
+            power: false,
             following: false,
             valid: [false; AXES],
             drive_fault: [true; AXES],

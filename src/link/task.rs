@@ -24,6 +24,9 @@ pub const STATUS_PERIOD_MS: u32 = 500;
 /// Bytes kept waiting for the line; few, so that an answer does not queue behind telemetry.
 const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
 
+/// Orders to the trajectory that a stop, a hold or a cancel finds room for whatever else was asked.
+const ORDERS_KEPT_FREE: usize = 8;
+
 /// The link task's ends of the channels.
 pub struct LinkEnds<'a> {
     /// Bytes from the host.
@@ -59,7 +62,7 @@ pub struct LinkTask<'a> {
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
-    now_ms: u32,
+    now_ms: u64,
     told: (Mode, Option<Fault>, u32),
 }
 
@@ -99,33 +102,37 @@ impl<'a> LinkTask<'a> {
 
     /// One millisecond.
     pub fn tick(&mut self) {
-        self.now_ms = self.now_ms.wrapping_add(1);
         self.take_events();
         self.take_reports();
+        self.tell_time();
         self.take_bytes();
         let up_to_date = self.motion.orders == self.orders_sent;
         let progress = Progress {
             idle: self.motion.idle && up_to_date,
             held: self.motion.held && up_to_date,
         };
-        let silence_ms = self
-            .endpoint
-            .silence_ms(u64::from(self.now_ms))
-            .unwrap_or(u64::from(u32::MAX));
+        let silence_ms = self.endpoint.silence_ms(self.now_ms).unwrap_or(u64::from(u32::MAX));
         let silence_ms = u32::try_from(silence_ms).unwrap_or(u32::MAX);
         for action in self
             .application
-            .step(self.now_ms, &self.condition, progress, silence_ms)
+            .step(self.now_ms as u32, &self.condition, progress, silence_ms)
         {
             self.carry_out(action);
         }
         self.tell();
     }
 
+    /// Time is the sampler's: releases of this task that come while it is kept waiting merge into one.
+    fn tell_time(&mut self) {
+        let cycle = self.report.map_or(0, |report| report.cycle);
+        let passed_ms = cycle.wrapping_sub(self.now_ms as u32);
+        self.now_ms = self.now_ms.wrapping_add(u64::from(passed_ms));
+    }
+
     fn take_bytes(&mut self) {
         while let Some(byte) = self.ends.received.dequeue() {
             let free = self.free();
-            match self.endpoint.receive(byte, u64::from(self.now_ms), free) {
+            match self.endpoint.receive(byte, self.now_ms, free) {
                 None => {}
                 Some(DeviceEvent::Connected | DeviceEvent::Inquire) => self.tell_status(),
                 Some(DeviceEvent::Configure { id, config }) => {
@@ -172,28 +179,34 @@ impl<'a> LinkTask<'a> {
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal> {
-        let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured);
+        let orders = &self.ends.motion_orders;
+        let moves = matches!(
+            command,
+            Command::Jog { .. } | Command::Move { .. } | Command::Pen { .. } | Command::Override { .. }
+        );
+        if moves && orders.capacity() - orders.len() < ORDERS_KEPT_FREE {
+            return Err(Refusal::Busy);
+        }
         if let Command::Move { position } = command {
-            let admission = admission?;
-            admission.restart();
-            admission
-                .check(
-                    0,
-                    &Vertex {
-                        position,
-                        pen: Pen::Up,
-                        stroke: 0,
-                    },
-                )
-                .map_err(Refusal::Target)?;
+            let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured)?;
+            admission.restart_at(&self.condition.pose);
+            let vertex = Vertex {
+                position,
+                pen: Pen::Up,
+                stroke: 0,
+            };
+            admission.check(0, &vertex).map_err(Refusal::Target)?;
         }
         self.application.command(command)?;
         if let Command::Draw { .. } = command {
             self.vertices_admitted = 0;
             if let Some(admission) = &mut self.admission {
-                admission.restart();
+                admission.restart_at(&self.condition.pose);
             }
             self.motion = MotionReport::default();
+        }
+        for action in self.application.take_actions() {
+            self.carry_out(action);
         }
         Ok(())
     }
@@ -343,14 +356,14 @@ impl<'a> LinkTask<'a> {
         self.endpoint.acknowledge(motion.executed.min(followed), free, finished);
         let (mode, fault, since_ms) = self.told;
         let changed = mode != self.application.mode() || fault != self.application.fault();
-        if changed || self.now_ms.wrapping_sub(since_ms) >= STATUS_PERIOD_MS {
+        if changed || (self.now_ms as u32).wrapping_sub(since_ms) >= STATUS_PERIOD_MS {
             self.tell_status();
         }
         let room = SENT_AHEAD_BYTES.saturating_sub(self.ends.sent.len());
         let mut bytes = [0; SENT_AHEAD_BYTES];
         let length = self
             .endpoint
-            .transmit(u64::from(self.now_ms), bytes.get_mut(..room).unwrap_or_default());
+            .transmit(self.now_ms, bytes.get_mut(..room).unwrap_or_default());
         for byte in bytes.iter().take(length) {
             // There is room: the queue is longer than SENT_AHEAD_BYTES.
             let _ = self.ends.sent.enqueue(*byte);
@@ -358,7 +371,7 @@ impl<'a> LinkTask<'a> {
     }
 
     fn tell_status(&mut self) {
-        self.told = (self.application.mode(), self.application.fault(), self.now_ms);
+        self.told = (self.application.mode(), self.application.fault(), self.now_ms as u32);
         if let Some(report) = &self.report {
             for (slave, status_word) in self.slaves.iter_mut().zip(report.status_word) {
                 slave.status_word = status_word;
@@ -395,7 +408,8 @@ fn condition(report: &CycleReport) -> Condition {
         pose: JointAngles(report.measured_rad),
         referenced: report.referenced.iter().all(|referenced| *referenced),
         powered: valid && status.iter().all(in_operation),
-        unpowered: !answering().any(|status| status.is_powered()),
+        // A drive that does not answer is as it was when it last did.
+        unpowered: !status.iter().any(|status| status.is_powered()),
         standstill: report.standstill,
         drive_fault: answering().any(|status| status.is_fault()),
         inputs_valid: valid,

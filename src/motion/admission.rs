@@ -7,7 +7,7 @@
 use super::{Refusal, RefusalReason, Vertex};
 use crate::config::Config;
 use crate::robot::vector::{Vector, add_scaled, length, subtract};
-use crate::robot::{GeometryError, Outside, Position, WorkArea};
+use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
 
 /// Distance of the points that are checked on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
@@ -21,6 +21,8 @@ const LEG_CHECKS_MAX: u32 = 4_000;
 pub struct Admission {
     area: WorkArea,
     previous: Option<Position>,
+    /// Where the robot stands when the path begins.
+    start: Option<Position>,
 }
 
 impl Admission {
@@ -32,12 +34,22 @@ impl Admission {
         Ok(Self {
             area: WorkArea::new(config)?,
             previous: None,
+            start: None,
         })
     }
 
-    /// Begins a new path.
+    /// Begins a new path from anywhere.
     pub fn restart(&mut self) {
         self.previous = None;
+        self.start = None;
+    }
+
+    /// Begins a new path from a pose: the way to its first vertex is checked too, unless the robot stands outside the
+    /// work area and has to come in.
+    pub fn restart_at(&mut self, pose: &JointAngles) {
+        self.previous = None;
+        let position = self.area.delta().forward(pose).ok();
+        self.start = position.filter(|position| self.area.check(position).is_ok());
     }
 
     /// Checks vertex `index` of the path; one that is refused leaves the state as it was.
@@ -57,14 +69,16 @@ impl Admission {
             return Err(RefusalReason::NotFinite);
         }
         self.area.check(position).map_err(RefusalReason::Outside)?;
+        let leaves = |(at, outside)| RefusalReason::Leg { at, outside };
         let Some(previous) = self.previous else {
-            return Ok(());
+            let Some(start) = self.start else { return Ok(()) };
+            return check_leg(&self.area, &start, position).map_err(leaves);
         };
         let distance_mm = length(&subtract(&point, &previous.into()));
         if distance_mm < LEG_MIN_MM {
             return Err(RefusalReason::Repeated { distance_mm });
         }
-        check_leg(&self.area, &previous, position).map_err(|(at, outside)| RefusalReason::Leg { at, outside })
+        check_leg(&self.area, &previous, position).map_err(leaves)
     }
 }
 

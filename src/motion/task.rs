@@ -214,8 +214,8 @@ impl<'a> TrajectoryTask<'a> {
 fn take_vertices(trajectory: &mut Trajectory, vertices: &mut Consumer<'_, PathItem>, mut path: PathPhase) -> PathPhase {
     while matches!(path, PathPhase::Gathering | PathPhase::Running) {
         if trajectory.free() == 0 {
-            if path == PathPhase::Gathering {
-                let _ = trajectory.command(MotionCommand::Start);
+            if path == PathPhase::Gathering && trajectory.command(MotionCommand::Start).is_err() {
+                return PathPhase::None;
             }
             return PathPhase::Running;
         }
@@ -224,8 +224,8 @@ fn take_vertices(trajectory: &mut Trajectory, vertices: &mut Consumer<'_, PathIt
             Some(PathItem::Vertex(vertex)) => drop(trajectory.push(vertex)),
             Some(PathItem::End) => {
                 trajectory.finish();
-                if path == PathPhase::Gathering {
-                    let _ = trajectory.command(MotionCommand::Start);
+                if path == PathPhase::Gathering && trajectory.command(MotionCommand::Start).is_err() {
+                    return PathPhase::None;
                 }
                 path = PathPhase::Complete;
             }

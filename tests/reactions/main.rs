@@ -121,6 +121,56 @@ fn stalled_frames_stop_the_motors_by_the_drives_own_watchdog() {
 }
 
 #[test]
+fn motors_that_answer_no_more_are_stopped_by_the_quick_stop_that_they_still_hear() {
+    let mut robot = Robot::drawing();
+    let mut quick_stop_seen = false;
+    for _ in 0..400 {
+        robot.inject(CellFault::Lose);
+        robot.inject(CellFault::Lose);
+        robot.run(1);
+        let cell = robot.cell();
+        quick_stop_seen |= cell
+            .slaves
+            .iter()
+            .any(|slave| slave.drive == DriveState::QuickStopActive);
+    }
+    assert!(quick_stop_seen, "braking under control, not coasting");
+    assert!(robot.speed_rad_s() < STILL_RAD_S);
+    assert_described_standstill(&mut robot, |fault| {
+        matches!(fault, Fault::Blind { .. } | Fault::SlaveLost { .. })
+    });
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn a_repeated_stop_does_not_keep_the_robot_stopping() {
+    let mut robot = Robot::drawing();
+    for _ in 0..20 {
+        robot.command(Command::Stop).unwrap();
+        robot.run(30);
+    }
+    assert_eq!(robot.mode(), Mode::Fault);
+}
+
+#[test]
+fn a_stop_before_any_configuration_is_acknowledged() {
+    let mut robot = Robot::new();
+    robot.run(200);
+    robot.command(Command::Stop).unwrap();
+    robot.wait_for(Mode::Fault);
+    robot.configure(&Config::default());
+    assert_eq!(
+        robot.configured[0],
+        Err(ConfigRefusal::NotInMode(Mode::Fault)),
+        "a fault is acknowledged first"
+    );
+    robot.command(Command::Acknowledge).unwrap();
+    robot.run(600);
+    robot.configure(&Config::default());
+    robot.wait_for(Mode::DrivesOff);
+}
+
+#[test]
 fn a_slave_that_leaves_op_is_named_with_its_al_code() {
     let mut robot = Robot::drawing();
     robot.inject(CellFault::Retreat(4, 0x001A));

@@ -4,6 +4,7 @@ use crate::link::job::{DrawJob, JobEvent};
 use crate::link::port::Show;
 use crate::link::progress::Progress;
 use crate::link::text;
+use etherpen::application::Mode;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 
@@ -104,6 +105,7 @@ fn event_text(event: &JobEvent) -> Option<String> {
         JobEvent::SamplesMissing { missing, t_ms } => {
             Some(format!("{missing} telemetry samples were lost before t = {t_ms} ms"))
         }
+        JobEvent::Mode(Mode::Holding) => Some("the robot holds; Enter resumes, Ctrl-C cancels".to_owned()),
         JobEvent::Mode(_) => None,
     }
 }

@@ -21,7 +21,8 @@ pub struct Arguments {
     /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]
     port: String,
-    /// Acknowledge a fault that is latched from before; lost drives are brought back.
+    /// Acknowledge a fault that is latched from before (lost drives are brought back), and cancel a drawing that was
+    /// left behind.
     #[arg(long)]
     acknowledge: bool,
     #[command(flatten)]
@@ -45,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let vertices: Vec<_> = prepared.path.iter().map(to_wire).collect();
     let options = JobOptions {
-        session: std::process::id(),
+        session: session_number(),
         acknowledge: arguments.acknowledge,
         ..JobOptions::default()
     };
@@ -66,6 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         cell: None,
         image,
         planned_s,
+        completed: result.is_ok(),
     };
     let report = outcome.report();
     // A drawing that never began has nothing to show.
@@ -83,6 +85,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         super::print_json(&report)?;
     }
     Ok(())
+}
+
+/// A number that no other connection to the firmware has had: process numbers alone come again.
+fn session_number() -> u32 {
+    let since = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap_or_default();
+    (since.as_nanos() as u32 ^ std::process::id().rotate_left(16)).max(1)
 }
 
 /// What the person at the keyboard asks for: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
@@ -111,7 +121,8 @@ fn operator() -> Result<Receiver<Control>, CommandError> {
     });
     std::thread::spawn(move || {
         for _ in std::io::stdin().lines().map_while(Result::ok) {
-            if held.swap(false, Ordering::Relaxed) && resume.send(Control::Resume).is_err() {
+            held.store(false, Ordering::Relaxed);
+            if resume.send(Control::Resume).is_err() {
                 return;
             }
         }

@@ -28,8 +28,10 @@ pub(super) struct Outcome<'a> {
     pub(super) cell: Option<(&'a Cell, &'a CellOptions)>,
     /// Name or hash of what ran.
     pub(super) image: String,
-    /// Planner's duration, s.
+    /// Planner's duration, s; not a number where the path cannot be planned.
     pub(super) planned_s: f64,
+    /// Whether the job ended as it should.
+    pub(super) completed: bool,
 }
 
 impl Outcome<'_> {
@@ -52,7 +54,7 @@ impl Outcome<'_> {
                 .as_ref()
                 .map(|status| status.counters)
                 .unwrap_or_default(),
-            telemetry_lost: u32::try_from(self.job.link.samples_missing).unwrap_or(u32::MAX),
+            completed: self.completed,
             planned_s: self.planned_s,
             image: self.image.clone(),
             drives,

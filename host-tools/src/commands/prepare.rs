@@ -83,19 +83,20 @@ fn from_wire(wire: &PathVertex) -> Vertex {
     }
 }
 
-/// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end.
+/// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end; not a
+/// number where it cannot be planned.
 pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
     use etherpen::motion::{MotionCommand, MotionState, PERIOD_MS, Trajectory};
     use etherpen::robot::{Delta, JointAngles};
-    let Some(first) = path.first() else { return 0.0 };
+    let Some(first) = path.first() else { return f64::NAN };
     let Ok(delta) = Delta::new(&config.geometry) else {
-        return 0.0;
+        return f64::NAN;
     };
     let Ok([a, b, c]) = delta.inverse(&first.position) else {
-        return 0.0;
+        return f64::NAN;
     };
     let Ok(mut trajectory) = Trajectory::new(config).map(Box::new) else {
-        return 0.0;
+        return f64::NAN;
     };
     trajectory.place(JointAngles([a, b, c, 0.0]));
     let mut rest = path.iter();
@@ -111,13 +112,14 @@ pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
                 }
             }
         }
-        if !started {
-            started = trajectory.command(MotionCommand::Start).is_ok();
+        if !started && trajectory.command(MotionCommand::Start).is_err() {
+            return f64::NAN;
         }
+        started = true;
         let moved = trajectory.step().len();
         debug_assert_eq!(moved, PERIOD_MS);
         periods += 1;
-        if !started || (trajectory.state() == MotionState::Idle && rest.len() == 0) {
+        if trajectory.state() == MotionState::Idle && rest.len() == 0 {
             return f64::from(periods) * PERIOD_MS as f64 / 1_000.0;
         }
     }

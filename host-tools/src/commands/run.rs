@@ -46,6 +46,7 @@ pub fn conclude(
         cell: Some((&drawn.cell, &task.cell)),
         image,
         planned_s: planned_s(&task.config, &prepared.path),
+        completed: matches!(drawn.outcome, Some(Ok(()))),
     };
     let report = outcome.report();
     if let Some(dir) = dir {

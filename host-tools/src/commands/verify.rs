@@ -2,7 +2,6 @@
 
 use super::{CommandError, code, in_colour};
 use crate::setup::{self, TARGET};
-use std::process::Command;
 use std::time::Instant;
 
 /// Options of `etherpen verify`.
@@ -89,8 +88,8 @@ fn announce(name: &str) {
 }
 
 fn step(name: &str, arguments: &[&str]) -> Result<(), CommandError> {
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-    command.args(arguments).current_dir(setup::workspace());
+    let mut command = setup::cargo();
+    command.args(arguments);
     if arguments.first() == Some(&"doc") {
         command.env("RUSTDOCFLAGS", "-D warnings");
     }

@@ -48,13 +48,20 @@ pub(crate) struct Directory {
 impl Directory {
     pub(crate) fn make() -> Result<Self, EmulatorError> {
         watch_signals()?;
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let name = format!("etherpen-{}-{number}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        fs::create_dir(&path).map_err(EmulatorError::io(format!(
-            "making the emulator's working directory {}",
-            path.display()
-        )))?;
+        let path = loop {
+            let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+            let name = format!("etherpen-{}-{number}", std::process::id());
+            let path = std::env::temp_dir().join(name);
+            match fs::create_dir(&path) {
+                Ok(()) => break path,
+                // Left behind by a program that had the same process number.
+                Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(cause) => {
+                    let what = format!("making the emulator's working directory {}", path.display());
+                    return Err(EmulatorError::Io { what, cause });
+                }
+            }
+        };
         live().push(Live {
             directory: path.clone(),
             child: None,

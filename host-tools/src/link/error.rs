@@ -142,7 +142,7 @@ impl fmt::Display for JobError {
             ),
             Self::Busy(mode) => write!(
                 f,
-                "the robot is busy: {}; wait for it, or cancel what it does",
+                "the robot is busy: {}; wait for it, or end what it does with `draw --acknowledge`",
                 text::mode(*mode)
             ),
             Self::Refused(command, refusal) => {

@@ -167,8 +167,15 @@ impl DrawJob {
 
     /// Does what an operator asks for.
     pub fn control(&mut self, control: Control) {
+        let holding = self.status.as_ref().is_some_and(|status| status.mode == Mode::Holding);
         let command = match control {
+            // Before the drawing there is nothing to hold: it does not begin.
+            Control::Hold if self.phase != Phase::Drawing => {
+                self.ending.get_or_insert(JobError::Cancelled);
+                return;
+            }
             Control::Hold => Command::Hold,
+            Control::Resume if !holding => return,
             Control::Resume => Command::Resume,
             Control::Override(percent) => Command::Override { percent },
             Control::Stop => {
@@ -352,8 +359,12 @@ impl DrawJob {
         match self.phase {
             Phase::Connecting | Phase::Configuring => {}
             Phase::Inspecting => self.inspect(mode),
-            Phase::Acknowledging if mode != Mode::Fault => self.enter(Phase::Inspecting),
-            Phase::Acknowledging => self.request(Command::Acknowledge),
+            Phase::Acknowledging => match mode {
+                Mode::Fault => self.request(Command::Acknowledge),
+                Mode::Drawing | Mode::Holding | Mode::Moving => self.request(Command::Cancel),
+                Mode::Stopping => {}
+                _ => self.enter(Phase::Inspecting),
+            },
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
                     self.enter(Phase::Referencing);
@@ -370,10 +381,11 @@ impl DrawJob {
     }
 
     fn inspect(&mut self, mode: Mode) {
-        if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping) {
+        let busy = matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping);
+        if busy && !self.options.acknowledge {
             return self.fail(JobError::Busy(mode));
         }
-        if mode == Mode::Fault {
+        if busy || mode == Mode::Fault {
             return self.enter(Phase::Acknowledging);
         }
         let in_force = self.status.as_ref().and_then(|status| status.config);

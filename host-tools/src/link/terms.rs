@@ -17,7 +17,7 @@ pub struct JobOptions {
     pub job: u16,
     /// Longest wait for the firmware's answer to the greeting, ms.
     pub connect_max_ms: u64,
-    /// Whether a fault that was latched before is acknowledged.
+    /// Whether a fault that was latched before is acknowledged, and a drawing left behind cancelled.
     pub acknowledge: bool,
 }
 

@@ -56,6 +56,7 @@ pub fn refusal(refusal: &Refusal) -> String {
         Refusal::OverrideRange(percent) => format!("an override of {percent} % is outside 10 to 200 %"),
         Refusal::CauseRemains(cause) => format!("its cause is still there: {}", fault(cause)),
         Refusal::Moving => "the robot is still moving or changing its power; try again when it stands".into(),
+        Refusal::Busy => "too many commands at once; wait a moment".into(),
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
     }
 }

@@ -133,9 +133,10 @@ mod app {
         let wire = transport.driver_mut();
         wire.clock.release();
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
-        PERIODS_MISSED.store(wire.clock.missed(), Ordering::Relaxed);
+        let missed = wire.clock.missed();
+        PERIODS_MISSED.store(missed, Ordering::Relaxed);
         let elapsed_ns = wire.clock.elapsed_ns();
-        if sampler.sample(transport, elapsed_ns) {
+        if sampler.sample(transport, elapsed_ns, missed) {
             TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
             rtic::pend(Interrupt::FREE15);
         }
@@ -153,7 +154,9 @@ mod app {
         let wire = transport.driver_mut();
         wire.clock.delivery.acknowledge();
         let elapsed_ns = wire.clock.elapsed_ns();
-        sampler.bus_frame(transport, elapsed_ns);
+        if sampler.bus_frame(transport, elapsed_ns) {
+            rtic::pend(Interrupt::DUAL_TIMER);
+        }
     }
 
     /// Hands a received frame's interrupt on to `bus_frame`.

@@ -49,13 +49,14 @@ impl Periods {
         Periods { last: None }
     }
 
-    /// Call at each release of the sample.
-    pub(crate) fn released(&mut self) {
+    /// Call at each release of the sample; gives the periods missed since the start.
+    pub(crate) fn released(&mut self) -> u32 {
         let now = free_run();
         if let Some(last) = self.last.replace(now) {
             let periods = (now.wrapping_sub(last) + PERIOD_COUNTS / 2) / PERIOD_COUNTS;
             PERIODS_MISSED.fetch_add(periods.saturating_sub(1), Ordering::Relaxed);
         }
+        PERIODS_MISSED.load(Ordering::Relaxed)
     }
 }
 

@@ -143,9 +143,9 @@ mod app {
         const { assert!(CRITICAL_PRIORITY == 15) };
         health::woke();
         timer::acknowledge_sample();
-        context.local.periods.released();
+        let missed = context.local.periods.released();
         let resources = context.shared;
-        if resources.sampler.sample(resources.wire, timer::elapsed_ns()) {
+        if resources.sampler.sample(resources.wire, timer::elapsed_ns(), missed) {
             health::trajectory_released();
             rtic::pend(Interrupt::LPTIM2);
         }
@@ -161,7 +161,9 @@ mod app {
         health::woke();
         let resources = context.shared;
         resources.wire.driver_mut().acknowledge();
-        resources.sampler.bus_frame(resources.wire, timer::elapsed_ns());
+        if resources.sampler.bus_frame(resources.wire, timer::elapsed_ns()) {
+            rtic::pend(Interrupt::ETH);
+        }
     }
 
     /// Sends the output telegram on predicted positions if no valid input has come.

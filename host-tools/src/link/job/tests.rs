@@ -206,14 +206,17 @@ fn stop_is_a_fault_and_an_operators_refused_command_is_only_told() {
     let mut refused = 0;
     run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
         match now_ms {
+            // A resume is sent only to a robot that holds; a second hold is refused.
             300 => job.control(Control::Resume),
+            310 => job.control(Control::Hold),
+            400 => job.control(Control::Hold),
             500 => job.control(Control::Stop),
             _ => {}
         }
         let told = events(job);
         refused += told
             .iter()
-            .filter(|event| matches!(event, JobEvent::Refused(Command::Resume, _)))
+            .filter(|event| matches!(event, JobEvent::Refused(Command::Hold | Command::Resume, _)))
             .count();
     });
     let by_link = Fault::EmergencyStop(etherpen::application::StopSource::Link);
@@ -289,4 +292,33 @@ fn nonsense_in_good_frames_makes_no_panic() {
         }
     }
     assert!(understood > 200, "{understood}");
+}
+
+#[test]
+fn a_hold_before_the_drawing_begins_ends_the_job_without_a_stroke() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(100));
+    run(&mut bench, &mut job, 5_000, |now_ms, _, job| {
+        if now_ms == 5 {
+            job.control(Control::Hold);
+        }
+    });
+    assert_eq!(job.outcome(), Some(&Err(JobError::Cancelled)));
+    assert!(bench.vertices.is_empty());
+}
+
+#[test]
+fn a_drawing_left_behind_is_cancelled_when_the_person_says_so() {
+    let options = JobOptions {
+        acknowledge: true,
+        ..JobOptions::default()
+    };
+    let (mut bench, mut job) = (Bench::new(1, 0), DrawJob::new(Config::default(), path(10), options));
+    (bench.mode, bench.referenced) = (Mode::Holding, true);
+    run(&mut bench, &mut job, 10_000, |_, _, _| {});
+    assert_eq!(bench.commands.first(), Some(&Command::Cancel));
+    assert!(
+        !matches!(job.outcome(), Some(Err(JobError::Busy(_)))),
+        "{:?}",
+        job.outcome()
+    );
 }
