@@ -21,8 +21,8 @@ pub struct Arguments {
     /// How fast virtual time may go.
     #[arg(long, value_enum, default_value_t = PaceArgument::Realtime)]
     pace: PaceArgument,
-    /// Run without lockstep, the serial link on the board's UART. For play on an idle machine: whatever delays the
-    /// emulator for more than the drives' watchdog ends in a fault.
+    /// Run without lockstep, the serial link on the board's UART: for play. What delays the emulator for longer than the
+    /// drives' watchdog ends in a fault; samples/play.toml is patient.
     #[arg(long)]
     free_running: bool,
     /// Scripted faults of the virtual segment, one a line.

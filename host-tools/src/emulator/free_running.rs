@@ -51,7 +51,15 @@ impl FreeRunning {
         let port = free_port(port).map_err(EmulatorError::io(format!("TCP port {port}")))?;
         let mut arguments = machine(image)?;
         let uart = format!("socket,id=uart,host=127.0.0.1,port={port},server=on,wait=off");
-        arguments.extend(["-chardev", &uart, "-serial", "chardev:uart"].map(OsString::from));
+        // Counted instructions keep the firmware's tasks in proportion when the machine is busy; the clock still follows
+        // wall time.
+        let clock = ["-icount", "shift=3,sleep=on"];
+        arguments.extend(
+            clock
+                .into_iter()
+                .chain(["-chardev", &uart, "-serial", "chardev:uart"])
+                .map(OsString::from),
+        );
         let process = Process::start(qemu, &arguments, directory)?;
         let stop = Arc::new(AtomicBool::new(false));
         let peer = Peer {

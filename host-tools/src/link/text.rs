@@ -170,8 +170,8 @@ pub fn fault(fault: &Fault) -> String {
             al_state: state,
             al_code,
         } => format!(
-            "slave {} went to {}, AL code {al_code:#06x} ({}); {}",
-            one(slave),
+            "{} went to {}, AL code {al_code:#06x} ({}); {}",
+            which_slave(slave),
             al_state(state),
             al_code_text(al_code),
             al_code_hint(al_code)
@@ -221,6 +221,15 @@ pub fn fault(fault: &Fault) -> String {
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"
         ),
+    }
+}
+
+/// A slave by its place in the chain; the critical tasks see that one has left OP before it is known which.
+fn which_slave(slave: u8) -> String {
+    if slave == u8::MAX {
+        "a slave".to_owned()
+    } else {
+        format!("slave {}", one(slave))
     }
 }
 
