@@ -244,26 +244,17 @@ impl Application {
 
     /// The bus's supervisor has something to say.
     pub fn bus(&mut self, condition: BusCondition) {
-        self.bus = Some(condition);
-        match condition {
-            BusCondition::Operational => {
-                if self.mode == Mode::BusConfiguring {
-                    self.mode = Mode::DrivesOff;
-                }
-            }
-            // It answers again and only waits to be taken back: that was not the cause.
-            BusCondition::Failed(Fault::SlaveState {
-                al_state: AL_OPERATIONAL,
-                ..
-            }) if self.fault.is_some() => {}
-            // The supervisor knows which slave and why, the critical tasks only that something is wrong.
-            BusCondition::Failed(fault) => match self.fault {
-                Some(Fault::Blind { .. } | Fault::SlaveLost { .. } | Fault::SlaveState { .. }) => {
-                    self.fault = Some(fault)
-                }
-                Some(_) => {}
-                None => self.enter_fault(fault),
-            },
+        match (condition, self.bus) {
+            // The first slave that is wrong is the cause, those behind it follow from it.
+            (BusCondition::Failed(_), Some(BusCondition::Failed(_))) => {}
+            _ => self.bus = Some(condition),
+        }
+        match (condition, self.fault) {
+            (BusCondition::Operational, _) if self.mode == Mode::BusConfiguring => self.mode = Mode::DrivesOff,
+            (BusCondition::Operational, _) => {}
+            (BusCondition::Failed(fault), None) => self.enter_fault(fault),
+            (BusCondition::Failed(fault), Some(known)) if names_better(&fault, &known) => self.fault = Some(fault),
+            (BusCondition::Failed(_), Some(_)) => {}
         }
     }
 
@@ -600,6 +591,18 @@ impl Application {
             _ => {}
         }
     }
+}
+
+/// Whether `fault` tells more about what `known` was latched for: the supervisor knows which slave and why, the critical
+/// tasks only that something is wrong. A slave that answers in OP again only waits to be taken back.
+fn names_better(fault: &Fault, known: &Fault) -> bool {
+    let slave_of = |fault: &Fault| match fault {
+        Fault::SlaveLost { slave } | Fault::SlaveState { slave, .. } => Some(*slave),
+        _ => None,
+    };
+    let is_specific = !matches!(fault, Fault::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
+    let is_vague = matches!(known, Fault::Blind { .. } | Fault::SlaveState { slave: u8::MAX, .. });
+    is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(fault))
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);

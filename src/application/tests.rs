@@ -351,3 +351,23 @@ fn another_configuration_is_taken_only_without_power() {
     assert!(!Plant::idle().application.may_configure());
     assert!(!Plant::drawing().application.may_configure());
 }
+
+#[test]
+fn the_first_lost_slave_is_the_cause_and_those_behind_it_are_not() {
+    let mut plant = Plant::drawing();
+    plant.condition.fault = Some(Fault::Blind {
+        blind_ms: 6,
+        limit_ms: 5,
+    });
+    plant.run(10);
+    for slave in [1, 2, 3] {
+        plant.application.bus(BusCondition::Failed(Fault::SlaveLost { slave }));
+    }
+    let consequence = Fault::SlaveState {
+        slave: 3,
+        al_state: 0x14,
+        al_code: 0x1b,
+    };
+    plant.application.bus(BusCondition::Failed(consequence));
+    assert_eq!(plant.application.fault(), Some(Fault::SlaveLost { slave: 1 }));
+}

@@ -200,8 +200,13 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         100.0 * share
     );
     eprintln!(
-        "{} milliseconds: {}.",
+        "{} milliseconds{}: {}.",
         report.cycles,
+        if report.drives.is_some() {
+            ""
+        } else {
+            " since the board started"
+        },
         good(
             clean,
             format!(

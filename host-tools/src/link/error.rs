@@ -35,7 +35,7 @@ impl fmt::Display for Phase {
         f.write_str(match self {
             Self::Connecting => "connecting",
             Self::Inspecting => "asking for the status",
-            Self::Acknowledging => "acknowledging the fault",
+            Self::Acknowledging => "acknowledging a fault, or ending what was left behind",
             Self::Configuring => "sending the configuration",
             Self::BusUp => "bringing up the bus",
             Self::Referencing => "taking the reference",
