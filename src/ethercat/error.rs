@@ -6,9 +6,10 @@
 //! Invariant: every variant carries what was expected and what was found, or what was tried for how long.
 
 use super::wire::coe::Object;
+use serde::{Deserialize, Serialize};
 
 /// Why a step of bring-up or repair failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BusError {
     /// The frames did not come back.
     Lost {

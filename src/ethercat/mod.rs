@@ -20,6 +20,7 @@ pub mod factory;
 #[cfg(test)]
 mod fake;
 pub mod mailbox;
+pub mod service;
 pub mod slave;
 pub mod state;
 pub mod supervisor;

@@ -8,6 +8,7 @@
 use super::acyclic::AcyclicPort;
 use super::error::BusError;
 use super::wire::register;
+use serde::{Deserialize, Serialize};
 
 /// Longest wait for a state, ms, as the standard's usual time-outs.
 pub const STATE_TIMEOUT_MS: u32 = 3_000;
@@ -17,7 +18,7 @@ pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
 pub const ACKNOWLEDGE_TIMEOUT_MS: u32 = 500;
 
 /// State of a slave's application layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum AlState {
     /// No communication but registers.
@@ -58,7 +59,7 @@ impl AlState {
 }
 
 /// A slave's state with its error flag and code.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlReport {
     /// The AL status register: state and error flag.
     pub status: u8,

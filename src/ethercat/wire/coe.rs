@@ -7,6 +7,7 @@
 //! Invariant: a parsed message borrows only bytes that are there.
 
 use super::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
+use serde::{Deserialize, Serialize};
 
 /// Bytes of the CoE header.
 pub const COE_HEADER_LEN: usize = 2;
@@ -59,7 +60,7 @@ impl Service {
 }
 
 /// An object of the dictionary.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Object {
     /// Index.
     pub index: u16,

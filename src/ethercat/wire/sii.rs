@@ -6,6 +6,7 @@
 //! Invariant: constants and plain field structures; reading them from a slave is `configure`'s work.
 
 use super::{Error, check_len, read_u8, read_u16, read_u32};
+use serde::{Deserialize, Serialize};
 
 /// Word address of the checksum (low byte) over the first seven words.
 pub const WORD_CHECKSUM: u16 = 0x07;
@@ -62,7 +63,7 @@ pub const CATEGORY_END: u16 = 0xFFFF;
 pub const FIXED_PART_WORDS: usize = 0x1D;
 
 /// Who a slave is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Vendor number.
     pub vendor: u32,
@@ -75,7 +76,7 @@ pub struct Identity {
 }
 
 /// Where a mailbox lies in the slave's memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MailboxWindow {
     /// First byte.
     pub start: u16,

@@ -1,0 +1,326 @@
+//! What a person or a tool may ask of the bus beside the robot's work.
+//!
+//! The same requests reach the supervisor of a master on any computer through its queues, and that of the firmware
+//! through the link; it carries them out between its own duties, in the spare room of the cyclic frames. Long values
+//! travel in pieces of [`PIECE_BYTES_MAX`]: the first piece (offset 0) fetches the value from the slave, further pieces
+//! come from the supervisor's memory.
+//!
+//! Invariant: every request gets exactly one answer; none of them disturbs the cyclic data of another slave.
+
+use super::error::BusError;
+use super::state::{AlReport, AlState};
+use super::wire::coe::Object;
+use super::wire::sii::{Identity, MailboxWindow};
+use crate::application::Mode;
+use heapless::{String, Vec};
+use serde::{Deserialize, Serialize};
+
+/// Most bytes of a value in one answer or request.
+pub const PIECE_BYTES_MAX: usize = 256;
+/// Most indices of objects in one answer.
+pub const INDICES_MAX: usize = 100;
+/// Longest name in an answer, bytes.
+pub const NAME_BYTES_MAX: usize = 64;
+/// Ports of a slave controller.
+pub const PORTS: usize = 4;
+
+/// A part of a value.
+pub type Piece = Vec<u8, PIECE_BYTES_MAX>;
+/// A name for people; longer ones are cut off.
+pub type Name = String<NAME_BYTES_MAX>;
+
+/// A question or an order. Slaves are counted in chain order, from 0.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ServiceRequest {
+    /// How many slaves there are and what the frames tell; answered by [`ServiceReply::Bus`].
+    Bus,
+    /// Who a slave is and how it is configured; answered by [`ServiceReply::Slave`].
+    Slave {
+        /// Which.
+        slave: u8,
+    },
+    /// Bring a slave to a state, step by step; answered by [`ServiceReply::State`].
+    ///
+    /// A slave that was brought below OP is left there until it is asked up again.
+    SetState {
+        /// Which.
+        slave: u8,
+        /// Where to.
+        state: AlState,
+    },
+    /// Read an object by SDO; answered by [`ServiceReply::Piece`]. Needs the mailbox: a slave in INIT is brought to
+    /// PREOP before.
+    Upload {
+        /// Which.
+        slave: u8,
+        /// The object; with `complete`, sub-index 0 or 1 to begin with.
+        object: Object,
+        /// All sub-indices in one value (complete access).
+        complete: bool,
+        /// First byte of the piece wanted.
+        offset: u16,
+    },
+    /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes the
+    /// value.
+    Download {
+        /// Which.
+        slave: u8,
+        /// The object; with `complete`, sub-index 0 or 1 to begin with.
+        object: Object,
+        /// All sub-indices in one value (complete access).
+        complete: bool,
+        /// Bytes of the whole value.
+        total: u16,
+        /// Where this piece belongs; pieces come in order.
+        offset: u16,
+        /// The piece.
+        piece: Piece,
+    },
+    /// The indices of a slave's object dictionary (SDO information); answered by [`ServiceReply::Objects`].
+    Objects {
+        /// Which.
+        slave: u8,
+        /// Number of the first index wanted, from 0.
+        first: u16,
+    },
+    /// The description of an object (SDO information); answered by [`ServiceReply::Object`].
+    DescribeObject {
+        /// Which.
+        slave: u8,
+        /// Index of the object.
+        index: u16,
+    },
+    /// The description of an entry of an object (SDO information); answered by [`ServiceReply::Entry`].
+    DescribeEntry {
+        /// Which.
+        slave: u8,
+        /// The entry.
+        object: Object,
+    },
+    /// Read registers or memory of a slave controller; answered by [`ServiceReply::Piece`].
+    Registers {
+        /// Which.
+        slave: u8,
+        /// First register.
+        address: u16,
+        /// Bytes, at most [`PIECE_BYTES_MAX`].
+        length: u16,
+    },
+    /// Read the slave information memory; answered by [`ServiceReply::Piece`], shorter where the memory ends.
+    Information {
+        /// Which.
+        slave: u8,
+        /// First word.
+        word: u16,
+        /// Bytes, at most [`PIECE_BYTES_MAX`].
+        length: u16,
+    },
+    /// The error counters of a slave's ports; answered by [`ServiceReply::Errors`].
+    Errors {
+        /// Which.
+        slave: u8,
+    },
+    /// Sets the error counters of all slaves to 0; answered by [`ServiceReply::Done`].
+    ClearErrors,
+}
+
+impl ServiceRequest {
+    /// Whether it changes anything on a slave.
+    pub const fn changes(&self) -> bool {
+        matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors)
+    }
+}
+
+/// The bus as a whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BusInfo {
+    /// Slaves that the supervisor knows.
+    pub slaves: u8,
+    /// Slaves that answered last.
+    pub answering: u16,
+    /// The slaves' AL status registers, OR-ed together.
+    pub al_status: u16,
+    /// Whether all used slaves were brought to OP.
+    pub operational: bool,
+    /// The slave whose clock is the reference, if clocks are distributed.
+    pub reference_clock: Option<u8>,
+}
+
+/// One port of a slave controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PortInfo {
+    /// A cable with a live partner.
+    pub link: bool,
+    /// Frames are turned round here.
+    pub loop_closed: bool,
+    /// Frames come in here.
+    pub communicates: bool,
+    /// The slave at the other end of the cable.
+    pub partner: Option<u8>,
+}
+
+/// A slave's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockInfo {
+    /// 64-bit system time; else 32-bit.
+    pub is_64_bit: bool,
+    /// Delay of the frames from the reference clock, ns.
+    pub delay_ns: u32,
+    /// Difference to the reference clock as the slave measures it, ns; what is beyond 31 bits is cut off.
+    pub difference_ns: i32,
+}
+
+/// One slave.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SlaveInfo {
+    /// Station address.
+    pub station: u16,
+    /// Configured alias from the SII.
+    pub alias: u16,
+    /// Who it is.
+    pub identity: Identity,
+    /// Name from the SII, or else that of the driver; empty where there is neither.
+    pub name: Name,
+    /// Name of the driver; empty for devices that are not driven.
+    pub driver: Name,
+    /// The axis it drives, if it is used.
+    pub axis: Option<u8>,
+    /// AL state, error flag and code.
+    pub report: AlReport,
+    /// CiA 402 status word, if it is a drive whose inputs come.
+    pub status_word: Option<u16>,
+    /// Mailbox that the master writes.
+    pub mailbox_out: MailboxWindow,
+    /// Mailbox that the master reads.
+    pub mailbox_in: MailboxWindow,
+    /// Mailbox protocols, see [`sii`](super::wire::sii).
+    pub protocols: u16,
+    /// Bytes of cyclic outputs.
+    pub output_bytes: u16,
+    /// Bytes of cyclic inputs.
+    pub input_bytes: u16,
+    /// The ports, 0 to 3.
+    pub ports: [PortInfo; PORTS],
+    /// Its clock, if it has one.
+    pub clock: Option<ClockInfo>,
+}
+
+/// Error counters of one port; each stops at 255.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PortErrors {
+    /// Frames with a wrong check sequence that came in here first.
+    pub invalid_frames: u8,
+    /// Symbols that were no data (physical layer).
+    pub receive_errors: u8,
+    /// Frames that a slave before had already marked as damaged.
+    pub forwarded: u8,
+    /// Times the link went down.
+    pub lost_links: u8,
+}
+
+/// Error counters of one slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SlaveErrors {
+    /// The ports, 0 to 3.
+    pub ports: [PortErrors; PORTS],
+    /// The slave at the other end of each port's cable.
+    pub partners: [Option<u8>; PORTS],
+    /// Errors of the processing unit: frames that were no EtherCAT.
+    pub processing_unit: u8,
+    /// Errors of the slave's own processor interface.
+    pub processor_interface: u8,
+    /// Expiries of the process-data watchdog.
+    pub watchdog: u8,
+}
+
+/// The description of an object.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ObjectInfo {
+    /// Index.
+    pub index: u16,
+    /// Data type, CiA 301's number.
+    pub data_type: u16,
+    /// Highest sub-index.
+    pub sub_max: u8,
+    /// Kind: 7 variable, 8 array, 9 record.
+    pub code: u8,
+    /// Name.
+    pub name: Name,
+}
+
+/// The description of an entry.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EntryInfo {
+    /// The entry.
+    pub object: Object,
+    /// Data type, CiA 301's number.
+    pub data_type: u16,
+    /// Length, bits.
+    pub bits: u16,
+    /// Access: bits 0 to 2 read in PREOP, SAFEOP, OP; bits 3 to 5 write; bit 6 RxPDO, bit 7 TxPDO.
+    pub access: u16,
+    /// Name.
+    pub name: Name,
+}
+
+/// An answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
+pub enum ServiceReply {
+    /// It was carried out.
+    Done,
+    /// To [`ServiceRequest::Bus`].
+    Bus(BusInfo),
+    /// To [`ServiceRequest::Slave`].
+    Slave(SlaveInfo),
+    /// To [`ServiceRequest::SetState`]: the state there is.
+    State(AlReport),
+    /// A part of a value.
+    Piece {
+        /// Bytes of the whole value.
+        total: u16,
+        /// The part that was asked for.
+        piece: Piece,
+    },
+    /// To [`ServiceRequest::Objects`].
+    Objects {
+        /// How many there are.
+        total: u16,
+        /// From the first one asked for.
+        indices: Vec<u16, INDICES_MAX>,
+    },
+    /// To [`ServiceRequest::DescribeObject`].
+    Object(ObjectInfo),
+    /// To [`ServiceRequest::DescribeEntry`].
+    Entry(EntryInfo),
+    /// To [`ServiceRequest::Errors`].
+    Errors(SlaveErrors),
+}
+
+/// Why a request was not carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ServiceError {
+    /// There is no such slave.
+    NoSlave {
+        /// Slaves there are.
+        slaves: u8,
+    },
+    /// The slave has no mailbox, or none that speaks CoE.
+    NoCoe,
+    /// Nothing of this kind can be changed in the present operating mode.
+    NotInMode(Mode),
+    /// Another request is being carried out, or the bus is being brought up or repaired.
+    Busy,
+    /// The bus changed meanwhile; to be asked again.
+    Interrupted,
+    /// Pieces out of order, or a value longer than there is room for.
+    Piece {
+        /// Room for a value, bytes.
+        room: u16,
+    },
+    /// It failed on the bus.
+    Bus(BusError),
+}
+
+/// What becomes of a request.
+pub type ServiceResult = Result<ServiceReply, ServiceError>;
