@@ -12,12 +12,14 @@ mod frame;
 pub mod mailbox;
 pub mod register;
 pub mod sii;
+mod udp;
 
 pub use datagram::{Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, Datagram, DatagramRepr, Datagrams};
 pub use frame::{
     ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MAX, FRAME_LEN_MIN, FrameBuilder, FrameView, MacAddress,
     PAYLOAD_OFFSET, SOURCE_BIT,
 };
+pub use udp::{UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr};
 
 /// Why bytes are not what they should be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +59,31 @@ pub enum Error {
         expected: usize,
         /// Bytes there.
         actual: usize,
+    },
+    /// An IPv4 header of another version or with options.
+    IpHeader {
+        /// Its first byte.
+        actual: u8,
+    },
+    /// An IPv4 header whose checksum is wrong.
+    Checksum {
+        /// The checksum found.
+        actual: u16,
+    },
+    /// A fragment of an IPv4 packet.
+    Fragment {
+        /// Where it belongs in the packet, bytes.
+        actual: u16,
+    },
+    /// The IPv4 packet carries another protocol than UDP.
+    IpProtocol {
+        /// The protocol found.
+        actual: u8,
+    },
+    /// The UDP packet is neither from nor to EtherCAT's port.
+    Port {
+        /// The destination port found.
+        actual: u16,
     },
     /// A field holds a value that has no meaning.
     Value {
