@@ -32,6 +32,7 @@ use acyclic::{AcyclicPort, IN_FLIGHT_MAX, Reply, Request};
 use cyclic::{CyclicPlan, ExchangeEnd, Observation};
 use event::{BusCommand, BusEvent};
 use heapless::spsc::{Consumer, Producer, Queue};
+use service::{ServiceRequest, ServiceResult};
 use supervisor::SupervisorEnd;
 
 /// Room of a queue that holds `IN_FLIGHT_MAX` entries; one place of a queue stays empty.
@@ -46,6 +47,8 @@ pub struct BusQueues {
     observations: Queue<Observation, 17>,
     commands: Queue<BusCommand, 3>,
     events: Queue<BusEvent, 33>,
+    services: Queue<ServiceRequest, 2>,
+    answers: Queue<ServiceResult, 2>,
 }
 
 /// The application's ends of the queues.
@@ -54,6 +57,10 @@ pub struct ApplicationEnd<'a> {
     pub commands: Producer<'a, BusCommand>,
     /// Its reports; to be taken at least every few milliseconds.
     pub events: Consumer<'a, BusEvent>,
+    /// Requests beside the robot's work; one at a time.
+    pub services: Producer<'a, ServiceRequest>,
+    /// Their answers, in order.
+    pub answers: Consumer<'a, ServiceResult>,
 }
 
 impl BusQueues {
@@ -66,6 +73,8 @@ impl BusQueues {
             observations: Queue::new(),
             commands: Queue::new(),
             events: Queue::new(),
+            services: Queue::new(),
+            answers: Queue::new(),
         }
     }
 
@@ -77,6 +86,8 @@ impl BusQueues {
         let (observations, observations_out) = self.observations.split();
         let (commands, commands_out) = self.commands.split();
         let (events_in, events) = self.events.split();
+        let (services_in, services) = self.services.split();
+        let (answers, answers_out) = self.answers.split();
         (
             ExchangeEnd {
                 plans,
@@ -90,8 +101,15 @@ impl BusQueues {
                 observations: observations_out,
                 commands: commands_out,
                 events: events_in,
+                services,
+                answers,
             },
-            ApplicationEnd { commands, events },
+            ApplicationEnd {
+                commands,
+                events,
+                services: services_in,
+                answers: answers_out,
+            },
         )
     }
 }

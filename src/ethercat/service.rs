@@ -31,6 +31,7 @@ pub type Name = String<NAME_BYTES_MAX>;
 
 /// A question or an order. Slaves are counted in chain order, from 0.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum ServiceRequest {
     /// How many slaves there are and what the frames tell; answered by [`ServiceReply::Bus`].
     Bus,

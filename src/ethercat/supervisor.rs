@@ -15,6 +15,7 @@ use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::factory;
 use super::mailbox::Mailbox;
+use super::service::{ServiceRequest, ServiceResult};
 use super::slave::{Condition, STATION_BASE, Slave};
 use super::state::{self, AlReport, AlState};
 use super::wire::register;
@@ -60,6 +61,10 @@ pub struct SupervisorEnd<'a> {
     pub commands: Consumer<'a, BusCommand>,
     /// Reports to the application.
     pub events: Producer<'a, BusEvent>,
+    /// Requests beside the robot's work.
+    pub services: Consumer<'a, ServiceRequest>,
+    /// Their answers, one each, in order.
+    pub answers: Producer<'a, ServiceResult>,
 }
 
 /// A failed step.

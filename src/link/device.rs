@@ -13,6 +13,7 @@ use super::protocol::{
 };
 use crate::application::Refusal;
 use crate::config::Config;
+use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use heapless::{Deque, String};
 
 /// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
@@ -66,6 +67,13 @@ pub enum DeviceEvent {
     },
     /// The host wants a [`Status`] now.
     Inquire,
+    /// Ask this of the bus, then call [`DeviceEndpoint::bus_answered`].
+    Bus {
+        /// Number of the request.
+        id: u16,
+        /// What is asked.
+        request: ServiceRequest,
+    },
 }
 
 /// What the endpoint has counted since it was made.
@@ -90,10 +98,45 @@ struct Request {
     due: bool,
 }
 
-struct Configuring {
+/// A request of which one is carried out at a time, and its answer.
+struct Single<T> {
     id: u16,
-    result: Option<Result<u64, ConfigRefusal>>,
+    result: Option<T>,
     due: bool,
+}
+
+impl<T> Single<T> {
+    /// Whether `id` is to be carried out; a repetition makes its answer due again.
+    fn begin(slot: &mut Option<Self>, id: u16) -> bool {
+        match slot {
+            Some(known) if known.id == id => {
+                known.due = known.result.is_some();
+                false
+            }
+            _ => {
+                *slot = Some(Self {
+                    id,
+                    result: None,
+                    due: false,
+                });
+                true
+            }
+        }
+    }
+
+    fn answer(slot: &mut Option<Self>, id: u16, result: T) {
+        if let Some(known) = slot.as_mut().filter(|known| known.id == id) {
+            known.result = Some(result);
+            known.due = true;
+        }
+    }
+
+    /// The answer that is due, once.
+    fn take_due(slot: &mut Option<Self>) -> Option<(u16, &T)> {
+        let known = slot.as_mut().filter(|known| known.due)?;
+        known.due = false;
+        known.result.as_ref().map(|result| (known.id, result))
+    }
 }
 
 /// The firmware's end of the link; `SAMPLES` is the length of the telemetry queue.
@@ -105,7 +148,8 @@ pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     welcome_due: bool,
     heard_ms: u64,
     config: Option<u64>,
-    configuring: Option<Configuring>,
+    configuring: Option<Single<Result<u64, ConfigRefusal>>>,
+    bus: Option<Single<ServiceResult>>,
     requests: Deque<Request, REQUESTS_KEPT>,
     path: Option<PathReceiver>,
     status: Option<Status>,
@@ -134,6 +178,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             heard_ms: 0,
             config: None,
             configuring: None,
+            bus: None,
             requests: Deque::new(),
             path: None,
             status: None,
@@ -187,7 +232,9 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.heard_ms = now_ms;
         match message {
             HostMessage::Hello(_) | HostMessage::Heartbeat => None,
-            HostMessage::Configure { id, config } => self.take_configure(id, config),
+            HostMessage::Configure { id, config } => {
+                Single::begin(&mut self.configuring, id).then_some(DeviceEvent::Configure { id, config })
+            }
             HostMessage::Command { id, command } => self.take_command(id, command),
             HostMessage::Path {
                 job,
@@ -196,6 +243,9 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
                 last,
             } => self.take_path(job, first, vertices, last, free),
             HostMessage::Inquire => Some(DeviceEvent::Inquire),
+            HostMessage::Bus { id, request } => {
+                Single::begin(&mut self.bus, id).then_some(DeviceEvent::Bus { id, request })
+            }
         }
     }
 
@@ -207,28 +257,12 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.session = Some(session);
         self.requests.clear();
         self.configuring = None;
+        self.bus = None;
         self.samples.clear();
         if let Some(path) = &mut self.path {
             path.acknowledge_now();
         }
         Some(DeviceEvent::Connected)
-    }
-
-    fn take_configure(&mut self, id: u16, config: Config) -> Option<DeviceEvent> {
-        match &mut self.configuring {
-            Some(known) if known.id == id => {
-                known.due = known.result.is_some();
-                None
-            }
-            _ => {
-                self.configuring = Some(Configuring {
-                    id,
-                    result: None,
-                    due: false,
-                });
-                Some(DeviceEvent::Configure { id, config })
-            }
-        }
     }
 
     fn take_command(&mut self, id: u16, command: Command) -> Option<DeviceEvent> {
@@ -286,10 +320,12 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         if let Ok(hash) = result {
             self.config = Some(hash);
         }
-        if let Some(known) = self.configuring.as_mut().filter(|known| known.id == id) {
-            known.result = Some(result);
-            known.due = true;
-        }
+        Single::answer(&mut self.configuring, id, result);
+    }
+
+    /// Answers a request to the bus; an answer to another one than the last is ignored.
+    pub fn bus_answered(&mut self, id: u16, result: ServiceResult) {
+        Single::answer(&mut self.bus, id, result);
     }
 
     /// Tells the host how far the path is: vertices fully executed, vertices that find room now, whether the path was
@@ -366,17 +402,18 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             request.due = false;
             return Some(DeviceMessage::Answer { id: request.id, result });
         }
-        if let Some(known) = self.configuring.as_mut().filter(|known| known.due)
-            && let Some(result) = known.result
-        {
-            known.due = false;
-            return Some(DeviceMessage::Configured { id: known.id, result });
+        if let Some((id, result)) = Single::take_due(&mut self.configuring) {
+            return Some(DeviceMessage::Configured { id, result: *result });
         }
         if let Some(message) = self.path.as_mut().and_then(|path| path.next_message(now_ms)) {
             return Some(message);
         }
         if let Some(status) = self.status.take() {
             return Some(DeviceMessage::Status(status));
+        }
+        if let Some((id, result)) = Single::take_due(&mut self.bus) {
+            let result = result.clone();
+            return Some(DeviceMessage::Bus { id, result });
         }
         self.next_batch()
     }

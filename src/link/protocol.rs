@@ -5,13 +5,14 @@
 
 use crate::application::{Fault, Mode, Refusal};
 use crate::config::{Config, ConfigError};
+use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use crate::motion::Pen;
 use crate::robot::{AXES, GeometryError, Position};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -140,6 +141,13 @@ pub enum HostMessage {
     },
     /// Ask for a [`DeviceMessage::Status`] now.
     Inquire,
+    /// Ask something of the bus; repeated until answered with the same `id`, carried out once. One at a time.
+    Bus {
+        /// Number of this request.
+        id: u16,
+        /// What is asked.
+        request: ServiceRequest,
+    },
 }
 
 /// One millisecond as the controller saw it.
@@ -283,6 +291,13 @@ pub enum DeviceMessage {
         id: u16,
         /// Accepted, or why not.
         result: Result<(), Refusal>,
+    },
+    /// Answer to [`HostMessage::Bus`].
+    Bus {
+        /// Number of the request.
+        id: u16,
+        /// The answer, or why there is none.
+        result: ServiceResult,
     },
     /// Path acknowledgement with credit and progress.
     Ack(PathAck),

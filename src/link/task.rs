@@ -13,6 +13,7 @@ use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::drives::cia402::{DriveState, StatusWord};
 use crate::ethercat::ApplicationEnd;
 use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
+use crate::ethercat::service::{ServiceError, ServiceRequest};
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
 use crate::robot::{JointAngles, Position};
@@ -62,6 +63,8 @@ pub struct LinkTask<'a> {
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
+    /// Number of the request that the bus is working on.
+    asked: Option<u16>,
     now_ms: u64,
     told: (Mode, Option<Fault>, u32),
 }
@@ -90,6 +93,7 @@ impl<'a> LinkTask<'a> {
             counters: Counters::default(),
             vertices_admitted: 0,
             orders_sent: 0,
+            asked: None,
             now_ms: 0,
             told: (Mode::Startup, None, 0),
         }
@@ -144,8 +148,22 @@ impl<'a> LinkTask<'a> {
                     self.endpoint.answer(id, result);
                 }
                 Some(DeviceEvent::Path { vertices, last }) => self.take_path(&vertices, last),
+                Some(DeviceEvent::Bus { id, request }) => self.ask_bus(id, request),
             }
         }
+    }
+
+    /// Hands a request to the supervisor, or refuses it.
+    fn ask_bus(&mut self, id: u16, request: ServiceRequest) {
+        let error = if request.changes() && !self.application.may_configure() {
+            ServiceError::NotInMode(self.application.mode())
+        } else if self.asked.is_none() && self.ends.bus.services.enqueue(request).is_ok() {
+            self.asked = Some(id);
+            return;
+        } else {
+            ServiceError::Busy
+        };
+        self.endpoint.bus_answered(id, Err(error));
     }
 
     /// Room for vertices; one place is kept for the end of the path.
@@ -236,6 +254,11 @@ impl<'a> LinkTask<'a> {
     fn take_events(&mut self) {
         while let Some(event) = self.ends.bus.events.dequeue() {
             self.take_event(&event);
+        }
+        while let Some(result) = self.ends.bus.answers.dequeue() {
+            if let Some(id) = self.asked.take() {
+                self.endpoint.bus_answered(id, result);
+            }
         }
         while let Some(report) = self.ends.motion_reports.dequeue() {
             self.motion = report;

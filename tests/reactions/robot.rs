@@ -209,7 +209,7 @@ impl Robot {
             Event::VertexRefused(refusal) => self.refused.push(refusal),
             Event::Status(status) => self.status = Some(status),
             Event::Samples { samples, .. } => self.samples.extend(samples),
-            Event::Connected(_) | Event::VersionRefused { .. } | Event::Restarted => {}
+            Event::Connected(_) | Event::VersionRefused { .. } | Event::Restarted | Event::Bus(_) => {}
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Both ends on one bench: a line with faults and a small firmware around the real endpoint, in virtual time.
 
 use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::motion::Pen;
@@ -58,6 +59,7 @@ pub(crate) struct Bench {
     pub(crate) referenced: bool,
     pub(crate) config: Option<u64>,
     pub(crate) commands: Vec<Command>,
+    pub(crate) asked: Vec<ServiceRequest>,
     pub(crate) vertices: Vec<PathVertex>,
     pub(crate) executed: u32,
     pub(crate) lines: [Line; 2],
@@ -84,6 +86,7 @@ impl Bench {
             referenced: false,
             config: None,
             commands: Vec::new(),
+            asked: Vec::new(),
             vertices: Vec::new(),
             executed: 0,
             lines: [
@@ -121,6 +124,15 @@ impl Bench {
     fn take(&mut self, event: DeviceEvent, now_ms: u64) {
         match event {
             DeviceEvent::Connected | DeviceEvent::Inquire => self.status_due_ms = now_ms,
+            DeviceEvent::Bus { id, request } => {
+                self.asked.push(request);
+                let slaves = self.asked.len() as u8;
+                let info = BusInfo {
+                    slaves,
+                    ..BusInfo::default()
+                };
+                self.endpoint.bus_answered(id, Ok(ServiceReply::Bus(info)));
+            }
             DeviceEvent::Configure { id, config } => {
                 let result = config.check().map(|()| config.hash().unwrap_or(0));
                 if let Ok(hash) = result {

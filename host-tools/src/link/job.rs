@@ -198,6 +198,8 @@ impl DrawJob {
                 self.enter(Phase::Inspecting);
             }
             Event::VersionRefused { host, firmware } => self.fail(JobError::Version { host, firmware }),
+            // A job asks nothing of the bus.
+            Event::Bus(_) => {}
             Event::Restarted => self.fail(JobError::Restarted),
             Event::Configured(Ok(hash)) => match self.config.hash() {
                 Some(ours) if ours == hash => self.enter(Phase::BusUp),

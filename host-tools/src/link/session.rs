@@ -8,6 +8,7 @@
 use super::path::PathSender;
 use etherpen::application::Refusal;
 use etherpen::config::Config;
+use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
 use etherpen::link::protocol::{
     Command, ConfigRefusal, DeviceMessage, Hello, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, Sample, Status,
@@ -52,6 +53,8 @@ pub enum Event {
         /// Accepted, or why not.
         result: Result<(), Refusal>,
     },
+    /// Answer to [`Session::bus`].
+    Bus(ServiceResult),
     /// The path's acknowledgement and progress.
     Ack(PathAck),
     /// A vertex was refused; the path has ended.
@@ -97,10 +100,28 @@ enum Body {
     Command(Command),
 }
 
-struct Request {
+struct Request<B = Body> {
     id: u16,
-    body: Body,
+    body: B,
     sent_ms: Option<u64>,
+}
+
+impl<B> Request<B> {
+    /// Whether it is to be sent now, for the first time or again.
+    fn take_due(&mut self, now_ms: u64, counts: &mut SessionCounts) -> bool {
+        let due = is_due(self.sent_ms, now_ms);
+        if due {
+            counts.requests_repeated += u32::from(self.sent_ms.is_some());
+            self.sent_ms = Some(now_ms);
+        }
+        due
+    }
+}
+
+/// Takes the request with this number out of its queue.
+fn take_answered<B>(requests: &mut VecDeque<Request<B>>, id: u16) -> Option<B> {
+    let place = requests.iter().position(|request| request.id == id)?;
+    requests.remove(place).map(|request| request.body)
 }
 
 /// The host's end of one connection.
@@ -113,6 +134,8 @@ pub struct Session {
     spoke_ms: u64,
     request_next: u16,
     requests: VecDeque<Request>,
+    /// A queue of their own: an answer from the bus may take a second, and a command must not wait for it.
+    questions: VecDeque<Request<ServiceRequest>>,
     inquire: bool,
     path: Option<PathSender>,
     /// Acknowledgement that came after the start was accepted and before the path was there.
@@ -138,6 +161,7 @@ impl Session {
             spoke_ms: 0,
             request_next: 1,
             requests: VecDeque::new(),
+            questions: VecDeque::new(),
             inquire: false,
             path: None,
             early: None,
@@ -177,15 +201,30 @@ impl Session {
         self.request(Body::Command(command))
     }
 
+    /// Asks something of the bus; the answer is [`Event::Bus`].
+    pub fn bus(&mut self, request: ServiceRequest) {
+        let id = self.take_number();
+        self.questions.push_back(Request {
+            id,
+            body: request,
+            sent_ms: None,
+        });
+    }
+
     fn request(&mut self, body: Body) -> u16 {
-        let id = self.request_next;
-        self.request_next = self.request_next.wrapping_add(1);
+        let id = self.take_number();
         self.requests.push_back(Request {
             id,
             body,
             sent_ms: None,
         });
         id
+    }
+
+    fn take_number(&mut self) -> u16 {
+        let number = self.request_next;
+        self.request_next = number.wrapping_add(1);
+        number
     }
 
     /// Asks for a status now.
@@ -271,6 +310,7 @@ impl Session {
                 self.state = State::Idle;
                 self.path = None;
                 self.requests.clear();
+                self.questions.clear();
                 self.events.push_back(Event::Restarted);
             }
             _ => {}
@@ -281,15 +321,20 @@ impl Session {
         match message {
             DeviceMessage::Welcome(_) => {}
             DeviceMessage::Configured { id, result } => {
-                if self.answered(id).is_some() {
+                if take_answered(&mut self.requests, id).is_some() {
                     self.events.push_back(Event::Configured(result));
                 }
             }
             DeviceMessage::Answer { id, result } => {
-                if let Some(Body::Command(command)) = self.answered(id) {
+                if let Some(Body::Command(command)) = take_answered(&mut self.requests, id) {
                     // Acknowledgements so far belong to a drawing before.
                     self.early = None;
                     self.events.push_back(Event::Answered { id, command, result });
+                }
+            }
+            DeviceMessage::Bus { id, result } => {
+                if take_answered(&mut self.questions, id).is_some() {
+                    self.events.push_back(Event::Bus(result));
                 }
             }
             DeviceMessage::Ack(ack) => self.take_ack(ack, now_ms),
@@ -312,11 +357,6 @@ impl Session {
             Some(_) => {}
             None => self.early = Some(ack),
         }
-    }
-
-    fn answered(&mut self, id: u16) -> Option<Body> {
-        let place = self.requests.iter().position(|request| request.id == id)?;
-        self.requests.remove(place).map(|request| request.body)
     }
 
     fn take_samples(&mut self, sequence: u32, samples: &[Sample]) {
@@ -362,10 +402,8 @@ impl Session {
             State::Connected => {}
         }
         if let Some(request) = self.requests.front_mut()
-            && is_due(request.sent_ms, now_ms)
+            && request.take_due(now_ms, &mut self.counts)
         {
-            self.counts.requests_repeated += u32::from(request.sent_ms.is_some());
-            request.sent_ms = Some(now_ms);
             let id = request.id;
             return Some(match &request.body {
                 Body::Configure(config) => HostMessage::Configure {
@@ -373,6 +411,14 @@ impl Session {
                     config: (**config).clone(),
                 },
                 Body::Command(command) => HostMessage::Command { id, command: *command },
+            });
+        }
+        if let Some(question) = self.questions.front_mut()
+            && question.take_due(now_ms, &mut self.counts)
+        {
+            return Some(HostMessage::Bus {
+                id: question.id,
+                request: question.body.clone(),
             });
         }
         if self.inquire {
@@ -406,173 +452,4 @@ fn is_due(sent_ms: Option<u64>, now_ms: u64) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::bench::{Bench, CAPACITY, path};
-    use super::*;
-    use etherpen::application::Mode;
-
-    const SEEDS: [u64; 4] = [1, 2, 0xfeed, 0x5eed_cafe];
-
-    fn exchange(bench: &mut Bench, session: &mut Session, now_ms: u64) -> Vec<Event> {
-        bench.step(now_ms, |arrived, room| {
-            session.receive(arrived, now_ms);
-            let mut out = vec![0; room];
-            let length = session.transmit(now_ms, &mut out);
-            out.truncate(length);
-            out
-        });
-        std::iter::from_fn(|| session.next_event()).collect()
-    }
-
-    /// Connects, enables and draws `count` vertices; returns the time it took and the samples.
-    fn draw(bench: &mut Bench, session: &mut Session, count: usize, limit_ms: u64) -> (u64, Vec<Sample>) {
-        let mut all = Vec::new();
-        bench.mode = Mode::Idle;
-        session.connect();
-        session.command(Command::Override { percent: 90 });
-        session.command(Command::Draw { job: 5 });
-        session.command(Command::Override { percent: 80 });
-        for now_ms in 0..limit_ms {
-            for event in exchange(bench, session, now_ms) {
-                match event {
-                    Event::Answered {
-                        command: Command::Draw { job },
-                        result: Ok(()),
-                        ..
-                    } => session.start_path(job, path(count).into()),
-                    Event::Ack(ack) if ack.finished => return (now_ms, all),
-                    Event::Samples { samples, .. } => all.extend(samples),
-                    _ => {}
-                }
-            }
-            assert!(session.in_flight() <= CAPACITY);
-        }
-        panic!("not drawn within {limit_ms} ms");
-    }
-
-    #[test]
-    fn over_a_perfect_line_the_path_arrives_in_time_and_no_sample_is_lost() {
-        let (mut bench, mut session) = (Bench::new(1, 0), Session::new(9));
-        let (took_ms, _) = draw(&mut bench, &mut session, 5_000, 10_000);
-        assert_eq!(bench.vertices, path(5_000));
-        assert!(
-            took_ms < 5_100,
-            "one vertex a millisecond without a pause, took {took_ms} ms"
-        );
-        let counts = session.counts();
-        assert_eq!(
-            (counts.samples_missing, counts.path_repeats, counts.requests_repeated),
-            (0, 0, 0)
-        );
-        assert_eq!((counts.frames.bad, bench.endpoint.counts().frames.bad), (0, 0));
-        assert!(u64::from(bench.endpoint.counts().samples_dropped) == 0 && counts.samples > took_ms - 20);
-    }
-
-    #[test]
-    fn over_a_line_that_spoils_bytes_the_path_is_complete_and_in_order_and_commands_are_carried_out_once() {
-        for (seed, faults_per_million) in SEEDS
-            .into_iter()
-            .flat_map(|seed| [(seed, 100), (seed, 500), (seed, 2_500)])
-        {
-            let (mut bench, mut session) = (Bench::new(seed, faults_per_million), Session::new(9));
-            let (took_ms, samples) = draw(&mut bench, &mut session, 3_000, 120_000);
-            println!("seed {seed:#x}, {faults_per_million} faults of each kind per million bytes: {took_ms} ms");
-            assert_eq!(bench.vertices, path(3_000), "seed {seed:#x}");
-            let expected = [
-                Command::Override { percent: 90 },
-                Command::Draw { job: 5 },
-                Command::Override { percent: 80 },
-            ];
-            assert_eq!(bench.commands, expected, "seed {seed:#x}");
-            let counts = session.counts();
-            assert!(
-                counts.frames.bad > 10 && counts.path_repeats > 0,
-                "seed {seed:#x}: {counts:?}"
-            );
-            let [first, last] = [0, samples.len() - 1].map(|place| u64::from(samples[place].t_ms));
-            assert_eq!(
-                counts.samples + counts.samples_missing,
-                last - first + 1,
-                "seed {seed:#x}"
-            );
-            assert!(samples.is_sorted_by(|a, b| a.t_ms < b.t_ms), "seed {seed:#x}");
-            assert!(counts.samples_missing > 0);
-        }
-    }
-
-    #[test]
-    fn stop_overtakes_requests_that_have_no_answer() {
-        let mut bench = Bench::new(1, 0);
-        let mut session = Session::new(3);
-        bench.mode = Mode::Idle;
-        session.connect();
-        (0..20).for_each(|now_ms| drop(exchange(&mut bench, &mut session, now_ms)));
-        session.configure(Config::default());
-        session.command(Command::Acknowledge);
-        session.command(Command::Stop);
-        let events = (20..40).flat_map(|now_ms| exchange(&mut bench, &mut session, now_ms));
-        let answers = events.filter(|event| matches!(event, Event::Answered { .. })).count();
-        assert_eq!((answers, bench.commands.as_slice()), (1, &[Command::Stop][..]));
-    }
-
-    #[test]
-    fn a_firmware_of_another_version_is_refused_with_both_versions_and_hears_nothing_more() {
-        let mut session = Session::new(3);
-        session.connect();
-        let mut out = [0; FRAME_BYTES_MAX];
-        assert!(session.transmit(0, &mut out) > 0);
-        // A welcome of version 7 whose other fields this program does not know.
-        let length = encode(&(0u8, 7u16, 0xffu8, 0xffu8), &mut out).unwrap();
-        session.receive(&out[..length], 1);
-        let refused = Event::VersionRefused {
-            host: PROTOCOL_VERSION,
-            firmware: 7,
-        };
-        assert_eq!(session.next_event(), Some(refused));
-        assert_eq!(session.transmit(1_000, &mut out), 0);
-    }
-
-    #[test]
-    fn a_reset_of_the_firmware_is_noticed() {
-        let mut session = Session::new(3);
-        let mut bench = Bench::new(1, 0);
-        session.connect();
-        (0..50).for_each(|now_ms| drop(exchange(&mut bench, &mut session, now_ms)));
-        assert!(session.connected());
-        let mut bench = Bench::new(1, 0);
-        let mut events = (50..300).flat_map(|now_ms| exchange(&mut bench, &mut session, now_ms));
-        assert!(events.any(|event| event == Event::Restarted));
-    }
-
-    #[test]
-    fn garbage_makes_no_panic_and_no_event() {
-        for seed in SEEDS {
-            let mut line = super::super::bench::Line::new(seed, 0);
-            let mut session = Session::new(3);
-            session.connect();
-            let bytes: Vec<u8> = (0..100_000)
-                .map(|_| {
-                    if line.random().is_multiple_of(16) {
-                        0
-                    } else {
-                        line.random() as u8
-                    }
-                })
-                .collect();
-            session.receive(&bytes, 5);
-            assert_eq!(session.next_event(), None, "seed {seed:#x}");
-            assert!(session.counts().frames.bad > 1_000);
-        }
-    }
-
-    #[test]
-    fn a_silent_session_sends_heartbeats_that_the_firmware_hears() {
-        let (mut bench, mut session) = (Bench::new(1, 0), Session::new(3));
-        session.connect();
-        for now_ms in 0..2_000 {
-            exchange(&mut bench, &mut session, now_ms);
-            let silence_ms = bench.endpoint.silence_ms(now_ms).unwrap_or(0);
-            assert!(silence_ms <= HEARTBEAT_MS + 2, "{silence_ms} ms");
-        }
-    }
-}
+mod tests;
