@@ -1,0 +1,114 @@
+//! The master of this project.
+
+use crate::segment::answer;
+use crate::{Case, DRIVES, Exchange, Master, Meter, read_drive, write_drive};
+use core::hint::black_box;
+use etherpen::controller::MASTER_ADDRESS;
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::cyclic::{self, Arrival, CyclicPlan, CyclicSlave};
+use etherpen::ethercat::supervisor::Supervisor;
+use etherpen::ethercat::wire::FRAME_LEN_MAX;
+
+/// The master with its drives in OP: the critical side with the plan that the supervisor would have sent.
+pub struct EtherpenMaster<'q> {
+    exchange: cyclic::Exchange<'q>,
+    frame: [u8; FRAME_LEN_MAX],
+    case: Case,
+    cycles: i32,
+}
+
+impl<'q> EtherpenMaster<'q> {
+    /// A master over `queues`.
+    ///
+    /// # Panics
+    /// The plan found no place.
+    pub fn new(queues: &'q mut BusQueues, case: Case) -> Self {
+        let (exchange_end, mut supervisor_end, _) = queues.split();
+        let mut plan = CyclicPlan::default();
+        let drives = DRIVES as u32;
+        for number in 0..drives {
+            let drive = CyclicSlave {
+                input_address: number * u32::from(case.data.inputs),
+                input_length: case.data.inputs,
+                output_address: drives * u32::from(case.data.inputs) + number * u32::from(case.data.outputs),
+                output_length: case.data.outputs,
+                watched: true,
+                ..CyclicSlave::default()
+            };
+            assert!(plan.slaves.push(drive).is_ok(), "too many drives");
+        }
+        assert!(supervisor_end.plans.enqueue(plan).is_ok(), "no room for the plan");
+        Self {
+            exchange: cyclic::Exchange::new(exchange_end, MASTER_ADDRESS),
+            frame: [0; FRAME_LEN_MAX],
+            case,
+            cycles: 0,
+        }
+    }
+
+    fn reply(&mut self, length: usize) {
+        if let Some(frame) = self.frame.get_mut(..length) {
+            answer(frame, self.case.data);
+        }
+    }
+
+    fn receive(&mut self, length: usize) -> Arrival {
+        self.exchange
+            .receive(black_box(self.frame.get(..length).unwrap_or(&[])))
+    }
+
+    fn read(&self) -> bool {
+        (0..DRIVES).fold(true, |complete, drive| {
+            let input = self.exchange.input(drive).and_then(read_drive);
+            black_box(input).is_some() & complete
+        })
+    }
+
+    fn write(&mut self) {
+        self.cycles = self.cycles.wrapping_add(1);
+        for drive in 0..DRIVES {
+            write_drive(self.exchange.output(drive), self.cycles, 0x0F);
+        }
+    }
+
+    fn split<M: Meter>(&mut self) {
+        let length = M::count(|| self.exchange.input_telegram(&mut self.frame));
+        self.reply(length);
+        let (arrival, complete, length) = M::count(|| {
+            let arrival = self.receive(length);
+            let complete = self.read();
+            self.write();
+            (arrival, complete, self.exchange.output_telegram(&mut self.frame))
+        });
+        assert!(arrival == Arrival::Input && complete, "no inputs");
+        self.reply(length);
+        let arrival = M::count(|| self.receive(length));
+        assert!(arrival == Arrival::Output, "no outputs");
+    }
+}
+
+impl Master for EtherpenMaster<'_> {
+    fn cycle<M: Meter>(&mut self) {
+        match self.case.exchange {
+            Exchange::Split => self.split::<M>(),
+            Exchange::Combined | Exchange::CombinedWithClock => self.split::<M>(),
+        }
+        assert!(
+            self.exchange.counters().working_counter_errors == 0,
+            "wrong working counters"
+        );
+        assert!(
+            self.exchange.al_status().is_some_and(|al| al.status == 8),
+            "no AL status"
+        );
+    }
+}
+
+/// Static memory of a master for 16 slaves: queues, critical side, supervisor and its future, bytes.
+pub fn ram_bytes() -> usize {
+    let mut queues = BusQueues::new();
+    let (_, end, _) = queues.split();
+    let mut supervisor = Supervisor::new(end);
+    let future = supervisor.run();
+    size_of::<BusQueues>() + size_of::<cyclic::Exchange<'_>>() + size_of::<Supervisor<'_>>() + size_of_val(&future)
+}
