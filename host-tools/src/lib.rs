@@ -11,3 +11,4 @@ pub mod report;
 pub mod run;
 pub mod setup;
 pub mod simulation;
+pub mod transport;

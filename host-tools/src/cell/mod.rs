@@ -208,6 +208,12 @@ impl Cell {
         self.sheet.ink()
     }
 
+    /// EtherCAT frames that came from the master.
+    #[must_use]
+    pub fn frames(&self) -> u64 {
+        self.segment.frames()
+    }
+
     /// The cell as it is now.
     #[must_use]
     pub fn state(&self) -> CellState {

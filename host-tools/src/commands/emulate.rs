@@ -124,7 +124,7 @@ impl Link for TcpLine {
 /// A tool is missing, the port is taken, or the emulator ended by itself.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let faults = read_faults(arguments)?;
+    let faults = read_faults(arguments.faults.as_deref())?;
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
     let cell = Cell::new(
@@ -191,8 +191,9 @@ fn free_run(
     running.stop().map_err(|error| emulator_error(&error))
 }
 
-fn read_faults(arguments: &Arguments) -> Result<Script, CommandError> {
-    let Some(path) = &arguments.faults else {
+/// Reads a script of faults; without a file nothing goes wrong.
+pub(super) fn read_faults(path: Option<&Path>) -> Result<Script, CommandError> {
+    let Some(path) = path else {
         return Ok(Script::default());
     };
     let text = std::fs::read_to_string(path)

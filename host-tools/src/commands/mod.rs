@@ -6,9 +6,11 @@ pub mod demo;
 mod display;
 pub mod draw;
 pub mod emulate;
+pub mod endpoint;
 mod outputs;
 pub mod prepare;
 pub mod run;
+pub mod segment;
 pub mod simulate;
 pub mod verify;
 

@@ -1,0 +1,282 @@
+//! `etherpen segment`: the virtual segment alone, in real time, for any master to talk to.
+//!
+//! The cell's time is this computer's, less the time in which this program was not run: a real segment never stands
+//! still, so a busy computer must not look like a master that has fallen silent.
+
+use super::emulate::read_faults;
+use super::endpoint::SegmentArguments;
+use super::{CommandError, ConfigArguments, code, print_json};
+use crate::cell::capture::{Capture, Direction};
+use crate::cell::{AlState, Cell, CellOptions, SlaveState};
+use crate::transport::{self, SegmentPort};
+use etherpen::ethercat::state::al_code_text;
+use serde::Serialize;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Options of `etherpen segment`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    #[command(flatten)]
+    segment: SegmentArguments,
+    /// Scripted faults, one a line; see host-tools/src/cell/faults.rs.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
+    /// Record every frame in both directions as pcapng, for Wireshark.
+    #[arg(long, value_name = "FILE")]
+    pcap: Option<PathBuf>,
+    /// Print a summary as JSON on stdout at the end.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// How often the cell's time goes on without a frame.
+const STEP: Duration = Duration::from_millis(1);
+/// Time between two wake-ups from which on this program counts as not run.
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// The cell's clock.
+struct Clock {
+    looked: Instant,
+    now_us: u64,
+    paused: Duration,
+}
+
+impl Clock {
+    fn new() -> Self {
+        Self {
+            looked: Instant::now(),
+            now_us: 0,
+            paused: Duration::ZERO,
+        }
+    }
+
+    /// The cell's time, microseconds.
+    fn now_us(&mut self) -> u64 {
+        let now = Instant::now();
+        self.pass(now.saturating_duration_since(self.looked));
+        self.looked = now;
+        self.now_us
+    }
+
+    fn pass(&mut self, elapsed: Duration) {
+        let passed = if elapsed > PAUSE { STEP } else { elapsed };
+        self.paused += elapsed - passed.min(elapsed);
+        self.now_us += u64::try_from(passed.as_micros()).unwrap_or(0);
+    }
+}
+
+/// What happened, for the end.
+#[derive(Debug, Serialize)]
+struct Summary {
+    /// Where the segment was.
+    listens: String,
+    /// How long it ran.
+    seconds: f64,
+    /// Time in which this program was not run and the segment stood still.
+    paused_ms: u64,
+    /// EtherCAT frames from masters.
+    frames: u64,
+    /// Frames sent back.
+    replies: u64,
+    /// Frames that were no EtherCAT.
+    ignored: u64,
+    /// The slaves in chain order.
+    slaves: Vec<SlaveSummary>,
+}
+
+/// One slave at the end; counted from 1.
+#[derive(Debug, Serialize)]
+struct SlaveSummary {
+    slave: usize,
+    powered: bool,
+    al_state: &'static str,
+    al_status_code: u16,
+    al_status_text: &'static str,
+    drive: String,
+    drive_error: u16,
+}
+
+impl SlaveSummary {
+    fn new((slave, state): (usize, &SlaveState)) -> Self {
+        Self {
+            slave,
+            powered: state.powered,
+            al_state: match state.al_state {
+                AlState::Init => "INIT",
+                AlState::PreOperational => "PREOP",
+                AlState::SafeOperational => "SAFEOP",
+                AlState::Operational => "OP",
+            },
+            al_status_code: state.al_status_code,
+            al_status_text: al_code_text(state.al_status_code),
+            drive: format!("{:?}", state.drive),
+            drive_error: state.drive_error,
+        }
+    }
+}
+
+/// Runs the command until it is interrupted.
+///
+/// # Errors
+/// The way for frames cannot be opened or was lost, or a file cannot be read or written.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let faults = read_faults(arguments.faults.as_deref())?;
+    let cell = Cell::new(
+        &config,
+        CellOptions {
+            faults,
+            ..CellOptions::default()
+        },
+    );
+    let ended = ended_by_a_signal()?;
+    let port =
+        transport::listen(&arguments.segment.endpoint()).map_err(|error| CommandError::new(code::CONNECTION, error))?;
+    let capture = arguments.pcap.as_deref().map(capture).transpose()?;
+    let listens = port.endpoint().to_string();
+    if arguments.json {
+        eprintln!("{listens}");
+    } else {
+        writeln!(io::stdout(), "{listens}").map_err(|cause| CommandError::failed("stdout", cause))?;
+    }
+    eprintln!("{} slaves; Ctrl-C ends the segment.", cell.state().slaves.len());
+    let mut running = Running {
+        cell,
+        port,
+        capture,
+        clock: Clock::new(),
+        replies: 0,
+        ignored: 0,
+    };
+    let begun = Instant::now();
+    while !ended.load(Ordering::Relaxed) {
+        running.step()?;
+    }
+    let summary = running.finish(listens, begun.elapsed())?;
+    if arguments.json {
+        print_json(&summary)
+    } else {
+        tell(&summary);
+        Ok(())
+    }
+}
+
+/// A flag that a signal sets, so that the end is told and files are completed.
+fn ended_by_a_signal() -> Result<Arc<AtomicBool>, CommandError> {
+    let ended = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, ended.clone())
+            .map_err(|cause| CommandError::failed("the signal handler", cause))?;
+    }
+    Ok(ended)
+}
+
+fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {
+    let opened = File::create(path).and_then(|file| Capture::new(BufWriter::new(file)));
+    opened.map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
+}
+
+/// The segment at work.
+struct Running {
+    cell: Cell,
+    port: Box<dyn SegmentPort>,
+    capture: Option<Capture<BufWriter<File>>>,
+    clock: Clock,
+    replies: u64,
+    ignored: u64,
+}
+
+impl Running {
+    /// Waits for a frame, at most a millisecond, and answers it.
+    fn step(&mut self) -> Result<(), CommandError> {
+        let lost = |cause| CommandError::new(code::CONNECTION, format!("the way to the masters was lost: {cause}"));
+        let received = self.port.receive(STEP).map_err(lost)?;
+        let now_us = self.clock.now_us();
+        let Some((master, frame)) = received else {
+            self.cell.advance_to(now_us);
+            return Ok(());
+        };
+        let frames = self.cell.frames();
+        let replies = self.cell.frame(now_us, &frame);
+        if self.cell.frames() == frames {
+            self.ignored += 1;
+            return Ok(());
+        }
+        if frames == 0 {
+            eprintln!("the first frame has come");
+        }
+        self.record(now_us, Direction::Sent, &frame)?;
+        for reply in replies {
+            self.port.send(master, &reply).map_err(lost)?;
+            self.replies += 1;
+            let seen = self.port.on_the_wire(master, &reply);
+            self.record(now_us, Direction::Received, &seen)?;
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, now_us: u64, direction: Direction, frame: &[u8]) -> Result<(), CommandError> {
+        let Some(capture) = &mut self.capture else {
+            return Ok(());
+        };
+        capture
+            .record(now_us, direction, frame)
+            .map_err(|cause| CommandError::failed("the capture", cause))
+    }
+
+    fn finish(self, listens: String, ran: Duration) -> Result<Summary, CommandError> {
+        if let Some(capture) = self.capture {
+            capture
+                .finish()
+                .map_err(|cause| CommandError::failed("the capture", cause))?;
+        }
+        let state = self.cell.state();
+        Ok(Summary {
+            listens,
+            seconds: ran.as_secs_f64(),
+            paused_ms: u64::try_from(self.clock.paused.as_millis()).unwrap_or(u64::MAX),
+            frames: state.frames,
+            replies: self.replies,
+            ignored: self.ignored,
+            slaves: (1..).zip(&state.slaves).map(SlaveSummary::new).collect(),
+        })
+    }
+}
+
+/// The end, for a person.
+fn tell(summary: &Summary) {
+    eprintln!(
+        "{} frames in, {} out in {:.1} s; {} were no EtherCAT; {} ms without the processor",
+        summary.frames, summary.replies, summary.seconds, summary.ignored, summary.paused_ms
+    );
+    for slave in &summary.slaves {
+        let error = match slave.al_status_code {
+            0 => String::new(),
+            number => format!(", AL status code {number:#06x}: {}", slave.al_status_text),
+        };
+        eprintln!("slave {}: {}, {}{error}", slave.slave, slave.al_state, slave.drive);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_without_the_processor_does_not_pass_in_the_cell() {
+        let mut clock = Clock::new();
+        clock.pass(Duration::from_micros(1_500));
+        clock.pass(PAUSE);
+        assert_eq!((clock.now_us, clock.paused), (6_500, Duration::ZERO));
+        clock.pass(Duration::from_secs(2));
+        assert_eq!((clock.now_us, clock.paused), (7_500, Duration::from_millis(1_999)));
+    }
+}

@@ -1,0 +1,220 @@
+//! EtherCAT in UDP over the system's sockets.
+//!
+//! The payload of a datagram is what follows the Ethernet header in a raw frame. The segment hands on whole frames with
+//! Ethernet, IPv4 and UDP headers around it, made up from the addresses there are, so that a capture shows what a tap
+//! at the wire would: the segment's port is always the standard's in it.
+//!
+//! Invariant: only IPv4; a datagram that is too long for a frame is dropped.
+
+use super::{ETHERNET_HEADER, Endpoint, Master, SegmentPort, Transport, TransportError, UDP_PORT};
+use super::{ethercat_part, unless_blocked, wait_for};
+use etherpen::ethercat::wire::{ETHERTYPE, FRAME_LEN_MAX, FRAME_LEN_MIN, SOURCE_BIT};
+use rustix::event::{PollFd, PollFlags};
+use rustix::net::{RecvFlags, SendFlags, SocketAddrAny, recvfrom, sendto};
+use std::io::{self, ErrorKind};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::time::Duration;
+
+const ETHERTYPE_IPV4: [u8; 2] = [0x08, 0x00];
+const IPV4_HEADER: usize = 20;
+const UDP_HEADER: usize = 8;
+/// Where the payload starts in a frame with all headers.
+const PAYLOAD: usize = ETHERNET_HEADER + IPV4_HEADER + UDP_HEADER;
+/// Longest payload that fits a frame.
+const PAYLOAD_MAX: usize = FRAME_LEN_MAX - PAYLOAD;
+
+/// A master's end.
+pub(super) struct UdpTransport {
+    socket: UdpSocket,
+    segment: SocketAddrV4,
+    /// Source address of the frames sent: replies are given it back.
+    source: [u8; 6],
+}
+
+impl UdpTransport {
+    pub(super) fn open(segment: SocketAddrV4) -> Result<Self, TransportError> {
+        let failed = |cause| TransportError::failed(format!("UDP to {segment}"))(cause);
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).map_err(failed)?;
+        socket.set_broadcast(true).map_err(failed)?;
+        socket.set_nonblocking(true).map_err(failed)?;
+        Ok(Self {
+            socket,
+            segment,
+            source: [0; 6],
+        })
+    }
+
+    fn is_of_the_segment(&self, from: SocketAddrV4) -> bool {
+        let one = !self.segment.ip().is_broadcast() && !self.segment.ip().is_multicast();
+        from.port() == self.segment.port()
+            && (!one || from.ip() == self.segment.ip() || self.segment.ip().is_unspecified())
+    }
+}
+
+impl Transport for UdpTransport {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        let Some(part) = ethercat_part(frame).filter(|part| part.len() <= PAYLOAD_MAX) else {
+            return Ok(());
+        };
+        if let Some(Ok(source)) = frame.get(6..12).map(TryInto::try_into) {
+            self.source = source;
+        }
+        let sent = sendto(
+            &self.socket,
+            part,
+            SendFlags::empty(),
+            &SocketAddrAny::from(self.segment),
+        );
+        unless_blocked(sent).map(|_| ())
+    }
+
+    fn receive(&mut self, frame: &mut [u8], wait: Duration) -> io::Result<Option<usize>> {
+        wait_for(&mut [PollFd::new(&self.socket, PollFlags::IN)], wait)?;
+        let Some((header, payload)) = frame.split_at_mut_checked(ETHERNET_HEADER) else {
+            return Ok(None);
+        };
+        let received = unless_blocked(recvfrom(&self.socket, &mut *payload, RecvFlags::TRUNC))?;
+        let Some((_, length, Some(from))) = received else {
+            return Ok(None);
+        };
+        if !v4(from).is_some_and(|from| self.is_of_the_segment(from)) || length > payload.len() {
+            return Ok(None);
+        }
+        // An Ethernet frame is at least that long.
+        let padded = length.max(FRAME_LEN_MIN - ETHERNET_HEADER);
+        if let Some(padding) = payload.get_mut(length..padded) {
+            padding.fill(0);
+        }
+        let [first, rest @ ..] = self.source;
+        let written = [0xFF; 6].into_iter().chain([first | SOURCE_BIT]).chain(rest);
+        let written = written.chain(ETHERTYPE.to_be_bytes());
+        header.iter_mut().zip(written).for_each(|(place, byte)| *place = byte);
+        Ok(Some(ETHERNET_HEADER + padded))
+    }
+}
+
+fn v4(address: SocketAddrAny) -> Option<SocketAddrV4> {
+    match SocketAddr::try_from(address).ok()? {
+        SocketAddr::V4(address) => Some(address),
+        SocketAddr::V6(_) => None,
+    }
+}
+
+/// A segment's end.
+pub(super) struct UdpPort {
+    socket: UdpSocket,
+    address: SocketAddrV4,
+}
+
+impl UdpPort {
+    pub(super) fn listen(address: SocketAddrV4) -> Result<Self, TransportError> {
+        let socket = UdpSocket::bind(address).map_err(|cause| match cause.kind() {
+            ErrorKind::AddrInUse => TransportError::PortInUse(address),
+            ErrorKind::AddrNotAvailable => TransportError::NotHere(address),
+            _ => TransportError::failed(format!("UDP at {address}"))(cause),
+        })?;
+        let failed = |cause| TransportError::failed(format!("UDP at {address}"))(cause);
+        socket.set_nonblocking(true).map_err(failed)?;
+        let address = match socket.local_addr().map_err(failed)? {
+            SocketAddr::V4(bound) => bound,
+            SocketAddr::V6(_) => address,
+        };
+        Ok(Self { socket, address })
+    }
+}
+
+impl SegmentPort for UdpPort {
+    fn endpoint(&self) -> Endpoint {
+        Endpoint::Udp(self.address)
+    }
+
+    fn receive(&mut self, wait: Duration) -> io::Result<Option<(Master, Vec<u8>)>> {
+        wait_for(&mut [PollFd::new(&self.socket, PollFlags::IN)], wait)?;
+        let mut payload = [0; PAYLOAD_MAX];
+        let received = unless_blocked(recvfrom(&self.socket, &mut payload[..], RecvFlags::TRUNC))?;
+        let Some((_, length, Some(from))) = received else {
+            return Ok(None);
+        };
+        let (Some(from), Some(payload)) = (v4(from), payload.get(..length)) else {
+            return Ok(None);
+        };
+        let segment = SocketAddrV4::new(*self.address.ip(), UDP_PORT);
+        Ok(Some((Master::Udp(from), framed(from, segment, payload))))
+    }
+
+    fn send(&mut self, master: Master, frame: &[u8]) -> io::Result<()> {
+        let Master::Udp(master) = master else { return Ok(()) };
+        let sent = sendto(
+            &self.socket,
+            payload(frame),
+            SendFlags::empty(),
+            &SocketAddrAny::from(master),
+        );
+        match unless_blocked(sent) {
+            // A master that has gone is told of by the next call.
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
+            sent => sent.map(|_| ()),
+        }
+    }
+
+    fn on_the_wire(&self, master: Master, frame: &[u8]) -> Vec<u8> {
+        let segment = SocketAddrV4::new(*self.address.ip(), UDP_PORT);
+        match master {
+            Master::Udp(master) => framed(segment, master, payload(frame)),
+            _ => frame.to_vec(),
+        }
+    }
+}
+
+/// What a datagram carries of a frame: what follows UDP's header, or Ethernet's where there is none.
+fn payload(frame: &[u8]) -> &[u8] {
+    let is_udp = frame.get(12..14) == Some(&ETHERTYPE_IPV4[..]);
+    let start = if is_udp { PAYLOAD } else { ETHERNET_HEADER };
+    frame.get(start..).unwrap_or(&[])
+}
+
+/// A frame with Ethernet, IPv4 (RFC 791) and UDP (RFC 768, without a checksum) headers around a payload.
+fn framed(from: SocketAddrV4, to: SocketAddrV4, payload: &[u8]) -> Vec<u8> {
+    let mut frame = Vec::with_capacity(PAYLOAD + payload.len());
+    frame.extend_from_slice(&address_of(*to.ip()));
+    frame.extend_from_slice(&address_of(*from.ip()));
+    frame.extend_from_slice(&ETHERTYPE_IPV4);
+    let length = |headers: usize| u16::try_from(headers + payload.len()).unwrap_or(u16::MAX).to_be_bytes();
+    let [total_high, total_low] = length(IPV4_HEADER + UDP_HEADER);
+    let mut internet = [0x45, 0, total_high, total_low, 0, 0, 0x40, 0, 64, 17, 0, 0];
+    let mut addresses = from.ip().octets().to_vec();
+    addresses.extend_from_slice(&to.ip().octets());
+    let checksum = checksum(internet.iter().chain(&addresses));
+    if let Some(place) = internet.last_chunk_mut() {
+        *place = checksum.to_be_bytes();
+    }
+    frame.extend_from_slice(&internet);
+    frame.extend_from_slice(&addresses);
+    frame.extend_from_slice(&from.port().to_be_bytes());
+    frame.extend_from_slice(&to.port().to_be_bytes());
+    frame.extend_from_slice(&length(UDP_HEADER));
+    frame.extend_from_slice(&[0, 0]);
+    frame.extend_from_slice(payload);
+    frame
+}
+
+/// A made-up Ethernet address for an IPv4 address; broadcast for broadcast.
+fn address_of(address: Ipv4Addr) -> [u8; 6] {
+    let [a, b, c, d] = address.octets();
+    if address.is_broadcast() {
+        [0xFF; 6]
+    } else {
+        [0x10, 0, a, b, c, d]
+    }
+}
+
+/// Checksum of an IPv4 header (RFC 1071): the complement of the sum of its 16-bit words, in ones' complement.
+fn checksum<'a>(header: impl Iterator<Item = &'a u8>) -> u16 {
+    let bytes: Vec<u8> = header.copied().collect();
+    let sum = bytes.chunks(2).fold(0_u32, |sum, word| match *word {
+        [high, low] => sum + u32::from(u16::from_be_bytes([high, low])),
+        _ => sum,
+    });
+    let folded = (sum & 0xFFFF) + (sum >> 16);
+    !((folded & 0xFFFF) + (folded >> 16)) as u16
+}
