@@ -72,7 +72,9 @@ fn output(command: &mut Command) -> Option<String> {
 
 /// Whether `program` can be started.
 pub fn is_installed(program: &str) -> bool {
-    output(Command::new(program).arg("--version")).is_some()
+    // iproute2 knows only the short form.
+    let answers = |option| output(Command::new(program).arg(option)).is_some();
+    answers("--version") || answers("-V")
 }
 
 /// Adds the Rust target of the boards where it is missing.
@@ -134,6 +136,7 @@ pub fn ensure_component(component: &str) -> Result<(), SetupError> {
 fn package(program: &str) -> &str {
     match program {
         QEMU => "qemu-system-arm",
+        "ip" => "iproute2",
         other => other,
     }
 }
@@ -151,8 +154,7 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
         "{program} is needed and not installed. Try one of:\n\
          \x20 Debian, Ubuntu:  sudo apt-get update && sudo apt-get install -y --no-install-recommends {package}\n\
          \x20 Fedora:          sudo dnf install {package}\n\
-         \x20 Arch:            sudo pacman -S {package}\n\
-         \x20 macOS:           brew install qemu"
+         \x20 Arch:            sudo pacman -S {package}"
     );
     if !is_installed("apt-get") {
         return error(by_hand);

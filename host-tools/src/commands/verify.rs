@@ -66,6 +66,9 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     setup::ensure_component("rustfmt")?;
     setup::ensure_component("clippy")?;
     setup::ensure_qemu()?;
+    for program in ["tshark", "ip"] {
+        setup::ensure_program(program)?;
+    }
     for board in ["nucleo", "emulated"] {
         announce(&format!("firmware of board {board}"));
         let image = setup::build_firmware(board)?;

@@ -15,7 +15,7 @@ mod unix;
 
 pub use error::TransportError;
 
-use etherpen::ethercat::wire::{ETHERTYPE, FRAME_LEN_MAX};
+use etherpen::ethercat::wire::{ETHERTYPE, FRAME_LEN_MAX, UDP_PORT};
 use rustix::event::{PollFd, Timespec, poll};
 use rustix::io::Errno;
 use std::fmt;
@@ -24,8 +24,6 @@ use std::net::{Ipv4Addr, SocketAddrV4, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// UDP port of EtherCAT.
-pub const UDP_PORT: u16 = 0x88A4;
 /// Bytes of an Ethernet header.
 const ETHERNET_HEADER: usize = 14;
 
@@ -50,7 +48,7 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// Reads `HOST`, `HOST:PORT` or `:PORT`; the port is [`UDP_PORT`] unless given, the host any address of this computer.
+/// Reads `HOST`, `HOST:PORT` or `:PORT`; the port is 34980 unless given, the host any address of this computer.
 ///
 /// # Errors
 /// That it is no IPv4 address, which EtherCAT in UDP needs.

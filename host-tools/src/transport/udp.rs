@@ -6,9 +6,11 @@
 //!
 //! Invariant: only IPv4; a datagram that is too long for a frame is dropped.
 
-use super::{ETHERNET_HEADER, Endpoint, Master, SegmentPort, Transport, TransportError, UDP_PORT};
+use super::{ETHERNET_HEADER, Endpoint, Master, SegmentPort, Transport, TransportError};
 use super::{ethercat_part, unless_blocked, wait_for};
-use etherpen::ethercat::wire::{ETHERTYPE, FRAME_LEN_MAX, FRAME_LEN_MIN, SOURCE_BIT};
+use etherpen::ethercat::wire::{
+    ETHERTYPE, FRAME_LEN_MAX, FRAME_LEN_MIN, SOURCE_BIT, UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr,
+};
 use rustix::event::{PollFd, PollFlags};
 use rustix::net::{RecvFlags, SendFlags, SocketAddrAny, recvfrom, sendto};
 use std::io::{self, ErrorKind};
@@ -16,12 +18,8 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::time::Duration;
 
 const ETHERTYPE_IPV4: [u8; 2] = [0x08, 0x00];
-const IPV4_HEADER: usize = 20;
-const UDP_HEADER: usize = 8;
-/// Where the payload starts in a frame with all headers.
-const PAYLOAD: usize = ETHERNET_HEADER + IPV4_HEADER + UDP_HEADER;
 /// Longest payload that fits a frame.
-const PAYLOAD_MAX: usize = FRAME_LEN_MAX - PAYLOAD;
+const PAYLOAD_MAX: usize = FRAME_LEN_MAX - UDP_PAYLOAD_OFFSET;
 
 /// A master's end.
 pub(super) struct UdpTransport {
@@ -168,33 +166,29 @@ impl SegmentPort for UdpPort {
 
 /// What a datagram carries of a frame: what follows UDP's header, or Ethernet's where there is none.
 fn payload(frame: &[u8]) -> &[u8] {
-    let is_udp = frame.get(12..14) == Some(&ETHERTYPE_IPV4[..]);
-    let start = if is_udp { PAYLOAD } else { ETHERNET_HEADER };
-    frame.get(start..).unwrap_or(&[])
+    let whole = UdpRepr::parse(frame).ok().and_then(|(_, place)| frame.get(place));
+    let is_ip = frame.get(12..ETHERNET_HEADER) == Some(&ETHERTYPE_IPV4[..]);
+    let start = if is_ip { UDP_PAYLOAD_OFFSET } else { ETHERNET_HEADER };
+    whole.or(frame.get(start..)).unwrap_or(&[])
 }
 
-/// A frame with Ethernet, IPv4 (RFC 791) and UDP (RFC 768, without a checksum) headers around a payload.
+/// A frame with Ethernet, IPv4 and UDP headers around a payload.
 fn framed(from: SocketAddrV4, to: SocketAddrV4, payload: &[u8]) -> Vec<u8> {
-    let mut frame = Vec::with_capacity(PAYLOAD + payload.len());
-    frame.extend_from_slice(&address_of(*to.ip()));
-    frame.extend_from_slice(&address_of(*from.ip()));
-    frame.extend_from_slice(&ETHERTYPE_IPV4);
-    let length = |headers: usize| u16::try_from(headers + payload.len()).unwrap_or(u16::MAX).to_be_bytes();
-    let [total_high, total_low] = length(IPV4_HEADER + UDP_HEADER);
-    let mut internet = [0x45, 0, total_high, total_low, 0, 0, 0x40, 0, 64, 17, 0, 0];
-    let mut addresses = from.ip().octets().to_vec();
-    addresses.extend_from_slice(&to.ip().octets());
-    let checksum = checksum(internet.iter().chain(&addresses));
-    if let Some(place) = internet.last_chunk_mut() {
-        *place = checksum.to_be_bytes();
+    let headers = UdpRepr {
+        source_mac: address_of(*from.ip()),
+        destination_mac: address_of(*to.ip()),
+        source: *from.ip(),
+        destination: *to.ip(),
+        source_port: from.port(),
+        destination_port: to.port(),
+    };
+    let mut frame = vec![0; FRAME_LEN_MAX];
+    let length = headers.emit(&mut frame, payload.len()).unwrap_or(0);
+    let end = UDP_PAYLOAD_OFFSET + payload.len();
+    if let Some(place) = frame.get_mut(UDP_PAYLOAD_OFFSET..end) {
+        place.copy_from_slice(payload);
     }
-    frame.extend_from_slice(&internet);
-    frame.extend_from_slice(&addresses);
-    frame.extend_from_slice(&from.port().to_be_bytes());
-    frame.extend_from_slice(&to.port().to_be_bytes());
-    frame.extend_from_slice(&length(UDP_HEADER));
-    frame.extend_from_slice(&[0, 0]);
-    frame.extend_from_slice(payload);
+    frame.truncate(length);
     frame
 }
 
@@ -206,15 +200,4 @@ fn address_of(address: Ipv4Addr) -> [u8; 6] {
     } else {
         [0x10, 0, a, b, c, d]
     }
-}
-
-/// Checksum of an IPv4 header (RFC 1071): the complement of the sum of its 16-bit words, in ones' complement.
-fn checksum<'a>(header: impl Iterator<Item = &'a u8>) -> u16 {
-    let bytes: Vec<u8> = header.copied().collect();
-    let sum = bytes.chunks(2).fold(0_u32, |sum, word| match *word {
-        [high, low] => sum + u32::from(u16::from_be_bytes([high, low])),
-        _ => sum,
-    });
-    let folded = (sum & 0xFFFF) + (sum >> 16);
-    !((folded & 0xFFFF) + (folded >> 16)) as u16
 }

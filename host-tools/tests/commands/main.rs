@@ -5,6 +5,8 @@
 // The tests there look at processes by way of /proc.
 #[cfg(target_os = "linux")]
 mod emulator;
+mod ethercrab;
+mod network;
 mod program;
 
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};

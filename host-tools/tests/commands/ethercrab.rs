@@ -1,0 +1,179 @@
+//! ethercrab, a master by other people, on the virtual segment: one cable, two network namespaces.
+
+use crate::network::Network;
+use crate::program::{Folder, Running, etherpen};
+use ethercrab::std::{ethercat_now, tx_rx_task};
+use ethercrab::{MainDevice, MainDeviceConfig, PduStorage, Timeouts, error::Error};
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::task::{Context, Poll, Wake, Waker};
+use std::thread::Thread;
+use std::time::Duration;
+
+/// Cycles that have to pass without a wrong working counter.
+const CYCLES: usize = 10_000;
+const DRIVES: usize = 4;
+/// Room for slaves; a power of two.
+const SLAVES_MAX: usize = 16;
+/// Room for process data, bytes.
+const IMAGE_BYTES: usize = 64;
+/// Every drive is read (1) and written (2).
+const WORKING_COUNTER: u16 = 3 * DRIVES as u16;
+/// Cycles in which the drives have to follow a control word.
+const OBEY_CYCLES_MAX: usize = 2_000;
+/// Velocity demand, digits; 140 are one revolution of the motor in a minute.
+const DEMAND: i32 = 14_000;
+
+/// Divider of the process-data watchdog: 100 us (register 0x0400), and the watchdog in such units: 6 s. A computer under
+/// load stops this program for longer than the usual 100 ms.
+const WATCHDOG_DIVIDER: (u16, u16) = (0x0400, 2_498);
+const WATCHDOG_TIME: (u16, u16) = (0x0420, 60_000);
+
+static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
+
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+/// Runs `work` while `driver` moves its frames.
+fn drive<T>(mut driver: Pin<&mut impl Future>, work: impl Future<Output = T>) -> T {
+    let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
+    let mut context = Context::from_waker(&waker);
+    let mut work = pin!(work);
+    loop {
+        if let Poll::Ready(result) = work.as_mut().poll(&mut context) {
+            return result;
+        }
+        assert!(driver.as_mut().poll(&mut context).is_pending(), "the socket was lost");
+        std::thread::park();
+    }
+}
+
+/// What a drive says: position and CiA 402 status word.
+fn inputs(bytes: &[u8]) -> (i32, u16) {
+    let position = i32::from_le_bytes(bytes[..4].try_into().expect("four bytes"));
+    (position, u16::from_le_bytes([bytes[4], bytes[5]]))
+}
+
+/// What a drive is told: velocity demand and control word.
+fn outputs(demand: i32, control: u16) -> [u8; 6] {
+    let mut bytes = [0; 6];
+    bytes[..4].copy_from_slice(&demand.to_le_bytes());
+    bytes[4..].copy_from_slice(&control.to_le_bytes());
+    bytes
+}
+
+/// From nothing to drives that turn; gives the cycles and the wrong working counters.
+async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
+    let group = maindevice
+        .init_single_group::<SLAVES_MAX, IMAGE_BYTES>(ethercat_now)
+        .await?;
+    assert_eq!(group.len(), DRIVES);
+    for drive in group.iter(maindevice) {
+        let identity = drive.identity();
+        assert_eq!(
+            (identity.vendor_id, identity.product_id),
+            (2, 0x07D0_6014),
+            "{}",
+            drive.name()
+        );
+        for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
+            drive.register_write(register, value).await?;
+        }
+        // Velocity demand and control word out, position and status word in, digital speed.
+        for (list, pdo) in [(0x1C12, 0x1702_u16), (0x1C13, 0x1B01)] {
+            drive.sdo_write(list, 0, 0_u8).await?;
+            drive.sdo_write(list, 1, pdo).await?;
+            drive.sdo_write(list, 0, 1_u8).await?;
+        }
+        drive.sdo_write(0x6060, 0, -2_i8).await?;
+    }
+    let group = group.into_safe_op(maindevice).await?;
+    let group = group.request_into_op(maindevice).await?;
+    let (mut cycles, mut wrong) = (0, 0);
+    let mut before_op = 0;
+    while !group.tx_rx(maindevice).await?.all_op() {
+        before_op += 1;
+        assert!(before_op < OBEY_CYCLES_MAX, "not in OP");
+    }
+    let mut wait_for = OBEY_CYCLES_MAX;
+    let mut steps = [(0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)].into_iter();
+    let mut step = steps.next();
+    let mut start = None;
+    while cycles < CYCLES || step.is_some() {
+        let (control, state) = step.unwrap_or((0x0F, 0x27));
+        let demand = if step.is_none() { DEMAND } else { 0 };
+        for drive in group.iter(maindevice) {
+            drive.outputs_raw_mut().copy_from_slice(&outputs(demand, control));
+        }
+        let response = group.tx_rx(maindevice).await?;
+        cycles += 1;
+        wrong += usize::from(response.working_counter != WORKING_COUNTER);
+        assert!(response.all_op(), "cycle {cycles}: {:?}", response.subdevice_states);
+        let drives: Vec<_> = group
+            .iter(maindevice)
+            .map(|drive| inputs(&drive.inputs_raw()))
+            .collect();
+        let all_there = drives.iter().all(|(_, status)| status & 0x6F == state);
+        if step.is_some() && all_there {
+            step = steps.next();
+            wait_for = OBEY_CYCLES_MAX;
+        } else if step.is_some() {
+            wait_for -= 1;
+            assert!(wait_for > 0, "control word {control:#x}: {drives:x?}");
+        } else {
+            assert!(all_there, "cycle {cycles}: {drives:x?}");
+        }
+        if step.is_none() && start.is_none() {
+            start = Some(drives.clone());
+        }
+        if cycles == CYCLES {
+            let moved = drives.iter().zip(start.iter().flatten());
+            assert!(moved.clone().all(|(now, then)| now.0 != then.0), "{moved:?}");
+        }
+    }
+    Ok((cycles, wrong))
+}
+
+#[test]
+fn ethercrab_enables_the_four_drives_and_exchanges_ten_thousand_cycles_without_a_wrong_counter() {
+    let Some(network) = Network::new("the test with ethercrab") else {
+        return;
+    };
+    let folder = Folder::new();
+    let [at_segment, at_master] = network.interfaces();
+    let mut program = etherpen(&folder);
+    program.args(["segment", "--interface", at_segment]);
+    let mut segment = Running::start(&mut network.command(0, &program));
+    segment.wait_for("segment", |running| {
+        running.stdout().contains("interface:").then_some(())
+    });
+    let result = std::thread::scope(|scope| {
+        let master = network.spawn(scope, 1, || {
+            let (tx, rx, pdu_loop) = STORAGE.try_split().expect("this is the only test that uses it");
+            let timeouts = Timeouts {
+                pdu: Duration::from_secs(10),
+                eeprom: Duration::from_secs(10),
+                mailbox_echo: Duration::from_secs(10),
+                mailbox_response: Duration::from_secs(10),
+                state_transition: Duration::from_secs(60),
+                ..Timeouts::default()
+            };
+            let config = MainDeviceConfig {
+                dc_static_sync_iterations: 100,
+                ..MainDeviceConfig::default()
+            };
+            let maindevice = MainDevice::new(pdu_loop, timeouts, config);
+            let driver = tx_rx_task(at_master, tx, rx).expect("root may open the interface");
+            drive(pin!(driver), run(&maindevice))
+        });
+        master.join().expect("the master's thread")
+    });
+    let (cycles, wrong) = result.unwrap_or_else(|error| panic!("{error:?}; segment: {}", segment.stderr()));
+    println!("{cycles} cycles, {wrong} wrong working counters");
+    assert_eq!(wrong, 0, "of {cycles}");
+}
