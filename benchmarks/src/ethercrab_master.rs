@@ -56,6 +56,15 @@ struct Port {
 }
 
 impl Port {
+    /// Splits `storage` into the port and what a main device is made of.
+    fn new(storage: &'static Storage) -> (Self, MainDevice<'static>) {
+        let Ok((tx, rx, pdu_loop)) = storage.try_split() else {
+            panic!("the storage is in use");
+        };
+        let frame = [0; 1536];
+        (Self { tx, rx, frame }, MainDevice::new(pdu_loop, timeouts(), config()))
+    }
+
     /// Runs `future` to its end; `answer` turns each frame into its reply.
     fn run<M: Meter, F: Future>(&mut self, future: F, mut answer: impl FnMut(&mut [u8])) -> F::Output {
         let mut future = pin!(future);
@@ -105,15 +114,7 @@ impl EthercrabMaster {
     /// # Panics
     /// `storage` is in use, or the drives did not get to OP.
     pub fn new(storage: &'static Storage, case: Case) -> Self {
-        let Ok((tx, rx, pdu_loop)) = storage.try_split() else {
-            panic!("the storage is in use");
-        };
-        let mut port = Port {
-            tx,
-            rx,
-            frame: [0; 1536],
-        };
-        let device = MainDevice::new(pdu_loop, timeouts(), config());
+        let (mut port, device) = Port::new(storage);
         let mut segment = Segment::new(case.data);
         let group = port.run::<Uncounted, _>(bring_up(&device), |frame| segment.frame(frame));
         Self {
@@ -201,7 +202,7 @@ impl Master for EthercrabMaster {
 }
 
 /// Time limits that an unhurried segment meets.
-pub fn timeouts() -> Timeouts {
+fn timeouts() -> Timeouts {
     Timeouts {
         state_transition: Duration::from_secs(20),
         pdu: Duration::from_secs(1),
@@ -211,7 +212,7 @@ pub fn timeouts() -> Timeouts {
 }
 
 /// Without the 10,000 frames that let the clocks settle before the bring-up goes on.
-pub fn config() -> MainDeviceConfig {
+fn config() -> MainDeviceConfig {
     MainDeviceConfig {
         dc_static_sync_iterations: 0,
         ..MainDeviceConfig::default()
@@ -254,4 +255,34 @@ pub fn ram_bytes() -> usize {
 /// Size of the future that a function returns.
 fn size_of_output<'d, F: Future>(_: impl FnOnce(&'d MainDevice<'static>) -> F) -> usize {
     size_of::<F>()
+}
+
+/// Brings drives to OP over `wire`, which turns each frame into its reply; gives how many there are.
+///
+/// # Panics
+/// `storage` is in use, or the drives did not get to OP.
+pub fn bring_up_over(storage: &'static Storage, wire: impl FnMut(&mut [u8])) -> usize {
+    let (mut port, device) = Port::new(storage);
+    let group = port.run::<Uncounted, _>(bring_up(&device), wire);
+    group.len()
+}
+
+/// A whole application: bring-up, then a cycle with clock for ever.
+///
+/// # Panics
+/// Something failed.
+pub fn serve(storage: &'static Storage, mut wire: impl FnMut(&mut [u8])) -> ! {
+    let (mut port, device) = Port::new(storage);
+    let application = async {
+        let group = bring_up(&device).await;
+        loop {
+            for drive in group.iter(&device) {
+                let mut data = drive.io_raw_mut();
+                let inputs = read_drive(data.inputs()).unwrap_or_default();
+                write_drive(data.outputs(), inputs.0, inputs.1);
+            }
+            assert!(group.tx_rx_sync_system_time(&device).await.is_ok());
+        }
+    };
+    port.run::<Uncounted, _>(application, &mut wire)
 }

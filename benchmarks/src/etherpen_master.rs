@@ -2,10 +2,14 @@
 
 use crate::segment::answer;
 use crate::{Case, DRIVES, Exchange, Master, Meter, read_drive, write_drive};
+use core::future::Future;
 use core::hint::black_box;
+use core::pin::pin;
+use core::task::{Context, Waker};
 use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::cyclic::{self, Arrival, CyclicPlan, CyclicSlave};
+use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
 
@@ -101,6 +105,37 @@ impl Master for EtherpenMaster<'_> {
             self.exchange.al_status().is_some_and(|al| al.status == 8),
             "no AL status"
         );
+    }
+}
+
+/// A whole application: bring-up, exchange and supervision, a millisecond at a time, for ever.
+///
+/// # Panics
+/// The order to start found no place.
+pub fn serve(queues: &mut BusQueues, mut wire: impl FnMut(&mut [u8])) -> ! {
+    let (exchange_end, supervisor_end, mut application) = queues.split();
+    let mut exchange = cyclic::Exchange::new(exchange_end, MASTER_ADDRESS);
+    let mut supervisor = Supervisor::new(supervisor_end);
+    let mut supervision = pin!(supervisor.run());
+    let mut context = Context::from_waker(Waker::noop());
+    let mut frame = [0; FRAME_LEN_MAX];
+    let start = BusCommand::Start(black_box(BusSetup::default()));
+    assert!(application.commands.enqueue(start).is_ok(), "no room for the order");
+    loop {
+        let length = exchange.input_telegram(&mut frame);
+        let telegram = frame.get_mut(..length).unwrap_or(&mut []);
+        wire(telegram);
+        exchange.receive(telegram);
+        for drive in 0..DRIVES {
+            let (position, status) = exchange.input(drive).and_then(read_drive).unwrap_or_default();
+            write_drive(exchange.output(drive), position, status);
+        }
+        let length = exchange.output_telegram(&mut frame);
+        let telegram = frame.get_mut(..length).unwrap_or(&mut []);
+        wire(telegram);
+        exchange.receive(telegram);
+        black_box(supervision.as_mut().poll(&mut context).is_pending());
+        black_box(application.events.dequeue());
     }
 }
 

@@ -1,0 +1,16 @@
+//! An image of the master of this project, to be weighed and not to be run.
+#![no_std]
+#![no_main]
+
+#[path = "image/mod.rs"]
+mod image;
+
+use benchmarks::etherpen_master;
+use cortex_m_rt::entry;
+use etherpen::ethercat::BusQueues;
+
+#[entry]
+fn main() -> ! {
+    static mut QUEUES: BusQueues = BusQueues::new();
+    etherpen_master::serve(QUEUES, image::wire)
+}
