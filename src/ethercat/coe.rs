@@ -39,7 +39,15 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
     /// [`BusError::SdoAbort`], [`BusError::SdoAnswer`], [`BusError::SdoLength`], or those of the mailbox.
     pub async fn upload(&mut self, object: Object) -> Result<Bytes, BusError> {
         let mut value = Bytes::new();
-        let answer = self.ask(object, &Sdo::Upload { object }).await?;
+        let answer = self
+            .ask(
+                object,
+                &Sdo::Upload {
+                    object,
+                    complete: false,
+                },
+            )
+            .await?;
         let size = match Sdo::parse_response(&answer) {
             Ok(Sdo::UploadExpedited { data, .. }) => {
                 append(&mut value, data, object)?;
@@ -102,7 +110,16 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
     pub async fn write(&mut self, object: Object, value: u32, length: u8) -> Result<(), BusError> {
         let value = value.to_le_bytes();
         let data = value.get(..usize::from(length.clamp(1, 4))).unwrap_or(&value);
-        let answer = self.ask(object, &Sdo::DownloadExpedited { object, data }).await?;
+        let answer = self
+            .ask(
+                object,
+                &Sdo::DownloadExpedited {
+                    object,
+                    complete: false,
+                    data,
+                },
+            )
+            .await?;
         match Sdo::parse_response(&answer) {
             Ok(Sdo::DownloadDone { .. }) => Ok(()),
             _ => Err(BusError::SdoAnswer { object }),

@@ -187,7 +187,7 @@ impl FakeSlave {
             code: 0x0602_0000,
         };
         let length = match Sdo::parse_request(request).unwrap() {
-            Sdo::DownloadExpedited { object, data } => {
+            Sdo::DownloadExpedited { object, data, .. } => {
                 self.downloads += 1;
                 match self.objects.get_mut(&(object.index, object.sub)) {
                     Some(value) if value.len() == data.len() => {
@@ -202,7 +202,7 @@ impl FakeSlave {
                     None => missing(object).emit(&mut bytes),
                 }
             }
-            Sdo::Upload { object } => {
+            Sdo::Upload { object, .. } => {
                 let shown = if object.index == 0x6061 {
                     (0x6060, 0)
                 } else {

@@ -223,7 +223,7 @@ impl Mailbox {
         };
         if header.protocol == Protocol::Error {
             return Err(BusError::Mailbox {
-                detail: mailbox::error_detail(data).unwrap_or(0),
+                detail: mailbox::ErrorReply::parse(data).map_or(0, |reply| reply.detail),
             });
         }
         if header.protocol == Protocol::Coe && Service::parse(data) == Ok(Service::Emergency) {

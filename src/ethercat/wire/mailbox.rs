@@ -115,13 +115,40 @@ pub fn service_data(bytes: &[u8]) -> Result<&[u8], Error> {
     })
 }
 
-/// The reason in the service data of a [`Protocol::Error`] message.
-///
-/// # Errors
-/// [`Error::Truncated`].
-pub fn error_detail(data: &[u8]) -> Result<u16, Error> {
-    check_len(data, 4)?;
-    Ok(read_u16(data, 2))
+/// The service data of a [`Protocol::Error`] message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ErrorReply {
+    /// Why the slave could not make use of a mailbox, see [`error_text`].
+    pub detail: u16,
+}
+
+impl ErrorReply {
+    /// Bytes of the service data.
+    pub const LEN: usize = 4;
+    /// The only kind of error reply there is.
+    const KIND: u16 = 1;
+
+    /// Reads the service data; a kind other than 1 is read alike.
+    ///
+    /// # Errors
+    /// [`Error::Truncated`].
+    pub fn parse(data: &[u8]) -> Result<Self, Error> {
+        check_len(data, Self::LEN)?;
+        Ok(Self {
+            detail: read_u16(data, 2),
+        })
+    }
+
+    /// Writes the service data.
+    ///
+    /// # Errors
+    /// [`Error::Room`].
+    pub fn emit(&self, data: &mut [u8]) -> Result<(), Error> {
+        check_room(data, Self::LEN)?;
+        write_bytes(data, 0, &Self::KIND.to_le_bytes());
+        write_bytes(data, 2, &self.detail.to_le_bytes());
+        Ok(())
+    }
 }
 
 /// Text of a mailbox error's reason.
@@ -177,6 +204,15 @@ mod tests {
                 actual: 9
             })
         );
+    }
+
+    #[test]
+    fn an_error_reply_survives_emit_and_parse() {
+        let mut data = [0xAA; 4];
+        let reply = ErrorReply { detail: 8 };
+        reply.emit(&mut data).unwrap();
+        assert_eq!((data, ErrorReply::parse(&data)), ([1, 0, 8, 0], Ok(reply)));
+        assert!(ErrorReply::parse(&data[1..]).is_err());
     }
 
     #[test]

@@ -1,79 +1,20 @@
-//! CANopen over EtherCAT: service data objects and emergencies inside a mailbox.
+//! Service data objects: values read and written by object, in one message or in segments.
 //!
-//! The service data of a CoE mailbox start with a two-byte CoE header; a service data object (SDO) message adds a
-//! command byte, the object's index and sub-index and four bytes of data or size. Layout: IEC 61158-6-12, CoE, and
-//! CiA 301 for the command bytes. One structure serves both sides, so that a virtual slave can use it too.
+//! A message has a command byte, the object's index and sub-index and four bytes of data or size; segments have the
+//! command byte alone. Complete access transfers all sub-indices at once: sub-index 0 then takes 16 bits, its upper byte
+//! being padding. Layout: IEC 61158-6-12, CoE, and CiA 301 for the command bytes.
 //!
 //! Invariant: a parsed message borrows only bytes that are there.
 
-use super::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
-use serde::{Deserialize, Serialize};
+use super::{COE_HEADER_LEN, Object, Service};
+use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
 
-/// Bytes of the CoE header.
-pub const COE_HEADER_LEN: usize = 2;
 /// Bytes of CoE header and SDO header: command, index, sub-index and four bytes of data or size.
 pub const SDO_LEN: usize = COE_HEADER_LEN + 8;
 /// Bytes of CoE header and the command byte of a segment.
 pub const SEGMENT_HEADER_LEN: usize = COE_HEADER_LEN + 1;
 /// Fewest bytes of data in a segment; shorter ones are padded and say how many bytes are void.
 pub const SEGMENT_DATA_MIN: usize = 7;
-
-/// Service numbers of the CoE header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Service {
-    /// The slave reports an emergency.
-    Emergency = 1,
-    /// The master asks for an SDO.
-    SdoRequest = 2,
-    /// The slave answers an SDO.
-    SdoResponse = 3,
-    /// Process data by mailbox, slave to master.
-    TxPdo = 4,
-    /// Process data by mailbox, master to slave.
-    RxPdo = 5,
-    /// Information about the object dictionary.
-    SdoInformation = 8,
-}
-
-impl Service {
-    /// Reads the service out of the CoE header.
-    ///
-    /// # Errors
-    /// [`Error::Truncated`] or [`Error::Value`] for an unknown service.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
-        check_len(bytes, COE_HEADER_LEN)?;
-        Ok(match read_u16(bytes, 0) >> 12 {
-            1 => Self::Emergency,
-            2 => Self::SdoRequest,
-            3 => Self::SdoResponse,
-            4 => Self::TxPdo,
-            5 => Self::RxPdo,
-            8 => Self::SdoInformation,
-            actual => return Err(Error::Value { actual }),
-        })
-    }
-
-    fn emit(self, bytes: &mut [u8]) {
-        write_bytes(bytes, 0, &((self as u16) << 12).to_le_bytes());
-    }
-}
-
-/// An object of the dictionary.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Object {
-    /// Index.
-    pub index: u16,
-    /// Sub-index.
-    pub sub: u8,
-}
-
-impl Object {
-    /// The object `index:sub`.
-    pub const fn new(index: u16, sub: u8) -> Self {
-        Self { index, sub }
-    }
-}
 
 /// An SDO message without its CoE header's service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +23,8 @@ pub enum Sdo<'a> {
     DownloadExpedited {
         /// What is written.
         object: Object,
+        /// All sub-indices from the object's on.
+        complete: bool,
         /// The value, 1 to 4 bytes.
         data: &'a [u8],
     },
@@ -89,6 +32,8 @@ pub enum Sdo<'a> {
     DownloadNormal {
         /// What is written.
         object: Object,
+        /// All sub-indices from the object's on.
+        complete: bool,
         /// Bytes of the whole value.
         size: u32,
         /// The first bytes of the value.
@@ -117,6 +62,8 @@ pub enum Sdo<'a> {
     Upload {
         /// What is to be read.
         object: Object,
+        /// All sub-indices from the object's on.
+        complete: bool,
     },
     /// Answer to an upload with at most four bytes.
     UploadExpedited {
@@ -161,6 +108,7 @@ const SPECIFIER_SHIFT: u8 = 5;
 const SIZE_BIT: u8 = 1;
 const EXPEDITED_BIT: u8 = 1 << 1;
 const TOGGLE_BIT: u8 = 1 << 4;
+const COMPLETE_BIT: u8 = 1 << 4;
 const LAST_BIT: u8 = 1;
 
 /// The data of an expedited transfer: as many of the four bytes as the command byte says.
@@ -206,17 +154,20 @@ impl<'a> Sdo<'a> {
             _ => check_len(bytes, SDO_LEN)?,
         }
         let object = Object::new(read_u16(bytes, 3), read_u8(bytes, 5));
+        let complete = command & COMPLETE_BIT != 0;
         Ok(match command >> SPECIFIER_SHIFT {
             1 if command & EXPEDITED_BIT != 0 => Self::DownloadExpedited {
                 object,
+                complete,
                 data: expedited(bytes, command),
             },
             1 => Self::DownloadNormal {
                 object,
+                complete,
                 size: read_u32(bytes, 6),
                 data: bytes.get(SDO_LEN..).unwrap_or(&[]),
             },
-            2 => Self::Upload { object },
+            2 => Self::Upload { object, complete },
             4 => Self::Abort {
                 object,
                 code: read_u32(bytes, 6),
@@ -301,6 +252,16 @@ impl<'a> Sdo<'a> {
         )
     }
 
+    /// Whether it asks for complete access.
+    const fn is_complete(&self) -> bool {
+        matches!(
+            self,
+            Self::DownloadExpedited { complete: true, .. }
+                | Self::DownloadNormal { complete: true, .. }
+                | Self::Upload { complete: true, .. }
+        )
+    }
+
     /// Writes the message with its CoE header; an abort as a request, which is what both sides use (CiA 301). Gives its
     /// length in bytes.
     ///
@@ -322,25 +283,21 @@ impl<'a> Sdo<'a> {
             write_bytes(target, 3, &object.index.to_le_bytes());
             write_bytes(target, 5, &[object.sub]);
         };
+        let complete = if self.is_complete() { COMPLETE_BIT } else { 0 };
+        let initiate = if self.is_response() { 2 } else { 1 } << SPECIFIER_SHIFT | complete;
         match *self {
-            Self::DownloadExpedited { object, data } | Self::UploadExpedited { object, data } => {
+            Self::DownloadExpedited { object, data, .. } | Self::UploadExpedited { object, data } => {
                 if data.is_empty() || data.len() > 4 {
                     return Err(Error::Value {
                         actual: data.len() as u16,
                     });
                 }
-                let specifier = if self.is_response() { 2 } else { 1 };
                 let unused = (4 - data.len() as u8) << 2;
-                head(
-                    target,
-                    specifier << SPECIFIER_SHIFT | unused | EXPEDITED_BIT | SIZE_BIT,
-                    object,
-                );
+                head(target, initiate | unused | EXPEDITED_BIT | SIZE_BIT, object);
                 write_bytes(target, 6, data);
             }
-            Self::DownloadNormal { object, size, data } | Self::UploadNormal { object, size, data } => {
-                let specifier = if self.is_response() { 2 } else { 1 };
-                head(target, specifier << SPECIFIER_SHIFT | SIZE_BIT, object);
+            Self::DownloadNormal { object, size, data, .. } | Self::UploadNormal { object, size, data } => {
+                head(target, initiate | SIZE_BIT, object);
                 write_bytes(target, 6, &size.to_le_bytes());
                 write_bytes(target, SDO_LEN, data);
             }
@@ -354,7 +311,7 @@ impl<'a> Sdo<'a> {
             Self::DownloadSegmentDone { toggle } => {
                 write_bytes(target, 2, &[1 << SPECIFIER_SHIFT | u8::from(toggle) << 4]);
             }
-            Self::Upload { object } => head(target, 2 << SPECIFIER_SHIFT, object),
+            Self::Upload { object, .. } => head(target, 2 << SPECIFIER_SHIFT | complete, object),
             Self::UploadSegment { toggle } => {
                 write_bytes(target, 2, &[3 << SPECIFIER_SHIFT | u8::from(toggle) << 4]);
             }
@@ -364,49 +321,6 @@ impl<'a> Sdo<'a> {
             }
         }
         Ok(length)
-    }
-}
-
-/// An emergency message (CiA 301).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Emergency {
-    /// Error code of the device profile.
-    pub code: u16,
-    /// Error register, object 0x1001.
-    pub register: u8,
-    /// Five bytes of the manufacturer.
-    pub data: [u8; 5],
-}
-
-impl Emergency {
-    /// Bytes of the message with its CoE header.
-    pub const LEN: usize = COE_HEADER_LEN + 8;
-
-    /// Reads an emergency (CoE header included).
-    ///
-    /// # Errors
-    /// [`Error::Truncated`].
-    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
-        check_len(bytes, Self::LEN)?;
-        let data = core::array::from_fn(|n| read_u8(bytes, 5 + n));
-        Ok(Self {
-            code: read_u16(bytes, 2),
-            register: read_u8(bytes, 4),
-            data,
-        })
-    }
-
-    /// Writes the message with its CoE header.
-    ///
-    /// # Errors
-    /// [`Error::Room`].
-    pub fn emit(&self, bytes: &mut [u8]) -> Result<usize, Error> {
-        check_room(bytes, Self::LEN)?;
-        Service::Emergency.emit(bytes);
-        write_bytes(bytes, 2, &self.code.to_le_bytes());
-        write_bytes(bytes, 4, &[self.register]);
-        write_bytes(bytes, 5, &self.data);
-        Ok(Self::LEN)
     }
 }
 
@@ -434,6 +348,7 @@ mod tests {
         for length in 1..=4 {
             round_trip(Sdo::DownloadExpedited {
                 object,
+                complete: length == 3,
                 data: &[1, 2, 3, 4][..length],
             });
             round_trip(Sdo::UploadExpedited {
@@ -443,6 +358,7 @@ mod tests {
         }
         round_trip(Sdo::DownloadNormal {
             object,
+            complete: true,
             size: 300,
             data: &[9; 20],
         });
@@ -452,7 +368,11 @@ mod tests {
             data: b"AX2000!",
         });
         round_trip(Sdo::DownloadDone { object });
-        round_trip(Sdo::Upload { object });
+        round_trip(Sdo::Upload {
+            object,
+            complete: false,
+        });
+        round_trip(Sdo::Upload { object, complete: true });
         round_trip(Sdo::Abort {
             object,
             code: 0x0601_0002,
@@ -480,59 +400,17 @@ mod tests {
         let mut bytes = [0; SDO_LEN];
         let message = Sdo::DownloadExpedited {
             object: Object::new(0x6060, 0),
+            complete: false,
             data: &[0xFE],
         };
         assert_eq!(message.emit(&mut bytes), Ok(10));
         assert_eq!(bytes, [0x00, 0x20, 0x2F, 0x60, 0x60, 0x00, 0xFE, 0, 0, 0]);
-    }
-
-    #[test]
-    fn an_emergency_survives_emit_and_parse() {
-        let emergency = Emergency {
-            code: 0x8130,
-            register: 0x11,
-            data: [1, 2, 3, 4, 5],
+        let whole = Sdo::Upload {
+            object: Object::new(0x1C12, 0),
+            complete: true,
         };
-        let mut bytes = [0; Emergency::LEN];
-        assert_eq!(emergency.emit(&mut bytes), Ok(10));
-        assert_eq!(Service::parse(&bytes), Ok(Service::Emergency));
-        assert_eq!(Emergency::parse(&bytes), Ok(emergency));
-    }
-
-    /// Start of a frame that a servo drive's simulator sent to SOEM: all sub-indices of object 0x1C00.
-    const RECORDED: [u8; 49] = [
-        0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01, 0x01, 0x01, 0x01, 0x01, 0x01, 0x88, 0xA4, 0x8C, 0x10, 0x04, 0x06,
-        0x01, 0x10, 0x00, 0x14, 0x80, 0x00, 0x00, 0x00, 0x0F, 0x00, 0x00, 0x00, 0x00, 0x13, 0x00, 0x30, 0x51, 0x00,
-        0x1C, 0x00, 0x05, 0x00, 0x00, 0x00, 0x04, 0x01, 0x02, 0x03, 0x04, 0x00, 0x00,
-    ];
-
-    #[test]
-    fn a_recorded_answer_is_taken_apart_from_the_frame_to_the_value() {
-        use crate::ethercat::wire::mailbox::{MailboxRepr, Protocol, service_data};
-        use crate::ethercat::wire::{Address, Command, DatagramRepr, FrameView};
-        let mut frame = [0; 156];
-        frame[..RECORDED.len()].copy_from_slice(&RECORDED);
-        frame[154] = 1;
-        let view = FrameView::new_checked(&frame).unwrap();
-        let datagram = view.datagrams().next().unwrap().unwrap();
-        let repr = DatagramRepr::parse(&datagram).unwrap();
-        assert_eq!(
-            (repr.command, repr.address),
-            (Command::Fprd, Address::station(0x1001, 0x1400))
-        );
-        assert_eq!((datagram.data().len(), datagram.working_counter()), (128, 1));
-        let header = MailboxRepr::parse(datagram.data()).unwrap();
-        assert_eq!((header.protocol, header.counter, header.length), (Protocol::Coe, 1, 15));
-        let answer = Sdo::parse_response(service_data(datagram.data()).unwrap()).unwrap();
-        let object = Object::new(0x1C00, 0);
-        assert_eq!(
-            answer,
-            Sdo::UploadNormal {
-                object,
-                size: 5,
-                data: &[4, 1, 2, 3, 4]
-            }
-        );
+        assert_eq!(whole.emit(&mut bytes), Ok(10));
+        assert_eq!(bytes, [0x00, 0x20, 0x50, 0x12, 0x1C, 0, 0, 0, 0, 0]);
     }
 
     #[test]

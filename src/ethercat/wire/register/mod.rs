@@ -5,19 +5,29 @@
 //!
 //! Invariant: constants and plain field structures only; nothing here knows what a slave is used for.
 
+mod clock;
+mod port;
+
+pub use clock::*;
+pub use port::{DlStatus, ErrorCounters, PORTS, PortErrors, PortMedium, PortStatus, port_descriptor, port_media};
+
 use super::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
 
 /// Type of the slave controller, 1 byte.
 pub const TYPE: u16 = 0x0000;
+/// Revision of the slave controller, 1 byte.
+pub const REVISION: u16 = 0x0001;
+/// Build of the slave controller, 2 bytes.
+pub const BUILD: u16 = 0x0002;
 /// Number of FMMUs, 1 byte.
 pub const FMMU_COUNT: u16 = 0x0004;
 /// Number of sync managers, 1 byte.
 pub const SYNC_MANAGER_COUNT: u16 = 0x0005;
 /// Process memory in KiB, 1 byte.
 pub const MEMORY_KIB: u16 = 0x0006;
-/// Port descriptor, 1 byte.
+/// Port descriptor, 1 byte, see [`port_media`].
 pub const PORT_DESCRIPTOR: u16 = 0x0007;
-/// Features supported, 2 bytes.
+/// Features supported, 2 bytes, see the `FEATURE_` constants.
 pub const FEATURES: u16 = 0x0008;
 /// Configured station address, 2 bytes; 0 after power-up.
 pub const STATION_ADDRESS: u16 = 0x0010;
@@ -25,7 +35,7 @@ pub const STATION_ADDRESS: u16 = 0x0010;
 pub const STATION_ALIAS: u16 = 0x0012;
 /// Data link control, 4 bytes.
 pub const DL_CONTROL: u16 = 0x0100;
-/// Data link status, 2 bytes: link and loop of each port.
+/// Data link status, 2 bytes: link and loop of each port, see [`DlStatus`].
 pub const DL_STATUS: u16 = 0x0110;
 /// AL control, 2 bytes: the state asked for, bit 4 acknowledges an error.
 pub const AL_CONTROL: u16 = 0x0120;
@@ -33,13 +43,21 @@ pub const AL_CONTROL: u16 = 0x0120;
 pub const AL_STATUS: u16 = 0x0130;
 /// AL status code, 2 bytes: why the last change failed.
 pub const AL_STATUS_CODE: u16 = 0x0134;
-/// PDI control, 1 byte.
+/// PDI control, 1 byte: what the slave's own processor is connected by.
 pub const PDI_CONTROL: u16 = 0x0140;
+/// Configuration of the slave controller, 1 byte.
+pub const CONTROLLER_CONFIG: u16 = 0x0141;
+/// PDI configuration, 1 byte.
+pub const PDI_CONFIG: u16 = 0x0150;
+/// SYNC and latch configuration of the PDI, 1 byte.
+pub const SYNC_CONFIG: u16 = 0x0151;
+/// Extended PDI configuration, 2 bytes.
+pub const PDI_CONFIG_EXTENDED: u16 = 0x0152;
 /// Event mask of the datagrams' interrupt field, 2 bytes.
 pub const EVENT_MASK: u16 = 0x0200;
 /// AL event request, 4 bytes.
 pub const AL_EVENT: u16 = 0x0220;
-/// Receive error counters, 2 bytes a port (invalid frames, receive errors).
+/// Receive error counters, 2 bytes a port (invalid frames, receive errors), see [`ErrorCounters`].
 pub const RECEIVE_ERRORS: u16 = 0x0300;
 /// Forwarded receive error counters, 1 byte a port.
 pub const FORWARDED_ERRORS: u16 = 0x0308;
@@ -47,6 +65,8 @@ pub const FORWARDED_ERRORS: u16 = 0x0308;
 pub const PROCESSING_ERRORS: u16 = 0x030C;
 /// PDI error counter, 1 byte.
 pub const PDI_ERRORS: u16 = 0x030D;
+/// PDI error code, 1 byte.
+pub const PDI_ERROR_CODE: u16 = 0x030E;
 /// Lost link counters, 1 byte a port.
 pub const LOST_LINKS: u16 = 0x0310;
 /// Bytes from [`RECEIVE_ERRORS`] to the end of [`LOST_LINKS`]; a write of any value clears the counters it meets.
@@ -61,6 +81,8 @@ pub const WATCHDOG_SYNC_MANAGER: u16 = 0x0420;
 pub const WATCHDOG_STATUS: u16 = 0x0440;
 /// Watchdog expiry counter of the sync managers, 1 byte.
 pub const WATCHDOG_COUNTER: u16 = 0x0442;
+/// Watchdog expiry counter of the process data interface, 1 byte.
+pub const WATCHDOG_COUNTER_PDI: u16 = 0x0443;
 /// SII configuration, 1 byte: bit 0 gives access to the PDI, bit 1 takes it by force.
 pub const SII_CONFIG: u16 = 0x0500;
 /// SII PDI access state, 1 byte: bit 0 tells that the PDI is at it.
@@ -75,16 +97,26 @@ pub const SII_DATA: u16 = 0x0508;
 pub const FMMU: u16 = 0x0600;
 /// First sync manager; each takes [`SYNC_MANAGER_LEN`] bytes.
 pub const SYNC_MANAGER: u16 = 0x0800;
-/// First register of the distributed clocks: receive time of port 0, 4 bytes; a write latches all.
-pub const DC_RECEIVE_TIME: u16 = 0x0900;
-/// System time of the distributed clocks, 8 bytes.
-pub const DC_SYSTEM_TIME: u16 = 0x0910;
-/// Difference between local and reference system time, 4 bytes.
-pub const DC_TIME_DIFFERENCE: u16 = 0x092C;
-/// SYNC unit activation, 1 byte.
-pub const DC_ACTIVATION: u16 = 0x0981;
 /// Start of process memory.
 pub const PROCESS_MEMORY: u16 = 0x1000;
+
+/// [`FEATURES`]: there are distributed clocks.
+pub const FEATURE_CLOCKS: u16 = 1 << 2;
+/// [`FEATURES`]: the distributed clocks have 64 bits.
+pub const FEATURE_CLOCKS_64: u16 = 1 << 3;
+/// [`FEATURES`]: enhanced link detection by MII.
+pub const FEATURE_ENHANCED_LINK_MII: u16 = 1 << 6;
+/// [`FEATURES`]: damaged frames are counted as forwarded ones behind the first slave that notices.
+pub const FEATURE_SEPARATE_ERRORS: u16 = 1 << 7;
+/// [`FEATURES`]: enhanced activation of the SYNC unit.
+pub const FEATURE_SYNC_ACTIVATION: u16 = 1 << 8;
+/// [`FEATURES`]: LRW does not work.
+pub const FEATURE_NO_LRW: u16 = 1 << 9;
+/// [`FEATURES`]: BRW, APRW and FPRW do not work.
+pub const FEATURE_NO_READ_WRITE: u16 = 1 << 10;
+
+/// [`DL_CONTROL`]: makes the alias answer to station addressing.
+pub const DL_CONTROL_ALIAS: u32 = 1 << 24;
 
 /// Error bit of [`AL_STATUS`], acknowledge bit of [`AL_CONTROL`].
 pub const AL_ERROR_BIT: u16 = 1 << 4;
@@ -102,6 +134,10 @@ pub const SII_READS_8_BYTES: u16 = 1 << 6;
 pub const SII_READ: u16 = 1 << 8;
 /// [`SII_CONTROL`]: asks for a write.
 pub const SII_WRITE: u16 = 1 << 9;
+/// [`SII_CONTROL`]: asks for the registers to be loaded again.
+pub const SII_RELOAD: u16 = 1 << 10;
+/// [`SII_CONTROL`]: allows the write that is asked for together with it.
+pub const SII_WRITE_ENABLE: u16 = 1 << 0;
 /// [`SII_CONTROL`]: checksum of the configuration area is wrong.
 pub const SII_CHECKSUM_ERROR: u16 = 1 << 11;
 /// [`SII_CONTROL`]: the configuration area was not loaded yet.
