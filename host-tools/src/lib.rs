@@ -7,6 +7,7 @@ pub mod commands;
 pub mod drawing;
 pub mod emulator;
 pub mod link;
+pub mod master;
 pub mod report;
 pub mod run;
 pub mod setup;

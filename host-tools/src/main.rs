@@ -2,7 +2,7 @@
 #![forbid(unsafe_code)]
 
 use clap::Parser;
-use host_tools::commands::{self, CommandError, demo, draw, emulate, segment, simulate, verify};
+use host_tools::commands::{self, CommandError, bus, demo, draw, emulate, segment, simulate, verify};
 use std::process::ExitCode;
 
 /// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
@@ -18,7 +18,10 @@ struct Arguments {
 }
 
 #[derive(clap::Subcommand)]
+#[allow(clippy::large_enum_variant)] // one is alive
 enum Subcommand {
+    /// Look at the slaves on the bus and change them.
+    Bus(bus::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
     /// Draw a file on a running machine or emulator.
@@ -35,6 +38,7 @@ enum Subcommand {
 
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
+        Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),
         Subcommand::Emulate(arguments) => emulate::run(&arguments),

@@ -3,7 +3,7 @@
 use super::display::Display;
 use super::outputs::{Outcome, make_folder, summarise};
 use super::prepare::{planned_s, prepare, to_wire};
-use super::{CommandError, DrawingArguments, code, job_error};
+use super::{CommandError, DrawingArguments, code, job_error, session_number};
 use crate::link::job::{Control, DrawJob, JobOptions};
 use crate::link::port::{Port, PortName, RunError, run_job};
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -85,14 +85,6 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         super::print_json(&report)?;
     }
     Ok(())
-}
-
-/// A number that no other connection to the firmware has had: process numbers alone come again.
-fn session_number() -> u32 {
-    let since = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .unwrap_or_default();
-    (since.as_nanos() as u32 ^ std::process::id().rotate_left(16)).max(1)
 }
 
 /// What the person at the keyboard asks for: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.

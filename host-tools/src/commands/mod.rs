@@ -2,6 +2,7 @@
 //!
 //! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
 
+pub mod bus;
 pub mod demo;
 mod display;
 pub mod draw;
@@ -17,8 +18,11 @@ pub mod verify;
 use crate::link::error::JobError;
 use crate::setup::SetupError;
 use etherpen::config::Config;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Why a command ended without success.
 #[derive(Debug)]
@@ -147,6 +151,24 @@ pub fn job_error(error: &JobError) -> CommandError {
         _ => code::FAILED,
     };
     CommandError::new(code, error)
+}
+
+/// A number that no other connection to the firmware has had: process numbers alone come again.
+fn session_number() -> u32 {
+    let since = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap_or_default();
+    (since.as_nanos() as u32 ^ std::process::id().rotate_left(16)).max(1)
+}
+
+/// A flag that a signal sets, so that the end is told and files are completed.
+fn ended_by_a_signal() -> Result<Arc<AtomicBool>, CommandError> {
+    let ended = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, ended.clone())
+            .map_err(|cause| CommandError::failed("watching for signals", cause))?;
+    }
+    Ok(ended)
 }
 
 /// Prints a value as JSON on stdout.

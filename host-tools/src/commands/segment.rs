@@ -5,18 +5,16 @@
 
 use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
 use crate::cell::capture::{Capture, Direction};
 use crate::cell::{AlState, Cell, CellOptions, SlaveState};
 use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
 use serde::Serialize;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Options of `etherpen segment`.
@@ -167,16 +165,6 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         tell(&summary);
         Ok(())
     }
-}
-
-/// A flag that a signal sets, so that the end is told and files are completed.
-fn ended_by_a_signal() -> Result<Arc<AtomicBool>, CommandError> {
-    let ended = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, ended.clone())
-            .map_err(|cause| CommandError::failed("the signal handler", cause))?;
-    }
-    Ok(ended)
 }
 
 fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {

@@ -226,6 +226,80 @@ pub enum Show<'a> {
     Progress(&'a Progress),
 }
 
+/// A port by the wall clock: what arrives is handed over, what is to be sent goes out as fast as the line carries it.
+pub struct Line {
+    name: PortName,
+    writer: Box<dyn Write + Send>,
+    arrived: Receiver<io::Result<Vec<u8>>>,
+    ended: Arc<AtomicBool>,
+    reading: Option<thread::JoinHandle<()>>,
+    begun: Instant,
+    stepped_ms: u64,
+    outgoing: Vec<u8>,
+}
+
+impl Line {
+    /// Starts the clock.
+    pub fn start(port: Port) -> Self {
+        let Port { name, reader, writer } = port;
+        let ended = Arc::new(AtomicBool::new(false));
+        let (sender, arrived) = mpsc::channel();
+        let reading = thread::spawn({
+            let ended = ended.clone();
+            move || read_until_ended(reader, &sender, &ended)
+        });
+        Self {
+            name,
+            writer,
+            arrived,
+            ended,
+            reading: Some(reading),
+            begun: Instant::now(),
+            stepped_ms: 0,
+            outgoing: Vec::new(),
+        }
+    }
+
+    /// Waits about a millisecond, then lets `step` take what has arrived and give what is to be sent: milliseconds since
+    /// the start, bytes in, bytes out, and for how many of these the line has time. Gives the milliseconds.
+    ///
+    /// # Errors
+    /// [`PortError::Closed`] or [`PortError::Failed`].
+    pub fn exchange(&mut self, step: impl FnOnce(u64, &[u8], &mut Vec<u8>, usize)) -> Result<u64, PortError> {
+        let failed = |source| PortError::Failed {
+            port: self.name.clone(),
+            source,
+        };
+        let incoming = match self.arrived.recv_timeout(Duration::from_millis(1)) {
+            Ok(Ok(bytes)) if !bytes.is_empty() => bytes,
+            Err(RecvTimeoutError::Timeout) => Vec::new(),
+            Ok(Err(source)) => return Err(failed(source)),
+            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => {
+                return Err(PortError::Closed {
+                    port: self.name.clone(),
+                });
+            }
+        };
+        let now_ms = self.begun.elapsed().as_millis() as u64;
+        let room = (now_ms - self.stepped_ms).min(BURST_MS) as usize * LINE_BYTES_PER_MS;
+        self.stepped_ms = now_ms;
+        self.outgoing.clear();
+        step(now_ms, &incoming, &mut self.outgoing, room);
+        self.writer.write_all(&self.outgoing).map_err(failed)?;
+        Ok(now_ms)
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(reading) = self.reading.take() {
+            // A reader that panicked has closed its channel, which counts as the end of the port.
+            let _ = reading.join();
+        }
+    }
+}
+
 /// Runs a job over a port by the wall clock until it ends; [`DrawJob::into_report`] tells what was collected.
 ///
 /// What comes in `control` is done at once; a closed `control` means that nobody interferes.
@@ -238,22 +312,27 @@ pub fn run_job(
     control: &Receiver<Control>,
     show: &mut dyn FnMut(Show<'_>),
 ) -> Result<(), RunError> {
-    let Port {
-        name,
-        reader,
-        mut writer,
-    } = port;
-    let ended = Arc::new(AtomicBool::new(false));
-    let (sender, arrived) = mpsc::channel();
-    let reading = thread::spawn({
-        let ended = ended.clone();
-        move || read_until_ended(reader, &sender, &ended)
-    });
-    let result = drive(&name, &mut writer, job, &arrived, control, show);
-    ended.store(true, Ordering::Relaxed);
-    // A reader that panicked has closed its channel, which the loop has seen as the end of the port.
-    let _ = reading.join();
-    result
+    let mut line = Line::start(port);
+    let mut shown_ms = 0;
+    loop {
+        let now_ms = line
+            .exchange(|now_ms, incoming, outgoing, room| {
+                control.try_iter().for_each(|control| job.control(control));
+                job.step(now_ms, incoming, outgoing, room);
+            })
+            .map_err(RunError::Port)?;
+        while let Some(event) = job.next_event() {
+            show(Show::Event(&event));
+        }
+        let outcome = job.outcome().copied();
+        if outcome.is_some() || now_ms.saturating_sub(shown_ms) >= PROGRESS_MS {
+            shown_ms = now_ms;
+            show(Show::Progress(&job.progress()));
+        }
+        if let Some(outcome) = outcome {
+            return outcome.map_err(RunError::Job);
+        }
+    }
 }
 
 /// Hands over what arrives; the last thing sent is an error, or an empty block when the other side has closed.
@@ -277,53 +356,6 @@ fn is_pause(error: &io::Error) -> bool {
         error.kind(),
         ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
     )
-}
-
-fn drive(
-    name: &PortName,
-    writer: &mut Box<dyn Write + Send>,
-    job: &mut DrawJob,
-    arrived: &Receiver<io::Result<Vec<u8>>>,
-    control: &Receiver<Control>,
-    show: &mut dyn FnMut(Show<'_>),
-) -> Result<(), RunError> {
-    let failed = |source| {
-        RunError::Port(PortError::Failed {
-            port: name.clone(),
-            source,
-        })
-    };
-    let begun = Instant::now();
-    let (mut stepped_ms, mut shown_ms) = (0u64, 0u64);
-    let mut outgoing = Vec::new();
-    loop {
-        let incoming = match arrived.recv_timeout(Duration::from_millis(1)) {
-            Ok(Ok(bytes)) if !bytes.is_empty() => bytes,
-            Err(RecvTimeoutError::Timeout) => Vec::new(),
-            Ok(Err(source)) => return Err(failed(source)),
-            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => {
-                return Err(RunError::Port(PortError::Closed { port: name.clone() }));
-            }
-        };
-        control.try_iter().for_each(|control| job.control(control));
-        let now_ms = begun.elapsed().as_millis() as u64;
-        let room = (now_ms - stepped_ms).min(BURST_MS) as usize * LINE_BYTES_PER_MS;
-        stepped_ms = now_ms;
-        outgoing.clear();
-        job.step(now_ms, &incoming, &mut outgoing, room);
-        writer.write_all(&outgoing).map_err(failed)?;
-        while let Some(event) = job.next_event() {
-            show(Show::Event(&event));
-        }
-        let outcome = job.outcome().copied();
-        if outcome.is_some() || now_ms.saturating_sub(shown_ms) >= PROGRESS_MS {
-            shown_ms = now_ms;
-            show(Show::Progress(&job.progress()));
-        }
-        if let Some(outcome) = outcome {
-            return outcome.map_err(RunError::Job);
-        }
-    }
 }
 
 #[cfg(test)]

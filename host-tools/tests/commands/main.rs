@@ -8,6 +8,7 @@ mod emulator;
 mod ethercrab;
 mod network;
 mod program;
+mod segment;
 
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
 use etherpen::link::protocol::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Welcome};

@@ -1,0 +1,181 @@
+//! The two ways to the bus: this computer's own master, and the link to a running firmware.
+
+use super::access::{AccessError, BusAccess};
+use super::text;
+use crate::commands::{CommandError, code, job_error};
+use crate::link::error::JobError;
+use crate::link::port::{Line, Port, PortName};
+use crate::link::session::{Event, Session};
+use crate::master::Master;
+use crate::transport::{self, Endpoint};
+use etherpen::config::{Bus, Config};
+use etherpen::ethercat::event::BusSetup;
+use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
+use std::time::{Duration, Instant};
+
+/// Longest wait for the bus to be there.
+const START_MAX: Duration = Duration::from_secs(60);
+/// Longest wait for one answer.
+const ANSWER_MAX: Duration = Duration::from_secs(60);
+/// Longest wait for a firmware's greeting, ms.
+const GREETING_MAX_MS: u64 = 5_000;
+/// Longest silence of a firmware, ms.
+const SILENCE_MAX_MS: u64 = 5_000;
+/// Pause before a question is asked again that found the bus busy.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Watchdog of the drives' outputs under a computer that is no controller, ms.
+const WATCHDOG_MS: u16 = 1_000;
+
+/// One question, one answer.
+trait Carrier {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError>;
+
+    /// Lets time pass without a question.
+    fn rest(&mut self, pause: Duration) -> Result<(), CommandError>;
+}
+
+/// A carrier that asks again while the bus is busy.
+struct Patient<C>(C);
+
+impl<C: Carrier> BusAccess for Patient<C> {
+    fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError> {
+        let until = Instant::now() + START_MAX;
+        loop {
+            match self.0.ask(request.clone()).map_err(AccessError::Lost)? {
+                Ok(reply) => return Ok(reply),
+                Err(ServiceError::Busy | ServiceError::Interrupted) if !request.changes() && Instant::now() < until => {
+                    self.0.rest(PAUSE).map_err(AccessError::Lost)?;
+                }
+                Err(error) => return Err(AccessError::Refused(error)),
+            }
+        }
+    }
+}
+
+/// The master on this computer: finds the slaves and leaves them in the state they have after that.
+///
+/// # Errors
+/// There is no way to the segment, or no slave answers.
+pub(super) fn own_master(endpoint: &Endpoint, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
+    let transport = transport::open(endpoint).map_err(|error| CommandError::new(code::CONNECTION, error))?;
+    let setup = BusSetup {
+        bus: Bus {
+            // Whatever is there is welcome.
+            drives: 0,
+            watchdog_ms: WATCHDOG_MS,
+            ..config.bus.clone()
+        },
+        axes: config.axes,
+    };
+    let started = Master::start(transport, setup, START_MAX);
+    let master = started.map_err(|error| CommandError::new(code::CONNECTION, text::master_error(&error)))?;
+    Ok(Box::new(Patient(master)))
+}
+
+impl Carrier for Master {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+        self.request(request, ANSWER_MAX)
+            .map_err(|error| CommandError::new(code::CONNECTION, text::master_error(&error)))
+    }
+
+    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+        std::thread::sleep(pause);
+        Ok(())
+    }
+}
+
+/// A running firmware's master. A firmware without a configuration gets this one, which brings up its bus.
+///
+/// # Errors
+/// There is no connection, or the firmware refused the configuration.
+pub(super) fn firmware(port: &str, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
+    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let mut linked = Linked {
+        line: Line::start(port),
+        session: Session::new(crate::commands::session_number()),
+    };
+    linked.session.connect();
+    let welcome = linked.wait(GREETING_MAX_MS, |event| match event {
+        Event::Connected(welcome) => Some(Ok(welcome)),
+        Event::VersionRefused { host, firmware } => Some(Err(JobError::Version { host, firmware })),
+        _ => None,
+    })?;
+    if welcome.config.is_none() {
+        linked.session.configure(config.clone());
+        linked.wait(GREETING_MAX_MS, |event| match event {
+            Event::Configured(result) => Some(result.map(|_| ()).map_err(JobError::Config)),
+            _ => None,
+        })?;
+    }
+    Ok(Box::new(Patient(linked)))
+}
+
+/// A firmware at the end of a line.
+struct Linked {
+    line: Line,
+    session: Session,
+}
+
+impl Linked {
+    /// Lets the session work until an event is found.
+    fn wait<T>(
+        &mut self,
+        longest_ms: u64,
+        mut found: impl FnMut(Event) -> Option<Result<T, JobError>>,
+    ) -> Result<T, CommandError> {
+        let mut begun_ms = None;
+        loop {
+            let now_ms = self.step()?;
+            let waited_ms = now_ms - *begun_ms.get_or_insert(now_ms);
+            while let Some(event) = self.session.next_event() {
+                if event == Event::Restarted {
+                    return Err(job_error(&JobError::Restarted));
+                }
+                if let Some(result) = found(event) {
+                    return result.map_err(|error| job_error(&error));
+                }
+            }
+            match self.session.silence_ms(now_ms) {
+                Some(silent_ms) if silent_ms > SILENCE_MAX_MS => {
+                    return Err(job_error(&JobError::LinkLost { silent_ms }));
+                }
+                _ if waited_ms > longest_ms => return Err(job_error(&JobError::NoAnswer { waited_ms })),
+                _ => {}
+            }
+        }
+    }
+
+    fn step(&mut self) -> Result<u64, CommandError> {
+        let session = &mut self.session;
+        self.line
+            .exchange(|now_ms, incoming, outgoing, room| {
+                session.receive(incoming, now_ms);
+                outgoing.resize(room, 0);
+                let length = session.transmit(now_ms, outgoing);
+                outgoing.truncate(length);
+            })
+            .map_err(|error| CommandError::new(code::CONNECTION, error))
+    }
+}
+
+impl Carrier for Linked {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+        self.session.bus(request);
+        let longest_ms = u64::try_from(ANSWER_MAX.as_millis()).unwrap_or(u64::MAX);
+        self.wait(longest_ms, |event| match event {
+            Event::Bus(result) => Some(Ok(result)),
+            _ => None,
+        })
+    }
+
+    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+        let until = Instant::now() + pause;
+        while Instant::now() < until {
+            self.step()?;
+            // What happens meanwhile does not matter.
+            while self.session.next_event().is_some() {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,241 @@
+//! `etherpen bus`: look at the slaves and change them, with this computer's master or a running firmware's.
+
+pub mod access;
+mod carrier;
+mod objects;
+mod registers;
+mod slaves;
+mod table;
+pub mod text;
+mod value;
+
+use super::{CommandError, ConfigArguments, code};
+use crate::transport::{Endpoint, udp_address};
+use access::BusAccess;
+use etherpen::ethercat::state::AlState;
+use etherpen::ethercat::wire::coe::Object;
+use std::net::SocketAddrV4;
+use std::path::PathBuf;
+use value::Type;
+
+/// Options of `etherpen bus`.
+///
+/// Slaves count from 1 in chain order. Objects are written INDEX:SUB with a hexadecimal index, for instance 6041:0.
+/// This computer's master brings the slaves to INIT and finds them anew; no other master may be at work on the bus.
+/// --port takes over the connection of a program that is drawing.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+    #[command(flatten)]
+    way: WayArguments,
+    /// Print the result as JSON on stdout.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// How the bus is reached: one of these.
+#[derive(clap::Args, Debug)]
+struct WayArguments {
+    /// The master on this computer, raw frames on this network interface; needs the right for raw sockets.
+    #[arg(long, value_name = "IF", global = true)]
+    interface: Option<String>,
+    /// The master on this computer, EtherCAT in UDP to this IPv4 address, HOST or HOST:PORT; the port is 34980 unless given.
+    #[arg(long, value_name = "ADDR", value_parser = udp_address, global = true)]
+    udp: Option<SocketAddrV4>,
+    /// The master on this computer, the Unix socket of `etherpen segment --unix`.
+    #[arg(long, value_name = "PATH", global = true)]
+    unix: Option<PathBuf>,
+    /// The master of a running firmware: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long, value_name = "P", global = true)]
+    port: Option<String>,
+}
+
+/// What to do.
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    /// The slaves in chain order, with identity and state.
+    Scan,
+    /// Everything about one slave, or all.
+    Info {
+        /// The slave, from 1.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: Option<u8>,
+    },
+    /// Bring a slave to a state, step by step.
+    State {
+        /// The slave, from 1.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: u8,
+        /// init, preop, safeop or op.
+        #[arg(value_parser = al_state)]
+        state: AlState,
+    },
+    /// Read, write and list a slave's objects (CoE).
+    Sdo {
+        #[command(subcommand)]
+        action: SdoAction,
+    },
+    /// The slave controllers' registers: those with a name, or LEN bytes from ADDR.
+    Registers {
+        /// The slave, from 1; all when it is left out.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: Option<u8>,
+        /// First address, hexadecimal.
+        #[arg(value_name = "ADDR", value_parser = address)]
+        address: Option<u16>,
+        /// Bytes.
+        #[arg(value_name = "LEN", default_value_t = 16)]
+        length: u16,
+    },
+    /// The error counters of every port, and the cables they point at.
+    Errors {
+        /// Set them to 0 afterwards.
+        #[arg(long)]
+        clear: bool,
+    },
+    /// The state of every slave, and every change of it, until interrupted; with --json one object a line.
+    Watch,
+}
+
+/// What to do with objects.
+#[derive(clap::Subcommand, Debug)]
+enum SdoAction {
+    /// Read an object.
+    Read {
+        /// The slave, from 1.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: u8,
+        /// INDEX:SUB, the index hexadecimal.
+        #[arg(value_parser = objects::object)]
+        object: Object,
+        /// Its type; what the slave tells when it is left out.
+        #[arg(long = "type", value_name = "T")]
+        kind: Option<Type>,
+        /// All sub-indices at once, from SUB (0 or 1), as bytes.
+        #[arg(long)]
+        complete: bool,
+    },
+    /// Write an object.
+    Write {
+        /// The slave, from 1.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: u8,
+        /// INDEX:SUB, the index hexadecimal.
+        #[arg(value_parser = objects::object)]
+        object: Object,
+        /// The value: decimal, 0x hexadecimal, text, or pairs of hexadecimal digits for bytes.
+        #[arg(allow_hyphen_values = true)]
+        value: String,
+        /// Its type.
+        #[arg(long = "type", value_name = "T")]
+        kind: Type,
+        /// All sub-indices at once, from SUB (0 or 1), as bytes.
+        #[arg(long)]
+        complete: bool,
+    },
+    /// The object dictionary, as the slave tells it.
+    List {
+        /// The slave, from 1.
+        #[arg(value_name = "N", value_parser = slave_number)]
+        slave: u8,
+        /// The entries of every object as well.
+        #[arg(long)]
+        entries: bool,
+    },
+}
+
+fn slave_number(text: &str) -> Result<u8, String> {
+    match text.parse() {
+        Ok(0) | Err(_) => Err(format!("'{text}' is no slave; they count from 1 to 255")),
+        Ok(number) => Ok(number),
+    }
+}
+
+fn al_state(text: &str) -> Result<AlState, String> {
+    let states = [
+        AlState::Init,
+        AlState::PreOperational,
+        AlState::SafeOperational,
+        AlState::Operational,
+    ];
+    let known = states.into_iter().find(|state| state.name().eq_ignore_ascii_case(text));
+    known.ok_or(format!("'{text}' is no state; there are init, preop, safeop and op"))
+}
+
+fn address(text: &str) -> Result<u16, String> {
+    let digits = text.strip_prefix("0x").or(text.strip_prefix("0X")).unwrap_or(text);
+    u16::from_str_radix(digits, 16).map_err(|_| format!("'{text}' is no address; write it hexadecimal, 0 to ffff"))
+}
+
+impl WayArguments {
+    fn endpoint(&self) -> Result<Endpoint, String> {
+        match (&self.interface, &self.udp, &self.unix, &self.port) {
+            (Some(name), None, None, None) => Ok(Endpoint::Interface(name.clone())),
+            (None, Some(address), None, None) => Ok(Endpoint::Udp(*address)),
+            (None, None, Some(path), None) => Ok(Endpoint::Unix(path.clone())),
+            _ => Err("say how the bus is reached by one of --interface, --udp, --unix, --port".into()),
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Wrong usage, no connection, or what the bus refused.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let written = match &arguments.action {
+        Action::Sdo {
+            action: SdoAction::Write { value, kind, .. },
+        } => kind.encode(value).map_err(|why| CommandError::new(code::USAGE, why))?,
+        _ => Vec::new(),
+    };
+    let config = arguments.config.load()?;
+    let way = &arguments.way;
+    let mut access = match (&way.port, way.endpoint()) {
+        (_, Ok(endpoint)) => carrier::own_master(&endpoint, &config)?,
+        (Some(port), Err(_)) if way.is_port_alone() => carrier::firmware(port, &config)?,
+        (_, Err(why)) => return Err(CommandError::new(code::USAGE, why)),
+    };
+    act(&mut *access, &arguments.action, &written, arguments.json)
+}
+
+impl WayArguments {
+    fn is_port_alone(&self) -> bool {
+        self.interface.is_none() && self.udp.is_none() && self.unix.is_none()
+    }
+}
+
+fn act(access: &mut dyn BusAccess, action: &Action, written: &[u8], json: bool) -> Result<(), CommandError> {
+    match action {
+        Action::Scan => slaves::scan(access, json),
+        Action::Info { slave } => slaves::info(access, *slave, json),
+        Action::State { slave, state } => slaves::state(access, *slave, *state, json),
+        Action::Sdo { action } => match action {
+            SdoAction::Read {
+                slave,
+                object,
+                kind,
+                complete,
+            } => objects::read(access, *slave, *object, *kind, *complete, json),
+            SdoAction::Write {
+                slave,
+                object,
+                kind,
+                complete,
+                ..
+            } => objects::write(access, *slave, *object, (*kind, written), *complete, json),
+            SdoAction::List { slave, entries } => objects::list(access, *slave, *entries, json),
+        },
+        Action::Registers {
+            slave: Some(slave),
+            address: Some(address),
+            length,
+        } => registers::dump(access, *slave, *address, *length, json),
+        Action::Registers { slave, .. } => registers::named(access, *slave, json),
+        Action::Errors { clear } => registers::errors(access, *clear, json),
+        Action::Watch => slaves::watch(access, json, &*super::ended_by_a_signal()?),
+    }
+}

@@ -1,0 +1,267 @@
+//! The project's EtherCAT master on this computer, by the wall clock, over any transport.
+//!
+//! A thread of its own exchanges frames once a millisecond and polls the supervisor. An ordinary computer is no
+//! controller: a cycle waits for its replies as long as [`REPLY_WAIT`], so a late reply costs time and not the request,
+//! and the supervisor's milliseconds are those of the wall clock, whatever a cycle takes. Outputs are zeros, with which
+//! no drive moves.
+//!
+//! Invariant: the thread ends with its owner, with the transport, or with a bring-up that failed.
+
+use crate::transport::Transport;
+use etherpen::controller::MASTER_ADDRESS;
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
+use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup, Step};
+use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
+use etherpen::ethercat::supervisor::Supervisor;
+use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use std::io;
+use std::pin::pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Waker};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Period of the exchange.
+const PERIOD: Duration = Duration::from_millis(1);
+/// Longest wait for a reply while replies come.
+pub const REPLY_WAIT: Duration = Duration::from_millis(50);
+/// Longest wait for a reply when none has come for some cycles.
+const SILENT_WAIT: Duration = Duration::from_millis(1);
+/// Cycles without a reply after which the bus counts as silent.
+const SILENT_CYCLES: u32 = 10;
+/// Most milliseconds that the supervisor catches up at once.
+const CATCH_UP_MS_MAX: u64 = 100;
+
+/// Why the master cannot work, or not any more.
+#[derive(Debug)]
+pub enum MasterError {
+    /// The bus was not brought up.
+    Refused {
+        /// The slave it is about, if it is about one, from 0.
+        position: Option<u8>,
+        /// What was tried.
+        step: Step,
+        /// Why it failed.
+        error: BusError,
+    },
+    /// The way to the segment was lost.
+    Transport(io::Error),
+    /// No answer came.
+    Silent {
+        /// How long was waited.
+        waited: Duration,
+    },
+}
+
+/// What the thread says.
+enum Report {
+    Event(BusEvent),
+    Answer(Box<ServiceResult>),
+    Lost(io::Error),
+}
+
+/// A master at work.
+pub struct Master {
+    requests: Sender<ServiceRequest>,
+    reports: Receiver<Report>,
+    events: Vec<BusEvent>,
+    counters: Arc<Mutex<BusCounters>>,
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Master {
+    /// Brings the bus up as `setup` says; `wait` is the longest time for it.
+    ///
+    /// # Errors
+    /// The step that failed, or that the transport was lost.
+    pub fn start(transport: Box<dyn Transport>, setup: BusSetup, wait: Duration) -> Result<Self, MasterError> {
+        let (requests, asked) = mpsc::channel();
+        let (reporter, reports) = mpsc::channel();
+        let ended = Arc::new(AtomicBool::new(false));
+        let counters = Arc::new(Mutex::new(BusCounters::default()));
+        let worker = Worker {
+            transport,
+            reporter,
+            asked,
+            ended: ended.clone(),
+            counters: counters.clone(),
+            silent_cycles: 0,
+        };
+        let thread = std::thread::Builder::new()
+            .name("bus".into())
+            .spawn(move || worker.run(setup))
+            .map_err(MasterError::Transport)?;
+        let mut master = Self {
+            requests,
+            reports,
+            events: Vec::new(),
+            counters,
+            ended,
+            thread: Some(thread),
+        };
+        let until = Instant::now() + wait;
+        loop {
+            match master.report(until, wait)? {
+                Report::Event(BusEvent::Operational) => return Ok(master),
+                Report::Event(BusEvent::Refused { position, step, error }) => {
+                    return Err(MasterError::Refused { position, step, error });
+                }
+                Report::Event(event) => master.events.push(event),
+                Report::Answer(_) => {}
+                Report::Lost(error) => return Err(MasterError::Transport(error)),
+            }
+        }
+    }
+
+    /// Asks something of the bus and waits for the answer, at most `wait`.
+    ///
+    /// # Errors
+    /// That the transport was lost, or that no answer came.
+    pub fn request(&mut self, request: ServiceRequest, wait: Duration) -> Result<ServiceResult, MasterError> {
+        // A thread that has ended says so in its reports.
+        let _ = self.requests.send(request);
+        let until = Instant::now() + wait;
+        loop {
+            match self.report(until, wait)? {
+                Report::Answer(result) => return Ok(*result),
+                Report::Event(event) => self.events.push(event),
+                Report::Lost(error) => return Err(MasterError::Transport(error)),
+            }
+        }
+    }
+
+    /// What the supervisor has reported since the last call.
+    pub fn events(&mut self) -> Vec<BusEvent> {
+        while let Ok(report) = self.reports.try_recv() {
+            if let Report::Event(event) = report {
+                self.events.push(event);
+            }
+        }
+        std::mem::take(&mut self.events)
+    }
+
+    /// What the exchange has counted.
+    pub fn counters(&self) -> BusCounters {
+        *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn report(&self, until: Instant, wait: Duration) -> Result<Report, MasterError> {
+        let left = until.saturating_duration_since(Instant::now());
+        self.reports.recv_timeout(left).map_err(|error| match error {
+            RecvTimeoutError::Timeout => MasterError::Silent { waited: wait },
+            RecvTimeoutError::Disconnected => MasterError::Transport(io::ErrorKind::BrokenPipe.into()),
+        })
+    }
+}
+
+impl Drop for Master {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // What it had to say is in its reports.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The thread's side.
+struct Worker {
+    transport: Box<dyn Transport>,
+    reporter: Sender<Report>,
+    asked: Receiver<ServiceRequest>,
+    ended: Arc<AtomicBool>,
+    counters: Arc<Mutex<BusCounters>>,
+    silent_cycles: u32,
+}
+
+impl Worker {
+    fn run(mut self, setup: BusSetup) {
+        let mut queues = Box::new(BusQueues::new());
+        let (exchange_end, supervisor_end, mut application) = queues.split();
+        let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
+        let mut supervisor = Supervisor::new(supervisor_end);
+        let mut supervision = pin!(supervisor.run());
+        let mut context = Context::from_waker(Waker::noop());
+        // The queue is empty.
+        let _ = application.commands.enqueue(BusCommand::Start(setup));
+        let begun = Instant::now();
+        let (mut polled_ms, mut released) = (0, begun);
+        while !self.ended.load(Ordering::Relaxed) {
+            if let Err(error) = self.cycle(&mut exchange, released + PERIOD) {
+                let _ = self.reporter.send(Report::Lost(error));
+                return;
+            }
+            released = Instant::now();
+            let now_ms = u64::try_from(begun.elapsed().as_millis()).unwrap_or(u64::MAX);
+            for _ in 0..now_ms.saturating_sub(polled_ms).clamp(1, CATCH_UP_MS_MAX) {
+                let _ = supervision.as_mut().poll(&mut context);
+            }
+            polled_ms = now_ms;
+            *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = exchange.counters();
+            while let Some(event) = application.events.dequeue() {
+                let _ = self.reporter.send(Report::Event(event));
+            }
+            while let Some(answer) = application.answers.dequeue() {
+                let _ = self.reporter.send(Report::Answer(Box::new(answer)));
+            }
+            if application.services.ready()
+                && let Ok(request) = self.asked.try_recv()
+            {
+                // There is room.
+                let _ = application.services.enqueue(request);
+            }
+        }
+    }
+
+    /// Inputs, then outputs; lasts until `until` at least.
+    fn cycle(&mut self, exchange: &mut Exchange, until: Instant) -> io::Result<()> {
+        let mut frame = [0; FRAME_LEN_MAX];
+        let length = exchange.input_telegram(&mut frame);
+        self.transact(exchange, frame.get(..length).unwrap_or(&[]), Arrival::Input)?;
+        let length = exchange.output_telegram(&mut frame);
+        self.transact(exchange, frame.get(..length).unwrap_or(&[]), Arrival::Output)?;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            // What comes now is late, doubled or foreign, and counted.
+            if let Some(length) = self.transport.receive(&mut frame, left)? {
+                exchange.receive(frame.get(..length).unwrap_or(&[]));
+            }
+        }
+    }
+
+    /// Sends a telegram and waits for its reply.
+    fn transact(&mut self, exchange: &mut Exchange, telegram: &[u8], expected: Arrival) -> io::Result<()> {
+        if telegram.is_empty() {
+            return Ok(());
+        }
+        self.transport.send(telegram)?;
+        let wait = if self.silent_cycles < SILENT_CYCLES {
+            REPLY_WAIT
+        } else {
+            SILENT_WAIT
+        };
+        let until = Instant::now() + wait;
+        let mut frame = [0; FRAME_LEN_MAX];
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if let Some(length) = self.transport.receive(&mut frame, left)?
+                && exchange.receive(frame.get(..length).unwrap_or(&[])) == expected
+            {
+                self.silent_cycles = 0;
+                return Ok(());
+            }
+            if left.is_zero() {
+                self.silent_cycles = self.silent_cycles.saturating_add(1);
+                return Ok(());
+            }
+        }
+    }
+}
