@@ -1,9 +1,12 @@
 //! Mailbox server: CANopen over EtherCAT as a slave speaks it.
 //!
-//! Takes one mailbox message, queues the answers. SDO upload and download in expedited, normal and segmented form;
-//! what is not spoken is refused by an abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
+//! Takes one mailbox message, queues the answers. SDO upload and download in expedited, normal and segmented form, of
+//! one entry or of a whole object (complete access), SDO information, emergencies; what is not spoken is refused by an abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
 //! coding; abort codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
 
+use super::abort::Abort;
+use super::dictionary::{Dictionary, Objects};
+use super::sdo_information;
 use std::collections::VecDeque;
 
 const MAILBOX_HEADER: usize = 6;
@@ -16,43 +19,48 @@ const TYPE_COE: u8 = 3;
 const SERVICE_EMERGENCY: u8 = 1;
 const SERVICE_SDO_REQUEST: u8 = 2;
 const SERVICE_SDO_RESPONSE: u8 = 3;
+const SERVICE_SDO_INFORMATION: u8 = 8;
 const ERROR_PROTOCOL: u16 = 2;
 const ERROR_SERVICE: u16 = 4;
 const ERROR_SHORT: u16 = 6;
 const ERROR_LENGTH: u16 = 8;
 const TOGGLE: u8 = 0x10;
+const COMPLETE_ACCESS: u8 = 0x10;
 /// Largest value that is taken in segments, bytes.
 const DOWNLOAD_BYTES_MAX: usize = 64 * 1024;
 /// Messages that wait for the master at most; the oldest emergency gives way.
-const QUEUE_MAX: usize = 16;
-
-/// Why an SDO was refused: the number of CiA 301.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Abort(pub(super) u32);
-
-impl Abort {
-    pub(super) const TOGGLE: Self = Self(0x0503_0000);
-    pub(super) const COMMAND: Self = Self(0x0504_0001);
-    pub(super) const MEMORY: Self = Self(0x0504_0005);
-    pub(super) const UNSUPPORTED_ACCESS: Self = Self(0x0601_0000);
-    pub(super) const READ_ONLY: Self = Self(0x0601_0002);
-    pub(super) const SUB_INDEX_ZERO_FIRST: Self = Self(0x0601_0003);
-    pub(super) const NO_OBJECT: Self = Self(0x0602_0000);
-    pub(super) const NOT_MAPPABLE: Self = Self(0x0604_0041);
-    pub(super) const LENGTH: Self = Self(0x0607_0010);
-    pub(super) const TOO_LONG: Self = Self(0x0607_0012);
-    pub(super) const TOO_SHORT: Self = Self(0x0607_0013);
-    pub(super) const NO_SUB_INDEX: Self = Self(0x0609_0011);
-    pub(super) const VALUE: Self = Self(0x0609_0030);
-    pub(super) const STATE: Self = Self(0x0800_0022);
-}
+const QUEUE_MAX: usize = 64;
 
 /// What an object dictionary can be asked.
-pub(super) trait ObjectDictionary {
-    /// The value of an object, little-endian.
-    fn upload(&self, index: u16, sub: u8) -> Result<Vec<u8>, Abort>;
-    /// Writes an object.
-    fn download(&mut self, index: u16, sub: u8, value: &[u8]) -> Result<(), Abort>;
+pub(super) trait ObjectServer {
+    /// The value of an entry, little-endian; of all entries from `sub` on with complete access.
+    fn upload(&self, index: u16, sub: u8, complete: bool) -> Result<Vec<u8>, Abort>;
+    /// Writes an entry, or all from `sub` on.
+    fn download(&mut self, index: u16, sub: u8, complete: bool, value: &[u8]) -> Result<(), Abort>;
+    /// The table behind it.
+    fn dictionary(&self) -> &Dictionary;
+}
+
+impl ObjectServer for Objects<'_> {
+    fn upload(&self, index: u16, sub: u8, complete: bool) -> Result<Vec<u8>, Abort> {
+        if complete {
+            self.upload_complete(index, sub)
+        } else {
+            Objects::upload(self, index, sub)
+        }
+    }
+
+    fn download(&mut self, index: u16, sub: u8, complete: bool, value: &[u8]) -> Result<(), Abort> {
+        if complete {
+            self.download_complete(index, sub, value)
+        } else {
+            Objects::download(self, index, sub, value)
+        }
+    }
+
+    fn dictionary(&self) -> &Dictionary {
+        self.dictionary
+    }
 }
 
 #[derive(Clone, Debug, Default)]
@@ -65,6 +73,7 @@ enum Transfer {
     },
     Download {
         object: [u8; 3],
+        complete: bool,
         expected: usize,
         value: Vec<u8>,
         toggle: bool,
@@ -83,7 +92,7 @@ pub(super) struct MailboxServer {
 
 impl MailboxServer {
     /// Handles one message of the master; `capacity` is the length of the mailbox the answers go through.
-    pub(super) fn receive(&mut self, message: &[u8], capacity: usize, dictionary: &mut impl ObjectDictionary) {
+    pub(super) fn receive(&mut self, message: &[u8], capacity: usize, dictionary: &mut impl ObjectServer) {
         let Some((&[length_low, length_high, _, _, _, kind], rest)) = message.split_first_chunk() else {
             return self.refuse(ERROR_SHORT);
         };
@@ -101,6 +110,11 @@ impl MailboxServer {
         match body.split_first_chunk::<COE_HEADER>() {
             Some(([_, service], sdo)) if service >> 4 == SERVICE_SDO_REQUEST => {
                 self.sdo(sdo, capacity, dictionary);
+            }
+            Some(([_, service], request)) if service >> 4 == SERVICE_SDO_INFORMATION => {
+                for body in sdo_information::answer(request, capacity, dictionary.dictionary()) {
+                    self.coe(SERVICE_SDO_INFORMATION, &body);
+                }
             }
             Some(_) => self.refuse(ERROR_SERVICE),
             None => self.refuse(ERROR_SHORT),
@@ -127,19 +141,18 @@ impl MailboxServer {
         self.last_sent.as_deref()
     }
 
-    fn sdo(&mut self, request: &[u8], capacity: usize, dictionary: &mut impl ObjectDictionary) {
+    fn sdo(&mut self, request: &[u8], capacity: usize, dictionary: &mut impl ObjectServer) {
         let Some((&[command, index_low, index_high, sub, ..], data)) = request.split_first_chunk::<SDO_HEADER>() else {
             return self.refuse(ERROR_SHORT);
         };
         let object = [index_low, index_high, sub];
         let index = u16::from_le_bytes([index_low, index_high]);
-        let complete_access = command & TOGGLE != 0;
+        let complete = command & COMPLETE_ACCESS != 0;
         let result = match command >> 5 {
             0 => self.download_segment(request, dictionary),
-            1 | 2 if complete_access => Err(Abort::UNSUPPORTED_ACCESS),
             1 => self.download(request, data, dictionary),
             2 => dictionary
-                .upload(index, sub)
+                .upload(index, sub, complete)
                 .map(|value| self.answer_upload(object, value, capacity)),
             3 => self.upload_segment(command, capacity),
             4 => {
@@ -202,12 +215,13 @@ impl MailboxServer {
         Ok(())
     }
 
-    fn download(&mut self, request: &[u8], data: &[u8], dictionary: &mut impl ObjectDictionary) -> Result<(), Abort> {
+    fn download(&mut self, request: &[u8], data: &[u8], dictionary: &mut impl ObjectServer) -> Result<(), Abort> {
         let Some(&[command, index_low, index_high, sub, b0, b1, b2, b3]) = request.first_chunk() else {
             return Err(Abort::COMMAND);
         };
         let object = [index_low, index_high, sub];
         let index = u16::from_le_bytes([index_low, index_high]);
+        let complete = command & COMPLETE_ACCESS != 0;
         if command & 0x02 != 0 {
             let unused = if command & 0x01 != 0 {
                 usize::from(command >> 2 & 3)
@@ -215,7 +229,8 @@ impl MailboxServer {
                 0
             };
             let value = [b0, b1, b2, b3];
-            dictionary.download(index, sub, value.get(..4 - unused).unwrap_or(&value))?;
+            let value = value.get(..4 - unused).unwrap_or(&value);
+            dictionary.download(index, sub, complete, value)?;
             self.confirm_download(object);
             return Ok(());
         }
@@ -225,10 +240,11 @@ impl MailboxServer {
         }
         let value = data.get(..expected.min(data.len())).unwrap_or_default().to_vec();
         if value.len() == expected {
-            dictionary.download(index, sub, &value)?;
+            dictionary.download(index, sub, complete, &value)?;
         } else {
             self.transfer = Transfer::Download {
                 object,
+                complete,
                 expected,
                 value,
                 toggle: false,
@@ -238,9 +254,10 @@ impl MailboxServer {
         Ok(())
     }
 
-    fn download_segment(&mut self, request: &[u8], dictionary: &mut impl ObjectDictionary) -> Result<(), Abort> {
+    fn download_segment(&mut self, request: &[u8], dictionary: &mut impl ObjectServer) -> Result<(), Abort> {
         let Transfer::Download {
             object,
+            complete,
             expected,
             value,
             toggle,
@@ -268,9 +285,10 @@ impl MailboxServer {
                 return Err(Abort::TOO_SHORT);
             }
             let [index_low, index_high, sub] = *object;
-            let value = std::mem::take(value);
+            let (value, complete) = (std::mem::take(value), *complete);
             self.transfer = Transfer::None;
-            dictionary.download(u16::from_le_bytes([index_low, index_high]), sub, &value)?;
+            let index = u16::from_le_bytes([index_low, index_high]);
+            dictionary.download(index, sub, complete, &value)?;
         }
         self.coe(SERVICE_SDO_RESPONSE, &[0x20 | (command & TOGGLE), 0, 0, 0, 0, 0, 0, 0]);
         Ok(())
@@ -309,16 +327,20 @@ mod tests {
     use super::*;
 
     /// A dictionary with one byte that counts how often it was written.
-    struct Counter(u8);
+    struct Counter(u8, Dictionary);
 
-    impl ObjectDictionary for Counter {
-        fn upload(&self, _index: u16, _sub: u8) -> Result<Vec<u8>, Abort> {
+    impl ObjectServer for Counter {
+        fn upload(&self, _index: u16, _sub: u8, _complete: bool) -> Result<Vec<u8>, Abort> {
             Ok(vec![self.0])
         }
 
-        fn download(&mut self, _index: u16, _sub: u8, _value: &[u8]) -> Result<(), Abort> {
+        fn download(&mut self, _index: u16, _sub: u8, _complete: bool, _value: &[u8]) -> Result<(), Abort> {
             self.0 += 1;
             Ok(())
+        }
+
+        fn dictionary(&self) -> &Dictionary {
+            &self.1
         }
     }
 
@@ -338,7 +360,7 @@ mod tests {
 
     #[test]
     fn a_message_with_the_counter_of_the_last_is_not_executed_twice() {
-        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0, Dictionary::default()));
         for counter in [1, 1, 1, 2, 0, 0] {
             receive(&mut server, &mut dictionary, &message(TYPE_COE, counter, &DOWNLOAD));
         }
@@ -349,16 +371,16 @@ mod tests {
     fn what_is_not_spoken_is_refused_by_a_mailbox_error() {
         let cases: [(u8, &[u8], u8); 4] = [
             (4, &DOWNLOAD, 2),
-            (TYPE_COE, &[0, 0x80, 1, 0, 0, 0], 4),
+            (TYPE_COE, &[0, 0x90, 1, 0, 0, 0], 4),
             (TYPE_COE, &[0], 6),
             (TYPE_COE, &[0, 0x20, 0x40], 6),
         ];
         for (counter, (kind, body, detail)) in (1..).zip(cases) {
-            let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+            let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0, Dictionary::default()));
             let answer = receive(&mut server, &mut dictionary, &message(kind, counter, body));
             assert_eq!(answer, Some(vec![4, 0, 0, 0, 0, 0x10, 1, 0, detail, 0]), "{body:x?}");
         }
-        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0, Dictionary::default()));
         let mut long = message(TYPE_COE, 1, &DOWNLOAD);
         long[0] = 200;
         assert_eq!(
@@ -369,7 +391,7 @@ mod tests {
 
     #[test]
     fn counters_of_the_slave_run_from_one_to_seven() {
-        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0, Dictionary::default()));
         let counters: Vec<_> = (0..9)
             .filter_map(|_| receive(&mut server, &mut dictionary, &message(TYPE_COE, 0, &DOWNLOAD)))
             .map(|answer| answer[5] >> 4)
@@ -379,7 +401,7 @@ mod tests {
 
     #[test]
     fn a_segment_without_its_transfer_or_with_the_wrong_toggle_is_aborted() {
-        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0));
+        let (mut server, mut dictionary) = (MailboxServer::default(), Counter(0, Dictionary::default()));
         let stray = message(TYPE_COE, 1, &[0, 0x20, 0x01, 1, 2, 3, 4, 5, 6, 7]);
         let code = |answer: Option<Vec<u8>>| answer.map(|answer| answer[12..16].to_vec());
         let expected = Some(Abort::COMMAND.0.to_le_bytes().to_vec());

@@ -6,6 +6,7 @@
 //! register description (ET1100 as the pattern).
 
 use super::datagram::Datagram;
+use super::device::{ClockWidth, Silicon};
 use super::eeprom::{self, Eeprom};
 use super::fmmu::{self, Fmmu, Overlap, bit, set_bit};
 use super::registers as register;
@@ -17,10 +18,13 @@ use etherpen::ethercat::wire::register::WATCHDOG_DIVIDER_100_US;
 const REGISTER_SPACE: usize = 0x1000;
 /// Bytes of register space and process memory.
 const MEMORY: usize = 0x3000;
-/// Sync managers.
+/// Sync managers at most.
 const SYNC_MANAGERS: usize = 8;
-/// Fieldbus memory management units.
+/// Fieldbus memory management units at most.
 const FMMUS: usize = 8;
+/// Features: distributed clocks, and 64 bits of them.
+const FEATURE_CLOCK: u16 = 0x0004;
+const FEATURE_CLOCK_64: u16 = 0x0008;
 
 const _: () = {
     assert!(register::SYNC_MANAGER + SYNC_MANAGERS * sync_manager::BLOCK <= REGISTER_SPACE);
@@ -36,6 +40,7 @@ const CLOCK_TICK_NS: u64 = 40;
 /// Registers and memory of one slave controller.
 #[derive(Clone, Debug)]
 pub(super) struct Controller {
+    silicon: Silicon,
     memory: Vec<u8>,
     sync_managers: [SyncManager; SYNC_MANAGERS],
     fmmus: [Option<Fmmu>; FMMUS],
@@ -45,8 +50,9 @@ pub(super) struct Controller {
 
 impl Controller {
     /// A controller after power-up with this content of its information memory.
-    pub(super) fn new(image: Vec<u8>) -> Self {
+    pub(super) fn new(silicon: Silicon, image: Vec<u8>) -> Self {
         let mut controller = Self {
+            silicon,
             memory: Vec::new(),
             sync_managers: Default::default(),
             fmmus: Default::default(),
@@ -64,8 +70,7 @@ impl Controller {
         self.sync_managers = Default::default();
         self.fmmus = Default::default();
         self.al_request = None;
-        let description = [0x11, 0x00, 0x02, 0x00, FMMUS as u8, SYNC_MANAGERS as u8, 8, 0x0F];
-        self.store(register::TYPE, &description);
+        self.describe();
         self.store(register::WATCHDOG_DIVIDER, &WATCHDOG_DIVIDER_DEFAULT.to_le_bytes());
         self.store(
             register::WATCHDOG_PROCESS_DATA,
@@ -78,6 +83,19 @@ impl Controller {
         for index in 0..SYNC_MANAGERS {
             self.mirror(index);
         }
+    }
+
+    fn describe(&mut self) {
+        let silicon = self.silicon;
+        let features = match silicon.clock {
+            ClockWidth::None => 0,
+            ClockWidth::Bits32 => FEATURE_CLOCK,
+            ClockWidth::Bits64 => FEATURE_CLOCK | FEATURE_CLOCK_64,
+        };
+        self.store(register::TYPE, &silicon.identity);
+        let counts = [silicon.fmmus, silicon.sync_managers, silicon.memory_kib, silicon.ports];
+        self.store(register::TYPE + silicon.identity.len(), &counts);
+        self.store(register::FEATURES, &u16::to_le_bytes(features));
     }
 
     /// One millisecond of the controller's own machinery.
@@ -431,7 +449,7 @@ mod tests {
     }
 
     fn controller() -> Controller {
-        Controller::new(vec![0; 128])
+        Controller::new(Silicon::ET1100, vec![0; 128])
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A servo drive: CiA 402 state machine, digital speed mode, brake, resolver and the motor behind it.
+//! A servo drive: CiA 402 state machine, modes of operation, brake, resolver and the motor behind it.
 //!
 //! Position and speed are updated every millisecond, control and status word every second one, as in the real drive.
 //! The motor only ever moves under the velocity loop (operation enabled), under a ramp (quick stop, fault reaction)
@@ -9,8 +9,24 @@ use etherpen::config::Axis;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
-/// Digital speed: the only mode in which this drive obeys a velocity demand.
+/// AX2000: digital speed.
 pub(super) const MODE_DIGITAL_SPEED: i8 = -2;
+/// AX2000: digital current.
+pub(super) const MODE_DIGITAL_CURRENT: i8 = -3;
+/// CiA 402: cyclic synchronous position.
+pub(super) const MODE_CYCLIC_POSITION: i8 = 8;
+/// CiA 402: cyclic synchronous velocity.
+pub(super) const MODE_CYCLIC_VELOCITY: i8 = 9;
+/// CiA 402: cyclic synchronous torque.
+pub(super) const MODE_CYCLIC_TORQUE: i8 = 10;
+/// Rated torque of the motor, mN m; object 0x6076 of a CiA 402 drive.
+pub(super) const RATED_TORQUE_MNM: u32 = 2_800;
+/// Peak torque of the motor, N m: 12 A at 0.7 N m/A.
+const PEAK_TORQUE_NM: f64 = 8.4;
+/// Digits of an AX2000 at peak current.
+const PEAK_CURRENT_DIGITS: f64 = 3_280.0;
+/// Gain of the position loop in cyclic synchronous position mode, 1/s.
+const POSITION_GAIN_PER_S: f64 = 100.0;
 /// Error code when cyclic data stopped coming.
 const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
 /// Deceleration of a motor against its closed brake, rad/s2 at the joint.
@@ -61,11 +77,24 @@ impl DriveState {
     }
 }
 
+/// What its numbers mean on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Profile {
+    /// Current digits, position within one motor turn.
+    Ax2000,
+    /// Torque in 1/1000 of the rated one, position over all turns.
+    Cia402,
+}
+
 /// What the fieldbus demands of the drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Demand {
-    /// Velocity in digits of object 0x606B.
+    /// Velocity in digits of object 0x606B or 0x60FF.
     pub(super) velocity_digits: i32,
+    /// Torque in digits of object 0x6074 or 0x6071.
+    pub(super) torque_digits: i16,
+    /// Position, increments; nothing holds the present one.
+    pub(super) position: Option<i32>,
     /// Control word.
     pub(super) control: u16,
 }
@@ -74,6 +103,7 @@ pub(super) struct Demand {
 #[derive(Clone, Debug)]
 pub(super) struct Drive {
     axis: Axis,
+    profile: Profile,
     motor: Motor,
     state: DriveState,
     /// Requested and active mode of operation.
@@ -87,6 +117,7 @@ pub(super) struct Drive {
     second_millisecond: bool,
     mains: bool,
     stuck_position: Option<i32>,
+    target_position: Option<i32>,
     emergencies: VecDeque<u16>,
 }
 
@@ -96,6 +127,7 @@ impl Drive {
         let motor_rad = (joint_rad - axis.sync_angle_rad) * axis.gear;
         let mut drive = Self {
             axis,
+            profile: Profile::Ax2000,
             motor: Motor::new(motor_rad, bandwidth_hz),
             state: DriveState::SwitchOnDisabled,
             mode: 0,
@@ -107,10 +139,16 @@ impl Drive {
             second_millisecond: false,
             mains: true,
             stuck_position: None,
+            target_position: None,
             emergencies: VecDeque::new(),
         };
         drive.power_up();
         drive
+    }
+
+    /// The same drive with another meaning of its numbers.
+    pub(super) fn with_profile(self, profile: Profile) -> Self {
+        Self { profile, ..self }
     }
 
     /// Everything but the motor back to its state after power-up.
@@ -156,7 +194,7 @@ impl Drive {
         self.motor.speed_rad_s() / self.axis.gear
     }
 
-    /// Position within one motor turn as the resolver shows it, increments.
+    /// Position as the drive shows it, increments: within one motor turn, or over all turns.
     pub(super) fn position(&self) -> i32 {
         self.stuck_position.unwrap_or_else(|| self.true_position())
     }
@@ -164,6 +202,11 @@ impl Drive {
     /// Speed in the velocity demand's digits.
     pub(super) fn velocity_digits(&self) -> i32 {
         (self.motor.speed_rad_s() * self.digits_per_rad_s()).round() as i32
+    }
+
+    /// Torque in the torque demand's digits.
+    pub(super) fn torque_digits(&self) -> i16 {
+        (self.motor.torque_nm() / self.torque_nm_per_digit()).round() as i16
     }
 
     /// The next emergency: an error code, 0 when the error is gone.
@@ -215,22 +258,7 @@ impl Drive {
             self.mode_display = self.mode;
             self.obey(demand.map(|demand| demand.control));
         }
-        let ramp_rad_s2 = f64::from(self.quick_stop_increments_s2) / self.increments_per_rad();
-        let action = match self.state {
-            DriveState::OperationEnabled => {
-                let digits = demand.map_or(0, |demand| demand.velocity_digits);
-                let digits = if self.mode_display == MODE_DIGITAL_SPEED {
-                    digits
-                } else {
-                    0
-                };
-                let speed_max_rad_s = SPEED_MAX_RPM / 60.0 * TAU;
-                let speed_rad_s = f64::from(digits) / self.digits_per_rad_s();
-                motor::Drive::Speed(speed_rad_s.max(-speed_max_rad_s).min(speed_max_rad_s))
-            }
-            DriveState::QuickStopActive | DriveState::FaultReactionActive => motor::Drive::Ramp(ramp_rad_s2),
-            _ => motor::Drive::Ramp(BRAKE_RAD_S2 * self.axis.gear.abs()),
-        };
+        let action = self.action(demand.unwrap_or_default());
         self.motor.step(action);
         if self.motor.is_still() {
             self.state = match self.state {
@@ -244,6 +272,41 @@ impl Drive {
             let remote = if demand.is_some() { STATUS_REMOTE } else { 0 };
             self.status = self.state.status_bits() | voltage | remote;
         }
+    }
+
+    /// What acts on the motor in this millisecond.
+    fn action(&mut self, demand: Demand) -> motor::Drive {
+        let last_target = self.target_position;
+        self.target_position = None;
+        match self.state {
+            DriveState::OperationEnabled => match self.mode_display {
+                MODE_DIGITAL_SPEED | MODE_CYCLIC_VELOCITY => self.speed(demand.velocity_digits),
+                MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE => {
+                    let torque_nm = f64::from(demand.torque_digits) * self.torque_nm_per_digit();
+                    motor::Drive::Torque(torque_nm.clamp(-PEAK_TORQUE_NM, PEAK_TORQUE_NM))
+                }
+                MODE_CYCLIC_POSITION => {
+                    let target = demand.position.or(last_target).unwrap_or(self.true_position());
+                    self.target_position = Some(target);
+                    let error = f64::from(target.wrapping_sub(self.true_position()));
+                    let ahead = f64::from(target.wrapping_sub(last_target.unwrap_or(target)));
+                    let increments_s = error * POSITION_GAIN_PER_S + ahead / motor::STEP_S;
+                    let rad_s = increments_s / self.increments_per_rad();
+                    self.speed((rad_s * self.digits_per_rad_s()) as i32)
+                }
+                _ => self.speed(0),
+            },
+            DriveState::QuickStopActive | DriveState::FaultReactionActive => {
+                motor::Drive::Ramp(f64::from(self.quick_stop_increments_s2) / self.increments_per_rad())
+            }
+            _ => motor::Drive::Ramp(BRAKE_RAD_S2 * self.axis.gear.abs()),
+        }
+    }
+
+    fn speed(&self, digits: i32) -> motor::Drive {
+        let speed_max_rad_s = SPEED_MAX_RPM / 60.0 * TAU;
+        let speed_rad_s = f64::from(digits) / self.digits_per_rad_s();
+        motor::Drive::Speed(speed_rad_s.max(-speed_max_rad_s).min(speed_max_rad_s))
     }
 
     fn obey(&mut self, control: Option<u16>) {
@@ -308,10 +371,21 @@ impl Drive {
         f64::from(self.axis.increments_per_revolution.max(1)) / TAU
     }
 
+    /// Torque at the motor for one digit of the torque demand, N m.
+    fn torque_nm_per_digit(&self) -> f64 {
+        match self.profile {
+            Profile::Ax2000 => PEAK_TORQUE_NM / PEAK_CURRENT_DIGITS,
+            Profile::Cia402 => f64::from(RATED_TORQUE_MNM) * 1e-6,
+        }
+    }
+
     fn true_position(&self) -> i32 {
         let increments = f64::from(self.axis.increments_per_revolution.max(1));
         let turn = self.motor.angle_rad() * self.increments_per_rad() + f64::from(self.axis.sync_increments);
-        turn.floor().rem_euclid(increments) as i32
+        match self.profile {
+            Profile::Ax2000 => turn.floor().rem_euclid(increments) as i32,
+            Profile::Cia402 => turn.floor() as i64 as i32,
+        }
     }
 }
 
@@ -328,6 +402,7 @@ mod tests {
             drive.step(Some(Demand {
                 velocity_digits,
                 control,
+                ..Demand::default()
             }));
         }
     }
@@ -386,9 +461,9 @@ mod tests {
     }
 
     #[test]
-    fn another_mode_than_digital_speed_does_not_move() {
+    fn a_mode_without_velocity_does_not_move() {
         let mut drive = enabled();
-        drive.mode = -3;
+        drive.mode = -1;
         hold(&mut drive, 0x0F, 100_000, 100);
         assert_eq!(drive.velocity_digits(), 0);
     }

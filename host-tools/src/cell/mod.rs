@@ -12,33 +12,44 @@
 //!
 //! Invariant: the same configuration, options and frames give the same ink, and no input panics.
 
+mod abort;
 mod application;
 mod ax2000;
 pub mod capture;
 mod coe;
 mod controller;
+mod coupler;
 mod datagram;
+mod device;
+mod dictionary;
 mod drive;
 mod eeprom;
 mod faults;
 mod fmmu;
+mod generic_drive;
+mod image_device;
+mod kind;
 mod motor;
 mod paper;
+mod process_data;
 mod random;
 mod registers;
 mod robot;
+mod sdo_information;
 mod segment;
+mod servo;
 mod sii;
 mod slave;
 mod sync_manager;
 
 pub use application::AlState;
 pub use ax2000::NAME;
+pub use device::ClockWidth;
 pub use drive::DriveState;
 pub use faults::{Fault, Script, ScriptError, ScriptProblem};
+pub use kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
 pub use paper::{InkStroke, PEN_SPRING_MM};
 
-use ax2000::Ax2000;
 use drive::Drive;
 use etherpen::config::Config;
 use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
@@ -47,6 +58,7 @@ use paper::Sheet;
 use random::Random;
 use robot::Robot;
 use segment::Segment;
+use servo::Servo;
 use slave::Slave;
 
 /// Length of the cell's step, microseconds.
@@ -75,6 +87,9 @@ pub struct CellOptions {
     pub start_offset_max_rad: f64,
     /// What goes wrong.
     pub faults: Script,
+    /// The slaves in the order of the chain; empty: an AX2000 for each of the configured drives. Drives are the
+    /// configuration's axes in their order, further ones move nothing.
+    pub slaves: Vec<SlaveKind>,
 }
 
 impl Default for CellOptions {
@@ -86,6 +101,7 @@ impl Default for CellOptions {
             seed: 1,
             start_offset_max_rad: 0.1,
             faults: Script::default(),
+            slaves: Vec::new(),
         }
     }
 }
@@ -97,7 +113,7 @@ pub struct SlaveState {
     pub al_state: AlState,
     /// AL status code; 0 without an error.
     pub al_status_code: u16,
-    /// State of the drive.
+    /// State of the drive; switched off where there is none.
     pub drive: DriveState,
     /// Error code of the drive; 0 without a fault.
     pub drive_error: u16,
@@ -149,16 +165,21 @@ impl Cell {
         let mut random = Random::new(options.seed);
         let output_delay = options.output_delay_cycles.min(DELAY_CYCLES_MAX);
         let input_delay = options.input_delay_cycles.min(DELAY_CYCLES_MAX);
-        let slaves = config
-            .axes
-            .iter()
-            .take(usize::from(config.bus.drives))
-            .zip(1..)
-            .map(|(axis, serial)| {
+        let drives = usize::from(config.bus.drives).min(config.axes.len());
+        let kinds = match options.slaves.len() {
+            0 => vec![SlaveKind::Ax2000; drives],
+            _ => options.slaves.clone(),
+        };
+        let mut axes = config.axes.into_iter();
+        let slaves = (1..).zip(&kinds).map(|(serial, kind)| {
+            let servo = kind.is_drive().then(|| {
+                let axis = axes.next().unwrap_or_default();
                 let offset_rad = (2.0 * random.unit() - 1.0) * options.start_offset_max_rad;
-                let drive = Drive::new(*axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz);
-                Slave::new(Ax2000::new(drive, serial, output_delay, input_delay))
+                let drive = Drive::new(axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz);
+                Servo::new(drive, output_delay, input_delay)
             });
+            Slave::new(kind.device(servo, serial))
+        });
         let segment = Segment::new(slaves.collect());
         let mut robot = Robot::new(&config.geometry);
         robot.step(&joints(&segment));
@@ -218,14 +239,14 @@ impl Cell {
     #[must_use]
     pub fn state(&self) -> CellState {
         let mut velocities = [0.0; AXES];
-        for (velocity, slave) in velocities.iter_mut().zip(self.segment.slaves()) {
-            *velocity = slave.device.drive.joint_rad_s();
+        for (velocity, drive) in velocities.iter_mut().zip(self.segment.drives()) {
+            *velocity = drive.joint_rad_s();
         }
         let slaves = self.segment.slaves().iter().map(|slave| SlaveState {
             al_state: slave.state(),
             al_status_code: slave.al_status_code(),
-            drive: slave.device.drive.state(),
-            drive_error: slave.device.drive.error_code(),
+            drive: slave.drive().map_or(DriveState::SwitchOnDisabled, Drive::state),
+            drive_error: slave.drive().map_or(0, Drive::error_code),
             powered: slave.is_powered(),
         });
         CellState {
@@ -259,9 +280,10 @@ impl Cell {
             self.segment.apply(fault, self.steps);
         }
         self.segment.step();
-        for (arm, slave) in self.segment.slaves_mut().iter_mut().enumerate() {
-            self.robot.limit(arm, &mut slave.device.drive);
+        for (arm, drive) in self.segment.drives_mut().enumerate() {
+            self.robot.limit(arm, drive);
         }
+        self.segment.sample();
         if let Some(platform) = self.robot.step(&joints(&self.segment)) {
             self.sheet.step(self.steps, platform);
         }
@@ -270,12 +292,14 @@ impl Cell {
 
 fn joints(segment: &Segment) -> JointAngles {
     let mut joints = [0.0; AXES];
-    for (joint, slave) in joints.iter_mut().zip(segment.slaves()) {
-        *joint = slave.device.drive.joint_rad();
+    for (joint, drive) in joints.iter_mut().zip(segment.drives()) {
+        *joint = drive.joint_rad();
     }
     JointAngles(joints)
 }
 
+#[cfg(test)]
+mod device_tests;
 #[cfg(test)]
 mod master_tests;
 #[cfg(test)]

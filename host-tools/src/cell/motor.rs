@@ -6,6 +6,9 @@
 /// Length of a step, seconds.
 pub(super) const STEP_S: f64 = 1e-3;
 
+/// Inertia of a motor and its load, kg m2 at the motor.
+const INERTIA_KG_M2: f64 = 1.4e-3;
+
 /// What acts on the motor during one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Drive {
@@ -13,6 +16,8 @@ pub(super) enum Drive {
     Speed(f64),
     /// The speed falls to zero with this deceleration, rad/s2.
     Ramp(f64),
+    /// The current loop gives this torque at the motor, N m.
+    Torque(f64),
 }
 
 /// Angle and speed of one motor.
@@ -21,6 +26,7 @@ pub(super) struct Motor {
     angle_rad: f64,
     speed_rad_s: f64,
     bandwidth_rad_s: f64,
+    torque_nm: f64,
 }
 
 impl Motor {
@@ -31,6 +37,7 @@ impl Motor {
             angle_rad,
             speed_rad_s: 0.0,
             bandwidth_rad_s: core::f64::consts::TAU * bandwidth_hz,
+            torque_nm: 0.0,
         }
     }
 
@@ -44,6 +51,11 @@ impl Motor {
         self.speed_rad_s
     }
 
+    /// Torque of the current loop, N m at the motor; 0 outside torque mode.
+    pub(super) fn torque_nm(&self) -> f64 {
+        self.torque_nm
+    }
+
     /// Whether the motor stands.
     pub(super) fn is_still(&self) -> bool {
         self.speed_rad_s == 0.0
@@ -51,7 +63,9 @@ impl Motor {
 
     /// Moves the motor for one millisecond.
     pub(super) fn step(&mut self, drive: Drive) {
+        self.torque_nm = 0.0;
         match drive {
+            Drive::Torque(torque_nm) => self.accelerate(torque_nm),
             Drive::Speed(target_rad_s) => self.follow(target_rad_s),
             Drive::Ramp(deceleration_rad_s2) => self.slow_down(deceleration_rad_s2),
         }
@@ -61,6 +75,13 @@ impl Motor {
     pub(super) fn block_at(&mut self, angle_rad: f64) {
         self.angle_rad = angle_rad;
         self.speed_rad_s = 0.0;
+    }
+
+    fn accelerate(&mut self, torque_nm: f64) {
+        self.torque_nm = torque_nm;
+        let change_rad_s = torque_nm / INERTIA_KG_M2 * STEP_S;
+        self.angle_rad += (self.speed_rad_s + 0.5 * change_rad_s) * STEP_S;
+        self.speed_rad_s += change_rad_s;
     }
 
     fn follow(&mut self, target_rad_s: f64) {

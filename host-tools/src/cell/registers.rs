@@ -4,6 +4,8 @@ use etherpen::ethercat::wire::register as wire;
 
 /// Type, revision, build, numbers of units, RAM size, port descriptor.
 pub(super) const TYPE: usize = wire::TYPE as usize;
+/// Features of the silicon.
+pub(super) const FEATURES: usize = wire::FEATURES as usize;
 /// Station address given by the master.
 pub(super) const STATION_ADDRESS: usize = wire::STATION_ADDRESS as usize;
 /// Station alias.

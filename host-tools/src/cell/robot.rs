@@ -79,6 +79,7 @@ mod tests {
             drive.step(Some(Demand {
                 velocity_digits,
                 control,
+                ..Demand::default()
             }));
             robot.limit(0, &mut drive);
         }

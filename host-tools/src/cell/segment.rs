@@ -4,6 +4,7 @@
 //! and power decide how far it gets, the script what else happens to it.
 
 use super::datagram::{Datagrams, mark_processed};
+use super::drive::Drive;
 use super::faults::{Fault, Schedule};
 use super::slave::Slave;
 use std::collections::VecDeque;
@@ -59,11 +60,6 @@ impl Segment {
         &self.slaves
     }
 
-    /// The same, to be changed.
-    pub(super) fn slaves_mut(&mut self) -> &mut [Slave] {
-        &mut self.slaves
-    }
-
     /// EtherCAT frames that came from the master.
     pub(super) fn frames(&self) -> u64 {
         self.frames
@@ -74,11 +70,27 @@ impl Segment {
         for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
             if *off_ms > 0 {
                 *off_ms -= 1;
-                slave.device.drive.set_mains(*off_ms == 0);
+                let on = *off_ms == 0;
+                slave.drive_mut().into_iter().for_each(|drive| drive.set_mains(on));
             }
             slave.step();
         }
         self.show_links();
+    }
+
+    /// The inputs of this millisecond, after every motor has moved.
+    pub(super) fn sample(&mut self) {
+        self.slaves.iter_mut().for_each(Slave::sample);
+    }
+
+    /// The drives in the order of the chain: the robot's axes first.
+    pub(super) fn drives(&self) -> impl Iterator<Item = &Drive> {
+        self.slaves.iter().filter_map(Slave::drive)
+    }
+
+    /// The same, to be changed.
+    pub(super) fn drives_mut(&mut self) -> impl Iterator<Item = &mut Drive> {
+        self.slaves.iter_mut().filter_map(Slave::drive_mut)
     }
 
     /// Something happens to the segment.
@@ -92,10 +104,10 @@ impl Segment {
             Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
             Fault::Retreat(slave, code) => self.with(slave, |slave| slave.retreat(code)),
             Fault::Silence(slave, ms) => self.with(slave, |slave| slave.silence(ms)),
-            Fault::Drive(slave, code) => self.with(slave, |slave| slave.device.drive.fault(code)),
+            Fault::Drive(slave, code) => self.with_drive(slave, |drive| drive.fault(code)),
             Fault::Stuck(slave, ms) => self.with(slave, |slave| slave.stick(ms)),
             Fault::Mains(slave, ms) => {
-                self.with(slave, |slave| slave.device.drive.set_mains(ms == 0));
+                self.with_drive(slave, |drive| drive.set_mains(ms == 0));
                 let at = slave.wrapping_sub(1);
                 self.mains_off_ms
                     .iter_mut()
@@ -224,6 +236,14 @@ impl Segment {
             .skip(at)
             .take(1)
             .for_each(|flag| *flag = removed);
+    }
+
+    fn with_drive(&mut self, slave: usize, work: impl FnOnce(&mut Drive)) {
+        self.with(slave, |slave| {
+            if let Some(drive) = slave.drive_mut() {
+                work(drive);
+            }
+        });
     }
 
     fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {

@@ -3,37 +3,26 @@
 //! Layout: slave information interface of IEC 61158-6-12 (words, little-endian; categories from word 0x40). The real
 //! drive's image is not public: identity, mailbox and process data are the known ones, the rest is plausible.
 
+use super::device::{SyncManagerDefault, Windows};
+use super::process_data::{Pdo, ProcessData};
 use etherpen::ethercat::wire::sii::{
     CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
-    CATEGORY_TX_PDO, Identity, MailboxWindow, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN,
-    WORD_MAILBOX_OUT, WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
+    CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN, WORD_MAILBOX_OUT,
+    WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
 };
 
 /// Size of the memory chip, bytes.
 const IMAGE_BYTES: usize = 2048;
-/// General category: SDO access and PDO assignment.
-const COE_DETAILS: u8 = 0x05;
 /// Data types of CiA 301.
+const TYPE_INTEGER8: u8 = 0x02;
 const TYPE_INTEGER32: u8 = 0x04;
 const TYPE_UNSIGNED16: u8 = 0x06;
-
-/// One sync manager as the image describes it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SyncManagerDefault {
-    pub(super) start: u16,
-    pub(super) length: u16,
-    pub(super) control: u8,
-    pub(super) activate: u8,
-    /// 1 and 2 mailbox out and in, 3 and 4 process data out and in.
-    pub(super) kind: u8,
-}
-
-/// One entry of a process-data object.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PdoEntry {
-    pub(super) index: u16,
-    pub(super) bits: u8,
-}
+/// CoE details of the general category: SDO access, SDO information, PDO assignment, complete access.
+pub(super) const DETAILS_FIXED_PDO: u8 = 0x27;
+/// The same, and PDO mapping.
+pub(super) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
+/// Sync manager of a PDO that is not assigned.
+const NOT_ASSIGNED: u8 = 0xFF;
 
 /// What the image says.
 #[derive(Clone, Copy, Debug)]
@@ -41,17 +30,18 @@ pub(super) struct Description<'a> {
     pub(super) identity: Identity,
     pub(super) name: &'a str,
     pub(super) order: &'a str,
-    pub(super) mailbox_out: MailboxWindow,
-    pub(super) mailbox_in: MailboxWindow,
-    pub(super) sync_managers: &'a [SyncManagerDefault],
-    pub(super) rx_pdo: (u16, &'a [PdoEntry]),
-    pub(super) tx_pdo: (u16, &'a [PdoEntry]),
+    pub(super) windows: Windows,
+    pub(super) details: u8,
+    pub(super) process_data: &'a ProcessData,
+    /// Kind of each port, as in the controller's port descriptor.
+    pub(super) ports: u8,
 }
 
 /// The whole image.
 pub(super) fn image(description: &Description) -> Vec<u8> {
     let mut image = vec![0; 2 * usize::from(WORD_CATEGORIES)];
     let identity = description.identity;
+    let windows = description.windows;
     put(&mut image, 0, &[0x08, 0x0C]);
     let sum = checksum(&image);
     put(&mut image, 2 * WORD_CHECKSUM, &[sum]);
@@ -59,36 +49,44 @@ pub(super) fn image(description: &Description) -> Vec<u8> {
     for (at, number) in (2 * WORD_VENDOR..).step_by(4).zip(numbers) {
         put(&mut image, at, &number.to_le_bytes());
     }
-    let windows = [
-        (WORD_MAILBOX_OUT, description.mailbox_out),
-        (WORD_MAILBOX_IN, description.mailbox_in),
-    ];
-    for (word, window) in windows {
+    for (word, window) in [
+        (WORD_MAILBOX_OUT, windows.mailbox_out),
+        (WORD_MAILBOX_IN, windows.mailbox_in),
+    ] {
         put(&mut image, 2 * word, &window.start.to_le_bytes());
         put(&mut image, 2 * word + 2, &window.length.to_le_bytes());
     }
-    put(&mut image, 2 * WORD_PROTOCOLS, &PROTOCOL_COE.to_le_bytes());
+    let protocols = if windows.has_mailbox() { PROTOCOL_COE } else { 0 };
+    put(&mut image, 2 * WORD_PROTOCOLS, &protocols.to_le_bytes());
     let kibibits = (IMAGE_BYTES * 8 / 1024 - 1) as u16;
     put(&mut image, 2 * WORD_SIZE, &kibibits.to_le_bytes());
     put(&mut image, 2 * WORD_VERSION, &1u16.to_le_bytes());
-
-    category(
-        &mut image,
-        CATEGORY_STRINGS,
-        &strings(&[description.name, description.order]),
-    );
-    category(&mut image, CATEGORY_GENERAL, &general());
-    category(&mut image, CATEGORY_FMMU, &[1, 2, 3, 0]);
-    category(
-        &mut image,
-        CATEGORY_SYNC_MANAGER,
-        &sync_managers(description.sync_managers),
-    );
-    category(&mut image, CATEGORY_RX_PDO, &pdo(description.rx_pdo, 2));
-    category(&mut image, CATEGORY_TX_PDO, &pdo(description.tx_pdo, 3));
+    categories(&mut image, description);
     image.extend_from_slice(&CATEGORY_END.to_le_bytes());
-    image.resize(IMAGE_BYTES, 0xFF);
+    image.resize(IMAGE_BYTES.max(image.len()), 0xFF);
     image
+}
+
+fn categories(image: &mut Vec<u8>, description: &Description) {
+    let texts = strings(&[description.name, description.order]);
+    category(image, CATEGORY_STRINGS, &texts);
+    category(image, CATEGORY_GENERAL, &general(description));
+    if !description.windows.has_mailbox() {
+        return;
+    }
+    category(image, CATEGORY_FMMU, &[1, 2, 3, 0]);
+    let managers = description.windows.sync_managers(description.process_data.bytes());
+    category(image, CATEGORY_SYNC_MANAGER, &sync_managers(&managers));
+    for (kind, outputs, manager) in [(CATEGORY_RX_PDO, true, 2), (CATEGORY_TX_PDO, false, 3)] {
+        let mut body = Vec::new();
+        for pdo in description.process_data.pdos() {
+            if pdo.is_output() == outputs {
+                let assigned = description.process_data.is_assigned(pdo.index);
+                body.extend(pdo_body(pdo, if assigned { manager } else { NOT_ASSIGNED }));
+            }
+        }
+        category(image, kind, &body);
+    }
 }
 
 fn put(image: &mut [u8], at: u16, bytes: &[u8]) {
@@ -115,11 +113,25 @@ fn strings(texts: &[&str]) -> Vec<u8> {
     body
 }
 
-/// Group, image, order and name are string numbers; two ports with copper links.
-fn general() -> [u8; 32] {
+/// Group, image, order and name are string numbers; four bits for the kind of each port (1 MII, 3 EBUS).
+fn general(description: &Description) -> [u8; 32] {
     let mut body = [0; 32];
-    put(&mut body, 0, &[2, 0, 2, 1, 0, COE_DETAILS]);
-    put(&mut body, 16, &[0x11, 0x00]);
+    let details = if description.windows.has_mailbox() {
+        description.details
+    } else {
+        0
+    };
+    put(&mut body, 0, &[2, 0, 2, 1, 0, details]);
+    let mut ports = 0u16;
+    for port in 0..4 {
+        let kind = match description.ports >> (2 * port) & 3 {
+            3 => 1,
+            2 => 3,
+            _ => 0,
+        };
+        ports |= kind << (4 * port);
+    }
+    put(&mut body, 16, &ports.to_le_bytes());
     body
 }
 
@@ -133,17 +145,19 @@ fn sync_managers(list: &[SyncManagerDefault]) -> Vec<u8> {
     body
 }
 
-fn pdo((index, entries): (u16, &[PdoEntry]), sync_manager: u8) -> Vec<u8> {
-    let mut body = Vec::from(index.to_le_bytes());
-    body.extend_from_slice(&[entries.len() as u8, sync_manager, 0, 0, 0, 0]);
-    for entry in entries {
-        let data_type = if entry.bits == 32 {
-            TYPE_INTEGER32
-        } else {
-            TYPE_UNSIGNED16
+fn pdo_body(pdo: &Pdo, sync_manager: u8) -> Vec<u8> {
+    let mut body = Vec::from(pdo.index.to_le_bytes());
+    let flags = u16::from(pdo.fixed) << 4;
+    body.extend_from_slice(&[pdo.mapped().len() as u8, sync_manager, 0, 0]);
+    body.extend_from_slice(&flags.to_le_bytes());
+    for entry in pdo.mapped() {
+        let data_type = match entry.bits {
+            8 => TYPE_INTEGER8,
+            32 => TYPE_INTEGER32,
+            _ => TYPE_UNSIGNED16,
         };
         body.extend_from_slice(&entry.index.to_le_bytes());
-        body.extend_from_slice(&[0, 0, data_type, entry.bits, 0, 0]);
+        body.extend_from_slice(&[entry.sub, 0, data_type, entry.bits, 0, 0]);
     }
     body
 }
@@ -151,21 +165,16 @@ fn pdo((index, entries): (u16, &[PdoEntry]), sync_manager: u8) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use etherpen::ethercat::wire::sii::FixedPart;
-
-    const ENTRIES: [PdoEntry; 2] = [
-        PdoEntry {
-            index: 0x6064,
-            bits: 32,
-        },
-        PdoEntry {
-            index: 0x6041,
-            bits: 16,
-        },
-    ];
+    use crate::cell::process_data::PdoEntry;
+    use etherpen::ethercat::wire::sii::{FixedPart, MailboxWindow};
 
     fn example() -> Vec<u8> {
         let window = |start| MailboxWindow { start, length: 512 };
+        let entries = [PdoEntry::new(0x6064, 32), PdoEntry::new(0x6041, 16)];
+        let pdos = vec![
+            Pdo::new(0x1702, "out", true, &entries),
+            Pdo::new(0x1B01, "in", true, &entries),
+        ];
         image(&Description {
             identity: Identity {
                 vendor: 2,
@@ -175,17 +184,15 @@ mod tests {
             },
             name: "a drive",
             order: "X1",
-            mailbox_out: window(0x1800),
-            mailbox_in: window(0x1C00),
-            sync_managers: &[SyncManagerDefault {
-                start: 0x1100,
-                length: 6,
-                control: 0x64,
-                activate: 1,
-                kind: 3,
-            }],
-            rx_pdo: (0x1702, &ENTRIES),
-            tx_pdo: (0x1B01, &ENTRIES),
+            windows: Windows {
+                mailbox_out: window(0x1800),
+                mailbox_in: window(0x1C00),
+                outputs: 0x1100,
+                inputs: 0x1140,
+            },
+            details: DETAILS_FIXED_PDO,
+            process_data: &ProcessData::new(pdos, &[0x1702], &[0x1B01], 1),
+            ports: 0x0F,
         })
     }
 

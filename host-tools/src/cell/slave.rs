@@ -1,10 +1,13 @@
 //! One slave of the segment: controller, application, mailbox and drive, and the millisecond that joins them.
 
 use super::application::{AlState, Application, Readiness, code};
-use super::ax2000::{Ax2000, MAILBOX_IN, MAILBOX_OUT, PROCESS_DATA_BYTES};
 use super::coe::MailboxServer;
 use super::controller::Controller;
 use super::datagram::Datagram;
+use super::device::Device;
+use super::dictionary::{Dictionary, Objects};
+use super::drive::Drive;
+use super::process_data::ProcessData;
 use etherpen::ethercat::wire::sii::MailboxWindow;
 
 const MAILBOX_OUT_MANAGER: usize = 0;
@@ -18,8 +21,9 @@ pub(super) struct Slave {
     controller: Controller,
     application: Application,
     mailbox: MailboxServer,
-    /// The device behind the controller.
-    pub(super) device: Ax2000,
+    dictionary: Dictionary,
+    process_data: ProcessData,
+    device: Box<dyn Device>,
     /// Milliseconds without power still to come; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
@@ -29,11 +33,14 @@ pub(super) struct Slave {
 }
 
 impl Slave {
-    pub(super) fn new(device: Ax2000) -> Self {
+    /// A slave after power-up.
+    pub(super) fn new(device: Box<dyn Device>) -> Self {
         let mut slave = Self {
-            controller: Controller::new(device.image()),
+            controller: Controller::new(device.silicon(), device.image()),
             application: Application::default(),
             mailbox: MailboxServer::default(),
+            dictionary: device.dictionary(),
+            process_data: device.process_data(),
             device,
             unpowered_ms: 0,
             silent_ms: 0,
@@ -60,6 +67,16 @@ impl Slave {
         self.application.code()
     }
 
+    /// The drive inside, if there is one.
+    pub(super) fn drive(&self) -> Option<&Drive> {
+        self.device.drive()
+    }
+
+    /// The same, to be changed.
+    pub(super) fn drive_mut(&mut self) -> Option<&mut Drive> {
+        self.device.drive_mut()
+    }
+
     /// Lets a datagram pass.
     pub(super) fn pass(&mut self, datagram: &mut Datagram) {
         self.controller.pass(datagram);
@@ -78,6 +95,8 @@ impl Slave {
         self.outputs_received = false;
         self.controller.power_up();
         self.device.power_up();
+        self.dictionary = self.device.dictionary();
+        self.process_data = self.device.process_data();
         self.show_state();
     }
 
@@ -95,14 +114,14 @@ impl Slave {
     /// Freezes the resolver for some milliseconds.
     pub(super) fn stick(&mut self, milliseconds: u64) {
         self.stuck_ms = milliseconds;
-        self.device.drive.set_stuck(milliseconds > 0);
+        self.set_stuck(milliseconds > 0);
     }
 
     /// One millisecond.
     pub(super) fn step(&mut self) {
         if !self.is_powered() {
             self.unpowered_ms -= 1;
-            self.device.drive.step(None);
+            self.device.step(false);
             return;
         }
         self.controller.step();
@@ -112,17 +131,21 @@ impl Slave {
         if self.stuck_ms > 0 {
             self.stuck_ms -= 1;
             if self.stuck_ms == 0 {
-                self.device.drive.set_stuck(false);
+                self.set_stuck(false);
             }
         }
-        let operational = self.application.state() == AlState::Operational;
-        let outputs: Option<[u8; PROCESS_DATA_BYTES]> = self
-            .controller
-            .sync_manager(OUTPUT_MANAGER)
-            .filter(|_| operational)
-            .and_then(|manager| manager.outputs()?.first_chunk().copied());
-        let inputs = self.device.step(outputs.as_ref().map(|outputs| outputs.as_slice()));
+        let operational = self.take_outputs();
+        self.device.step(operational);
+    }
+
+    /// Takes the inputs of this millisecond, after every motor has moved.
+    pub(super) fn sample(&mut self) {
+        if !self.is_powered() {
+            return;
+        }
+        self.device.sample();
         if self.application.state() >= AlState::SafeOperational {
+            let inputs = self.process_data.pack(self.device.as_ref());
             self.controller
                 .with_sync_manager(INPUT_MANAGER, |manager| manager.put(&inputs));
         }
@@ -130,6 +153,25 @@ impl Slave {
             if self.application.state() >= AlState::PreOperational {
                 self.mailbox.emergency(code, register, detail);
             }
+        }
+    }
+
+    /// Hands the outputs to the device; false where there are none to obey.
+    fn take_outputs(&mut self) -> bool {
+        if self.application.state() != AlState::Operational {
+            return false;
+        }
+        let manager = self.controller.sync_manager(OUTPUT_MANAGER);
+        let Some(outputs) = manager.and_then(|manager| manager.outputs()) else {
+            return false;
+        };
+        self.process_data.unpack(outputs, self.device.as_mut());
+        true
+    }
+
+    fn set_stuck(&mut self, stuck: bool) {
+        if let Some(drive) = self.device.drive_mut() {
+            drive.set_stuck(stuck);
         }
     }
 
@@ -149,7 +191,13 @@ impl Slave {
                 .controller
                 .sync_manager(MAILBOX_IN_MANAGER)
                 .map_or(0, |manager| manager.length());
-            self.mailbox.receive(&message, capacity, &mut self.device);
+            let mut objects = Objects {
+                dictionary: &mut self.dictionary,
+                process_data: &mut self.process_data,
+                device: self.device.as_mut(),
+                state: self.application.state(),
+            };
+            self.mailbox.receive(&message, capacity, &mut objects);
         }
         let mailbox = &mut self.mailbox;
         self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {
@@ -191,7 +239,7 @@ impl Slave {
         if expired {
             self.controller.set_watchdog(true);
             self.application.retreat(AlState::SafeOperational, code::WATCHDOG);
-            self.device.drive.cyclic_data_lost();
+            self.device.cyclic_data_lost();
             self.outputs_received = false;
             self.show_state();
         }
@@ -221,13 +269,13 @@ impl Slave {
     }
 
     fn show_state(&mut self) {
-        self.device.set_state(self.application.state());
         self.controller
             .set_al_status(self.application.status(), self.application.code());
     }
 
     fn readiness(&self) -> Readiness {
-        let (output_bytes, input_bytes) = self.device.process_data_bytes();
+        let (output_bytes, input_bytes) = self.process_data.bytes();
+        let windows = self.device.windows();
         let manager = |index| self.controller.sync_manager(index);
         let is_mailbox = |index, window: MailboxWindow, bus_written| {
             manager(index).is_some_and(|manager| {
@@ -248,8 +296,9 @@ impl Slave {
             })
         };
         Readiness {
-            mailbox: is_mailbox(MAILBOX_OUT_MANAGER, MAILBOX_OUT, true)
-                && is_mailbox(MAILBOX_IN_MANAGER, MAILBOX_IN, false),
+            mailbox: !windows.has_mailbox()
+                || is_mailbox(MAILBOX_OUT_MANAGER, windows.mailbox_out, true)
+                    && is_mailbox(MAILBOX_IN_MANAGER, windows.mailbox_in, false),
             outputs: is_process_data(OUTPUT_MANAGER, output_bytes, true),
             inputs: is_process_data(INPUT_MANAGER, input_bytes, false),
             outputs_received: self.outputs_received || output_bytes == 0,

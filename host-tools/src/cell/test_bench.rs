@@ -56,6 +56,8 @@ pub(super) struct Bench {
     pub(super) cell: Cell,
     pub(super) time_us: u64,
     mailbox_counter: u8,
+    /// Length of the mailboxes in both directions.
+    pub(super) mail_bytes: usize,
     pub(super) jitter: Option<Random>,
     pub(super) capture: Option<capture::Capture<Vec<u8>>>,
 }
@@ -67,6 +69,7 @@ impl Bench {
             cell,
             time_us: 5_000,
             mailbox_counter: 0,
+            mail_bytes: 512,
             jitter: None,
             capture: None,
         }
@@ -150,14 +153,16 @@ impl Bench {
         let mut message = vec![coe.len() as u8, (coe.len() >> 8) as u8, 0, 0, 0];
         message.push(3 | self.mailbox_counter << 4);
         message.extend_from_slice(coe);
-        message.resize(512, 0);
-        self.write(station, 0x1800, &message);
+        message.resize(self.mail_bytes, 0);
+        let register = if self.mail_bytes == 512 { 0x1800 } else { 0x1000 };
+        self.write(station, register, &message);
     }
 
     pub(super) fn fetch(&mut self, station: u16) -> Vec<u8> {
         for _ in 0..10 {
             if self.read(station, 0x080D, 1)[0] & 0x08 != 0 {
-                let mail = self.read(station, 0x1C00, 512);
+                let register = if self.mail_bytes == 512 { 0x1C00 } else { 0x1200 };
+                let mail = self.read(station, register, self.mail_bytes);
                 let length = usize::from(u16::from_le_bytes([mail[0], mail[1]]));
                 assert_eq!(mail[5] & 0x0F, 3, "CoE");
                 return mail[6..6 + length].to_vec();

@@ -187,13 +187,14 @@ fn objects_are_read_written_and_refused_with_the_right_codes() {
     assert_eq!(bench.download(station, 0x6060, 0, &[9]), 0x0609_0030);
     assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0x0601_0003);
     assert_eq!(bench.download(station, 0x1C12, 0, &[0]), 0);
-    assert_eq!(bench.download(station, 0x1C12, 1, &[3, 0x17]), 0x0604_0041);
+    assert_eq!(bench.download(station, 0x1C12, 1, &[4, 0x17]), 0x0604_0041);
     assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0);
     assert_eq!(bench.download(station, 0x1C12, 0, &[1]), 0);
-    assert_eq!(
-        outcome(&bench.sdo(station, &[0x50, 0x18, 0x10, 0, 0, 0, 0, 0])),
-        0x0601_0000
-    );
+    let complete = |sub| [0x50, 0x18, 0x10, sub, 0, 0, 0, 0];
+    let identity = bench.sdo(station, &complete(0));
+    assert_eq!(identity[8..14], [4, 0, 2, 0, 0, 0], "sub-index 0 takes 16 bits");
+    assert_eq!(bench.sdo(station, &complete(1))[8..], identity[10..]);
+    assert_eq!(outcome(&bench.sdo(station, &complete(2))), 0x0601_0000);
 }
 
 #[test]

@@ -1,0 +1,60 @@
+//! A bus coupler like Beckhoff's EK1100: no mailbox, no process data, only a place in the chain and a clock.
+
+use super::device::{ClockWidth, Device, Silicon, Windows};
+use super::dictionary::Dictionary;
+use super::process_data::ProcessData;
+use super::sii::{self, Description};
+use etherpen::ethercat::wire::sii::Identity;
+
+const NAME: &str = "EK1100 EtherCAT Coupler";
+const ORDER: &str = "EK1100";
+
+/// The device behind one slave controller.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coupler;
+
+impl Device for Coupler {
+    fn image(&self) -> Vec<u8> {
+        sii::image(&Description {
+            identity: Identity {
+                vendor: 0x0000_0002,
+                product: 0x044C_2C52,
+                revision: 0x0011_0000,
+                serial: 0,
+            },
+            name: NAME,
+            order: ORDER,
+            windows: Windows::default(),
+            details: 0,
+            process_data: &ProcessData::default(),
+            ports: self.silicon().ports,
+        })
+    }
+
+    fn silicon(&self) -> Silicon {
+        Silicon {
+            identity: [0x02, 0x00, 0x02, 0x00],
+            fmmus: 2,
+            sync_managers: 0,
+            memory_kib: 4,
+            ports: 0x0B,
+            clock: ClockWidth::Bits64,
+        }
+    }
+
+    fn windows(&self) -> Windows {
+        Windows::default()
+    }
+
+    fn process_data(&self) -> ProcessData {
+        ProcessData::default()
+    }
+
+    fn dictionary(&self) -> Dictionary {
+        Dictionary::default()
+    }
+
+    fn boxed_clone(&self) -> Box<dyn Device> {
+        Box::new(*self)
+    }
+}

@@ -1,0 +1,166 @@
+//! What stands behind a slave controller: the seam between bus and device.
+//!
+//! A device says what it is (identity, information image, silicon, mailbox, process data, objects), holds the values
+//! behind the live objects and mapped process data, and takes a step each millisecond. Everything a master can do to
+//! it goes through the controller, the mailbox server and the object tables; no device knows the bus.
+
+use super::abort::Abort;
+use super::dictionary::Dictionary;
+use super::drive::Drive;
+use super::process_data::ProcessData;
+use etherpen::ethercat::wire::register::{CONTROL_INPUTS, CONTROL_MAILBOX_IN, CONTROL_MAILBOX_OUT, CONTROL_OUTPUTS};
+use etherpen::ethercat::wire::sii::MailboxWindow;
+use std::fmt;
+
+/// The slave controller's silicon, registers 0x0000 to 0x0009.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Silicon {
+    /// Type, revision, build (2 bytes).
+    pub(super) identity: [u8; 4],
+    /// Fieldbus memory management units.
+    pub(super) fmmus: u8,
+    /// Sync managers.
+    pub(super) sync_managers: u8,
+    /// Process memory, KiB.
+    pub(super) memory_kib: u8,
+    /// Kind of each port, two bits each: 0 none, 2 EBUS, 3 MII.
+    pub(super) ports: u8,
+    /// Width of the distributed clock.
+    pub(super) clock: ClockWidth,
+}
+
+/// Width of a slave's distributed clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockWidth {
+    /// No distributed clock.
+    None,
+    /// 32 bits: system time wraps after 4.29 s.
+    Bits32,
+    /// 64 bits.
+    Bits64,
+}
+
+impl Silicon {
+    /// An ET1100 with two MII ports.
+    pub(super) const ET1100: Self = Self {
+        identity: [0x11, 0x00, 0x02, 0x00],
+        fmmus: 8,
+        sync_managers: 8,
+        memory_kib: 8,
+        ports: 0x0F,
+        clock: ClockWidth::Bits64,
+    };
+}
+
+/// The two mailboxes and the process-data windows as the device wants them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Windows {
+    /// Mailbox the master writes; length 0 where there is none.
+    pub(super) mailbox_out: MailboxWindow,
+    /// Mailbox the master reads.
+    pub(super) mailbox_in: MailboxWindow,
+    /// Start of the outputs.
+    pub(super) outputs: u16,
+    /// Start of the inputs.
+    pub(super) inputs: u16,
+}
+
+impl Windows {
+    /// Whether there is a mailbox.
+    pub(super) fn has_mailbox(&self) -> bool {
+        self.mailbox_out.length > 0 && self.mailbox_in.length > 0
+    }
+
+    /// The four sync managers of a slave with a mailbox, as the information image describes them.
+    pub(super) fn sync_managers(&self, bytes: (usize, usize)) -> Vec<SyncManagerDefault> {
+        let manager = |start, length, control, kind| SyncManagerDefault {
+            start,
+            length,
+            control,
+            activate: 1,
+            kind,
+        };
+        let (outputs, inputs) = bytes;
+        vec![
+            manager(self.mailbox_out.start, self.mailbox_out.length, CONTROL_MAILBOX_OUT, 1),
+            manager(self.mailbox_in.start, self.mailbox_in.length, CONTROL_MAILBOX_IN, 2),
+            manager(self.outputs, outputs as u16, CONTROL_OUTPUTS, 3),
+            manager(self.inputs, inputs as u16, CONTROL_INPUTS, 4),
+        ]
+    }
+}
+
+/// One sync manager as an information image describes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct SyncManagerDefault {
+    /// First byte.
+    pub(super) start: u16,
+    /// Bytes.
+    pub(super) length: u16,
+    /// Control byte.
+    pub(super) control: u8,
+    /// Activation byte.
+    pub(super) activate: u8,
+    /// 1 and 2 mailbox out and in, 3 and 4 process data out and in.
+    pub(super) kind: u8,
+}
+
+/// An emergency message: error code, error register, five bytes of the manufacturer.
+pub(super) type Emergency = (u16, u8, [u8; 5]);
+
+/// A device behind a slave controller.
+pub(super) trait Device: fmt::Debug + Send {
+    /// The slave information image.
+    fn image(&self) -> Vec<u8>;
+    /// The controller it stands behind.
+    fn silicon(&self) -> Silicon {
+        Silicon::ET1100
+    }
+    /// Where mailboxes and process data lie.
+    fn windows(&self) -> Windows;
+    /// PDOs and their assignment after power-up.
+    fn process_data(&self) -> ProcessData;
+    /// Objects after power-up.
+    fn dictionary(&self) -> Dictionary;
+    /// Everything but the motor back to its state after power-up.
+    fn power_up(&mut self) {}
+    /// A live value; nothing where there is none.
+    fn get(&self, _index: u16, _sub: u8) -> Option<i64> {
+        None
+    }
+    /// Writes a live value by mailbox.
+    ///
+    /// # Errors
+    /// An [`Abort`] for a value that it refuses.
+    fn set(&mut self, _index: u16, _sub: u8, _value: i64) -> Result<(), Abort> {
+        Err(Abort::READ_ONLY)
+    }
+    /// Takes a value out of the process data.
+    fn set_output(&mut self, _index: u16, _sub: u8, _value: i64) {}
+    /// One millisecond, with valid outputs or without.
+    fn step(&mut self, _operational: bool) {}
+    /// The inputs of this millisecond are taken, after every motor has moved.
+    fn sample(&mut self) {}
+    /// Cyclic data stopped coming.
+    fn cyclic_data_lost(&mut self) {}
+    /// The next emergency.
+    fn take_emergency(&mut self) -> Option<Emergency> {
+        None
+    }
+    /// The drive inside, if there is one.
+    fn drive(&self) -> Option<&Drive> {
+        None
+    }
+    /// The same, to be changed.
+    fn drive_mut(&mut self) -> Option<&mut Drive> {
+        None
+    }
+    /// A copy of it.
+    fn boxed_clone(&self) -> Box<dyn Device>;
+}
+
+impl Clone for Box<dyn Device> {
+    fn clone(&self) -> Self {
+        self.as_ref().boxed_clone()
+    }
+}

@@ -1,0 +1,504 @@
+//! Object dictionaries as tables: one row an entry, from which access and SDO information both come.
+//!
+//! A row says index, sub-index, name, data type, access and where the value comes from: a constant, a place in the
+//! dictionary itself, the device behind it, or the process-data lists. Data types and object codes: CiA 301; access
+//! bits: IEC 61158-6-12, SDO information.
+//!
+//! Invariant: what the description of an entry allows is what an access to it does.
+
+use super::abort::Abort;
+use super::application::AlState;
+use super::device::Device;
+use super::process_data::ProcessData;
+use etherpen::ethercat::wire::sii::Identity;
+
+/// Data type of an entry, by its number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub(super) enum DataType {
+    /// 8 bits, signed.
+    Integer8 = 0x02,
+    /// 16 bits, signed.
+    Integer16 = 0x03,
+    /// 32 bits, signed.
+    Integer32 = 0x04,
+    /// 8 bits.
+    Unsigned8 = 0x05,
+    /// 16 bits.
+    Unsigned16 = 0x06,
+    /// 32 bits.
+    Unsigned32 = 0x07,
+    /// Characters.
+    VisibleString = 0x09,
+    /// Bytes.
+    OctetString = 0x0A,
+}
+
+impl DataType {
+    /// Bytes of a value; nothing where the length varies.
+    pub(super) fn bytes(self) -> Option<usize> {
+        match self {
+            Self::Integer8 | Self::Unsigned8 => Some(1),
+            Self::Integer16 | Self::Unsigned16 => Some(2),
+            Self::Integer32 | Self::Unsigned32 => Some(4),
+            Self::VisibleString | Self::OctetString => None,
+        }
+    }
+
+    fn is_signed(self) -> bool {
+        matches!(self, Self::Integer8 | Self::Integer16 | Self::Integer32)
+    }
+
+    /// The little-endian bytes of a number, cut to the type's length.
+    fn encode(self, number: i64) -> Vec<u8> {
+        let mut bytes = number.to_le_bytes().to_vec();
+        bytes.truncate(self.bytes().unwrap_or(0));
+        bytes
+    }
+
+    /// A number of exactly the type's length.
+    fn decode(self, value: &[u8]) -> Result<i64, Abort> {
+        let bytes = self.bytes().ok_or(Abort::LENGTH)?;
+        check_length(value.len(), bytes)?;
+        let negative = self.is_signed() && value.last().is_some_and(|last| last & 0x80 != 0);
+        let mut number = [if negative { 0xFF } else { 0 }; 8];
+        for (target, source) in number.iter_mut().zip(value) {
+            *target = *source;
+        }
+        Ok(i64::from_le_bytes(number))
+    }
+}
+
+/// What kind of object it is, by its number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum ObjectCode {
+    /// One value at sub-index 0.
+    Variable = 7,
+    /// Equal entries behind their number.
+    Array = 8,
+    /// Different entries behind their number.
+    Record = 9,
+}
+
+/// Read and write bits of the states PREOP, SAFEOP and OP, and whether process data may carry the entry.
+pub(super) mod access {
+    /// Read in every state.
+    pub(in crate::cell) const READ: u16 = 0x0007;
+    /// Written in every state.
+    pub(in crate::cell) const WRITE: u16 = 0x0038;
+    /// Written in PREOP only.
+    pub(in crate::cell) const WRITE_PREOP: u16 = 0x0008;
+    /// Read and written.
+    pub(in crate::cell) const READ_WRITE: u16 = READ | WRITE;
+    /// Outputs may carry it.
+    pub(in crate::cell) const RX: u16 = 0x0040;
+    /// Inputs may carry it.
+    pub(in crate::cell) const TX: u16 = 0x0080;
+}
+
+/// Where a value comes from.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Value {
+    /// A constant.
+    Number(i64),
+    /// A constant text.
+    Text(&'static str),
+    /// A number kept here, with its first value and its range.
+    Stored { first: i64, low: i64, high: i64 },
+    /// Bytes kept here, at most so many.
+    Bytes { longest: usize },
+    /// The device is asked.
+    Live,
+}
+
+/// One row: sub-index, name, data type, access, value.
+pub(super) type EntryRow = (u8, &'static str, DataType, u16, Value);
+
+/// One object of a table.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ObjectRow {
+    /// Index.
+    pub(super) index: u16,
+    /// Name of the object.
+    pub(super) name: &'static str,
+    /// What kind of object.
+    pub(super) code: ObjectCode,
+    /// Its entries; the number of entries at sub-index 0 of arrays and records is added.
+    pub(super) entries: &'static [EntryRow],
+}
+
+/// A row of an object with one value.
+pub(super) const fn variable(index: u16, name: &'static str, entries: &'static [EntryRow; 1]) -> ObjectRow {
+    let code = ObjectCode::Variable;
+    ObjectRow {
+        index,
+        name,
+        code,
+        entries,
+    }
+}
+
+/// A row of an object with several values.
+pub(super) const fn record(index: u16, name: &'static str, entries: &'static [EntryRow]) -> ObjectRow {
+    let code = ObjectCode::Record;
+    ObjectRow {
+        index,
+        name,
+        code,
+        entries,
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Content {
+    Fixed(Vec<u8>),
+    Number { value: i64, low: i64, high: i64 },
+    Bytes { value: Vec<u8>, longest: usize },
+    Live,
+    ProcessData,
+}
+
+/// One entry as it is served.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    /// Sub-index.
+    pub(super) sub: u8,
+    /// Name.
+    pub(super) name: String,
+    /// Data type.
+    pub(super) kind: DataType,
+    /// Access bits.
+    pub(super) access: u16,
+    content: Content,
+}
+
+/// One object as it is served.
+#[derive(Clone, Debug)]
+pub(super) struct Object {
+    /// Index.
+    pub(super) index: u16,
+    /// Name.
+    pub(super) name: String,
+    /// What kind of object.
+    pub(super) code: ObjectCode,
+    /// Entries in the order of their sub-indices.
+    pub(super) entries: Vec<Entry>,
+}
+
+impl Object {
+    /// The entry at a sub-index.
+    pub(super) fn entry(&self, sub: u8) -> Option<&Entry> {
+        self.entries.iter().find(|entry| entry.sub == sub)
+    }
+}
+
+/// The objects of one slave, in the order of their indices.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Dictionary {
+    objects: Vec<Object>,
+}
+
+impl Dictionary {
+    /// Adds the objects of a table.
+    pub(super) fn add_table(&mut self, rows: &[ObjectRow]) {
+        for row in rows {
+            let entry = |&(sub, name, kind, access, value): &EntryRow| Entry {
+                sub,
+                name: name.to_owned(),
+                kind,
+                access,
+                content: match value {
+                    Value::Number(number) => Content::Fixed(kind.encode(number)),
+                    Value::Text(text) => Content::Fixed(text.into()),
+                    Value::Stored { first, low, high } => Content::Number {
+                        value: first,
+                        low,
+                        high,
+                    },
+                    Value::Bytes { longest } => Content::Bytes {
+                        value: Vec::new(),
+                        longest,
+                    },
+                    Value::Live => Content::Live,
+                },
+            };
+            let entries: Vec<Entry> = row.entries.iter().map(entry).collect();
+            self.add(row.index, row.name, row.code, entries);
+        }
+    }
+
+    /// Adds a constant text at sub-index 0.
+    pub(super) fn add_text(&mut self, index: u16, name: &str, text: &str) {
+        let entry = Entry {
+            sub: 0,
+            name: name.to_owned(),
+            kind: DataType::VisibleString,
+            access: access::READ,
+            content: Content::Fixed(text.into()),
+        };
+        self.add(index, name, ObjectCode::Variable, vec![entry]);
+    }
+
+    /// Adds an object of constant numbers.
+    pub(super) fn add_numbers(&mut self, index: u16, name: &str, numbers: &[(&str, DataType, i64)]) {
+        let entry = |(sub, (name, kind, number)): (u8, &(&str, DataType, i64))| Entry {
+            sub,
+            name: (*name).to_owned(),
+            kind: *kind,
+            access: access::READ,
+            content: Content::Fixed(kind.encode(*number)),
+        };
+        let entries = (1..).zip(numbers).map(entry).collect();
+        self.add(index, name, ObjectCode::Record, entries);
+    }
+
+    /// Adds the identity object.
+    pub(super) fn add_identity(&mut self, identity: &Identity) {
+        let numbers = [
+            ("Vendor number", identity.vendor),
+            ("Product code", identity.product),
+            ("Revision", identity.revision),
+            ("Serial number", identity.serial),
+        ];
+        let numbers = numbers.map(|(name, number)| (name, DataType::Unsigned32, i64::from(number)));
+        self.add_numbers(0x1018, "Identity", &numbers);
+    }
+
+    /// Adds the assignment and mapping objects of the process data.
+    pub(super) fn add_process_data(&mut self, process_data: &ProcessData) {
+        let entry = |sub, name: &str, kind, access| Entry {
+            sub,
+            name: name.to_owned(),
+            kind,
+            access,
+            content: Content::ProcessData,
+        };
+        for (index, name) in [
+            (ProcessData::OUTPUTS, "RxPDO assign"),
+            (ProcessData::INPUTS, "TxPDO assign"),
+        ] {
+            let rights = access::READ | access::WRITE_PREOP;
+            let mut entries = vec![entry(0, "Number of assigned PDOs", DataType::Unsigned8, rights)];
+            for sub in 1..=ProcessData::ASSIGNED_MAX {
+                entries.push(entry(sub, "Assigned PDO", DataType::Unsigned16, rights));
+            }
+            self.add(index, name, ObjectCode::Array, entries);
+        }
+        for pdo in process_data.pdos() {
+            let (rights, count) = match pdo.fixed {
+                true => (access::READ, pdo.entries.len() as u8),
+                false => (access::READ | access::WRITE_PREOP, ProcessData::MAPPED_MAX),
+            };
+            let mut entries = vec![entry(0, "Number of mapped objects", DataType::Unsigned8, rights)];
+            for sub in 1..=count {
+                entries.push(entry(sub, "Mapped object", DataType::Unsigned32, rights));
+            }
+            self.add(pdo.index, &pdo.name, ObjectCode::Record, entries);
+        }
+    }
+
+    fn add(&mut self, index: u16, name: &str, code: ObjectCode, mut entries: Vec<Entry>) {
+        if code != ObjectCode::Variable && entries.first().is_none_or(|entry| entry.sub != 0) {
+            let last = entries.last().map_or(0, |entry| entry.sub);
+            let number = Entry {
+                sub: 0,
+                name: "Number of entries".to_owned(),
+                kind: DataType::Unsigned8,
+                access: access::READ,
+                content: Content::Fixed(vec![last]),
+            };
+            entries.insert(0, number);
+        }
+        let object = Object {
+            index,
+            name: name.to_owned(),
+            code,
+            entries,
+        };
+        let at = self.objects.partition_point(|other| other.index < index);
+        self.objects.insert(at, object);
+    }
+
+    /// All objects, in order.
+    pub(super) fn objects(&self) -> &[Object] {
+        &self.objects
+    }
+
+    /// One object.
+    pub(super) fn object(&self, index: u16) -> Result<&Object, Abort> {
+        let at = self.objects.binary_search_by_key(&index, |object| object.index);
+        at.ok().and_then(|at| self.objects.get(at)).ok_or(Abort::NO_OBJECT)
+    }
+
+    fn entry(&self, index: u16, sub: u8) -> Result<&Entry, Abort> {
+        self.object(index)?.entry(sub).ok_or(Abort::NO_SUB_INDEX)
+    }
+}
+
+/// Access to the objects of one slave in its present state.
+pub(super) struct Objects<'a> {
+    /// The table.
+    pub(super) dictionary: &'a mut Dictionary,
+    /// Assignment and mapping.
+    pub(super) process_data: &'a mut ProcessData,
+    /// What is behind the live entries.
+    pub(super) device: &'a mut dyn Device,
+    /// State of the application layer.
+    pub(super) state: AlState,
+}
+
+impl Objects<'_> {
+    /// The value of an entry, little-endian.
+    pub(super) fn upload(&self, index: u16, sub: u8) -> Result<Vec<u8>, Abort> {
+        let entry = self.dictionary.entry(index, sub)?;
+        if entry.access & access::READ == 0 {
+            return Err(Abort::WRITE_ONLY);
+        }
+        Ok(match &entry.content {
+            Content::Fixed(value) | Content::Bytes { value, .. } => value.clone(),
+            Content::Number { value, .. } => entry.kind.encode(*value),
+            Content::Live => entry
+                .kind
+                .encode(self.device.get(index, sub).ok_or(Abort::NO_SUB_INDEX)?),
+            Content::ProcessData => entry
+                .kind
+                .encode(self.process_data.get(index, sub).ok_or(Abort::NO_SUB_INDEX)?),
+        })
+    }
+
+    /// Writes an entry.
+    pub(super) fn download(&mut self, index: u16, sub: u8, value: &[u8]) -> Result<(), Abort> {
+        let entry = self.dictionary.entry(index, sub)?;
+        self.check_write(entry)?;
+        let kind = entry.kind;
+        match &entry.content {
+            Content::Fixed(_) => Err(Abort::READ_ONLY),
+            Content::Live => self.device.set(index, sub, kind.decode(value)?),
+            Content::ProcessData => {
+                let number = kind.decode(value)?;
+                self.process_data.set(index, sub, number, self.dictionary)
+            }
+            Content::Number { .. } | Content::Bytes { .. } => self.keep(index, sub, value),
+        }
+    }
+
+    /// All entries of an object in one value: from sub-index 0 (as 16 bits) or from sub-index 1.
+    pub(super) fn upload_complete(&self, index: u16, first: u8) -> Result<Vec<u8>, Abort> {
+        let object = self.complete(index, first)?;
+        let mut value = Vec::new();
+        let count = self.upload(index, 0)?.first().copied().unwrap_or(0);
+        if first == 0 {
+            value.extend_from_slice(&[count, 0]);
+        }
+        for entry in object.entries.iter().filter(|entry| (1..=count).contains(&entry.sub)) {
+            value.extend(self.upload(index, entry.sub)?);
+        }
+        Ok(value)
+    }
+
+    /// Writes all entries of an object; a list is emptied first and gets its number last.
+    pub(super) fn download_complete(&mut self, index: u16, first: u8, value: &[u8]) -> Result<(), Abort> {
+        let object = self.complete(index, first)?;
+        let is_list = object
+            .entry(0)
+            .is_some_and(|entry| matches!(entry.content, Content::ProcessData));
+        let parts: Vec<(u8, usize)> = object
+            .entries
+            .iter()
+            .filter(|entry| entry.sub > 0)
+            .map(|entry| (entry.sub, entry.kind.bytes().unwrap_or(0)))
+            .collect();
+        let (count, mut rest) = match value.split_first_chunk::<2>() {
+            Some(([count, _], rest)) if first == 0 => (Some(*count), rest),
+            None if first == 0 => return Err(Abort::TOO_SHORT),
+            _ => (None, value),
+        };
+        let kept = self.process_data.clone();
+        if is_list {
+            self.download(index, 0, &[0])?;
+        }
+        let mut written = 0;
+        let result = (|| {
+            for (sub, bytes) in parts {
+                let Some((part, behind)) = rest.split_at_checked(bytes).filter(|_| bytes > 0) else {
+                    break;
+                };
+                if count.is_some_and(|count| sub > count) || part.is_empty() {
+                    break;
+                }
+                self.download(index, sub, part)?;
+                (rest, written) = (behind, sub);
+            }
+            match count {
+                Some(count) if count != written => Err(Abort::TOO_SHORT),
+                _ if !rest.is_empty() => Err(Abort::TOO_LONG),
+                _ if is_list => self.download(index, 0, &[written]),
+                _ => Ok(()),
+            }
+        })();
+        if result.is_err() {
+            *self.process_data = kept;
+        }
+        result
+    }
+
+    fn complete(&self, index: u16, first: u8) -> Result<&Object, Abort> {
+        let object = self.dictionary.object(index)?;
+        let varies = object.entries.iter().any(|entry| entry.kind.bytes().is_none());
+        match (object.code, first) {
+            (ObjectCode::Variable, _) => Err(Abort::UNSUPPORTED_ACCESS),
+            _ if varies => Err(Abort::VARIABLE_LENGTH),
+            (_, 0 | 1) => Ok(object),
+            _ => Err(Abort::UNSUPPORTED_ACCESS),
+        }
+    }
+
+    fn check_write(&self, entry: &Entry) -> Result<(), Abort> {
+        let bit = match self.state {
+            AlState::Init | AlState::PreOperational => 0x08,
+            AlState::SafeOperational => 0x10,
+            AlState::Operational => 0x20,
+        };
+        match entry.access & access::WRITE {
+            0 => Err(Abort::READ_ONLY),
+            rights if rights & bit == 0 => Err(Abort::STATE),
+            _ => Ok(()),
+        }
+    }
+
+    fn keep(&mut self, index: u16, sub: u8, bytes: &[u8]) -> Result<(), Abort> {
+        let object = self
+            .dictionary
+            .objects
+            .iter_mut()
+            .find(|object| object.index == index)
+            .ok_or(Abort::NO_OBJECT)?;
+        let entry = object
+            .entries
+            .iter_mut()
+            .find(|entry| entry.sub == sub)
+            .ok_or(Abort::NO_SUB_INDEX)?;
+        match &mut entry.content {
+            Content::Number { value, low, high } => {
+                let number = entry.kind.decode(bytes)?;
+                if !(*low..=*high).contains(&number) {
+                    return Err(Abort::VALUE);
+                }
+                *value = number;
+            }
+            Content::Bytes { longest, .. } if bytes.len() > *longest => return Err(Abort::TOO_LONG),
+            Content::Bytes { value, .. } => *value = bytes.to_vec(),
+            _ => return Err(Abort::READ_ONLY),
+        }
+        Ok(())
+    }
+}
+
+fn check_length(actual: usize, expected: usize) -> Result<(), Abort> {
+    match actual {
+        _ if actual > expected => Err(Abort::TOO_LONG),
+        _ if actual < expected => Err(Abort::TOO_SHORT),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,110 @@
+//! The part that every servo drive on the bus shares: a drive, and the age of what goes in and comes out.
+//!
+//! A command is obeyed `output_delay` milliseconds after the bus brought it, a position is seen `input_delay`
+//! milliseconds after it was true.
+
+use super::device::Emergency;
+use super::drive::{Demand, Drive};
+use std::collections::VecDeque;
+
+const ERROR_REGISTER_GENERIC: u8 = 0x01;
+
+/// What the drive shows at one time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sample {
+    /// Increments.
+    pub(super) position: i32,
+    /// Digits of the velocity demand.
+    pub(super) velocity: i32,
+    /// Digits of the torque demand.
+    pub(super) torque: i16,
+    /// Status word.
+    pub(super) status: u16,
+}
+
+/// A drive with its delays.
+#[derive(Clone, Debug)]
+pub(super) struct Servo {
+    /// The drive and its motor.
+    pub(super) drive: Drive,
+    /// What the bus has brought last.
+    pub(super) demand: Demand,
+    shown: Sample,
+    demands: VecDeque<Demand>,
+    samples: VecDeque<Sample>,
+    output_delay: usize,
+    input_delay: usize,
+}
+
+impl Servo {
+    /// A drive behind delays of whole milliseconds.
+    pub(super) fn new(drive: Drive, output_delay: usize, input_delay: usize) -> Self {
+        Self {
+            drive,
+            demand: Demand::default(),
+            shown: Sample::default(),
+            demands: VecDeque::new(),
+            samples: VecDeque::new(),
+            output_delay,
+            input_delay,
+        }
+    }
+
+    /// Everything but the motor back to its state after power-up.
+    pub(super) fn power_up(&mut self) {
+        let mut drive = self.drive.clone();
+        drive.power_up();
+        *self = Self::new(drive, self.output_delay, self.input_delay);
+    }
+
+    /// One millisecond, with valid outputs or without.
+    pub(super) fn step(&mut self, operational: bool) {
+        let demand = if operational {
+            self.demands.push_back(self.demand);
+            if self.demands.len() > self.output_delay {
+                Some(self.demands.pop_front().unwrap_or_default())
+            } else {
+                Some(Demand::default())
+            }
+        } else {
+            self.demands.clear();
+            None
+        };
+        self.drive.step(demand);
+    }
+
+    /// Takes a sample, shows the one of `input_delay` milliseconds ago.
+    pub(super) fn sample(&mut self) {
+        self.samples.push_back(Sample {
+            position: self.drive.position(),
+            velocity: self.drive.velocity_digits(),
+            torque: self.drive.torque_digits(),
+            status: self.drive.status(),
+        });
+        let shown = match self.samples.len() > self.input_delay {
+            true => self.samples.pop_front(),
+            false => self.samples.front().copied(),
+        };
+        self.shown = shown.unwrap_or_default();
+    }
+
+    /// What the bus sees.
+    pub(super) fn shown(&self) -> Sample {
+        self.shown
+    }
+
+    /// Content of the error register, object 0x1001.
+    pub(super) fn error_register(&self) -> u8 {
+        if self.drive.error_code() == 0 {
+            0
+        } else {
+            ERROR_REGISTER_GENERIC
+        }
+    }
+
+    /// The next emergency.
+    pub(super) fn take_emergency(&mut self) -> Option<Emergency> {
+        let code = self.drive.take_emergency()?;
+        Some((code, self.error_register(), [0; 5]))
+    }
+}
