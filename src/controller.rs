@@ -8,9 +8,7 @@
 //! Architecture invariant: nothing else passes between priorities; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
-use crate::ethercat::BusQueues;
-use crate::ethercat::cyclic::Exchange;
-use crate::ethercat::supervisor::Supervisor;
+use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::link::task::LinkTask;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -40,7 +38,7 @@ pub struct Channels {
     vertices: Queue<PathItem, VERTICES>,
     motion_orders: Queue<MotionOrder, 17>,
     motion_reports: Queue<MotionReport, 5>,
-    bus: BusQueues,
+    bus: RobotBusQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
 }
@@ -56,7 +54,7 @@ pub struct Parts<'a> {
     /// For the task that speaks with the host.
     pub link: LinkTask<'a>,
     /// For the task that brings up and watches the bus.
-    pub supervisor: Supervisor<'a>,
+    pub supervisor: RobotSupervisor<'a>,
 }
 
 impl Channels {
@@ -69,7 +67,7 @@ impl Channels {
             vertices: Queue::new(),
             motion_orders: Queue::new(),
             motion_reports: Queue::new(),
-            bus: BusQueues::new(),
+            bus: RobotBusQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
         }
@@ -86,7 +84,7 @@ impl Channels {
         let (exchange_end, supervisor_end, bus) = self.bus.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
-        let exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
+        let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
             sampler: Sampler::new(exchange, sampler_commands_out, references_out, reports_in),
             trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
@@ -108,7 +106,7 @@ impl Channels {
                     bus,
                 },
             ),
-            supervisor: Supervisor::new(supervisor_end),
+            supervisor: RobotSupervisor::new(supervisor_end),
         }
     }
 }

@@ -10,10 +10,23 @@
 use crate::config::Axis;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
 use crate::drives::{DriveInput, DriveOutput};
+use crate::ethercat::BusQueues;
 use crate::ethercat::cyclic::Exchange;
+use crate::ethercat::supervisor::Supervisor;
 use crate::io::{AxisCommand, AxisInput, Increments, IoGroup, VelocityIo};
 use crate::robot::AXES;
 use core::f64::consts::TAU;
+
+/// Most slaves on the robot's bus.
+pub const BUS_SLAVES_MAX: usize = 16;
+/// Longest mailbox window on the robot's bus, bytes: that of a Kollmorgen AKD.
+pub const BUS_MESSAGE_BYTES: usize = 1024;
+/// The queues of the robot's bus.
+pub type RobotBusQueues = BusQueues<BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The exchange of the robot's bus.
+pub type RobotExchange<'a> = Exchange<'a, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The supervisor of the robot's bus.
+pub type RobotSupervisor<'a> = Supervisor<'a, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
 /// Longest gap of positions in motion after which the turns still count as known, ms: half a motor turn takes 10 ms at
 /// full speed.
@@ -180,7 +193,7 @@ impl EtherCatRobot {
     }
 
     /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
-    pub fn read(&mut self, exchange: &Exchange<'_>) -> [Option<AxisInput>; AXES] {
+    pub fn read(&mut self, exchange: &RobotExchange<'_>) -> [Option<AxisInput>; AXES] {
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let drive = exchange.drive(number);
             let input = drive.and_then(|(slave, kind)| (kind.description().decode)(exchange.input(slave)?));
@@ -231,7 +244,7 @@ impl EtherCatRobot {
     }
 
     /// Writes the axes' commands to the outputs of the next output telegram.
-    pub fn write(&mut self, exchange: &mut Exchange<'_>, commands: &[AxisCommand; AXES]) {
+    pub fn write(&mut self, exchange: &mut RobotExchange<'_>, commands: &[AxisCommand; AXES]) {
         for (number, (axis, command)) in self.axes.iter_mut().zip(commands).enumerate() {
             let output = axis.output(command);
             if let Some((slave, kind)) = exchange.drive(number) {
@@ -241,7 +254,7 @@ impl EtherCatRobot {
     }
 
     /// Writes the commands that were set through [`IoGroup::io`].
-    pub fn write_group(&mut self, exchange: &mut Exchange<'_>) {
+    pub fn write_group(&mut self, exchange: &mut RobotExchange<'_>) {
         let commands = self.commands;
         self.write(exchange, &commands);
     }

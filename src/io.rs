@@ -36,23 +36,23 @@ pub struct AxisCommand {
 
 /// Moves all values between memory and wire at one moment.
 pub trait IoTrigger {
-    /// Writes the frame that fetches all inputs to `frame` and gives its length in bytes; starts the cycle.
-    fn trigger_input(&mut self, frame: &mut [u8]) -> usize;
+    /// Starts the cycle and gives the frame that fetches all inputs.
+    fn trigger_input(&mut self) -> &[u8];
 
-    /// Writes the frame that carries all outputs to `frame` and gives its length in bytes; 0 when there are none.
-    fn trigger_output(&mut self, frame: &mut [u8]) -> usize;
+    /// Gives the frame that carries all outputs; empty when there are none, or when they go with the next inputs.
+    fn trigger_output(&mut self) -> &[u8];
 
     /// Takes a frame from the wire.
     fn arrived(&mut self, frame: &[u8]) -> Arrival;
 }
 
-impl IoTrigger for Exchange<'_> {
-    fn trigger_input(&mut self, frame: &mut [u8]) -> usize {
-        self.input_telegram(frame)
+impl<const SLAVES: usize, const MESSAGE: usize> IoTrigger for Exchange<'_, SLAVES, MESSAGE> {
+    fn trigger_input(&mut self) -> &[u8] {
+        self.input_telegram()
     }
 
-    fn trigger_output(&mut self, frame: &mut [u8]) -> usize {
-        self.output_telegram(frame)
+    fn trigger_output(&mut self) -> &[u8] {
+        self.output_telegram()
     }
 
     fn arrived(&mut self, frame: &[u8]) -> Arrival {

@@ -8,12 +8,10 @@ use core::pin::Pin;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
 use etherpen::drives::cia402::{DriveState, DriveTarget};
-use etherpen::ethercat::BusQueues;
-use etherpen::ethercat::cyclic::{BusCounters, Exchange, Ignored};
+use etherpen::ethercat::cyclic::{BusCounters, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
-use etherpen::ethercat::wire::FRAME_LEN_MAX;
-use etherpen::ethercat_robot::EtherCatRobot;
+use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
 use etherpen::io::{AxisCommand, AxisInput};
 use etherpen::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
@@ -25,7 +23,7 @@ const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
 /// A master, a cell, and a clock.
 struct Rig<'a> {
     cell: Cell,
-    exchange: Exchange<'a>,
+    exchange: RobotExchange<'a>,
     supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
     commands: Producer<'a, BusCommand>,
     events: Consumer<'a, BusEvent>,
@@ -43,7 +41,7 @@ fn rig(script: &str) -> Rig<'static> {
         faults: script.parse().expect("the script"),
         ..CellOptions::default()
     };
-    let queues = Box::leak(Box::new(BusQueues::new()));
+    let queues = Box::leak(Box::new(RobotBusQueues::new()));
     let (exchange_end, supervisor_end, mut application) = queues.split();
     let setup = BusSetup {
         bus: config.bus.clone(),
@@ -52,7 +50,7 @@ fn rig(script: &str) -> Rig<'static> {
     assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
     Rig {
         cell: Cell::new(&config, options),
-        exchange: Exchange::new(exchange_end, MAC),
+        exchange: RobotExchange::new(exchange_end, MAC),
         supervisor: Box::pin(async move {
             let mut supervisor = Supervisor::new(supervisor_end);
             supervisor.run().await
@@ -78,14 +76,13 @@ impl Rig<'_> {
 
     /// One millisecond; gives the events that came.
     fn millisecond(&mut self) -> &[BusEvent] {
-        let mut frame = [0; FRAME_LEN_MAX];
         let time_us = self.now_ms * 1000;
-        let length = self.exchange.input_telegram(&mut frame);
-        self.transfer(&frame[..length], time_us);
+        let frame = self.exchange.input_telegram().to_vec();
+        self.transfer(&frame, time_us);
         self.inputs = self.robot.read(&self.exchange);
         self.robot.write(&mut self.exchange, &[self.command; AXES]);
-        let length = self.exchange.output_telegram(&mut frame);
-        self.transfer(&frame[..length], time_us + 200);
+        let frame = self.exchange.output_telegram().to_vec();
+        self.transfer(&frame, time_us + 200);
         let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         assert!(poll.is_pending());
         self.now_ms += 1;

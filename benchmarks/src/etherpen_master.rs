@@ -7,15 +7,14 @@ use core::hint::black_box;
 use core::pin::pin;
 use core::task::{Context, Waker};
 use etherpen::controller::MASTER_ADDRESS;
-use etherpen::ethercat::BusQueues;
-use etherpen::ethercat::cyclic::{self, Arrival, CyclicPlan, CyclicSlave};
+use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave};
 use etherpen::ethercat::event::{BusCommand, BusSetup};
-use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 
 /// The master with its drives in OP: the critical side with the plan that the supervisor would have sent.
 pub struct EtherpenMaster<'q> {
-    exchange: cyclic::Exchange<'q>,
+    exchange: RobotExchange<'q>,
     frame: [u8; FRAME_LEN_MAX],
     case: Case,
     cycles: i32,
@@ -26,7 +25,7 @@ impl<'q> EtherpenMaster<'q> {
     ///
     /// # Panics
     /// The plan found no place.
-    pub fn new(queues: &'q mut BusQueues, case: Case) -> Self {
+    pub fn new(queues: &'q mut RobotBusQueues, case: Case) -> Self {
         let (exchange_end, mut supervisor_end, _) = queues.split();
         let mut plan = CyclicPlan::default();
         let drives = DRIVES as u32;
@@ -43,16 +42,10 @@ impl<'q> EtherpenMaster<'q> {
         }
         assert!(supervisor_end.plans.enqueue(plan).is_ok(), "no room for the plan");
         Self {
-            exchange: cyclic::Exchange::new(exchange_end, MASTER_ADDRESS),
+            exchange: RobotExchange::new(exchange_end, MASTER_ADDRESS),
             frame: [0; FRAME_LEN_MAX],
             case,
             cycles: 0,
-        }
-    }
-
-    fn reply(&mut self, length: usize) {
-        if let Some(frame) = self.frame.get_mut(..length) {
-            answer(frame, self.case.data);
         }
     }
 
@@ -76,16 +69,17 @@ impl<'q> EtherpenMaster<'q> {
     }
 
     fn split<M: Meter>(&mut self) {
-        let length = M::count(|| self.exchange.input_telegram(&mut self.frame));
-        self.reply(length);
-        let (arrival, complete, length) = M::count(|| {
+        let sent = M::count(|| black_box(self.exchange.input_telegram()));
+        let length = reply(&mut self.frame, sent, self.case);
+        let (arrival, complete) = M::count(|| {
             let arrival = self.receive(length);
             let complete = self.read();
             self.write();
-            (arrival, complete, self.exchange.output_telegram(&mut self.frame))
+            (arrival, complete)
         });
         assert!(arrival == Arrival::Input && complete, "no inputs");
-        self.reply(length);
+        let sent = M::count(|| black_box(self.exchange.output_telegram()));
+        let length = reply(&mut self.frame, sent, self.case);
         let arrival = M::count(|| self.receive(length));
         assert!(arrival == Arrival::Output, "no outputs");
     }
@@ -112,26 +106,24 @@ impl Master for EtherpenMaster<'_> {
 ///
 /// # Panics
 /// The order to start found no place.
-pub fn serve(queues: &mut BusQueues, mut wire: impl FnMut(&mut [u8])) -> ! {
+pub fn serve(queues: &mut RobotBusQueues, mut wire: impl FnMut(&mut [u8])) -> ! {
     let (exchange_end, supervisor_end, mut application) = queues.split();
-    let mut exchange = cyclic::Exchange::new(exchange_end, MASTER_ADDRESS);
-    let mut supervisor = Supervisor::new(supervisor_end);
+    let mut exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
+    let mut supervisor = RobotSupervisor::new(supervisor_end);
     let mut supervision = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
     let mut frame = [0; FRAME_LEN_MAX];
     let start = BusCommand::Start(black_box(BusSetup::default()));
     assert!(application.commands.enqueue(start).is_ok(), "no room for the order");
     loop {
-        let length = exchange.input_telegram(&mut frame);
-        let telegram = frame.get_mut(..length).unwrap_or(&mut []);
+        let telegram = copied(&mut frame, exchange.input_telegram());
         wire(telegram);
         exchange.receive(telegram);
         for drive in 0..DRIVES {
             let (position, status) = exchange.input(drive).and_then(read_drive).unwrap_or_default();
             write_drive(exchange.output(drive), position, status);
         }
-        let length = exchange.output_telegram(&mut frame);
-        let telegram = frame.get_mut(..length).unwrap_or(&mut []);
+        let telegram = copied(&mut frame, exchange.output_telegram());
         wire(telegram);
         exchange.receive(telegram);
         black_box(supervision.as_mut().poll(&mut context).is_pending());
@@ -139,11 +131,24 @@ pub fn serve(queues: &mut BusQueues, mut wire: impl FnMut(&mut [u8])) -> ! {
     }
 }
 
+/// What the segment makes of a telegram; gives its length.
+fn reply(frame: &mut [u8], sent: &[u8], case: Case) -> usize {
+    answer(copied(frame, sent), case.data);
+    sent.len()
+}
+
+fn copied<'f>(frame: &'f mut [u8], sent: &[u8]) -> &'f mut [u8] {
+    let frame = frame.get_mut(..sent.len()).unwrap_or(&mut []);
+    frame.copy_from_slice(sent);
+    frame
+}
+
 /// Static memory of a master for 16 slaves: queues, critical side, supervisor and its future, bytes.
 pub fn ram_bytes() -> usize {
-    let mut queues = BusQueues::new();
+    let mut queues = RobotBusQueues::new();
     let (_, end, _) = queues.split();
-    let mut supervisor = Supervisor::new(end);
+    let mut supervisor = RobotSupervisor::new(end);
     let future = supervisor.run();
-    size_of::<BusQueues>() + size_of::<cyclic::Exchange<'_>>() + size_of::<Supervisor<'_>>() + size_of_val(&future)
+    let parts = size_of::<RobotBusQueues>() + size_of::<RobotExchange<'_>>() + size_of::<RobotSupervisor<'_>>();
+    parts + size_of_val(&future)
 }

@@ -9,13 +9,12 @@
 
 use crate::transport::Transport;
 use etherpen::controller::MASTER_ADDRESS;
-use etherpen::ethercat::BusQueues;
-use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
+use etherpen::ethercat::cyclic::{Arrival, BusCounters};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup, Step};
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
-use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use std::io;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -181,10 +180,10 @@ struct Worker {
 
 impl Worker {
     fn run(mut self, setup: BusSetup) {
-        let mut queues = Box::new(BusQueues::new());
+        let mut queues = Box::new(RobotBusQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
-        let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
-        let mut supervisor = Supervisor::new(supervisor_end);
+        let mut exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
+        let mut supervisor = RobotSupervisor::new(supervisor_end);
         let mut supervision = pin!(supervisor.run());
         let mut context = Context::from_waker(Waker::noop());
         // The queue is empty.
@@ -219,12 +218,10 @@ impl Worker {
     }
 
     /// Inputs, then outputs; lasts until `until` at least.
-    fn cycle(&mut self, exchange: &mut Exchange, until: Instant) -> io::Result<()> {
+    fn cycle(&mut self, exchange: &mut RobotExchange, until: Instant) -> io::Result<()> {
+        self.transact(exchange, RobotExchange::input_telegram, Arrival::Input)?;
+        self.transact(exchange, RobotExchange::output_telegram, Arrival::Output)?;
         let mut frame = [0; FRAME_LEN_MAX];
-        let length = exchange.input_telegram(&mut frame);
-        self.transact(exchange, frame.get(..length).unwrap_or(&[]), Arrival::Input)?;
-        let length = exchange.output_telegram(&mut frame);
-        self.transact(exchange, frame.get(..length).unwrap_or(&[]), Arrival::Output)?;
         loop {
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() {
@@ -238,7 +235,13 @@ impl Worker {
     }
 
     /// Sends a telegram and waits for its reply.
-    fn transact(&mut self, exchange: &mut Exchange, telegram: &[u8], expected: Arrival) -> io::Result<()> {
+    fn transact<'q>(
+        &mut self,
+        exchange: &mut RobotExchange<'q>,
+        telegram: for<'t> fn(&'t mut RobotExchange<'q>) -> &'t [u8],
+        expected: Arrival,
+    ) -> io::Result<()> {
+        let telegram = telegram(exchange);
         if telegram.is_empty() {
             return Ok(());
         }

@@ -14,9 +14,9 @@ use crate::config::{Axis, Bus};
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
-use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters, Exchange};
+use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters};
 use crate::ethercat::transport::raw::{RawTransport, Sending};
-use crate::ethercat_robot::EtherCatRobot;
+use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
 use crate::io::{AxisCommand, AxisInput, Increments};
 use crate::motion::Reference;
 use crate::robot::AXES;
@@ -127,7 +127,7 @@ enum Phase {
 
 /// The critical tasks' state.
 pub struct Sampler<'a> {
-    exchange: Exchange<'a>,
+    exchange: RobotExchange<'a>,
     robot: EtherCatRobot,
     axes: [Axis; AXES],
     bus: Bus,
@@ -157,7 +157,7 @@ pub struct Sampler<'a> {
 impl<'a> Sampler<'a> {
     /// A sampler that has no configuration yet and keeps the drives without power.
     pub fn new(
-        exchange: Exchange<'a>,
+        exchange: RobotExchange<'a>,
         commands: Consumer<'a, SamplerCommand>,
         references: Consumer<'a, Queued>,
         reports: Producer<'a, CycleReport>,
@@ -209,8 +209,7 @@ impl<'a> Sampler<'a> {
             .late
             .saturating_add(u16::try_from(newly_missed).unwrap_or(u16::MAX));
         self.take_commands();
-        let exchange = &mut self.exchange;
-        transport.send(|frame| exchange.input_telegram(frame));
+        transport.send(self.exchange.input_telegram());
         self.phase = Phase::Input;
         self.counters.cycles.is_multiple_of(TRAJECTORY_PERIOD)
     }
@@ -245,8 +244,7 @@ impl<'a> Sampler<'a> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        let exchange = &mut self.exchange;
-        let sending = transport.send(|frame| exchange.output_telegram(frame));
+        let sending = transport.send(self.exchange.output_telegram());
         let late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));

@@ -1,8 +1,10 @@
 //! Requests of the slow side that ride in the cyclic frames' spare room.
 //!
 //! The slow side never touches the network: it queues a [`Request`] and the critical side's
-//! [`Exchange`](super::cyclic::Exchange) puts it behind the cyclic datagrams of its next input telegram. Every request
-//! gets exactly one [`Reply`], in order, at the latest one cycle later; when the frame was lost the reply says so.
+//! [`Exchange`](super::cyclic::Exchange) puts it behind the cyclic datagrams of its next input telegram. There are two
+//! lanes: short requests for registers, of which several share a frame, and messages as long as a mailbox, of which a
+//! frame carries one at most. Every request gets exactly one [`Reply`], in the order of its lane, at the latest one
+//! cycle after it was sent; when the frame was lost the reply says so.
 //!
 //! Invariant: a pending future of this module is polled again every millisecond; no waker is ever registered. Time is
 //! counted in polls.
@@ -14,25 +16,47 @@ use core::task::Poll;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
 
-/// Most data of one acyclic datagram, bytes: one mailbox of the drives.
-pub const ACYCLIC_BYTES_MAX: usize = 512;
-/// Most requests on the way at a time.
-pub const IN_FLIGHT_MAX: usize = 4;
+/// Most data of a request for registers, bytes: four FMMUs, or eight sync managers.
+pub const REGISTER_BYTES_MAX: usize = 64;
+/// Most requests for registers in one frame, and on the way at a time.
+pub const IN_FLIGHT_MAX: usize = 8;
 /// How often a datagram that cannot do harm is repeated after loss or a wrong working counter.
 pub const TRIES_MAX: u8 = 8;
+/// Most requests of one [`AcyclicPort::insist_all`].
+pub const INSIST_MAX: usize = 32;
 
 /// Data of an acyclic datagram.
-pub type Bytes = Vec<u8, ACYCLIC_BYTES_MAX>;
+pub type Bytes<const LENGTH: usize = REGISTER_BYTES_MAX> = Vec<u8, LENGTH>;
 
 /// One datagram to be sent as soon as there is room.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Request {
+pub struct Request<const LENGTH: usize = REGISTER_BYTES_MAX> {
     /// What is asked.
     pub command: Command,
     /// Whom and where.
     pub address: Address,
     /// What is written, or zeros to be replaced by what is read.
-    pub data: Bytes,
+    pub data: Bytes<LENGTH>,
+}
+
+impl<const LENGTH: usize> Request<LENGTH> {
+    /// Reads `length` bytes, at most `LENGTH`.
+    pub fn read(command: Command, address: Address, length: usize) -> Self {
+        Self {
+            command,
+            address,
+            data: zeros(length),
+        }
+    }
+
+    /// Writes `data`, of which at most `LENGTH` bytes are taken.
+    pub fn write(command: Command, address: Address, data: &[u8]) -> Self {
+        Self {
+            command,
+            address,
+            data: bytes(data),
+        }
+    }
 }
 
 /// What became of a request's frame.
@@ -45,30 +69,82 @@ pub enum Outcome {
     },
     /// It did not come back within its cycle; whether slaves saw it is unknown.
     Lost,
+    /// It was not sent: the cyclic datagrams leave less room than it needs.
+    NoRoom {
+        /// Longest data that would fit, bytes.
+        room: u16,
+    },
 }
 
 /// The answer to a [`Request`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Reply {
-    /// The datagram's data when it came back; empty when it was lost.
-    pub data: Bytes,
+pub struct Reply<const LENGTH: usize = REGISTER_BYTES_MAX> {
+    /// The datagram's data when it came back; empty otherwise.
+    pub data: Bytes<LENGTH>,
     /// What became of it.
     pub outcome: Outcome,
 }
 
-/// The slow side's access to the slaves' registers, and its clock.
-pub struct AcyclicPort<'a> {
-    pub(super) requests: Producer<'a, Request>,
-    pub(super) replies: Consumer<'a, Reply>,
-    polls: u32,
+impl<const LENGTH: usize> Reply<LENGTH> {
+    /// The reply to a request that did not come back.
+    pub const fn without_data(outcome: Outcome) -> Self {
+        Self {
+            data: Bytes::new(),
+            outcome,
+        }
+    }
 }
 
-impl<'a> AcyclicPort<'a> {
-    /// A port over the slow ends of the two queues.
-    pub const fn new(requests: Producer<'a, Request>, replies: Consumer<'a, Reply>) -> Self {
+/// The slow side's end of one lane, and how many replies it still has to expect.
+pub(super) struct Lane<'a, const LENGTH: usize> {
+    pub(super) requests: Producer<'a, Request<LENGTH>>,
+    pub(super) replies: Consumer<'a, Reply<LENGTH>>,
+    owed: usize,
+}
+
+impl<'a, const LENGTH: usize> Lane<'a, LENGTH> {
+    pub(super) const fn new(requests: Producer<'a, Request<LENGTH>>, replies: Consumer<'a, Reply<LENGTH>>) -> Self {
         Self {
             requests,
             replies,
+            owed: 0,
+        }
+    }
+
+    /// Queues a request if there is room.
+    fn send(&mut self, build: impl FnOnce() -> Request<LENGTH>) -> bool {
+        let sent = self.requests.ready() && self.requests.enqueue(build()).is_ok();
+        self.owed += usize::from(sent);
+        sent
+    }
+
+    /// Takes the next reply, except those of which `later` are owed to requests behind it: they belong to a caller that
+    /// went away.
+    fn take(&mut self, later: usize) -> Option<Reply<LENGTH>> {
+        while let Some(reply) = self.replies.dequeue() {
+            let abandoned = self.owed > later;
+            self.owed = self.owed.saturating_sub(1);
+            if !abandoned {
+                return Some(reply);
+            }
+        }
+        None
+    }
+}
+
+/// The slow side's access to the slaves' registers and mailboxes, and its clock.
+pub struct AcyclicPort<'a, const MESSAGE: usize> {
+    pub(super) registers: Lane<'a, REGISTER_BYTES_MAX>,
+    pub(super) messages: Lane<'a, MESSAGE>,
+    polls: u32,
+}
+
+impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
+    /// A port over the slow ends of the two lanes.
+    pub(super) const fn new(registers: Lane<'a, REGISTER_BYTES_MAX>, messages: Lane<'a, MESSAGE>) -> Self {
+        Self {
+            registers,
+            messages,
             polls: 0,
         }
     }
@@ -86,25 +162,69 @@ impl<'a> AcyclicPort<'a> {
                 return Poll::Ready(());
             }
             left -= 1;
-            self.polls = self.polls.wrapping_add(1);
-            Poll::Pending
+            self.pending()
         })
         .await;
     }
 
+    fn pending<T>(&mut self) -> Poll<T> {
+        self.polls = self.polls.wrapping_add(1);
+        Poll::Pending
+    }
+
     /// Sends one datagram and waits for what becomes of it.
-    pub async fn transact(&mut self, request: Request) -> Reply {
-        let mut waiting = Some(request);
+    pub async fn transact(&mut self, request: &Request) -> Reply {
+        let mut sent = false;
         poll_fn(|_| {
-            if let Some(request) = waiting.take() {
-                waiting = self.requests.enqueue(request).err();
-            } else if let Some(reply) = self.replies.dequeue() {
+            if !sent {
+                sent = self.registers.send(|| request.clone());
+            } else if let Some(reply) = self.registers.take(1) {
                 return Poll::Ready(reply);
             }
-            self.polls = self.polls.wrapping_add(1);
-            Poll::Pending
+            self.pending()
         })
         .await
+    }
+
+    /// Sends one datagram that may be as long as a mailbox, and waits for what becomes of it. `build` is called when
+    /// there is room for it.
+    pub async fn transact_message(&mut self, build: impl Fn() -> Request<MESSAGE>) -> Reply<MESSAGE> {
+        let mut sent = false;
+        poll_fn(|_| {
+            if !sent {
+                sent = self.messages.send(&build);
+            } else if let Some(reply) = self.messages.take(1) {
+                return Poll::Ready(reply);
+            }
+            self.pending()
+        })
+        .await
+    }
+
+    /// Sends several datagrams in as few frames as possible, and hands each one's reply to `take`, in order.
+    ///
+    /// None of them may depend on another one's reply; the slaves execute them in order unless a frame gets lost.
+    pub async fn transact_all<'r>(&mut self, requests: impl Iterator<Item = &'r Request>, mut take: impl FnMut(Reply)) {
+        let mut requests = requests.peekable();
+        let (mut sent, mut received) = (0_usize, 0);
+        poll_fn(|_| {
+            while let Some(reply) = self.registers.take(sent - received) {
+                received += 1;
+                take(reply);
+            }
+            while let Some(request) = requests.peek() {
+                if !self.registers.send(|| (*request).clone()) {
+                    break;
+                }
+                sent += 1;
+                requests.next();
+            }
+            if received == sent {
+                return Poll::Ready(());
+            }
+            self.pending()
+        })
+        .await;
     }
 
     /// Sends `request` until it comes back with the working counter `expected`.
@@ -112,35 +232,71 @@ impl<'a> AcyclicPort<'a> {
     /// Only for datagrams that may be executed more than once.
     ///
     /// # Errors
-    /// [`BusError::Lost`] or [`BusError::WorkingCounter`] after [`TRIES_MAX`] tries.
+    /// [`BusError::Lost`] or [`BusError::WorkingCounter`] after [`TRIES_MAX`] tries, or [`BusError::NoRoom`].
     pub async fn insist(&mut self, request: &Request, expected: u16) -> Result<Bytes, BusError> {
         let mut error = BusError::Lost { tries: TRIES_MAX };
         for _ in 0..TRIES_MAX {
-            let reply = self.transact(request.clone()).await;
-            match reply.outcome {
-                Outcome::Processed { working_counter } if working_counter == expected => return Ok(reply.data),
-                Outcome::Processed { working_counter } => {
-                    error = BusError::WorkingCounter {
-                        expected,
-                        actual: working_counter,
-                    };
-                }
-                Outcome::Lost => {}
+            let reply = self.transact(request).await;
+            match verdict(&reply, request, expected) {
+                Ok(()) => return Ok(reply.data),
+                Err(BusError::Lost { .. }) => {}
+                Err(no_room @ BusError::NoRoom { .. }) => return Err(no_room),
+                Err(other) => error = other,
             }
         }
         Err(error)
     }
 
-    /// Reads `length` bytes (at most [`ACYCLIC_BYTES_MAX`]) of one slave's memory.
+    /// Sends several datagrams in as few frames as possible, each until it comes back with the working counter
+    /// `expected`, and hands each one's number and data to `take`. Requests beyond [`INSIST_MAX`] are not sent.
+    ///
+    /// Only for datagrams that may be executed more than once and in any order.
+    ///
+    /// # Errors
+    /// As [`Self::insist`], for the last one that failed.
+    pub async fn insist_all(
+        &mut self,
+        requests: &[Request],
+        expected: u16,
+        mut take: impl FnMut(usize, &[u8]),
+    ) -> Result<(), BusError> {
+        let requests = requests.get(..requests.len().min(INSIST_MAX)).unwrap_or(&[]);
+        let mut done = 0_u32;
+        let mut error = None;
+        for _ in 0..TRIES_MAX {
+            error = None;
+            let finished = done;
+            let open = || {
+                requests
+                    .iter()
+                    .enumerate()
+                    .filter(|(number, _)| finished >> number & 1 == 0)
+            };
+            let mut asked = open();
+            self.transact_all(open().map(|(_, request)| request), |reply| {
+                let Some((number, request)) = asked.next() else { return };
+                match verdict(&reply, request, expected) {
+                    Ok(()) => {
+                        done |= 1 << number;
+                        take(number, &reply.data);
+                    }
+                    Err(failed) => error = Some(failed),
+                }
+            })
+            .await;
+            if !matches!(error, Some(BusError::Lost { .. } | BusError::WorkingCounter { .. })) {
+                break;
+            }
+        }
+        error.map_or(Ok(()), Err)
+    }
+
+    /// Reads `length` bytes (at most [`REGISTER_BYTES_MAX`]) of one slave's memory.
     ///
     /// # Errors
     /// As [`Self::insist`].
     pub async fn read(&mut self, station: u16, register: u16, length: usize) -> Result<Bytes, BusError> {
-        let request = Request {
-            command: Command::Fprd,
-            address: Address::station(station, register),
-            data: zeros(length),
-        };
+        let request = Request::read(Command::Fprd, Address::station(station, register), length);
         self.insist(&request, 1).await
     }
 
@@ -153,42 +309,30 @@ impl<'a> AcyclicPort<'a> {
         Ok(super::wire::read_u16(&bytes, 0))
     }
 
-    /// Writes one slave's memory; `data` beyond [`ACYCLIC_BYTES_MAX`] are cut off.
+    /// Writes one slave's memory; `data` beyond [`REGISTER_BYTES_MAX`] are cut off.
     ///
     /// # Errors
     /// As [`Self::insist`].
     pub async fn write(&mut self, station: u16, register: u16, data: &[u8]) -> Result<(), BusError> {
-        let request = Request {
-            command: Command::Fpwr,
-            address: Address::station(station, register),
-            data: bytes(data),
-        };
+        let request = Request::write(Command::Fpwr, Address::station(station, register), data);
         self.insist(&request, 1).await.map(|_| ())
     }
 
     /// Writes the same register of all slaves and gives how many took it.
     ///
     /// # Errors
-    /// [`BusError::Lost`] after [`TRIES_MAX`] tries.
+    /// As [`Self::answered`].
     pub async fn broadcast_write(&mut self, register: u16, data: &[u8]) -> Result<u16, BusError> {
-        let request = Request {
-            command: Command::Bwr,
-            address: Address::broadcast(register),
-            data: bytes(data),
-        };
+        let request = Request::write(Command::Bwr, Address::broadcast(register), data);
         self.answered(&request).await.map(|(_, slaves)| slaves)
     }
 
     /// Reads the same register of all slaves: the values OR-ed together, and how many slaves gave one.
     ///
     /// # Errors
-    /// [`BusError::Lost`] after [`TRIES_MAX`] tries.
+    /// As [`Self::answered`].
     pub async fn broadcast_read_u16(&mut self, register: u16) -> Result<(u16, u16), BusError> {
-        let request = Request {
-            command: Command::Brd,
-            address: Address::broadcast(register),
-            data: zeros(2),
-        };
+        let request = Request::read(Command::Brd, Address::broadcast(register), 2);
         let (bytes, slaves) = self.answered(&request).await?;
         Ok((super::wire::read_u16(&bytes, 0), slaves))
     }
@@ -196,27 +340,49 @@ impl<'a> AcyclicPort<'a> {
     /// Sends `request` until it comes back, with whatever working counter.
     ///
     /// # Errors
-    /// [`BusError::Lost`] after [`TRIES_MAX`] tries.
+    /// [`BusError::Lost`] after [`TRIES_MAX`] tries, or [`BusError::NoRoom`].
     pub async fn answered(&mut self, request: &Request) -> Result<(Bytes, u16), BusError> {
         for _ in 0..TRIES_MAX {
-            let reply = self.transact(request.clone()).await;
-            if let Outcome::Processed { working_counter } = reply.outcome {
-                return Ok((reply.data, working_counter));
+            let reply = self.transact(request).await;
+            match reply.outcome {
+                Outcome::Processed { working_counter } => return Ok((reply.data, working_counter)),
+                Outcome::NoRoom { room } => return Err(no_room(request.data.len(), room)),
+                Outcome::Lost => {}
             }
         }
         Err(BusError::Lost { tries: TRIES_MAX })
     }
 }
 
-/// `length` zeros, at most [`ACYCLIC_BYTES_MAX`].
-pub(crate) fn zeros(length: usize) -> Bytes {
+/// Whether a request was executed as often as expected.
+fn verdict(reply: &Reply, request: &Request, expected: u16) -> Result<(), BusError> {
+    match reply.outcome {
+        Outcome::Processed { working_counter } if working_counter == expected => Ok(()),
+        Outcome::Processed { working_counter } => Err(BusError::WorkingCounter {
+            expected,
+            actual: working_counter,
+        }),
+        Outcome::Lost => Err(BusError::Lost { tries: TRIES_MAX }),
+        Outcome::NoRoom { room } => Err(no_room(request.data.len(), room)),
+    }
+}
+
+pub(super) fn no_room(needed: usize, room: u16) -> BusError {
+    BusError::NoRoom {
+        expected: needed as u16,
+        actual: room,
+    }
+}
+
+/// `length` zeros, at most as many as there is room for.
+pub(crate) fn zeros<const LENGTH: usize>(length: usize) -> Bytes<LENGTH> {
     let mut data = Bytes::new();
     // The length asked for never exceeds the capacity.
-    let _ = data.resize(length.min(ACYCLIC_BYTES_MAX), 0);
+    let _ = data.resize(length.min(LENGTH), 0);
     data
 }
 
-/// A copy of `data`, at most [`ACYCLIC_BYTES_MAX`].
-pub(crate) fn bytes(data: &[u8]) -> Bytes {
-    Bytes::from_slice(data.get(..data.len().min(ACYCLIC_BYTES_MAX)).unwrap_or(&[])).unwrap_or_default()
+/// A copy of `data`, as far as there is room for them.
+pub(crate) fn bytes<const LENGTH: usize>(data: &[u8]) -> Bytes<LENGTH> {
+    Bytes::from_slice(data.get(..data.len().min(LENGTH)).unwrap_or(&[])).unwrap_or_default()
 }

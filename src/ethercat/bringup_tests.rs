@@ -13,27 +13,29 @@ use super::state::AlReport;
 use super::supervisor::{BusCommand, BusEvent, BusSetup, Step, Supervisor};
 use super::wire::coe::Object;
 use super::wire::sii::MailboxWindow;
-use super::wire::{FRAME_LEN_MAX, FrameView, register};
+use super::wire::{FrameView, register};
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use std::boxed::Box;
 use std::vec::Vec;
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const SLAVES: usize = 16;
+const MESSAGE: usize = 1024;
 
 /// What a cycle's frame meets on the wire: the frame's number, to be lost or not.
 type Losses = fn(u32) -> bool;
 
 struct Bench<'a> {
     segment: FakeSegment,
-    exchange: Exchange<'a>,
+    exchange: Exchange<'a, SLAVES, MESSAGE>,
     losses: Losses,
     frames: u32,
 }
 
 impl Bench<'_> {
-    fn transfer(&mut self, length: usize, frame: &mut [u8; FRAME_LEN_MAX]) {
-        if length == 0 {
+    fn transfer(&mut self, mut frame: Vec<u8>) {
+        if frame.is_empty() {
             return;
         }
         self.frames += 1;
@@ -42,25 +44,24 @@ impl Bench<'_> {
         if lost && self.frames.is_multiple_of(2) {
             return;
         }
-        self.segment.process(&mut frame[..length]);
+        self.segment.process(&mut frame);
         if !lost {
-            let arrival = self.exchange.receive(&frame[..length]);
+            let arrival = self.exchange.receive(&frame);
             assert!(matches!(arrival, Arrival::Input | Arrival::Output), "{arrival:?}");
         }
     }
 
     fn millisecond(&mut self) {
-        let mut frame = [0; FRAME_LEN_MAX];
-        let length = self.exchange.input_telegram(&mut frame);
-        self.transfer(length, &mut frame);
-        let length = self.exchange.output_telegram(&mut frame);
-        self.transfer(length, &mut frame);
+        let frame = self.exchange.input_telegram().to_vec();
+        self.transfer(frame);
+        let frame = self.exchange.output_telegram().to_vec();
+        self.transfer(frame);
     }
 }
 
 /// Runs `script` with a supervisor that has been told to start; the script gets each millisecond's events.
 fn run(segment: FakeSegment, losses: Losses, mut script: impl FnMut(u32, &mut Bench<'_>, &[BusEvent]) -> Next) {
-    let mut queues = Box::new(BusQueues::new());
+    let mut queues = Box::new(BusQueues::<SLAVES, MESSAGE>::new());
     let (exchange_end, supervisor_end, mut application) = queues.split();
     let mut bench = Bench {
         segment,
@@ -377,9 +378,9 @@ fn a_slave_plugged_in_behind_the_others_is_reported_once_and_never_mapped() {
 fn with_dictionary<T>(
     losses: Losses,
     harm: fn(&mut FakeSlave),
-    work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_>) -> T,
+    work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T,
 ) -> (T, FakeSlave) {
-    let mut queues = Box::new(BusQueues::new());
+    let mut queues = Box::new(BusQueues::<SLAVES, MESSAGE>::new());
     let (exchange_end, mut supervisor_end, _) = queues.split();
     let mut segment = FakeSegment::drives(1);
     for (number, start, control) in [(0, 0x1800_u16, 0x26), (1, 0x1C00, 0x22)] {
@@ -397,7 +398,7 @@ fn with_dictionary<T>(
         frames: 0,
     };
     let window = |start| MailboxWindow { start, length: 512 };
-    let mut mailbox = Mailbox::new(STATION_BASE, window(0x1800), window(0x1C00)).unwrap();
+    let mut mailbox = Mailbox::new::<MESSAGE>(STATION_BASE, window(0x1800), window(0x1C00)).unwrap();
     let mut dictionary = ObjectDictionary::new(&mut supervisor_end.port, &mut mailbox);
     let mut future = pin!(work(&mut dictionary));
     for _ in 0..20_000 {
@@ -479,14 +480,10 @@ fn a_whole_bring_up_has_no_malformed_frame() {
         FakeSegment::drives(1),
         |_| false,
         |now_ms, bench, _| {
-            let mut frame = [0; FRAME_LEN_MAX];
-            let length = bench.exchange.input_telegram(&mut frame);
-            let view = FrameView::new_checked(&frame[..length]).unwrap();
+            let frame = bench.exchange.input_telegram().to_vec();
+            let view = FrameView::new_checked(&frame).unwrap();
             assert!(view.datagrams().all(|datagram| datagram.is_ok()));
-            assert_eq!(
-                bench.exchange.receive(&frame[..length]),
-                Arrival::Ignored(Ignored::Reflection)
-            );
+            assert_eq!(bench.exchange.receive(&frame), Arrival::Ignored(Ignored::Reflection));
             if now_ms > 20 { Next::Done } else { Next::On }
         },
     );
@@ -494,12 +491,15 @@ fn a_whole_bring_up_has_no_malformed_frame() {
 
 #[test]
 fn the_masters_static_memory_fits_32_kib() {
-    let mut queues = Box::new(BusQueues::new());
+    let mut queues = Box::new(BusQueues::<SLAVES, MESSAGE>::new());
     let (_, supervisor_end, _) = queues.split();
     let mut supervisor = Supervisor::new(supervisor_end);
-    let state = size_of::<Supervisor<'_>>();
+    let state = size_of::<Supervisor<'_, SLAVES, MESSAGE>>();
     let future = size_of_val(&supervisor.run());
-    let (exchange, queues) = (size_of::<Exchange<'_>>(), size_of::<BusQueues>());
+    let (exchange, queues) = (
+        size_of::<Exchange<'_, SLAVES, MESSAGE>>(),
+        size_of::<BusQueues<SLAVES, MESSAGE>>(),
+    );
     std::println!("exchange {exchange}, queues {queues}, supervisor {state}, its future {future} bytes");
     assert!(exchange + queues + state + future <= 32 * 1024);
 }

@@ -22,22 +22,22 @@ const MESSAGE_MAX: usize = if SDO_LEN > SEGMENT_HEADER_LEN + SEGMENT_DATA_MIN {
 };
 
 /// One slave's object dictionary, reached through its mailbox.
-pub struct ObjectDictionary<'c, 'q> {
-    port: &'c mut AcyclicPort<'q>,
+pub struct ObjectDictionary<'c, 'q, const MESSAGE: usize> {
+    port: &'c mut AcyclicPort<'q, MESSAGE>,
     mailbox: &'c mut Mailbox,
 }
 
-impl<'c, 'q> ObjectDictionary<'c, 'q> {
+impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     /// The dictionary behind `mailbox`.
-    pub fn new(port: &'c mut AcyclicPort<'q>, mailbox: &'c mut Mailbox) -> Self {
+    pub fn new(port: &'c mut AcyclicPort<'q, MESSAGE>, mailbox: &'c mut Mailbox) -> Self {
         Self { port, mailbox }
     }
 
-    /// Reads an object of at most [`ACYCLIC_BYTES_MAX`](super::acyclic::ACYCLIC_BYTES_MAX) bytes.
+    /// Reads an object of at most `MESSAGE` bytes.
     ///
     /// # Errors
     /// [`BusError::SdoAbort`], [`BusError::SdoAnswer`], [`BusError::SdoLength`], or those of the mailbox.
-    pub async fn upload(&mut self, object: Object) -> Result<Bytes, BusError> {
+    pub async fn upload(&mut self, object: Object) -> Result<Bytes<MESSAGE>, BusError> {
         let mut value = Bytes::new();
         let answer = self
             .ask(
@@ -127,7 +127,7 @@ impl<'c, 'q> ObjectDictionary<'c, 'q> {
     }
 
     /// Sends a request and gives the answer that belongs to `object`; an abort becomes an error.
-    async fn ask(&mut self, object: Object, request: &Sdo<'_>) -> Result<Bytes, BusError> {
+    async fn ask(&mut self, object: Object, request: &Sdo<'_>) -> Result<Bytes<MESSAGE>, BusError> {
         let mut message = [0; MESSAGE_MAX];
         let Ok(length) = request.emit(&mut message) else {
             return Err(BusError::Range { object });
@@ -161,7 +161,7 @@ fn belongs(data: &[u8], request: &Sdo<'_>, object: Object) -> bool {
     }
 }
 
-fn append(value: &mut Bytes, data: &[u8], object: Object) -> Result<(), BusError> {
+fn append<const MESSAGE: usize>(value: &mut Bytes<MESSAGE>, data: &[u8], object: Object) -> Result<(), BusError> {
     value.extend_from_slice(data).map_err(|_| BusError::SdoLength {
         object,
         expected: value.capacity() as u32,

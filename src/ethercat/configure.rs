@@ -5,7 +5,7 @@
 //!
 //! Invariant: steps for one slave touch no other slave, except [`reset_all`].
 
-use super::acyclic::{AcyclicPort, Bytes, Request, bytes, zeros};
+use super::acyclic::{AcyclicPort, Bytes, Request};
 use super::coe::ObjectDictionary;
 use super::cyclic::{CyclicSlave, DriveRole, PROCESS_BYTES_MAX};
 use super::error::BusError;
@@ -35,14 +35,17 @@ const WATCHDOG_PDI_UNITS: u16 = 1_000;
 const CLEARED: usize = 4;
 
 const _: () = {
-    assert!(LOGICAL_OUTPUTS + (super::cyclic::SLAVES_MAX * PROCESS_BYTES_MAX) as u32 <= LOGICAL_INPUTS);
+    assert!(
+        LOGICAL_OUTPUTS + (32 * PROCESS_BYTES_MAX) as u32 <= LOGICAL_INPUTS,
+        "up to 32 slaves"
+    );
 };
 
 /// Counts the slaves and brings all of them to INIT with nothing configured; error counters start at 0.
 ///
 /// # Errors
 /// [`BusError::StateTimeout`] when a slave does not go to INIT, or [`BusError::Lost`].
-pub async fn reset_all(port: &mut AcyclicPort<'_>) -> Result<(), BusError> {
+pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
     let init = AlState::Init as u16 | register::AL_ERROR_BIT;
     port.broadcast_write(register::AL_CONTROL, &init.to_le_bytes()).await?;
     let started_ms = port.now_ms();
@@ -74,13 +77,12 @@ pub async fn reset_all(port: &mut AcyclicPort<'_>) -> Result<(), BusError> {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn station_at(port: &mut AcyclicPort<'_>, position: u16) -> Result<u16, BusError> {
+pub async fn station_at<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    position: u16,
+) -> Result<u16, BusError> {
     let address = Address::position(position, register::STATION_ADDRESS);
-    let request = Request {
-        command: Command::Aprd,
-        address,
-        data: zeros(2),
-    };
+    let request = Request::read(Command::Aprd, address, 2);
     Ok(read_u16(&port.insist(&request, 1).await?, 0))
 }
 
@@ -88,18 +90,18 @@ pub async fn station_at(port: &mut AcyclicPort<'_>, position: u16) -> Result<u16
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn assign_station(port: &mut AcyclicPort<'_>, position: u16, station: u16) -> Result<(), BusError> {
+pub async fn assign_station<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    position: u16,
+    station: u16,
+) -> Result<(), BusError> {
     let address = Address::position(position, register::STATION_ADDRESS);
-    let request = Request {
-        command: Command::Apwr,
-        address,
-        data: bytes(&station.to_le_bytes()),
-    };
+    let request = Request::write(Command::Apwr, address, &station.to_le_bytes());
     port.insist(&request, 1).await.map(|_| ())
 }
 
 /// Waits until the SII is free and gives its status.
-async fn sii_free(port: &mut AcyclicPort<'_>, station: u16) -> Result<u16, BusError> {
+async fn sii_free<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u16, BusError> {
     let started_ms = port.now_ms();
     loop {
         let status = port.read_u16(station, register::SII_CONTROL).await?;
@@ -117,7 +119,7 @@ async fn sii_free(port: &mut AcyclicPort<'_>, station: u16) -> Result<u16, BusEr
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn take_sii(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+pub async fn take_sii<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
     let config = port.read_u16(station, register::SII_CONFIG).await?;
     if config != 0 {
         port.write(station, register::SII_CONFIG, &[register::SII_FORCE])
@@ -128,7 +130,11 @@ pub async fn take_sii(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), Bu
 }
 
 /// Reads 4 or 8 bytes of the SII, as many as the slave gives at a time, from a word address on.
-async fn read_sii(port: &mut AcyclicPort<'_>, station: u16, word: u16) -> Result<Bytes, BusError> {
+async fn read_sii<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    word: u16,
+) -> Result<Bytes, BusError> {
     let mut status = sii_free(port, station).await?;
     for _ in 0..SII_TRIES_MAX {
         let [control_low, control_high] = register::SII_READ.to_le_bytes();
@@ -152,7 +158,10 @@ async fn read_sii(port: &mut AcyclicPort<'_>, station: u16, word: u16) -> Result
 ///
 /// # Errors
 /// [`BusError::SiiBusy`], [`BusError::Sii`], or as [`AcyclicPort::insist`].
-pub async fn fixed_part(port: &mut AcyclicPort<'_>, station: u16) -> Result<FixedPart, BusError> {
+pub async fn fixed_part<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<FixedPart, BusError> {
     const BYTES: usize = 2 * sii::FIXED_PART_WORDS;
     take_sii(port, station).await?;
     let mut image = [0; BYTES + 8];
@@ -174,7 +183,10 @@ pub async fn fixed_part(port: &mut AcyclicPort<'_>, station: u16) -> Result<Fixe
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn mailbox_managers(port: &mut AcyclicPort<'_>, slave: &Slave) -> Result<(), BusError> {
+pub async fn mailbox_managers<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave,
+) -> Result<(), BusError> {
     let window = |window: sii::MailboxWindow, control: u8| SyncManagerRepr {
         start: window.start,
         length: window.length,
@@ -189,8 +201,8 @@ pub async fn mailbox_managers(port: &mut AcyclicPort<'_>, slave: &Slave) -> Resu
     write_managers(port, slave.station(), 0, &managers).await
 }
 
-async fn write_managers(
-    port: &mut AcyclicPort<'_>,
+async fn write_managers<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     first: u8,
     managers: &[SyncManagerRepr; 2],
@@ -208,7 +220,11 @@ async fn write_managers(
 ///
 /// # Errors
 /// [`BusError::SdoAbort`], [`BusError::ReadBack`], [`BusError::Range`], or those of the mailbox.
-pub async fn objects(port: &mut AcyclicPort<'_>, slave: &mut Slave, axis: &Axis) -> Result<(), BusError> {
+pub async fn objects<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &mut Slave,
+    axis: &Axis,
+) -> Result<(), BusError> {
     let Some(kind) = slave.kind else { return Ok(()) };
     let object = super::wire::coe::Object::new(0x6085, 0);
     let settings = (kind.description().settings)(axis).ok_or(BusError::Range { object })?;
@@ -219,7 +235,10 @@ pub async fn objects(port: &mut AcyclicPort<'_>, slave: &mut Slave, axis: &Axis)
     Ok(())
 }
 
-async fn apply(dictionary: &mut ObjectDictionary<'_, '_>, setting: &Setting) -> Result<(), BusError> {
+async fn apply<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    setting: &Setting,
+) -> Result<(), BusError> {
     let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
     let expected = setting.value & mask;
     match dictionary.write(setting.object, setting.value, setting.length).await {
@@ -276,7 +295,11 @@ pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn process_data(port: &mut AcyclicPort<'_>, slave: &Slave, watchdog_ms: u16) -> Result<(), BusError> {
+pub async fn process_data<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave,
+    watchdog_ms: u16,
+) -> Result<(), BusError> {
     let Some(kind) = slave.kind else { return Ok(()) };
     let (station, description, share) = (slave.station(), kind.description(), cyclic_slave(slave));
     let units = watchdog_ms.saturating_mul(WATCHDOG_UNITS_PER_MS);
@@ -332,7 +355,7 @@ pub async fn process_data(port: &mut AcyclicPort<'_>, slave: &Slave, watchdog_ms
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn clear(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
     port.write(station, register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
     port.write(station, register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
         .await

@@ -1,83 +1,32 @@
 //! The exchange of the critical task: process data out and in, once a millisecond.
 //!
-//! Each cycle starts with the input telegram (one LRD for each slave, the AL status of all, and requests of the slow
-//! side in the spare room) and ends with the output telegram (one LWR for each slave). Each slave's data travel in a
-//! datagram of their own, so one slave's failure costs the others nothing. Frames are built once for a plan; a cycle
-//! copies one and stamps its index.
+//! Each cycle starts with the input telegram: a datagram for each slave (LRD; LRW when inputs and outputs are exchanged
+//! together), the AL status of all, the reference clock's time, and requests of the slow side in the spare room. When
+//! inputs and outputs are exchanged apart, it ends with the output telegram: one LWR for each slave. Each slave's data
+//! travel in datagrams of their own, so one slave's failure costs the others nothing. Frames are built once for a plan;
+//! a cycle stamps an index, and outputs are written into the frame where they stand.
 //!
 //! Invariants: bounded time, no allocation, no waiting; a reply is used at most once, only in its own cycle, and only if
 //! index, state, command, address and length of every datagram in it are those that were sent; everything else is
 //! dropped and counted by kind.
 
-use super::acyclic::{ACYCLIC_BYTES_MAX, Bytes, IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
-pub use super::telegram::{IGNORED_KINDS, Ignored};
-use super::telegram::{Owner, Place, SlotState, TEMPLATE_LEN, Telegram};
-use super::wire::{
-    self, Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, FRAME_LEN_MAX, FrameBuilder, FrameView, MacAddress,
-    PAYLOAD_OFFSET, SOURCE_BIT, read_u8, read_u16, register,
+use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
+use super::envelope::Envelope;
+pub use super::plan::{
+    CyclicPlan, CyclicSlave, DriveRole, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX,
 };
+pub use super::telegram::{IGNORED_KINDS, Ignored};
+use super::telegram::{Image, SlotState, Taken, Telegram};
+use super::wire::{MacAddress, read_u8};
 use crate::drives::DriveKind;
 use crate::robot::AXES;
-use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
 
-/// Most slaves on the bus.
-pub const SLAVES_MAX: usize = 16;
-/// Most process data of one slave in one direction, bytes.
-pub const PROCESS_BYTES_MAX: usize = 32;
 /// Cycles in a row without a reply after which the bus counts as silent.
 pub const SILENT_CYCLES: u8 = 10;
 
-/// Most acyclic bytes in one frame, overhead included: one whole mailbox.
-const ACYCLIC_ROOM: usize = ACYCLIC_BYTES_MAX + 2 * DATAGRAM_OVERHEAD;
 /// How many frames back an index still counts as late rather than foreign.
 const LATE_FRAMES: u8 = 64;
-
-const _: () = {
-    assert!(
-        TEMPLATE_LEN + ACYCLIC_ROOM <= FRAME_LEN_MAX,
-        "cyclic and acyclic data share one frame"
-    );
-    assert!(SLAVES_MAX <= 16, "the slaves that answered are reported in 16 bits");
-};
-
-/// Which axis a slave drives, and how.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DriveRole {
-    /// Axis, from 0.
-    pub axis: u8,
-    /// How its process data are laid out.
-    pub kind: DriveKind,
-}
-
-/// One slave's share of the logical memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct CyclicSlave {
-    /// Logical address of its inputs.
-    pub input_address: u32,
-    /// Bytes of its inputs, at most [`PROCESS_BYTES_MAX`]; 0 for none.
-    pub input_length: u16,
-    /// Logical address of its outputs.
-    pub output_address: u32,
-    /// Bytes of its outputs, at most [`PROCESS_BYTES_MAX`]; 0 for none.
-    pub output_length: u16,
-    /// Whether a missing answer is an error; not while it is being configured or known to be lost.
-    pub watched: bool,
-    /// The axis it drives, if it is a drive that is used.
-    pub role: Option<DriveRole>,
-    /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
-    /// off in between.
-    pub generation: u8,
-}
-
-/// What is exchanged each cycle: the slaves in chain order.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct CyclicPlan {
-    /// The slaves; those without process data have lengths of 0.
-    pub slaves: Vec<CyclicSlave, SLAVES_MAX>,
-    /// Bits of the AL status that come from slaves which are not used.
-    pub al_bits_ignored: u16,
-}
 
 /// The AL status of all slaves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -93,8 +42,8 @@ pub struct AlStatus {
 pub struct Observation {
     /// The last AL status; zeros when silent.
     pub al: AlStatus,
-    /// One bit for each slave whose inputs came with the right working counter.
-    pub answered: u16,
+    /// One bit for each slave whose process data came with the right working counter.
+    pub answered: u32,
     /// No reply at all for [`SILENT_CYCLES`] cycles.
     pub silent: bool,
 }
@@ -133,29 +82,45 @@ impl BusCounters {
 }
 
 /// The critical side's ends of the queues to the supervisor.
-pub struct ExchangeEnd<'a> {
-    /// New plans.
-    pub plans: Consumer<'a, CyclicPlan>,
-    /// Acyclic requests.
+pub struct ExchangeEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
+    /// Plans to be exchanged from the next cycle on.
+    pub plans: Consumer<'a, CyclicPlan<SLAVES>>,
+    /// Requests for registers.
     pub requests: Consumer<'a, Request>,
     /// Their replies.
     pub replies: Producer<'a, Reply>,
+    /// Messages to and from mailboxes.
+    pub messages: Consumer<'a, Request<MESSAGE>>,
+    /// Their replies.
+    pub message_replies: Producer<'a, Reply<MESSAGE>>,
     /// What was seen on the bus.
     pub observations: Producer<'a, Observation>,
 }
 
+/// Where a slave's outputs stand in the frame that carries them.
+#[derive(Clone, Copy, Debug, Default)]
+struct OutputPlace {
+    start: u16,
+    length: u16,
+}
+
 /// The cyclic exchange; it lives in the critical task.
-pub struct Exchange<'a> {
-    end: ExchangeEnd<'a>,
+pub struct Exchange<'a, const SLAVES: usize, const MESSAGE: usize> {
+    end: ExchangeEnd<'a, SLAVES, MESSAGE>,
     source: MacAddress,
-    plan: CyclicPlan,
+    envelope: Envelope,
+    plan: CyclicPlan<SLAVES>,
     axis_slaves: [Option<u8>; AXES],
-    input: Telegram,
-    output: Telegram,
-    input_image: [[u8; PROCESS_BYTES_MAX]; SLAVES_MAX],
-    output_image: [[u8; PROCESS_BYTES_MAX]; SLAVES_MAX],
-    input_valid: u16,
+    first: Telegram<SLAVES>,
+    second: Telegram<SLAVES>,
+    outputs: [OutputPlace; SLAVES],
+    images: [Image; SLAVES],
+    input_valid: u32,
+    /// Slaves that only answer to the second telegram.
+    second_only: u32,
+    answered: u32,
     al: Option<AlStatus>,
+    clock_ns: Option<u64>,
     next_index: u8,
     source_bit_seen: bool,
     silent_cycles: u8,
@@ -163,20 +128,25 @@ pub struct Exchange<'a> {
     counters: BusCounters,
 }
 
-impl<'a> Exchange<'a> {
-    /// An exchange without a plan, sending from `source`.
-    pub fn new(end: ExchangeEnd<'a>, source: MacAddress) -> Self {
+impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE> {
+    /// An exchange without a plan, sending from `source`, in Ethernet frames of EtherCAT's own type.
+    pub fn new(end: ExchangeEnd<'a, SLAVES, MESSAGE>, source: MacAddress) -> Self {
+        const { assert!(SLAVES <= 32, "the slaves that answered are reported in 32 bits") };
         let mut exchange = Self {
             end,
             source,
+            envelope: Envelope::Raw,
             plan: CyclicPlan::default(),
             axis_slaves: [None; AXES],
-            input: Telegram::new(),
-            output: Telegram::new(),
-            input_image: [[0; PROCESS_BYTES_MAX]; SLAVES_MAX],
-            output_image: [[0; PROCESS_BYTES_MAX]; SLAVES_MAX],
+            first: Telegram::new(),
+            second: Telegram::new(),
+            outputs: [OutputPlace::default(); SLAVES],
+            images: [Image::default(); SLAVES],
             input_valid: 0,
+            second_only: 0,
+            answered: 0,
             al: None,
+            clock_ns: None,
             next_index: 0,
             source_bit_seen: false,
             silent_cycles: 0,
@@ -187,77 +157,44 @@ impl<'a> Exchange<'a> {
         exchange
     }
 
-    /// Starts a cycle: settles the last one, takes a new plan, and writes the input telegram to `frame`, which should be
-    /// [`FRAME_LEN_MAX`] long. Gives the telegram's length in bytes.
-    pub fn input_telegram(&mut self, frame: &mut [u8]) -> usize {
+    /// Wraps the telegrams in another envelope from the next one on; what is on the way is lost.
+    pub fn set_envelope(&mut self, envelope: Envelope) {
+        if envelope != self.envelope {
+            self.settle();
+            self.envelope = envelope;
+            self.source_bit_seen = false;
+            self.adopt(self.plan.clone());
+        }
+    }
+
+    /// Starts a cycle: settles the last one, takes a new plan, and gives the input telegram to be sent.
+    pub fn input_telegram(&mut self) -> &[u8] {
         self.settle();
-        while let Some(plan) = self.end.plans.dequeue() {
-            self.adopt(plan);
+        while self.end.plans.ready() {
+            self.take_plan();
         }
-        let index = self.take_index();
-        if !self.input.stamp(frame, index) {
-            return 0;
+        if !self.first.acyclic.is_empty() {
+            self.first.drop_acyclic(&self.envelope);
         }
-        let Ok(mut builder) = FrameBuilder::resume(frame, self.input.template_len, self.input.last) else {
-            return 0;
-        };
-        let acyclic_end = builder.position() + ACYCLIC_ROOM;
-        for _ in 0..IN_FLIGHT_MAX {
-            // One reply is owed for each request that is taken.
-            let owed = self.input.places.len() - self.input.prebuilt;
-            let Some(request) = self.end.requests.peek() else { break };
-            let fits = builder.position() + DATAGRAM_OVERHEAD + request.data.len() <= acyclic_end;
-            if !fits || self.end.replies.len() + owed >= self.end.replies.capacity() {
-                break;
-            }
-            let place = Place {
-                offset: (builder.position() - PAYLOAD_OFFSET) as u16,
-                length: request.data.len() as u16,
-                command: request.command,
-                address: request.address,
-                owner: Owner::Acyclic,
-            };
-            let Ok(data) = builder.push(request.command, index, request.address, request.data.len()) else {
-                break;
-            };
-            data.copy_from_slice(&request.data);
-            // The list holds as many as may be in flight.
-            let _ = self.input.places.push(place);
-            let _ = self.end.requests.dequeue();
+        if self.end.requests.ready() || self.end.messages.ready() {
+            self.append_acyclic();
         }
-        self.input.payload_len = builder.position() - PAYLOAD_OFFSET;
-        self.input.state = SlotState::Sent;
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
-        builder.finish()
+        let index = self.take_index();
+        self.first.send(index)
     }
 
-    /// Writes the output telegram with the present outputs to `frame`. Gives its length, 0 when no slave has outputs.
-    pub fn output_telegram(&mut self, frame: &mut [u8]) -> usize {
-        if self.output.prebuilt == 0 {
-            return 0;
+    /// Gives the output telegram with the present outputs; empty when no slave has outputs that are sent after control.
+    pub fn output_telegram(&mut self) -> &[u8] {
+        if self.second.is_empty() {
+            return &[];
         }
-        let index = self.take_index();
-        if !self.output.stamp(frame, index) {
-            return 0;
-        }
-        for place in &self.output.places {
-            let start = PAYLOAD_OFFSET + usize::from(place.offset) + DATAGRAM_HEADER_LEN;
-            let Owner::Slave(slave) = place.owner else { continue };
-            let image = self.output_image.get(usize::from(slave)).map_or(&[][..], |image| image);
-            if let Some(data) = image.get(..usize::from(place.length)) {
-                wire::write_bytes(frame, start, data);
-            }
-        }
-        let Ok(builder) = FrameBuilder::resume(frame, self.output.template_len, self.output.last) else {
-            return 0;
-        };
-        self.output.payload_len = builder.position() - PAYLOAD_OFFSET;
-        self.output.state = SlotState::Sent;
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
-        builder.finish()
+        let index = self.take_index();
+        self.second.send(index)
     }
 
-    /// Takes a received Ethernet frame (without check sequence): uses it if it is this cycle's, drops it otherwise.
+    /// Takes a received frame (without check sequence): uses it if it is this cycle's, drops it otherwise.
     pub fn receive(&mut self, frame: &[u8]) -> Arrival {
         match self.accept(frame) {
             Ok(arrival) => arrival,
@@ -276,23 +213,22 @@ impl<'a> Exchange<'a> {
     /// This cycle's inputs of a slave (position in the chain); `None` unless they came with the right working counter.
     pub fn input(&self, slave: usize) -> Option<&[u8]> {
         let length = usize::from(self.plan.slaves.get(slave)?.input_length);
-        if length == 0 || self.input_valid & 1 << slave == 0 {
+        if length == 0 || self.input_valid >> slave & 1 == 0 {
             return None;
         }
-        self.input_image.get(slave)?.get(..length)
+        self.images.get(slave)?.as_flattened().get(..length)
     }
 
-    /// The outputs of a slave (position in the chain), to be changed before [`Self::output_telegram`]; empty where there
-    /// are none.
+    /// The outputs of a slave (position in the chain) as the next telegram that carries them will take them; empty where
+    /// there are none.
     pub fn output(&mut self, slave: usize) -> &mut [u8] {
-        let length = self
-            .plan
-            .slaves
-            .get(slave)
-            .map_or(0, |slave| usize::from(slave.output_length));
-        self.output_image
-            .get_mut(slave)
-            .and_then(|image| image.get_mut(..length))
+        let place = self.outputs.get(slave).copied().unwrap_or_default();
+        let telegram = match self.plan.exchange {
+            ExchangeKind::Split => &mut self.second,
+            ExchangeKind::Combined => &mut self.first,
+        };
+        telegram
+            .bytes_mut(place.start.into(), place.length.into())
             .unwrap_or(&mut [])
     }
 
@@ -304,13 +240,19 @@ impl<'a> Exchange<'a> {
         })
     }
 
+    /// This cycle's time of the reference clock, ns, when all slaves that take part have got it; only the low 32 bits
+    /// where the clocks have no more.
+    pub fn clock_ns(&self) -> Option<u64> {
+        self.clock_ns
+    }
+
     /// What has been counted.
     pub fn counters(&self) -> BusCounters {
         self.counters
     }
 
     /// The plan in force.
-    pub fn plan(&self) -> &CyclicPlan {
+    pub fn plan(&self) -> &CyclicPlan<SLAVES> {
         &self.plan
     }
 
@@ -330,199 +272,221 @@ impl<'a> Exchange<'a> {
     /// Ends a cycle: what has not come is lost, and the supervisor learns what changed.
     fn settle(&mut self) {
         let mut lost = 0;
-        if self.input.state == SlotState::Sent {
+        if self.first.state == SlotState::Sent {
             lost += 1;
             self.silent_cycles = self.silent_cycles.saturating_add(1).min(SILENT_CYCLES);
-            self.answer_acyclic(None);
-        } else if self.input.state == SlotState::Received {
+            self.answer_lost();
+        } else if self.first.state == SlotState::Received {
             self.silent_cycles = 0;
         }
-        if self.output.state == SlotState::Sent {
+        if self.second.state == SlotState::Sent {
             lost += 1;
         }
         self.counters.frames_lost = self.counters.frames_lost.saturating_add(lost);
         let silent = self.silent_cycles >= SILENT_CYCLES;
-        let seen = match self.al {
-            Some(al) => Some(Observation {
-                al,
-                answered: self.input_valid,
+        if self.al.is_some() || silent {
+            let seen = Observation {
+                al: self.al.unwrap_or_default(),
+                answered: if self.al.is_some() { self.answered } else { 0 },
                 silent,
-            }),
-            None if silent => Some(Observation {
-                al: AlStatus::default(),
-                answered: 0,
-                silent,
-            }),
-            None => None,
-        };
-        if seen.is_some() && seen != self.reported {
-            let sent = seen.is_some_and(|seen| self.end.observations.enqueue(seen).is_ok());
-            self.reported = if sent { seen } else { self.reported };
+            };
+            if self.reported != Some(seen) && self.end.observations.enqueue(seen).is_ok() {
+                self.reported = Some(seen);
+            }
         }
-        self.input.state = SlotState::Idle;
-        self.output.state = SlotState::Idle;
+        self.first.state = SlotState::Idle;
+        self.second.state = SlotState::Idle;
         self.input_valid = 0;
+        self.answered = 0;
         self.al = None;
+        self.clock_ns = None;
     }
 
-    fn adopt(&mut self, plan: CyclicPlan) {
-        for (number, new) in plan.slaves.iter().enumerate() {
+    #[cold]
+    fn take_plan(&mut self) {
+        if let Some(plan) = self.end.plans.dequeue() {
+            self.adopt(plan);
+        }
+    }
+
+    /// Builds the telegrams of a plan; outputs of shares that stay where they were are kept.
+    fn adopt(&mut self, plan: CyclicPlan<SLAVES>) {
+        let mut kept = [[0; PROCESS_BYTES_MAX]; SLAVES];
+        for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
             let old = self.plan.slaves.get(number).copied().unwrap_or_default();
-            let moved = (old.output_address, old.output_length) != (new.output_address, new.output_length);
-            if let Some(image) = self.output_image.get_mut(number).filter(|_| moved) {
-                image.fill(0);
+            if (old.output_address, old.output_length) == (new.output_address, new.output_length) {
+                super::wire::write_bytes(kept, 0, self.output(number));
             }
         }
         self.axis_slaves = [None; AXES];
-        for (number, slave) in plan.slaves.iter().enumerate() {
+        for (number, slave) in (0..).zip(&plan.slaves) {
             let axis = slave
                 .role
                 .and_then(|role| self.axis_slaves.get_mut(usize::from(role.axis)));
             if let Some(entry) = axis {
-                *entry = Some(number as u8);
+                *entry = Some(number);
             }
         }
-        let bounded = |length: u16| (1..=PROCESS_BYTES_MAX as u16).contains(&length);
-        let inputs = plan
-            .slaves
-            .iter()
-            .enumerate()
-            .filter(|(_, slave)| bounded(slave.input_length));
-        let al_status = (
-            Owner::AlStatus,
-            Command::Brd,
-            Address::broadcast(register::AL_STATUS),
-            2,
-        );
-        self.input.build(
-            self.source,
-            inputs
-                .map(|(number, slave)| {
-                    let address = Address::logical(slave.input_address);
-                    (Owner::Slave(number as u8), Command::Lrd, address, slave.input_length)
-                })
-                .chain(core::iter::once(al_status)),
-        );
-        let outputs = plan
-            .slaves
-            .iter()
-            .enumerate()
-            .filter(|(_, slave)| bounded(slave.output_length));
-        self.output.build(
-            self.source,
-            outputs.map(|(number, slave)| {
-                let address = Address::logical(slave.output_address);
-                (Owner::Slave(number as u8), Command::Lwr, address, slave.output_length)
-            }),
-        );
+        self.first.clear(&self.envelope, self.source);
+        self.second.clear(&self.envelope, self.source);
+        self.outputs = [OutputPlace::default(); SLAVES];
+        self.second_only = 0;
+        let kind = plan.exchange;
+        for ((number, slave), place) in (0..).zip(&plan.slaves).zip(&mut self.outputs) {
+            let (first, second) = (slave.first_window(kind), slave.second_window(kind));
+            self.second_only |= u32::from(first.is_none() && second.is_some()) << (number & 31);
+            let windows = [(first, &mut self.first), (second, &mut self.second)];
+            for (window, telegram) in windows {
+                let Some(window) = window else { continue };
+                let data = telegram.push_share(number, slave.watched, &window);
+                if let Some(data) = data.filter(|_| window.output_length > 0) {
+                    *place = OutputPlace {
+                        start: data as u16 + window.output_offset,
+                        length: window.output_length,
+                    };
+                }
+            }
+        }
+        self.first.push_common(plan.clock);
+        self.first.finish(&self.envelope);
+        self.second.finish(&self.envelope);
         self.plan = plan;
+        for (number, kept) in kept.iter().enumerate() {
+            let output = self.output(number);
+            let length = output.len();
+            super::wire::write_bytes(output, 0, kept.get(..length).unwrap_or(&[]));
+        }
+    }
+
+    /// Puts what the slow side asks for behind the cyclic datagrams: requests for registers, and one message.
+    #[cold]
+    fn append_acyclic(&mut self) {
+        let room = self.first.room();
+        let no_room = Outcome::NoRoom { room: room as u16 };
+        let mut owed = 0;
+        for _ in 0..IN_FLIGHT_MAX {
+            let Some(request) = self.end.requests.peek() else { break };
+            // One reply is owed for each request that is taken.
+            if self.end.replies.len() + owed >= self.end.replies.capacity() {
+                break;
+            }
+            if request.data.len() > room {
+                if owed > 0 {
+                    // Replies come in order: this one waits for those of the requests before it.
+                    break;
+                }
+                // There is room, as was asked above.
+                let _ = self.end.replies.enqueue(Reply::without_data(no_room));
+            } else if self
+                .first
+                .push_acyclic(request.command, request.address, &request.data, false)
+            {
+                owed += 1;
+            } else {
+                break;
+            }
+            let _ = self.end.requests.dequeue();
+        }
+        if let Some(message) = self.end.messages.peek()
+            && self.end.message_replies.ready()
+        {
+            let taken = if message.data.len() > room {
+                self.end.message_replies.enqueue(Reply::without_data(no_room)).is_ok()
+            } else {
+                self.first
+                    .push_acyclic(message.command, message.address, &message.data, true)
+            };
+            if taken {
+                let _ = self.end.messages.dequeue();
+            }
+        }
+        self.first.finish_acyclic(&self.envelope);
     }
 
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {
-        let view = FrameView::new_checked(frame).map_err(|error| match error {
-            wire::Error::EtherType { .. } => Ignored::EtherType,
-            wire::Error::FrameType { .. } => Ignored::FrameType,
-            _ => Ignored::Truncated,
-        })?;
-        let unmarked = |mac: MacAddress| [mac[0] | SOURCE_BIT, mac[1], mac[2], mac[3], mac[4], mac[5]];
-        if unmarked(view.source()) != unmarked(self.source) {
-            return Err(Ignored::ForeignSource);
-        }
-        let payload = view.payload();
-        let index = read_u8(payload, 1);
-        let is_input = self.input.state != SlotState::Idle && self.input.index == index;
-        let is_output = self.output.state != SlotState::Idle && self.output.index == index;
+        let opened = self.envelope.open(frame, self.source)?;
+        let index = read_u8(opened.payload, 1);
+        let is_input = self.first.state != SlotState::Idle && self.first.index == index;
+        let is_output = self.second.state != SlotState::Idle && self.second.index == index;
         let telegram = match (is_input, is_output) {
-            (true, _) => &mut self.input,
-            (false, true) => &mut self.output,
-            (false, false) => {
-                let age = self.next_index.wrapping_sub(index);
-                let sent_before = u32::from(age) <= self.counters.frames_sent;
-                let late = (1..=LATE_FRAMES).contains(&age) && sent_before;
-                return Err(if late { Ignored::Late } else { Ignored::ForeignIndex });
-            }
+            (true, _) => &mut self.first,
+            (false, true) => &mut self.second,
+            (false, false) => return Err(self.stranger(index)),
         };
-        let touched = telegram.check(payload)?;
-        let marked = view.source()[0] != self.source[0];
-        if !touched && !marked && (is_input || self.source_bit_seen) {
-            return Err(Ignored::Reflection);
-        }
         if telegram.state == SlotState::Received {
             return Err(Ignored::Duplicate);
         }
+        let taken = telegram.take(opened.payload, &mut self.images)?;
+        if !taken.touched && !opened.marked && (is_input || self.source_bit_seen) {
+            return Err(Ignored::Reflection);
+        }
         telegram.state = SlotState::Received;
-        self.source_bit_seen |= marked;
+        self.source_bit_seen |= opened.marked;
+        self.counters.working_counter_errors = self.counters.working_counter_errors.saturating_add(taken.errors);
         if is_input {
-            self.take_inputs(payload);
-            self.answer_acyclic(Some(payload));
+            self.take_inputs(&taken);
+            if !self.first.acyclic.is_empty() {
+                self.answer_acyclic(opened.payload);
+            }
             Ok(Arrival::Input)
         } else {
-            self.count_outputs(payload);
+            self.answered |= taken.answered & self.second_only;
             Ok(Arrival::Output)
         }
     }
 
-    fn is_watched(&self, slave: u8) -> bool {
-        self.plan
-            .slaves
-            .get(usize::from(slave))
-            .is_some_and(|slave| slave.watched)
-    }
-
-    fn take_inputs(&mut self, payload: &[u8]) {
-        let mut errors = 0;
-        for place in &self.input.places {
-            let working_counter = place.working_counter(payload);
-            match place.owner {
-                Owner::Slave(slave) if working_counter == 1 => {
-                    if let Some(image) = self.input_image.get_mut(usize::from(slave)) {
-                        wire::write_bytes(image, 0, place.data(payload));
-                        self.input_valid |= 1 << slave;
-                    }
-                }
-                Owner::Slave(slave) => errors += u32::from(self.is_watched(slave)),
-                Owner::AlStatus => {
-                    let status = read_u16(place.data(payload), 0);
-                    self.al = Some(AlStatus {
-                        status,
-                        slaves: working_counter,
-                    });
-                }
-                Owner::Acyclic => {}
-            }
+    /// What a frame is whose index is not in use.
+    #[cold]
+    fn stranger(&self, index: u8) -> Ignored {
+        let age = self.next_index.wrapping_sub(index);
+        let sent_before = u32::from(age) <= self.counters.frames_sent;
+        if (1..=LATE_FRAMES).contains(&age) && sent_before {
+            Ignored::Late
+        } else {
+            Ignored::ForeignIndex
         }
-        self.counters.working_counter_errors = self.counters.working_counter_errors.saturating_add(errors);
     }
 
-    fn count_outputs(&mut self, payload: &[u8]) {
-        let errors = self.output.places.iter().filter(|place| match place.owner {
-            Owner::Slave(slave) => place.working_counter(payload) != 1 && self.is_watched(slave),
-            _ => false,
-        });
-        let errors = errors.count() as u32;
-        self.counters.working_counter_errors = self.counters.working_counter_errors.saturating_add(errors);
+    fn take_inputs(&mut self, taken: &Taken) {
+        self.input_valid = taken.answered;
+        self.answered |= taken.answered;
+        self.al = taken.al;
+        self.clock_ns = taken.clock_ns;
+        if let Some(time_ns) = taken.clock_ns {
+            self.first.set_clock(time_ns);
+        }
     }
 
-    /// Gives every acyclic request of the input telegram its reply: out of `payload`, or lost.
-    fn answer_acyclic(&mut self, payload: Option<&[u8]>) {
-        for place in &self.input.places {
-            if place.owner != Owner::Acyclic {
-                continue;
-            }
-            let reply = match payload {
-                Some(payload) => Reply {
-                    data: bytes(place.data(payload)),
-                    outcome: Outcome::Processed {
-                        working_counter: place.working_counter(payload),
-                    },
-                },
-                None => Reply {
-                    data: Bytes::new(),
-                    outcome: Outcome::Lost,
-                },
-            };
+    /// Gives every acyclic request of the input telegram its reply.
+    #[cold]
+    fn answer_acyclic(&mut self, payload: &[u8]) {
+        let (replies, message_replies) = (&mut self.end.replies, &mut self.end.message_replies);
+        self.first.each_acyclic(payload, |place, data, working_counter| {
+            let outcome = Outcome::Processed { working_counter };
             // Room was kept when the request was taken.
-            let _ = self.end.replies.enqueue(reply);
+            if place.is_message {
+                let _ = message_replies.enqueue(Reply {
+                    data: bytes(data),
+                    outcome,
+                });
+            } else {
+                let _ = replies.enqueue(Reply {
+                    data: bytes(data),
+                    outcome,
+                });
+            }
+        });
+    }
+
+    /// Tells the slow side that the acyclic requests of the input telegram are lost.
+    fn answer_lost(&mut self) {
+        for place in &self.first.acyclic {
+            // Room was kept when the request was taken.
+            if place.is_message {
+                let _ = self.end.message_replies.enqueue(Reply::without_data(Outcome::Lost));
+            } else {
+                let _ = self.end.replies.enqueue(Reply::without_data(Outcome::Lost));
+            }
         }
     }
 }

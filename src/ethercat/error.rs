@@ -138,6 +138,13 @@ pub enum BusError {
         /// Slaves found.
         actual: u16,
     },
+    /// The cyclic datagrams leave no room in the frame for one this long.
+    NoRoom {
+        /// Bytes of data to be sent.
+        expected: u16,
+        /// Longest data that would fit, bytes.
+        actual: u16,
+    },
     /// The cyclic exchange did not take the plan or gets no inputs of this slave.
     NoInputs {
         /// How long was waited, ms.

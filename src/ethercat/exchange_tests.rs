@@ -3,21 +3,21 @@
 extern crate std;
 
 use super::BusQueues;
-use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request, zeros};
+use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
 use super::configure::{LOGICAL_INPUTS, LOGICAL_OUTPUTS};
 use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignored, SILENT_CYCLES};
 use super::supervisor::SupervisorEnd;
-use super::wire::{
-    Address, Command, Datagram, Datagrams, FRAME_LEN_MAX, FrameBuilder, FrameView, PAYLOAD_OFFSET, SOURCE_BIT,
-    read_u16, write_bytes,
-};
+use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};
 use std::boxed::Box;
 use std::vec::Vec;
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 const SLAVES: usize = 4;
+const MESSAGE: usize = 512;
 
-fn plan(watched: bool) -> CyclicPlan {
+type TestExchange<'a> = Exchange<'a, SLAVES, MESSAGE>;
+
+fn plan(watched: bool) -> CyclicPlan<SLAVES> {
     let slaves = (0..SLAVES as u32).map(|number| CyclicSlave {
         input_address: LOGICAL_INPUTS + 32 * number,
         input_length: 6,
@@ -28,27 +28,23 @@ fn plan(watched: bool) -> CyclicPlan {
     });
     CyclicPlan {
         slaves: slaves.collect(),
-        al_bits_ignored: 0,
+        ..CyclicPlan::default()
     }
 }
 
 /// An exchange with four watched slaves of six bytes each way; it lives as long as the program.
-fn exchange() -> (Exchange<'static>, SupervisorEnd<'static>) {
+fn exchange() -> (TestExchange<'static>, SupervisorEnd<'static, SLAVES, MESSAGE>) {
     let (exchange_end, mut supervisor_end, _) = Box::leak(Box::new(BusQueues::new())).split();
     assert!(supervisor_end.plans.enqueue(plan(true)).is_ok());
     (Exchange::new(exchange_end, MAC), supervisor_end)
 }
 
-fn input(exchange: &mut Exchange<'_>) -> Vec<u8> {
-    let mut frame = [0; FRAME_LEN_MAX];
-    let length = exchange.input_telegram(&mut frame);
-    frame[..length].to_vec()
+fn input(exchange: &mut TestExchange<'_>) -> Vec<u8> {
+    exchange.input_telegram().to_vec()
 }
 
-fn output(exchange: &mut Exchange<'_>) -> Vec<u8> {
-    let mut frame = [0; FRAME_LEN_MAX];
-    let length = exchange.output_telegram(&mut frame);
-    frame[..length].to_vec()
+fn output(exchange: &mut TestExchange<'_>) -> Vec<u8> {
+    exchange.output_telegram().to_vec()
 }
 
 /// Changes each datagram of a frame in place: its number and itself.
@@ -83,7 +79,7 @@ fn answered(mut frame: Vec<u8>) -> Vec<u8> {
     frame
 }
 
-fn valid(exchange: &Exchange<'_>) -> [bool; SLAVES] {
+fn valid(exchange: &TestExchange<'_>) -> [bool; SLAVES] {
     core::array::from_fn(|slave| exchange.input(slave).is_some())
 }
 
@@ -207,16 +203,13 @@ fn a_reflected_frame_is_no_reply_and_replies_without_the_source_bit_are() {
 #[test]
 fn every_request_gets_one_reply_in_order_lost_or_not() {
     let (mut exchange, mut end) = exchange();
-    let request = |register: u16, length: usize| Request {
-        command: Command::Fprd,
-        address: Address::station(0x1001, register),
-        data: zeros(length),
-    };
+    let address = |register| Address::station(0x1001, register);
     for register in 0..IN_FLIGHT_MAX as u16 {
-        assert!(end.port.requests.enqueue(request(register, 2)).is_ok());
+        let request = Request::read(Command::Fprd, address(register), 2);
+        assert!(end.port.registers.requests.enqueue(request).is_ok());
     }
     let telegram = input(&mut exchange);
-    assert!(end.port.replies.dequeue().is_none());
+    assert!(end.port.registers.replies.dequeue().is_none());
     let mut reply = answered(telegram);
     each_datagram(&mut reply, |number, datagram| {
         if number > SLAVES {
@@ -226,21 +219,17 @@ fn every_request_gets_one_reply_in_order_lost_or_not() {
     });
     assert_eq!(exchange.receive(&reply), Arrival::Input);
     for register in 0..IN_FLIGHT_MAX as u16 {
-        let reply = end.port.replies.dequeue().unwrap();
+        let reply = end.port.registers.replies.dequeue().unwrap();
         assert_eq!(reply.outcome, Outcome::Processed { working_counter: 1 });
         assert_eq!(read_u16(&reply.data, 0), register);
     }
 
-    // Two mailboxes do not fit one frame: the second one waits for the next cycle.
-    assert!(end.port.requests.enqueue(request(0x1800, 512)).is_ok());
-    assert!(end.port.requests.enqueue(request(0x1C00, 512)).is_ok());
-    assert!(input(&mut exchange).len() < 800);
-    assert!(input(&mut exchange).len() < 800);
-    assert_eq!(end.port.replies.dequeue().unwrap().outcome, Outcome::Lost);
-    assert!(end.port.replies.dequeue().is_none());
+    let request = Request::read(Command::Fprd, address(0), 64);
+    assert!(end.port.registers.requests.enqueue(request).is_ok());
     input(&mut exchange);
-    assert_eq!(end.port.replies.dequeue().unwrap().outcome, Outcome::Lost);
-    assert_eq!(end.plans.len(), 0);
+    assert!(end.port.registers.replies.dequeue().is_none());
+    input(&mut exchange);
+    assert_eq!(end.port.registers.replies.dequeue().unwrap().outcome, Outcome::Lost);
 }
 
 #[test]
@@ -332,13 +321,4 @@ fn no_frame_whatever_its_bytes_panics_or_passes_unless_it_is_the_reply() {
         }
     }
     assert!((2_000..19_000).contains(&inputs), "{inputs}");
-}
-
-#[test]
-fn a_frame_with_room_for_nothing_is_not_written() {
-    let (mut exchange, _end) = exchange();
-    assert_eq!(exchange.input_telegram(&mut [0; 59]), 0);
-    let mut bytes = [0; 60];
-    write_bytes(&mut bytes, 0, &[0xFF; 6]);
-    assert!(FrameBuilder::resume(&mut bytes, 61, 16).is_err());
 }

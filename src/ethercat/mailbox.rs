@@ -7,7 +7,7 @@
 //!
 //! Invariant: a request is handed to the slave's application once; waiting always ends.
 
-use super::acyclic::{ACYCLIC_BYTES_MAX, AcyclicPort, Bytes, Outcome, Request, bytes, zeros};
+use super::acyclic::{AcyclicPort, Bytes, Outcome, Reply, Request, bytes, no_room, zeros};
 use super::error::BusError;
 use super::wire::coe::{Emergency, Service};
 use super::wire::mailbox::{self, MAILBOX_HEADER_LEN, MailboxRepr, Protocol};
@@ -32,16 +32,16 @@ pub struct Mailbox {
 }
 
 impl Mailbox {
-    /// A mailbox with the windows of the slave's SII.
+    /// A mailbox with the windows of the slave's SII, over a port whose datagrams carry up to `MESSAGE` bytes.
     ///
     /// # Errors
     /// [`BusError::MailboxLength`] when there is none or a window is longer than one datagram may carry.
-    pub fn new(station: u16, out: MailboxWindow, input: MailboxWindow) -> Result<Self, BusError> {
+    pub fn new<const MESSAGE: usize>(station: u16, out: MailboxWindow, input: MailboxWindow) -> Result<Self, BusError> {
         for window in [out, input] {
             let length = usize::from(window.length);
-            if length <= MAILBOX_HEADER_LEN || length > ACYCLIC_BYTES_MAX {
+            if length <= MAILBOX_HEADER_LEN || length > MESSAGE {
                 return Err(BusError::MailboxLength {
-                    expected: ACYCLIC_BYTES_MAX as u16,
+                    expected: MESSAGE as u16,
                     actual: window.length,
                 });
             }
@@ -69,7 +69,7 @@ impl Mailbox {
     ///
     /// # Errors
     /// As [`AcyclicPort::insist`].
-    pub async fn drain(&mut self, port: &mut AcyclicPort<'_>) -> Result<(), BusError> {
+    pub async fn drain<const MESSAGE: usize>(&mut self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
         for _ in 0..DRAIN_MAX {
             if !self.is_full(port, 1).await? {
                 break;
@@ -87,13 +87,13 @@ impl Mailbox {
     /// # Errors
     /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], [`BusError::MailboxLength`], or as
     /// [`AcyclicPort::insist`].
-    pub async fn exchange(
+    pub async fn exchange<const MESSAGE: usize>(
         &mut self,
-        port: &mut AcyclicPort<'_>,
+        port: &mut AcyclicPort<'_, MESSAGE>,
         protocol: Protocol,
         request: &[u8],
         accept: impl Fn(&[u8]) -> bool,
-    ) -> Result<Bytes, BusError> {
+    ) -> Result<Bytes<MESSAGE>, BusError> {
         self.drain(port).await?;
         self.send(port, protocol, request).await?;
         let started_ms = port.now_ms();
@@ -113,13 +113,22 @@ impl Mailbox {
     }
 
     /// Whether the mailbox of sync manager `manager` is full.
-    async fn is_full(&self, port: &mut AcyclicPort<'_>, manager: u8) -> Result<bool, BusError> {
+    async fn is_full<const MESSAGE: usize>(
+        &self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+        manager: u8,
+    ) -> Result<bool, BusError> {
         let status = register::sync_manager(manager) + register::SYNC_MANAGER_STATUS_OFFSET;
         let byte = port.read(self.station, status, 1).await?;
         Ok(read_u8(&byte, 0) & register::MAILBOX_FULL_BIT != 0)
     }
 
-    async fn send(&mut self, port: &mut AcyclicPort<'_>, protocol: Protocol, request: &[u8]) -> Result<(), BusError> {
+    async fn send<const MESSAGE: usize>(
+        &mut self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+        protocol: Protocol,
+        request: &[u8],
+    ) -> Result<(), BusError> {
         if request.len() > self.capacity() {
             return Err(BusError::MailboxLength {
                 expected: self.capacity() as u16,
@@ -134,21 +143,24 @@ impl Mailbox {
             protocol,
             counter: self.counter,
         };
-        let mut data = zeros(usize::from(self.out.length));
-        // Header and request fit the window, which was checked above.
-        let _ = header.emit(&mut data);
-        write_bytes(&mut data, MAILBOX_HEADER_LEN, request);
-        let write = Request {
-            command: Command::Fpwr,
-            address: Address::station(self.station, self.out.start),
-            data,
+        let write = || {
+            let mut data = zeros(usize::from(self.out.length));
+            // Header and request fit the window, which was checked above.
+            let _ = header.emit(&mut data);
+            write_bytes(&mut data, MAILBOX_HEADER_LEN, request);
+            Request {
+                command: Command::Fpwr,
+                address: Address::station(self.station, self.out.start),
+                data,
+            }
         };
         let started_ms = port.now_ms();
         loop {
-            match port.transact(write.clone()).await.outcome {
+            match port.transact_message(write).await.outcome {
                 Outcome::Processed { working_counter: 1 } => return Ok(()),
                 // Full: the slave has not taken the message before.
                 Outcome::Processed { working_counter: 0 } => {}
+                Outcome::NoRoom { room } => return Err(no_room(self.out.length.into(), room)),
                 Outcome::Processed { .. } | Outcome::Lost => {
                     if self.is_full(port, 0).await? || self.answer_comes(port).await? {
                         return Ok(());
@@ -163,7 +175,7 @@ impl Mailbox {
     }
 
     /// Waits a moment for an answer to a request of unknown fate.
-    async fn answer_comes(&self, port: &mut AcyclicPort<'_>) -> Result<bool, BusError> {
+    async fn answer_comes<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<bool, BusError> {
         let started_ms = port.now_ms();
         while port.now_ms().wrapping_sub(started_ms) < UNKNOWN_FATE_MS {
             if self.is_full(port, 1).await? {
@@ -174,16 +186,24 @@ impl Mailbox {
     }
 
     /// Reads a full mailbox. A lost answer is fetched again.
-    async fn fetch(&self, port: &mut AcyclicPort<'_>) -> Result<Bytes, BusError> {
-        let read = Request {
-            command: Command::Fprd,
-            address: Address::station(self.station, self.input.start),
-            data: zeros(usize::from(self.input.length)),
-        };
+    async fn fetch<const MESSAGE: usize>(
+        &self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+    ) -> Result<Bytes<MESSAGE>, BusError> {
+        let window = Address::station(self.station, self.input.start);
+        let length = usize::from(self.input.length);
         for _ in 0..super::acyclic::TRIES_MAX {
-            let reply = port.transact(read.clone()).await;
-            if reply.outcome == (Outcome::Processed { working_counter: 1 }) {
-                return Ok(reply.data);
+            let read = || Request::read(Command::Fprd, window, length);
+            match port.transact_message(read).await {
+                Reply {
+                    data,
+                    outcome: Outcome::Processed { working_counter: 1 },
+                } => return Ok(data),
+                Reply {
+                    outcome: Outcome::NoRoom { room },
+                    ..
+                } => return Err(no_room(length, room)),
+                _ => {}
             }
             // The message may have left the mailbox on a frame that was lost or damaged.
             if !self.is_full(port, 1).await? {
@@ -196,7 +216,7 @@ impl Mailbox {
     }
 
     /// Toggles the repeat bit and waits until the slave has put its last message into the mailbox again.
-    async fn ask_again(&self, port: &mut AcyclicPort<'_>) -> Result<(), BusError> {
+    async fn ask_again<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
         let manager = register::sync_manager(1);
         let activate = manager + register::SYNC_MANAGER_ACTIVATE_OFFSET;
         let wanted = read_u8(&port.read(self.station, activate, 1).await?, 0) ^ register::SYNC_MANAGER_REPEAT;

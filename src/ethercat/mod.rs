@@ -12,6 +12,7 @@ mod bringup_tests;
 pub mod coe;
 pub mod configure;
 pub mod cyclic;
+pub mod envelope;
 pub mod error;
 pub mod event;
 #[cfg(test)]
@@ -20,6 +21,7 @@ pub mod factory;
 #[cfg(test)]
 mod fake;
 pub mod mailbox;
+mod plan;
 pub mod service;
 pub mod slave;
 pub mod state;
@@ -28,7 +30,7 @@ mod telegram;
 pub mod transport;
 pub mod wire;
 
-use acyclic::{AcyclicPort, IN_FLIGHT_MAX, Reply, Request};
+use acyclic::{AcyclicPort, IN_FLIGHT_MAX, Lane, Reply, Request};
 use cyclic::{CyclicPlan, ExchangeEnd, Observation};
 use event::{BusCommand, BusEvent};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -39,11 +41,16 @@ use supervisor::SupervisorEnd;
 const ACYCLIC_PLACES: usize = IN_FLIGHT_MAX + 1;
 
 /// The queues between critical side, supervisor and application; they live in static memory.
+///
+/// `SLAVES` is the most slaves on the bus, up to 32; `MESSAGE` the longest acyclic datagram in bytes, which is the
+/// longest mailbox window that can be used.
 #[derive(Debug)]
-pub struct BusQueues {
-    plans: Queue<CyclicPlan, 3>,
+pub struct BusQueues<const SLAVES: usize, const MESSAGE: usize> {
+    plans: Queue<CyclicPlan<SLAVES>, 3>,
     requests: Queue<Request, ACYCLIC_PLACES>,
     replies: Queue<Reply, ACYCLIC_PLACES>,
+    messages: Queue<Request<MESSAGE>, 2>,
+    message_replies: Queue<Reply<MESSAGE>, 2>,
     observations: Queue<Observation, 17>,
     commands: Queue<BusCommand, 3>,
     events: Queue<BusEvent, 33>,
@@ -63,13 +70,15 @@ pub struct ApplicationEnd<'a> {
     pub answers: Consumer<'a, ServiceResult>,
 }
 
-impl BusQueues {
+impl<const SLAVES: usize, const MESSAGE: usize> BusQueues<SLAVES, MESSAGE> {
     /// Empty queues.
     pub const fn new() -> Self {
         Self {
             plans: Queue::new(),
             requests: Queue::new(),
             replies: Queue::new(),
+            messages: Queue::new(),
+            message_replies: Queue::new(),
             observations: Queue::new(),
             commands: Queue::new(),
             events: Queue::new(),
@@ -79,10 +88,18 @@ impl BusQueues {
     }
 
     /// The ends for the three sides.
-    pub fn split(&mut self) -> (ExchangeEnd<'_>, SupervisorEnd<'_>, ApplicationEnd<'_>) {
+    pub fn split(
+        &mut self,
+    ) -> (
+        ExchangeEnd<'_, SLAVES, MESSAGE>,
+        SupervisorEnd<'_, SLAVES, MESSAGE>,
+        ApplicationEnd<'_>,
+    ) {
         let (plans_in, plans) = self.plans.split();
         let (requests_in, requests) = self.requests.split();
         let (replies, replies_out) = self.replies.split();
+        let (messages_in, messages) = self.messages.split();
+        let (message_replies, message_replies_out) = self.message_replies.split();
         let (observations, observations_out) = self.observations.split();
         let (commands, commands_out) = self.commands.split();
         let (events_in, events) = self.events.split();
@@ -93,11 +110,16 @@ impl BusQueues {
                 plans,
                 requests,
                 replies,
+                messages,
+                message_replies,
                 observations,
             },
             SupervisorEnd {
                 plans: plans_in,
-                port: AcyclicPort::new(requests_in, replies_out),
+                port: AcyclicPort::new(
+                    Lane::new(requests_in, replies_out),
+                    Lane::new(messages_in, message_replies_out),
+                ),
                 observations: observations_out,
                 commands: commands_out,
                 events: events_in,
@@ -114,7 +136,7 @@ impl BusQueues {
     }
 }
 
-impl Default for BusQueues {
+impl<const SLAVES: usize, const MESSAGE: usize> Default for BusQueues<SLAVES, MESSAGE> {
     fn default() -> Self {
         Self::new()
     }

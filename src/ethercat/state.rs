@@ -88,7 +88,10 @@ impl AlReport {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn report(port: &mut AcyclicPort<'_>, station: u16) -> Result<AlReport, BusError> {
+pub async fn report<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<AlReport, BusError> {
     let bytes = port.read(station, register::AL_STATUS, 6).await?;
     let status = super::wire::read_u16(&bytes, 0);
     Ok(AlReport {
@@ -101,7 +104,10 @@ pub async fn report(port: &mut AcyclicPort<'_>, station: u16) -> Result<AlReport
 ///
 /// # Errors
 /// [`BusError::State`] when the flag stays, or as [`AcyclicPort::insist`].
-pub async fn acknowledge(port: &mut AcyclicPort<'_>, station: u16) -> Result<AlReport, BusError> {
+pub async fn acknowledge<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<AlReport, BusError> {
     let before = report(port, station).await?;
     if !before.is_error() {
         return Ok(before);
@@ -132,7 +138,11 @@ pub async fn acknowledge(port: &mut AcyclicPort<'_>, station: u16) -> Result<AlR
 /// # Errors
 /// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not get there, or as
 /// [`AcyclicPort::insist`].
-pub async fn change(port: &mut AcyclicPort<'_>, station: u16, target: AlState) -> Result<(), BusError> {
+pub async fn change<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    target: AlState,
+) -> Result<(), BusError> {
     acknowledge(port, station).await?;
     port.write(station, register::AL_CONTROL, &(target as u16).to_le_bytes())
         .await?;

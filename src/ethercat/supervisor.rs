@@ -10,7 +10,7 @@
 
 use super::acyclic::AcyclicPort;
 use super::configure;
-use super::cyclic::{CyclicPlan, Observation, SLAVES_MAX};
+use super::cyclic::{CyclicPlan, Observation};
 use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::factory;
@@ -50,11 +50,11 @@ const _: () = {
 };
 
 /// The supervisor's ends of the queues.
-pub struct SupervisorEnd<'a> {
+pub struct SupervisorEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
     /// Plans for the critical side.
-    pub plans: Producer<'a, CyclicPlan>,
+    pub plans: Producer<'a, CyclicPlan<SLAVES>>,
     /// Acyclic requests and their replies.
-    pub port: AcyclicPort<'a>,
+    pub port: AcyclicPort<'a, MESSAGE>,
     /// What the critical side sees.
     pub observations: Consumer<'a, Observation>,
     /// Orders of the application.
@@ -94,12 +94,12 @@ impl Failure {
 }
 
 /// Brings the bus up, watches it and repairs it.
-pub struct Supervisor<'a> {
-    end: SupervisorEnd<'a>,
+pub struct Supervisor<'a, const SLAVES: usize, const MESSAGE: usize> {
+    end: SupervisorEnd<'a, SLAVES, MESSAGE>,
     setup: BusSetup,
     started: bool,
     running: bool,
-    slaves: Vec<Slave, SLAVES_MAX>,
+    slaves: Vec<Slave, SLAVES>,
     generation: u8,
     extra_reported: u16,
     seen: Option<Observation>,
@@ -110,9 +110,9 @@ pub struct Supervisor<'a> {
     events_dropped: u32,
 }
 
-impl<'a> Supervisor<'a> {
+impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSAGE> {
     /// A supervisor that waits for [`BusCommand::Start`].
-    pub fn new(end: SupervisorEnd<'a>) -> Self {
+    pub fn new(end: SupervisorEnd<'a, SLAVES, MESSAGE>) -> Self {
         Self {
             end,
             setup: BusSetup::default(),
@@ -218,6 +218,7 @@ impl<'a> Supervisor<'a> {
             slaves: slaves.collect(),
             // The bit of OP is the one that tells of the slaves in use.
             al_bits_ignored: idle_bits & !(AlState::Operational as u16),
+            ..CyclicPlan::default()
         };
         while let Err(back) = self.end.plans.enqueue(plan) {
             plan = back;
@@ -236,9 +237,9 @@ impl<'a> Supervisor<'a> {
         self.send_plan().await;
         let found = self.discover().await.map_err(Failure::bus(Step::Discover))?;
         self.emit(BusEvent::Found { slaves: found }).await;
-        if usize::from(found) > SLAVES_MAX {
+        if usize::from(found) > SLAVES {
             let error = BusError::TooManySlaves {
-                expected: SLAVES_MAX as u16,
+                expected: SLAVES as u16,
                 actual: found,
             };
             return Err(Failure::bus(Step::Discover)(error));
@@ -347,8 +348,8 @@ impl<'a> Supervisor<'a> {
             .await
             .map_err(at(Step::Init))?;
         configure::clear(port, station).await.map_err(at(Step::Init))?;
-        slave.mailbox =
-            Mailbox::new(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).map_err(at(Step::Mailbox))?;
+        slave.mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in)
+            .map_err(at(Step::Mailbox))?;
         configure::mailbox_managers(port, slave)
             .await
             .map_err(at(Step::Mailbox))?;
@@ -433,8 +434,8 @@ impl<'a> Supervisor<'a> {
     fn is_suspicious(&self) -> bool {
         let Some(seen) = self.seen else { return false };
         let present = self.slaves.iter().filter(|slave| slave.condition != Condition::Lost);
-        let (count, status, answering) = present.fold((0, 0, 0_u16), |(count, status, answering), slave| {
-            let answers = u16::from(slave.condition == Condition::Operational) << slave.position;
+        let (count, status, answering) = present.fold((0, 0, 0_u32), |(count, status, answering), slave| {
+            let answers = u32::from(slave.condition == Condition::Operational) << slave.position;
             (count + 1, status | u16::from(slave.report.status), answering | answers)
         });
         seen.silent && count > 0

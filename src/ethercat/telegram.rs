@@ -1,23 +1,28 @@
-//! A prebuilt frame, and the proof that a reply is the answer to its last sending.
+//! A frame that is built once and sent over and over, and the proof that a reply is the answer to its last sending.
 //!
-//! A template is built once for a plan; sending copies it and stamps an index into every datagram. A reply counts only
-//! if each of its datagrams stands where it stood and still has its command, index, address and length.
+//! A frame is built for a plan; each sending stamps an index into its first datagram and, where the slow side has
+//! something to say, appends datagrams for one cycle. Outputs are written into the frame where they stand. A reply
+//! counts only if each of its datagrams still has the header that was sent.
 //!
-//! Invariant: nothing in a reply decides where it is read; the places are those of the frame that was sent.
+//! Invariant: nothing in a reply decides where it is read; it is read where the frame that was sent has it.
 
 use super::acyclic::IN_FLIGHT_MAX;
-use super::cyclic::{PROCESS_BYTES_MAX, SLAVES_MAX};
+use super::cyclic::AlStatus;
+use super::envelope::Envelope;
+use super::plan::{AL_STATUS_LEN, PROCESS_BYTES_MAX, ReferenceClock, Window};
 use super::wire::{
-    Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, FrameBuilder, MacAddress, PAYLOAD_OFFSET, read_u8,
-    read_u16, read_u32,
+    Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, DatagramRepr, FRAME_LEN_MAX, FRAME_LEN_MIN, MacAddress,
+    read_u8, read_u16, register, write_bytes,
 };
 use heapless::Vec;
 
-/// Longest prebuilt frame.
-pub(super) const TEMPLATE_LEN: usize =
-    PAYLOAD_OFFSET + SLAVES_MAX * (DATAGRAM_OVERHEAD + PROCESS_BYTES_MAX) + DATAGRAM_OVERHEAD + 2;
-/// Most datagrams in a frame: the slaves', the AL status, the slow side's.
-pub(super) const DATAGRAMS_MAX: usize = SLAVES_MAX + 1 + IN_FLIGHT_MAX;
+/// Most acyclic datagrams in a frame: requests for registers and one message.
+const ACYCLIC_MAX: usize = IN_FLIGHT_MAX + 1;
+/// Bit of the length field that says that another datagram follows.
+const MORE_BIT: u16 = 1 << 15;
+/// Bit of the length field that a slave sets in a frame that comes round again.
+const CIRCULATING_BIT: u16 = 1 << 14;
+
 /// Why a received frame was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -47,56 +52,8 @@ pub enum Ignored {
 /// Number of kinds of [`Ignored`].
 pub const IGNORED_KINDS: usize = Ignored::Reflection as usize + 1;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Owner {
-    Slave(u8),
-    AlStatus,
-    Acyclic,
-}
-
-/// Where a datagram stands in the payload and what it must still be when it returns.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
-    pub(super) offset: u16,
-    pub(super) length: u16,
-    pub(super) command: Command,
-    pub(super) address: Address,
-    pub(super) owner: Owner,
-}
-
-impl Place {
-    pub(super) fn working_counter(&self, payload: &[u8]) -> u16 {
-        read_u16(
-            payload,
-            usize::from(self.offset) + DATAGRAM_HEADER_LEN + usize::from(self.length),
-        )
-    }
-
-    pub(super) fn data<'p>(&self, payload: &'p [u8]) -> &'p [u8] {
-        let start = usize::from(self.offset) + DATAGRAM_HEADER_LEN;
-        payload.get(start..start + usize::from(self.length)).unwrap_or(&[])
-    }
-
-    /// Checks the returned header against what was sent.
-    pub(super) fn check(&self, payload: &[u8], index: u8, more: bool) -> Result<(), Ignored> {
-        let offset = usize::from(self.offset);
-        let flags = read_u16(payload, offset + 6);
-        if flags & 1 << 14 != 0 {
-            return Err(Ignored::Circulating);
-        }
-        let address = Address(read_u32(payload, offset + 2));
-        let same_address = if self.command.counts_position() {
-            address.register() == self.address.register()
-        } else {
-            address == self.address
-        };
-        let same = read_u8(payload, offset) == self.command as u8
-            && read_u8(payload, offset + 1) == index
-            && same_address
-            && flags == self.length | u16::from(more) << 15;
-        if same { Ok(()) } else { Err(Ignored::Mismatch) }
-    }
-}
+/// Inputs of one slave, in words: copied faster than bytes.
+pub(super) type Image = [[u8; 4]; PROCESS_BYTES_MAX / 4];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SlotState {
@@ -105,97 +62,333 @@ pub(super) enum SlotState {
     Received,
 }
 
-/// A prebuilt frame and the state of its last sending.
-#[derive(Debug)]
-pub(super) struct Telegram {
-    pub(super) template: [u8; TEMPLATE_LEN],
-    pub(super) template_len: usize,
-    pub(super) last: usize,
-    pub(super) places: Vec<Place, DATAGRAMS_MAX>,
-    pub(super) prebuilt: usize,
-    pub(super) index: u8,
-    pub(super) state: SlotState,
-    pub(super) payload_len: usize,
+/// One slave's datagram.
+#[derive(Clone, Copy, Debug)]
+struct Share {
+    slave: u8,
+    watched: bool,
+    input_words: u8,
+    input_offset: u16,
+    length: u16,
+    working_counter: u16,
 }
 
-impl Telegram {
+/// One acyclic datagram of the present sending.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Acyclic {
+    pub(super) length: u16,
+    pub(super) is_message: bool,
+}
+
+/// Where a chain of datagrams has its last one and where it ends.
+#[derive(Clone, Copy, Debug)]
+struct Chain {
+    last: usize,
+    end: usize,
+}
+
+/// What a reply brought.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Taken {
+    /// One bit for each slave whose datagram has the working counter expected.
+    pub(super) answered: u32,
+    /// Datagrams of watched slaves that do not.
+    pub(super) errors: u32,
+    /// The slaves' AL status, if the frame asks for it.
+    pub(super) al: Option<AlStatus>,
+    /// Time of the reference clock, ns, if the frame spreads it and all slaves took it.
+    pub(super) clock_ns: Option<u64>,
+    /// Whether any slave counted anything.
+    pub(super) touched: bool,
+}
+
+/// A prebuilt frame and the state of its last sending.
+#[derive(Debug)]
+pub(super) struct Telegram<const SLAVES: usize> {
+    frame: [u8; FRAME_LEN_MAX],
+    start: usize,
+    shares: Vec<Share, SLAVES>,
+    asks_status: bool,
+    clock: Option<ReferenceClock>,
+    cyclic: Chain,
+    chain: Chain,
+    length: usize,
+    pub(super) acyclic: Vec<Acyclic, ACYCLIC_MAX>,
+    pub(super) index: u8,
+    pub(super) state: SlotState,
+}
+
+impl<const SLAVES: usize> Telegram<SLAVES> {
     pub(super) const fn new() -> Self {
         Self {
-            template: [0; TEMPLATE_LEN],
-            template_len: 0,
-            last: 0,
-            places: Vec::new(),
-            prebuilt: 0,
+            frame: [0; FRAME_LEN_MAX],
+            start: 0,
+            shares: Vec::new(),
+            asks_status: false,
+            clock: None,
+            cyclic: Chain { last: 0, end: 0 },
+            chain: Chain { last: 0, end: 0 },
+            length: 0,
+            acyclic: Vec::new(),
             index: 0,
             state: SlotState::Idle,
-            payload_len: 0,
         }
     }
 
-    /// Builds the template from datagrams: owner, command, address and length.
-    pub(super) fn build(
-        &mut self,
-        source: MacAddress,
-        datagrams: impl Iterator<Item = (Owner, Command, Address, u16)>,
-    ) {
+    /// Starts a frame anew: no datagrams behind the envelope's headers.
+    pub(super) fn clear(&mut self, envelope: &Envelope, source: MacAddress) {
+        self.frame = [0; FRAME_LEN_MAX];
+        envelope.emit(&mut self.frame, source);
+        self.start = envelope.header_len();
+        self.shares.clear();
+        self.asks_status = false;
+        self.clock = None;
+        self.cyclic = Chain {
+            last: self.start,
+            end: self.start,
+        };
+        self.chain = self.cyclic;
+        self.length = 0;
+        self.acyclic.clear();
         self.state = SlotState::Idle;
-        self.places.clear();
-        self.template_len = 0;
-        if let Ok(mut builder) = FrameBuilder::new(&mut self.template, source) {
-            for (owner, command, address, length) in datagrams {
-                let offset = (builder.position() - PAYLOAD_OFFSET) as u16;
-                let place = Place {
-                    offset,
-                    length,
-                    command,
-                    address,
-                    owner,
-                };
-                // Template and list are sized for the largest plan.
-                if builder.push(command, 0, address, usize::from(length)).is_ok() {
-                    let _ = self.places.push(place);
-                }
-            }
-            if let Some(last) = builder.last() {
-                self.last = last;
-                self.template_len = builder.position();
-            }
-        }
-        self.prebuilt = self.places.len();
     }
 
-    /// Copies the template to `frame` and stamps `index`; false when there is nothing to send or no room.
-    pub(super) fn stamp(&mut self, frame: &mut [u8], index: u8) -> bool {
-        self.places.truncate(self.prebuilt);
-        let Some(template) = self.template.get(..self.template_len) else {
-            return false;
+    /// Adds a slave's datagram to a frame that is being built. Gives where its data start in the frame; `None` without
+    /// room.
+    pub(super) fn push_share(&mut self, slave: u8, watched: bool, window: &Window) -> Option<usize> {
+        let share = Share {
+            slave,
+            watched,
+            input_words: window.input_length.div_ceil(4) as u8,
+            input_offset: window.input_offset,
+            length: window.length,
+            working_counter: window.working_counter,
         };
-        let Some(target) = frame.get_mut(..self.template_len) else {
-            return false;
+        if self.shares.is_full() {
+            return None;
+        }
+        let data = self.push(window.command, window.address, usize::from(window.length))?;
+        // There is room, as was asked above.
+        let _ = self.shares.push(share);
+        Some(data)
+    }
+
+    /// Adds the datagrams that concern all slaves: AL status and clock.
+    pub(super) fn push_common(&mut self, clock: Option<ReferenceClock>) {
+        let status = Address::broadcast(register::AL_STATUS);
+        self.asks_status = self.push(Command::Brd, status, AL_STATUS_LEN).is_some();
+        self.clock = clock.filter(|clock| {
+            let address = Address::station(clock.station, register::DC_SYSTEM_TIME);
+            self.push(Command::Frmw, address, clock.length()).is_some()
+        });
+    }
+
+    /// Ends building: what has been added is sent from now on.
+    pub(super) fn finish(&mut self, envelope: &Envelope) {
+        self.cyclic = self.chain;
+        self.close(envelope);
+    }
+
+    /// Adds a datagram with zeroed data at the end of the chain. Gives where its data start in the frame.
+    fn push(&mut self, command: Command, address: Address, length: usize) -> Option<usize> {
+        let end = self.chain.end;
+        let room = self.frame.get_mut(end..end + DATAGRAM_OVERHEAD + length)?;
+        room.fill(0);
+        DatagramRepr::request(command, 0, address, length as u16)
+            .emit(room)
+            .ok()?;
+        if end > self.start {
+            self.set_more(self.chain.last, true);
+        }
+        self.chain = Chain {
+            last: end,
+            end: end + DATAGRAM_OVERHEAD + length,
         };
-        if template.is_empty() {
+        Some(end + DATAGRAM_HEADER_LEN)
+    }
+
+    fn set_more(&mut self, datagram: usize, more: bool) {
+        let length = read_u16(&self.frame, datagram + 6) & !MORE_BIT | if more { MORE_BIT } else { 0 };
+        write_bytes(&mut self.frame, datagram + 6, &length.to_le_bytes());
+    }
+
+    fn close(&mut self, envelope: &Envelope) {
+        self.length = envelope.close(&mut self.frame, self.chain.end);
+    }
+
+    /// Longest data that an acyclic datagram may have beside the cyclic ones, bytes.
+    pub(super) fn room(&self) -> usize {
+        FRAME_LEN_MAX.saturating_sub(self.cyclic.end + DATAGRAM_OVERHEAD)
+    }
+
+    /// Takes the acyclic datagrams off again.
+    pub(super) fn drop_acyclic(&mut self, envelope: &Envelope) {
+        self.acyclic.clear();
+        self.set_more(self.cyclic.last, false);
+        let padding = self.cyclic.end..FRAME_LEN_MIN.max(self.cyclic.end);
+        if let Some(padding) = self.frame.get_mut(padding) {
+            padding.fill(0);
+        }
+        self.chain = self.cyclic;
+        self.close(envelope);
+    }
+
+    /// Appends an acyclic datagram for this sending; false without room.
+    pub(super) fn push_acyclic(&mut self, command: Command, address: Address, data: &[u8], is_message: bool) -> bool {
+        let place = Acyclic {
+            length: data.len() as u16,
+            is_message,
+        };
+        if self.acyclic.is_full() {
             return false;
         }
-        target.copy_from_slice(template);
-        for place in &self.places {
-            if let Some(byte) = target.get_mut(PAYLOAD_OFFSET + usize::from(place.offset) + 1) {
-                *byte = index;
-            }
-        }
-        self.index = index;
+        let Some(start) = self.push(command, address, data.len()) else {
+            return false;
+        };
+        write_bytes(&mut self.frame, start, data);
+        // There is room, as was asked above.
+        let _ = self.acyclic.push(place);
         true
     }
 
-    /// Checks every datagram of a reply, and whether any slave touched it.
-    pub(super) fn check(&self, payload: &[u8]) -> Result<bool, Ignored> {
-        if payload.len() != self.payload_len {
-            return Err(Ignored::Mismatch);
+    /// Closes a frame to which acyclic datagrams were appended.
+    pub(super) fn finish_acyclic(&mut self, envelope: &Envelope) {
+        self.close(envelope);
+    }
+
+    /// Whether there is anything to send.
+    pub(super) fn is_empty(&self) -> bool {
+        self.cyclic.end == self.start
+    }
+
+    /// Stamps the index and gives the frame to be sent.
+    pub(super) fn send(&mut self, index: u8) -> &[u8] {
+        if let Some(byte) = self.frame.get_mut(self.start + 1) {
+            *byte = index;
         }
-        let mut touched = false;
-        for (number, place) in self.places.iter().enumerate() {
-            place.check(payload, self.index, number + 1 < self.places.len())?;
-            touched |= place.working_counter(payload) != 0;
+        self.index = index;
+        self.state = SlotState::Sent;
+        self.frame.get(..self.length).unwrap_or(&[])
+    }
+
+    /// Bytes of the frame, as they will be sent.
+    pub(super) fn bytes_mut(&mut self, start: usize, length: usize) -> Option<&mut [u8]> {
+        self.frame.get_mut(start..start + length)
+    }
+
+    /// The time that is spread with the next sending, ns, until the reference clock puts its own there.
+    pub(super) fn set_clock(&mut self, time_ns: u64) {
+        let Some(clock) = self.clock else { return };
+        let start = self.cyclic.last + DATAGRAM_HEADER_LEN;
+        let bytes = time_ns.to_le_bytes();
+        write_bytes(&mut self.frame, start, bytes.get(..clock.length()).unwrap_or(&bytes));
+    }
+
+    /// Takes a reply's datagrams apart: inputs go to `images`, everything else is given back.
+    ///
+    /// What has been written to `images` counts only if the whole reply is what it should be.
+    ///
+    /// # Errors
+    /// [`Ignored::Mismatch`] or [`Ignored::Circulating`].
+    pub(super) fn take(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Result<Taken, Ignored> {
+        let mut walk = self.walk(payload).ok_or(Ignored::Mismatch)?;
+        let mut taken = Taken::default();
+        for share in &self.shares {
+            let (data, counter) = walk.next(share.length.into(), false).ok_or(Ignored::Mismatch)?;
+            if counter == share.working_counter {
+                taken.answered |= 1 << (share.slave & 31);
+                if let (Some(image), Some(input)) = (
+                    images.get_mut(usize::from(share.slave)),
+                    data.get(usize::from(share.input_offset)..),
+                ) {
+                    let words = input.as_chunks::<4>().0;
+                    for (word, bytes) in image.iter_mut().zip(words).take(share.input_words.into()) {
+                        *word = *bytes;
+                    }
+                }
+            } else {
+                taken.errors += u32::from(share.watched);
+            }
         }
-        Ok(touched)
+        if self.asks_status {
+            let (data, slaves) = walk.next(AL_STATUS_LEN, true).ok_or(Ignored::Mismatch)?;
+            let status = read_u16(data, 0);
+            taken.al = Some(AlStatus { status, slaves });
+        }
+        if let Some(clock) = self.clock {
+            let (data, counter) = walk.next(clock.length(), false).ok_or(Ignored::Mismatch)?;
+            let time = data.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+            let time_ns = if clock.wide { time } else { time & u64::from(u32::MAX) };
+            taken.clock_ns = (counter == clock.slaves).then_some(time_ns);
+        }
+        for place in &self.acyclic {
+            walk.next_any(place.length.into()).ok_or(Ignored::Mismatch)?;
+        }
+        taken.touched = walk.counters != 0;
+        if walk.differences == 0 {
+            Ok(taken)
+        } else if walk.differences == u32::from(CIRCULATING_BIT) << 16 {
+            Err(Ignored::Circulating)
+        } else {
+            Err(Ignored::Mismatch)
+        }
+    }
+
+    /// Hands out the acyclic datagrams of a reply that [`Self::take`] has found good: data and working counter.
+    pub(super) fn each_acyclic(&self, payload: &[u8], mut take: impl FnMut(&Acyclic, &[u8], u16)) {
+        let mut rest = payload.get(self.cyclic.end - self.start..).unwrap_or(&[]);
+        for place in &self.acyclic {
+            let length = usize::from(place.length);
+            let data = rest
+                .get(DATAGRAM_HEADER_LEN..DATAGRAM_HEADER_LEN + length)
+                .unwrap_or(&[]);
+            take(place, data, read_u16(rest, DATAGRAM_HEADER_LEN + length));
+            rest = rest.get(DATAGRAM_OVERHEAD + length..).unwrap_or(&[]);
+        }
+    }
+
+    fn walk<'a>(&'a self, payload: &'a [u8]) -> Option<Walk<'a>> {
+        let sent = self.frame.get(self.start..self.chain.end)?;
+        (sent.len() == payload.len()).then_some(Walk {
+            sent,
+            received: payload,
+            differences: 0,
+            counters: 0,
+        })
+    }
+}
+
+/// Goes through what was sent and what came back side by side, and collects where their headers differ.
+struct Walk<'a> {
+    sent: &'a [u8],
+    received: &'a [u8],
+    differences: u32,
+    counters: u16,
+}
+
+impl<'a> Walk<'a> {
+    /// The next datagram's received bytes from its data on, and its working counter. Slaves count the device half of the
+    /// address where `counts_position`.
+    #[inline(always)]
+    fn next(&mut self, length: usize, counts_position: bool) -> Option<(&'a [u8], u16)> {
+        let (sent, _) = self.sent.split_first_chunk::<8>()?;
+        let (received, _) = self.received.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
+        let low = |bytes: &[u8; 4]| u32::from_le_bytes(*bytes);
+        let mask = if counts_position { 0x0000_FFFF } else { u32::MAX };
+        let ([s0, s1, s2, s3, s4, s5, s6, s7], [r0, r1, r2, r3, r4, r5, r6, r7, ..]) = (*sent, *received);
+        self.differences |= (low(&[s0, s1, s2, s3]) ^ low(&[r0, r1, r2, r3])) & mask;
+        self.differences |= low(&[s4, s5, s6, s7]) ^ low(&[r4, r5, r6, r7]);
+        let data = self.received.get(DATAGRAM_HEADER_LEN..)?;
+        let counter = u16::from_le_bytes(*data.get(length..)?.first_chunk::<2>()?);
+        self.counters |= counter;
+        self.sent = self.sent.get(DATAGRAM_OVERHEAD + length..)?;
+        self.received = self.received.get(DATAGRAM_OVERHEAD + length..)?;
+        Some((data, counter))
+    }
+
+    /// The same for a datagram of any command.
+    fn next_any(&mut self, length: usize) -> Option<(&'a [u8], u16)> {
+        let command = Command::from_number(read_u8(self.sent, 0));
+        self.next(length, command.is_ok_and(Command::counts_position))
     }
 }

@@ -7,10 +7,10 @@ mod image;
 
 use benchmarks::etherpen_master;
 use cortex_m_rt::entry;
-use etherpen::ethercat::BusQueues;
+use etherpen::ethercat_robot::RobotBusQueues;
 
 #[entry]
 fn main() -> ! {
-    static mut QUEUES: BusQueues = BusQueues::new();
+    static mut QUEUES: RobotBusQueues = RobotBusQueues::new();
     etherpen_master::serve(QUEUES, image::wire)
 }

@@ -11,7 +11,7 @@ use benchmarks::{CASES, CYCLES, Case, Master, Meter, measure};
 use core::sync::atomic::{AtomicI32, Ordering, compiler_fence};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
-use etherpen::ethercat::BusQueues;
+use etherpen::ethercat_robot::RobotBusQueues;
 
 /// CMSDK APB timer 0: control, value, reload.
 const TIMER: *mut u32 = 0x4000_0000 as *mut u32;
@@ -111,7 +111,7 @@ fn main() -> ! {
     hprintln!("ram_bytes etherpen {}", etherpen_master::ram_bytes());
     hprintln!("ram_bytes ethercrab {}", ethercrab_master::ram_bytes());
     for (case, storage) in CASES.into_iter().zip(STORAGES) {
-        let mut queues = BusQueues::new();
+        let mut queues = RobotBusQueues::new();
         report(case, "etherpen", EtherpenMaster::new(&mut queues, case));
         report(case, "ethercrab", EthercrabMaster::new(storage, case));
     }

@@ -2,12 +2,10 @@
 
 use super::*;
 use etherpen::drives::cia402::DriveTarget;
-use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::cyclic::Exchange;
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen::ethercat::supervisor::Supervisor;
-use etherpen::ethercat::wire::FRAME_LEN_MAX;
-use etherpen::ethercat_robot::EtherCatRobot;
+use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues};
 use etherpen::io::{AxisCommand, AxisInput};
 use std::pin::pin;
 use std::task::{Context, Waker};
@@ -37,7 +35,7 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
         ..CellOptions::default()
     };
     let mut cell = Cell::new(&config, options);
-    let mut queues = Box::new(BusQueues::new());
+    let mut queues = Box::new(RobotBusQueues::new());
     let (exchange_end, supervisor_end, mut application) = queues.split();
     let mut exchange = Exchange::new(exchange_end, [0x10, 0, 0, 0, 0, 1]);
     let mut supervisor = Supervisor::new(supervisor_end);
@@ -54,9 +52,8 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
         for order in orders.drain(..) {
             assert!(application.commands.enqueue(order).is_ok());
         }
-        let mut frame = [0; FRAME_LEN_MAX];
-        let length = exchange.input_telegram(&mut frame);
-        for reply in cell.frame(now_ms * 1000, &frame[..length]) {
+        let frame = exchange.input_telegram().to_vec();
+        for reply in cell.frame(now_ms * 1000, &frame) {
             exchange.receive(&reply);
         }
         let inputs = robot.read(&exchange);
@@ -77,8 +74,8 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
         }
         orders = millisecond.orders;
         robot.write(&mut exchange, &commands);
-        let length = exchange.output_telegram(&mut frame);
-        for reply in cell.frame(now_ms * 1000 + 100, &frame[..length]) {
+        let frame = exchange.output_telegram().to_vec();
+        for reply in cell.frame(now_ms * 1000 + 100, &frame) {
             exchange.receive(&reply);
         }
         assert!(supervision.as_mut().poll(&mut context).is_pending());

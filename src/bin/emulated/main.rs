@@ -38,8 +38,8 @@ mod app {
     use core::sync::atomic::{AtomicU32, Ordering};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
-    use etherpen::ethercat::supervisor::Supervisor;
     use etherpen::ethercat::transport::raw::RawTransport;
+    use etherpen::ethercat_robot::RobotSupervisor;
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link::task::LinkTask;
     use etherpen::motion::task::TrajectoryTask;
@@ -70,7 +70,7 @@ mod app {
         trajectory: TrajectoryTask<'static>,
         link: LinkTask<'static>,
         health: Health,
-        supervisor: Supervisor<'static>,
+        supervisor: RobotSupervisor<'static>,
         drain: Drain,
     }
 

@@ -61,8 +61,8 @@ mod app {
     use embassy_stm32::uid;
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
-    use etherpen::ethercat::supervisor::Supervisor;
     use etherpen::ethercat::transport::raw::RawTransport;
+    use etherpen::ethercat_robot::RobotSupervisor;
     use etherpen::ethernet::phy::Phy;
     use etherpen::link::task::LinkTask;
     use etherpen::motion::task::TrajectoryTask;
@@ -84,7 +84,7 @@ mod app {
         trajectory: &'static mut TrajectoryTask<'static>,
         link: &'static mut LinkTask<'static>,
         serial: Serial,
-        supervisor: &'static mut Supervisor<'static>,
+        supervisor: &'static mut RobotSupervisor<'static>,
         phy: Phy,
     }
 

@@ -5,7 +5,6 @@
 //!
 //! Invariant: no call waits.
 
-use crate::ethercat::wire::FRAME_LEN_MAX;
 use core::task::{Context, Waker};
 use embassy_net_driver::{Driver, HardwareAddress, RxToken, TxToken};
 
@@ -23,20 +22,16 @@ pub enum Sending {
     Busy,
 }
 
-/// A driver and room for one frame.
+/// EtherCAT over a driver.
 #[derive(Debug)]
 pub struct RawTransport<D> {
     driver: D,
-    frame: [u8; FRAME_LEN_MAX],
 }
 
 impl<D: Driver> RawTransport<D> {
     /// A transport over `driver`.
     pub const fn new(driver: D) -> Self {
-        Self {
-            driver,
-            frame: [0; FRAME_LEN_MAX],
-        }
+        Self { driver }
     }
 
     /// The driver's Ethernet address; a locally administered one for drivers that have none.
@@ -52,12 +47,9 @@ impl<D: Driver> RawTransport<D> {
         &mut self.driver
     }
 
-    /// Sends the frame that `build` writes; `build` gives its length, 0 for none.
-    pub fn send(&mut self, build: impl FnOnce(&mut [u8]) -> usize) -> Sending {
-        let length = build(&mut self.frame);
-        let Some(frame) = self.frame.get(..length) else {
-            return Sending::Nothing;
-        };
+    /// Hands `frame` to the driver; nothing if it is empty.
+    pub fn send(&mut self, frame: &[u8]) -> Sending {
+        let length = frame.len();
         if frame.is_empty() {
             return Sending::Nothing;
         }
@@ -146,13 +138,9 @@ mod tests {
     fn a_frame_goes_out_and_comes_in_and_a_full_driver_drops_it() {
         let mut transport = RawTransport::new(Loopback::default());
         assert_eq!(transport.mac_address(), [1, 2, 3, 4, 5, 6]);
-        assert_eq!(transport.send(|_| 0), Sending::Nothing);
-        let build = |frame: &mut [u8]| {
-            frame[..60].fill(7);
-            60
-        };
-        assert_eq!(transport.send(build), Sending::Sent { length: 60 });
-        assert_eq!(transport.send(build), Sending::Busy);
+        assert_eq!(transport.send(&[]), Sending::Nothing);
+        assert_eq!(transport.send(&[7; 60]), Sending::Sent { length: 60 });
+        assert_eq!(transport.send(&[7; 60]), Sending::Busy);
         assert_eq!(transport.receive(|frame| (frame.len(), frame[59])), Some((60, 7)));
         assert_eq!(transport.receive(|frame| frame.len()), None);
     }

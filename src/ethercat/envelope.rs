@@ -1,0 +1,112 @@
+//! What is wrapped around the datagrams on their way to the segment.
+//!
+//! The headers are written once when a frame is built; sending only touches them when a frame's length has changed.
+//!
+//! Invariant: opening a received frame reads nothing beyond its end and decides nothing but whose it is.
+
+use super::telegram::Ignored;
+use super::wire::{
+    ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT, read_u16,
+    write_bytes,
+};
+
+const LENGTH_MASK: u16 = 0x07FF;
+const TYPE_SHIFT: u16 = 12;
+
+/// How EtherCAT travels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Envelope {
+    /// In Ethernet frames of its own type.
+    #[default]
+    Raw,
+    /// Without any: EtherCAT header and datagrams, for transports that wrap them themselves, such as sockets.
+    Bare,
+}
+
+/// A received frame without its envelope.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Opened<'f> {
+    /// The chain of datagrams.
+    pub(super) payload: &'f [u8],
+    /// Whether a slave controller has marked the source address.
+    pub(super) marked: bool,
+}
+
+impl Envelope {
+    /// Bytes in front of the first datagram, EtherCAT header included.
+    pub(super) const fn header_len(&self) -> usize {
+        match self {
+            Self::Raw => PAYLOAD_OFFSET,
+            Self::Bare => ETHERCAT_HEADER_LEN,
+        }
+    }
+
+    /// Writes the headers, but for the lengths.
+    pub(super) fn emit(&self, frame: &mut [u8], source: MacAddress) {
+        match self {
+            Self::Raw => {
+                write_bytes(frame, 0, &[0xFF; 6]);
+                write_bytes(frame, 6, &source);
+                write_bytes(frame, 12, &ETHERTYPE.to_be_bytes());
+            }
+            Self::Bare => {}
+        }
+    }
+
+    /// Writes the lengths of a frame whose datagrams end at `end`. Gives how many bytes are to be sent; those behind the
+    /// end have to be zero.
+    pub(super) fn close(&self, frame: &mut [u8], end: usize) -> usize {
+        let start = self.header_len();
+        let length = end.saturating_sub(start) as u16 & LENGTH_MASK;
+        let header = length | (EtherCatType::Datagrams as u16) << TYPE_SHIFT;
+        write_bytes(frame, start - ETHERCAT_HEADER_LEN, &header.to_le_bytes());
+        match self {
+            Self::Raw => end.max(FRAME_LEN_MIN),
+            Self::Bare => end,
+        }
+    }
+
+    /// Opens a received frame that `source` may have sent.
+    ///
+    /// # Errors
+    /// [`Ignored::EtherType`], [`Ignored::FrameType`], [`Ignored::Truncated`] or [`Ignored::ForeignSource`].
+    #[inline]
+    pub(super) fn open<'f>(&self, frame: &'f [u8], source: MacAddress) -> Result<Opened<'f>, Ignored> {
+        let (content, marked) = match self {
+            Self::Raw => open_raw(frame, source)?,
+            Self::Bare => (frame, false),
+        };
+        let header = content.first_chunk::<2>().ok_or(Ignored::Truncated)?;
+        let header = u16::from_le_bytes(*header);
+        if header >> TYPE_SHIFT != EtherCatType::Datagrams as u16 {
+            return Err(Ignored::FrameType);
+        }
+        let end = ETHERCAT_HEADER_LEN + usize::from(header & LENGTH_MASK);
+        let payload = content.get(ETHERCAT_HEADER_LEN..end).ok_or(Ignored::Truncated)?;
+        Ok(Opened { payload, marked })
+    }
+}
+
+/// Checks an Ethernet header. Gives what follows it, and whether the source is marked.
+#[inline]
+fn open_raw(frame: &[u8], source: MacAddress) -> Result<(&[u8], bool), Ignored> {
+    let content = frame
+        .get(PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN..)
+        .ok_or(Ignored::Truncated)?;
+    if content.len() < ETHERCAT_HEADER_LEN {
+        return Err(Ignored::Truncated);
+    }
+    if read_u16(frame, 12) != ETHERTYPE.swap_bytes() {
+        return Err(Ignored::EtherType);
+    }
+    let sender = frame
+        .get(6..)
+        .and_then(|rest| rest.first_chunk::<6>())
+        .ok_or(Ignored::Truncated)?;
+    let differs = sender.iter().zip(source).skip(1).fold(0, |bits, (a, b)| bits | (a ^ b));
+    let first = sender[0] ^ source[0];
+    if differs | first & !SOURCE_BIT != 0 {
+        return Err(Ignored::ForeignSource);
+    }
+    Ok((content, first != 0))
+}
