@@ -123,6 +123,20 @@ pub enum Fault {
         /// Drives expected.
         expected: u8,
     },
+    /// The bus clock did not come any more.
+    ClockLost {
+        /// Cycles in a row without a clock value.
+        missing_cycles: u8,
+        /// The limit.
+        limit_cycles: u8,
+    },
+    /// The bus clock or the sample left its phase.
+    ClockJump {
+        /// Phase of the sample against the bus clock, ns; positive when the sample came too late.
+        error_ns: i32,
+        /// The limit, ns.
+        limit_ns: u32,
+    },
 }
 
 /// Why a command was refused; nothing has changed.

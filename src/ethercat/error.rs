@@ -150,6 +150,15 @@ pub enum BusError {
         /// How long was waited, ms.
         waited_ms: u32,
     },
+    /// A slave's clock does not follow the reference.
+    ClockDifference {
+        /// Largest difference allowed, ns.
+        expected_ns: u32,
+        /// Difference there is, ns; positive when the slave is ahead.
+        actual_ns: i32,
+        /// How long was waited, ms.
+        waited_ms: u32,
+    },
 }
 
 impl BusError {

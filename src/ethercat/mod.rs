@@ -9,6 +9,7 @@
 pub mod acyclic;
 #[cfg(test)]
 mod bringup_tests;
+pub mod clock;
 pub mod coe;
 pub mod configure;
 pub mod cyclic;

@@ -217,6 +217,19 @@ pub fn fault(fault: &Fault) -> String {
             let (text, hint) = bring_up_code(code);
             format!("slave {} failed at {}: {text}; {hint}", one(slave), bring_up_step(step))
         }
+        Fault::ClockLost {
+            missing_cycles,
+            limit_cycles,
+        } => format!(
+            "the bus clock did not come for {missing_cycles} cycles (limit {limit_cycles}); look whether the first slave \
+             with a clock still answers (etherpen bus scan)"
+        ),
+        Fault::ClockJump { error_ns, limit_ns } => format!(
+            "the sample was {:.1} us off the bus clock (limit {:.1} us); look for a slave that was restarted, or for an \
+             Ethernet connection that delays frames",
+            f64::from(error_ns) / 1e3,
+            f64::from(limit_ns) / 1e3
+        ),
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"

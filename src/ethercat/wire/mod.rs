@@ -113,6 +113,11 @@ pub(crate) fn read_u32(bytes: &[u8], offset: usize) -> u32 {
     }
 }
 
+/// Reads eight bytes, little-endian; missing ones are 0.
+pub(crate) fn read_u64(bytes: &[u8], offset: usize) -> u64 {
+    u64::from(read_u32(bytes, offset)) | u64::from(read_u32(bytes, offset + 4)) << 32
+}
+
 /// Writes `value` at `offset`; nothing where it does not fit.
 pub(crate) fn write_bytes(bytes: &mut [u8], offset: usize, value: &[u8]) {
     if let Some(target) = bytes.get_mut(offset..).and_then(|rest| rest.get_mut(..value.len())) {

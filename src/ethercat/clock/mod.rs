@@ -1,0 +1,327 @@
+//! Distributed clocks: one time for all slaves, and a sample that keeps its phase to it.
+//!
+//! The first slave with a clock is the reference: its time since power-up is the system time of the bus. Each other clock
+//! gets an offset and the delay of the cables before it, so that all agree at once; from then on a datagram (FRMW of the
+//! system time) carries the reference's time past all others in every cycle, and each slave's own control loop follows
+//! it. [`delay`] computes the delays, [`steering`] keeps the sample's timer in phase. Registers and their order: IEC
+//! 61158-4-12 (distributed clocks) and the slave controllers' public data sheets.
+//!
+//! SYNC0 starts a configured time after the phase at which the frames pass the reference at present, so nobody has to
+//! jump when it starts.
+//!
+//! Invariants: every step is bounded in frames; a slave without a clock is left alone; a slave that returns takes the
+//! time of the others and changes none of theirs.
+
+pub mod delay;
+pub mod steering;
+
+use super::acyclic::{AcyclicPort, Request, zeros};
+use super::cyclic::SLAVES_MAX;
+use super::error::BusError;
+use super::wire::register::{self, DlStatus};
+use super::wire::{Address, Command, read_u32, read_u64};
+use delay::{PortTimes, propagation_delays_ns};
+use heapless::Vec;
+
+/// Frames that carry the reference's time past the others before anything relies on it (static drift compensation).
+pub const SETTLING_FRAMES: u16 = 32;
+/// Largest difference of a slave's system time from the reference's before it goes to OP, ns.
+pub const DIFFERENCE_MAX_NS: u32 = 1_000;
+/// Longest wait for that, ms.
+pub const DIFFERENCE_TIMEOUT_MS: u32 = 2_000;
+/// How far ahead SYNC0's first pulse lies when it is activated, ns: many cycles, also when frames are lost.
+const START_AHEAD_NS: u64 = 100_000_000;
+/// Bytes from the first port's receive time to the end of the processing unit's.
+const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
+/// The sample period, ns.
+const PERIOD_NS: u32 = crate::control::sampler::PERIOD_NS;
+
+/// Width of a slave's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Width {
+    /// Wraps after 4.3 s.
+    #[default]
+    Bits32,
+    /// Does not wrap.
+    Bits64,
+}
+
+/// The clock of one slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlaveClock {
+    /// How many bits its time has; `None` when it has no clock.
+    pub width: Option<Width>,
+    /// What the last measurement latched at its ports.
+    pub ports: PortTimes,
+    /// Its own time when the same frame passed its processing unit, ns.
+    pub local_ns: u64,
+    /// What its system time is ahead of its own, ns, wrapping.
+    pub offset_ns: u64,
+    /// Delay of a frame from the reference, ns.
+    pub delay_ns: u32,
+}
+
+/// The clocks of a bus, in chain order.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BusClocks {
+    /// One entry a slave.
+    pub slaves: Vec<SlaveClock, SLAVES_MAX>,
+    /// Phase of the frames at the reference, ns within the sample period.
+    pub phase_ns: u32,
+}
+
+impl BusClocks {
+    /// The first slave with a clock: its place in the chain.
+    pub fn reference(&self) -> Option<usize> {
+        self.slaves.iter().position(|slave| slave.width.is_some())
+    }
+
+    /// Whether the slave at this place has a clock.
+    pub fn has_clock(&self, position: usize) -> bool {
+        self.slaves.get(position).is_some_and(|slave| slave.width.is_some())
+    }
+
+    /// The offset that lets the slave at `position` agree with `source`, both measured by the same frame.
+    fn offset_ns(&self, position: usize, source: usize) -> Option<u64> {
+        let (slave, source) = (self.slaves.get(position)?, self.slaves.get(source)?);
+        let system_ns = source.local_ns.wrapping_add(source.offset_ns);
+        let later_ns = u64::from(slave.delay_ns).wrapping_sub(u64::from(source.delay_ns));
+        Some(system_ns.wrapping_add(later_ns).wrapping_sub(slave.local_ns))
+    }
+
+    /// When SYNC0 is to start: the first moment at least [`START_AHEAD_NS`] after `now_ns` that lies `shift_ns` behind
+    /// the phase of the frames.
+    pub fn start_time_ns(&self, now_ns: u64, shift_ns: u32) -> u64 {
+        let earliest_ns = now_ns.wrapping_add(START_AHEAD_NS);
+        let period_ns = u64::from(PERIOD_NS);
+        let wanted_ns = (u64::from(self.phase_ns) + u64::from(shift_ns)) % period_ns;
+        let wait_ns = (wanted_ns + period_ns - earliest_ns % period_ns) % period_ns;
+        earliest_ns.wrapping_add(wait_ns)
+    }
+}
+
+/// Finds out which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn discover(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<BusClocks, BusError> {
+    let mut clocks = BusClocks::default();
+    for station in stations.iter().take(SLAVES_MAX) {
+        let features = port.read_u16(*station, register::FEATURES).await?;
+        let width = match features & (register::FEATURE_CLOCKS | register::FEATURE_CLOCKS_64) {
+            both if both & register::FEATURE_CLOCKS == 0 => None,
+            register::FEATURE_CLOCKS => Some(Width::Bits32),
+            _ => Some(Width::Bits64),
+        };
+        // The loop ends at the capacity.
+        let _ = clocks.slaves.push(SlaveClock {
+            width,
+            ..SlaveClock::default()
+        });
+    }
+    Ok(clocks)
+}
+
+/// Lets one frame latch the times of all slaves, and computes the delays.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn measure(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut BusClocks) -> Result<(), BusError> {
+    // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
+    port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
+    for (station, slave) in stations.iter().zip(clocks.slaves.iter_mut()) {
+        let status = port.read_u16(*station, register::DL_STATUS).await?;
+        slave.ports = PortTimes {
+            has_clock: slave.width.is_some(),
+            open: open_ports(status),
+            ..PortTimes::default()
+        };
+        let Some(width) = slave.width else { continue };
+        let times = port.read(*station, register::DC_RECEIVE_TIME, TIMES_LEN).await?;
+        slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
+        let local_ns = read_u64(&times, TIMES_LEN - 8);
+        slave.local_ns = match width {
+            Width::Bits32 => local_ns & u64::from(u32::MAX),
+            Width::Bits64 => local_ns,
+        };
+    }
+    let ports: Vec<PortTimes, SLAVES_MAX> = clocks.slaves.iter().map(|slave| slave.ports).collect();
+    for (slave, delay_ns) in clocks.slaves.iter_mut().zip(propagation_delays_ns(&ports)) {
+        slave.delay_ns = delay_ns;
+    }
+    Ok(())
+}
+
+/// The open ports as bits, from the data-link status.
+fn open_ports(status: u16) -> u8 {
+    let ports = DlStatus::from_bits(status).ports;
+    (0..)
+        .zip(ports)
+        .fold(0, |open, (number, port)| open | u8::from(port.is_open()) << number)
+}
+
+/// Lets all clocks agree: measures, writes offsets and delays, and sends the reference's time round until the control
+/// loops have begun to follow. Does nothing on a bus without clocks.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn set_up(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<BusClocks, BusError> {
+    let mut clocks = discover(port, stations).await?;
+    let Some(reference) = clocks.reference() else {
+        return Ok(clocks);
+    };
+    measure(port, stations, &mut clocks).await?;
+    for (position, station) in stations.iter().enumerate() {
+        if !clocks.has_clock(position) {
+            continue;
+        }
+        let offset_ns = match position == reference {
+            true => Some(0),
+            false => clocks.offset_ns(position, reference),
+        };
+        write_offset(port, *station, position, &mut clocks, offset_ns.unwrap_or(0)).await?;
+    }
+    settle(port, stations, &mut clocks).await?;
+    Ok(clocks)
+}
+
+/// Gives a slave that was switched off the bus' time again; the others keep theirs, also when it is the reference.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn restore(
+    port: &mut AcyclicPort<'_>,
+    stations: &[u16],
+    clocks: &mut BusClocks,
+    position: usize,
+) -> Result<(), BusError> {
+    let source = (0..clocks.slaves.len()).find(|other| *other != position && clocks.has_clock(*other));
+    let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
+        return Ok(());
+    };
+    measure(port, stations, clocks).await?;
+    let offset_ns = source
+        .and_then(|source| clocks.offset_ns(position, source))
+        .unwrap_or(0);
+    write_offset(port, *station, position, clocks, offset_ns).await
+}
+
+/// Writes offset and delay of one slave and clears the filters of its control loop.
+async fn write_offset(
+    port: &mut AcyclicPort<'_>,
+    station: u16,
+    position: usize,
+    clocks: &mut BusClocks,
+    offset_ns: u64,
+) -> Result<(), BusError> {
+    let Some(slave) = clocks.slaves.get_mut(position) else {
+        return Ok(());
+    };
+    slave.offset_ns = offset_ns;
+    let length = match slave.width {
+        Some(Width::Bits64) => 8,
+        _ => 4,
+    };
+    let offset = offset_ns.to_le_bytes();
+    port.write(station, register::DC_OFFSET, offset.get(..length).unwrap_or(&offset))
+        .await?;
+    port.write(station, register::DC_DELAY, &slave.delay_ns.to_le_bytes())
+        .await?;
+    let start = register::SPEED_START_DEFAULT.to_le_bytes();
+    port.write(station, register::DC_SPEED_START, &start).await
+}
+
+/// Sends the reference's time round [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
+async fn settle(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut BusClocks) -> Result<(), BusError> {
+    let Some(station) = clocks.reference().and_then(|reference| stations.get(reference)) else {
+        return Ok(());
+    };
+    let expected = clocks.slaves.iter().filter(|slave| slave.width.is_some()).count() as u16;
+    let request = Request {
+        command: Command::Frmw,
+        address: Address::station(*station, register::DC_SYSTEM_TIME),
+        data: zeros(8),
+    };
+    let (mut first_ns, mut sum_ns, mut readings) = (None, 0_i64, 0_i64);
+    for _ in 0..SETTLING_FRAMES {
+        let time_ns = read_u64(&port.insist(&request, expected).await?, 0);
+        let period_ns = i64::from(PERIOD_NS);
+        let phase_ns = (time_ns % u64::from(PERIOD_NS)) as i64;
+        let first_ns = *first_ns.get_or_insert(phase_ns);
+        // The difference is taken the short way round the period.
+        sum_ns += (phase_ns - first_ns + period_ns / 2).rem_euclid(period_ns) - period_ns / 2;
+        readings += 1;
+        let mean_ns = first_ns + sum_ns / readings;
+        clocks.phase_ns = mean_ns.rem_euclid(period_ns) as u32;
+    }
+    Ok(())
+}
+
+/// A slave's difference from the reference, ns: positive when it is ahead.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn difference_ns(port: &mut AcyclicPort<'_>, station: u16) -> Result<i32, BusError> {
+    let bytes = port.read(station, register::DC_TIME_DIFFERENCE, 4).await?;
+    Ok(register::time_difference_ns(read_u32(&bytes, 0)))
+}
+
+/// Waits until a slave's clock agrees with the reference to [`DIFFERENCE_MAX_NS`]; the time datagram has to ride in the
+/// cyclic frames meanwhile.
+///
+/// # Errors
+/// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::insist`].
+pub async fn await_agreement(port: &mut AcyclicPort<'_>, station: u16) -> Result<i32, BusError> {
+    let started_ms = port.now_ms();
+    loop {
+        let actual_ns = difference_ns(port, station).await?;
+        if actual_ns.unsigned_abs() <= DIFFERENCE_MAX_NS {
+            return Ok(actual_ns);
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > DIFFERENCE_TIMEOUT_MS {
+            return Err(BusError::ClockDifference {
+                expected_ns: DIFFERENCE_MAX_NS,
+                actual_ns,
+                waited_ms,
+            });
+        }
+    }
+}
+
+/// Starts SYNC0 of a slave in PREOP: period of the sample, `shift_ns` after the frames pass the reference.
+///
+/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981. Gives
+/// the start time.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn start_sync(
+    port: &mut AcyclicPort<'_>,
+    station: u16,
+    clocks: &BusClocks,
+    assign_activate: u16,
+    shift_ns: u32,
+) -> Result<u64, BusError> {
+    stop_sync(port, station).await?;
+    port.write(station, register::DC_SYNC0_CYCLE, &PERIOD_NS.to_le_bytes())
+        .await?;
+    let now_ns = read_u64(&port.read(station, register::DC_SYSTEM_TIME, 8).await?, 0);
+    let start_ns = clocks.start_time_ns(now_ns, shift_ns);
+    port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
+        .await?;
+    port.write(station, register::DC_CYCLIC_CONTROL, &assign_activate.to_le_bytes())
+        .await?;
+    Ok(start_ns)
+}
+
+/// Stops SYNC0 and SYNC1 of a slave.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn stop_sync(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+    port.write(station, register::DC_CYCLIC_CONTROL, &[0; 2]).await
+}
+
+#[cfg(test)]
+mod tests;
