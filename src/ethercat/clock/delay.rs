@@ -7,7 +7,6 @@
 //!
 //! Invariant: whatever the times are, every slave gets a delay and no arithmetic overflows; times may wrap.
 
-use crate::ethercat::cyclic::SLAVES_MAX;
 use crate::ethercat::wire::register::PORTS;
 use heapless::Vec;
 
@@ -74,11 +73,11 @@ struct Node {
 
 /// The delay from the first slave with a clock to each slave, ns, in chain order; 0 for slaves without a clock.
 ///
-/// Slaves beyond [`SLAVES_MAX`] are left out. A slave without a clock counts as a part of the cable.
-pub fn propagation_delays_ns(slaves: &[PortTimes]) -> Vec<u32, SLAVES_MAX> {
-    let nodes = tree(slaves);
+/// Slaves beyond `SLAVES` are left out. A slave without a clock counts as a part of the cable.
+pub fn propagation_delays_ns<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<u32, SLAVES> {
+    let nodes: Vec<Node, SLAVES> = tree(slaves);
     let mut delays = Vec::new();
-    for (number, slave) in slaves.iter().enumerate().take(SLAVES_MAX) {
+    for (number, slave) in slaves.iter().enumerate().take(SLAVES) {
         let delay_ns = measured_from(slaves, &nodes, number)
             .filter(|_| slave.has_clock)
             .and_then(|(parent, branch)| {
@@ -93,9 +92,9 @@ pub fn propagation_delays_ns(slaves: &[PortTimes]) -> Vec<u32, SLAVES_MAX> {
 }
 
 /// Who hangs on whom: each slave on the nearest one before it that has an open port left.
-fn tree(slaves: &[PortTimes]) -> Vec<Node, SLAVES_MAX> {
-    let mut nodes: Vec<Node, SLAVES_MAX> = Vec::new();
-    for number in 0..slaves.len().min(SLAVES_MAX) {
+fn tree<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<Node, SLAVES> {
+    let mut nodes: Vec<Node, SLAVES> = Vec::new();
+    for number in 0..slaves.len().min(SLAVES) {
         let has_room = |candidate: &usize| {
             let used = nodes.get(*candidate).map_or(0, |node| node.branches_used);
             slaves
@@ -169,7 +168,7 @@ mod tests {
             ]
         };
         for bases in [[1_000, 77, 500_000, 3], [u32::MAX - 10, u32::MAX - 999, 0, u32::MAX]] {
-            let delays = propagation_delays_ns(&chain(bases));
+            let delays = propagation_delays_ns::<16>(&chain(bases));
             println!("chain: {delays:?} ns");
             assert_eq!(delays[..], [0, 600, 1_000, 1_500]);
         }
@@ -184,7 +183,7 @@ mod tests {
             slave(0b0001, [17, 0, 0, 0]),
             slave(0b0001, [4_000, 0, 0, 0]),
         ];
-        let delays = propagation_delays_ns(&bus);
+        let delays = propagation_delays_ns::<16>(&bus);
         println!("branch: {delays:?} ns");
         assert_eq!(delays[..], [0, 300, 500, 1_700]);
     }
@@ -197,7 +196,7 @@ mod tests {
             slave(0b0011, [1_200, 200, 0, 0]),
             slave(0b0001, [9, 0, 0, 0]),
         ];
-        assert_eq!(propagation_delays_ns(&bus)[..], [0, 500, 1_000]);
+        assert_eq!(propagation_delays_ns::<16>(&bus)[..], [0, 500, 1_000]);
     }
 
     #[test]
@@ -212,7 +211,7 @@ mod tests {
             bare,
             slave(0b0001, [8, 0, 0, 0]),
         ];
-        assert_eq!(propagation_delays_ns(&bus)[..], [0, 0, 0, 1_000]);
+        assert_eq!(propagation_delays_ns::<16>(&bus)[..], [0, 0, 0, 1_000]);
     }
 
     #[test]
@@ -233,7 +232,7 @@ mod tests {
                     received_ns: [random(), random(), random(), random()],
                 })
                 .collect();
-            assert_eq!(propagation_delays_ns(&bus).len(), bus.len().min(SLAVES_MAX));
+            assert_eq!(propagation_delays_ns::<16>(&bus).len(), bus.len().min(16));
         }
     }
 }

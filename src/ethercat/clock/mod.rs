@@ -15,9 +15,9 @@
 pub mod delay;
 pub mod steering;
 
-use super::acyclic::{AcyclicPort, Request, zeros};
-use super::cyclic::SLAVES_MAX;
+use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
+use super::plan::ReferenceClock;
 use super::wire::register::{self, DlStatus};
 use super::wire::{Address, Command, read_u32, read_u64};
 use delay::{PortTimes, propagation_delays_ns};
@@ -63,17 +63,27 @@ pub struct SlaveClock {
 
 /// The clocks of a bus, in chain order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct BusClocks {
+pub struct BusClocks<const SLAVES: usize> {
     /// One entry a slave.
-    pub slaves: Vec<SlaveClock, SLAVES_MAX>,
+    pub slaves: Vec<SlaveClock, SLAVES>,
     /// Phase of the frames at the reference, ns within the sample period.
     pub phase_ns: u32,
 }
 
-impl BusClocks {
+impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// The first slave with a clock: its place in the chain.
     pub fn reference(&self) -> Option<usize> {
         self.slaves.iter().position(|slave| slave.width.is_some())
+    }
+
+    /// What the critical side has to know to spread the reference's time; `stations` are the station addresses.
+    pub fn reference_clock(&self, stations: &[u16]) -> Option<ReferenceClock> {
+        let station = *stations.get(self.reference()?)?;
+        let clocks = self.slaves.iter().filter_map(|slave| slave.width);
+        let (slaves, wide) = clocks.fold((0, true), |(slaves, wide), width| {
+            (slaves + 1, wide && width == Width::Bits64)
+        });
+        Some(ReferenceClock { station, slaves, wide })
     }
 
     /// Whether the slave at this place has a clock.
@@ -104,9 +114,12 @@ impl BusClocks {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn discover(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<BusClocks, BusError> {
-    let mut clocks = BusClocks::default();
-    for station in stations.iter().take(SLAVES_MAX) {
+pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+) -> Result<BusClocks<SLAVES>, BusError> {
+    let mut clocks = BusClocks::<SLAVES>::default();
+    for station in stations.iter().take(SLAVES) {
         let features = port.read_u16(*station, register::FEATURES).await?;
         let width = match features & (register::FEATURE_CLOCKS | register::FEATURE_CLOCKS_64) {
             both if both & register::FEATURE_CLOCKS == 0 => None,
@@ -126,7 +139,11 @@ pub async fn discover(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<Bu
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn measure(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut BusClocks) -> Result<(), BusError> {
+pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+) -> Result<(), BusError> {
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     for (station, slave) in stations.iter().zip(clocks.slaves.iter_mut()) {
@@ -145,8 +162,8 @@ pub async fn measure(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut 
             Width::Bits64 => local_ns,
         };
     }
-    let ports: Vec<PortTimes, SLAVES_MAX> = clocks.slaves.iter().map(|slave| slave.ports).collect();
-    for (slave, delay_ns) in clocks.slaves.iter_mut().zip(propagation_delays_ns(&ports)) {
+    let ports: Vec<PortTimes, SLAVES> = clocks.slaves.iter().map(|slave| slave.ports).collect();
+    for (slave, delay_ns) in clocks.slaves.iter_mut().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         slave.delay_ns = delay_ns;
     }
     Ok(())
@@ -165,8 +182,11 @@ fn open_ports(status: u16) -> u8 {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn set_up(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<BusClocks, BusError> {
-    let mut clocks = discover(port, stations).await?;
+pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+) -> Result<BusClocks<SLAVES>, BusError> {
+    let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
     let Some(reference) = clocks.reference() else {
         return Ok(clocks);
     };
@@ -189,10 +209,10 @@ pub async fn set_up(port: &mut AcyclicPort<'_>, stations: &[u16]) -> Result<BusC
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn restore(
-    port: &mut AcyclicPort<'_>,
+pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
-    clocks: &mut BusClocks,
+    clocks: &mut BusClocks<SLAVES>,
     position: usize,
 ) -> Result<(), BusError> {
     let source = (0..clocks.slaves.len()).find(|other| *other != position && clocks.has_clock(*other));
@@ -207,11 +227,11 @@ pub async fn restore(
 }
 
 /// Writes offset and delay of one slave and clears the filters of its control loop.
-async fn write_offset(
-    port: &mut AcyclicPort<'_>,
+async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     position: usize,
-    clocks: &mut BusClocks,
+    clocks: &mut BusClocks<SLAVES>,
     offset_ns: u64,
 ) -> Result<(), BusError> {
     let Some(slave) = clocks.slaves.get_mut(position) else {
@@ -232,16 +252,17 @@ async fn write_offset(
 }
 
 /// Sends the reference's time round [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
-async fn settle(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut BusClocks) -> Result<(), BusError> {
+async fn settle<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+) -> Result<(), BusError> {
     let Some(station) = clocks.reference().and_then(|reference| stations.get(reference)) else {
         return Ok(());
     };
     let expected = clocks.slaves.iter().filter(|slave| slave.width.is_some()).count() as u16;
-    let request = Request {
-        command: Command::Frmw,
-        address: Address::station(*station, register::DC_SYSTEM_TIME),
-        data: zeros(8),
-    };
+    let address = Address::station(*station, register::DC_SYSTEM_TIME);
+    let request = Request::read(Command::Frmw, address, 8);
     let (mut first_ns, mut sum_ns, mut readings) = (None, 0_i64, 0_i64);
     for _ in 0..SETTLING_FRAMES {
         let time_ns = read_u64(&port.insist(&request, expected).await?, 0);
@@ -261,7 +282,10 @@ async fn settle(port: &mut AcyclicPort<'_>, stations: &[u16], clocks: &mut BusCl
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn difference_ns(port: &mut AcyclicPort<'_>, station: u16) -> Result<i32, BusError> {
+pub async fn difference_ns<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<i32, BusError> {
     let bytes = port.read(station, register::DC_TIME_DIFFERENCE, 4).await?;
     Ok(register::time_difference_ns(read_u32(&bytes, 0)))
 }
@@ -271,7 +295,10 @@ pub async fn difference_ns(port: &mut AcyclicPort<'_>, station: u16) -> Result<i
 ///
 /// # Errors
 /// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::insist`].
-pub async fn await_agreement(port: &mut AcyclicPort<'_>, station: u16) -> Result<i32, BusError> {
+pub async fn await_agreement<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<i32, BusError> {
     let started_ms = port.now_ms();
     loop {
         let actual_ns = difference_ns(port, station).await?;
@@ -296,10 +323,10 @@ pub async fn await_agreement(port: &mut AcyclicPort<'_>, station: u16) -> Result
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn start_sync(
-    port: &mut AcyclicPort<'_>,
+pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
-    clocks: &BusClocks,
+    clocks: &BusClocks<SLAVES>,
     assign_activate: u16,
     shift_ns: u32,
 ) -> Result<u64, BusError> {
@@ -319,7 +346,10 @@ pub async fn start_sync(
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn stop_sync(port: &mut AcyclicPort<'_>, station: u16) -> Result<(), BusError> {
+pub async fn stop_sync<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<(), BusError> {
     port.write(station, register::DC_CYCLIC_CONTROL, &[0; 2]).await
 }
 

@@ -2,13 +2,14 @@
 
 extern crate std;
 
-use super::super::acyclic::{Outcome, Reply};
+use super::super::acyclic::{Lane, Outcome, Reply};
 use super::super::wire::write_bytes;
 use super::*;
 use core::future::Future;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use heapless::spsc::Queue;
+use std::boxed::Box;
 use std::collections::VecDeque;
 use std::println;
 use std::string::String;
@@ -145,14 +146,21 @@ impl Chain {
     }
 
     /// Runs a step of the set-up to its end.
-    fn run<T, F>(&mut self, step: impl FnOnce(AcyclicPort<'static>) -> F) -> T
+    fn run<T, F>(&mut self, step: impl FnOnce(AcyclicPort<'static, 64>) -> F) -> T
     where
         F: Future<Output = T>,
     {
-        let requests: &'static mut Queue<Request, 5> = std::boxed::Box::leak(std::boxed::Box::default());
-        let replies: &'static mut Queue<Reply, 5> = std::boxed::Box::leak(std::boxed::Box::default());
+        let requests: &'static mut Queue<Request, 5> = Box::leak(Box::default());
+        let replies: &'static mut Queue<Reply, 5> = Box::leak(Box::default());
+        let messages: &'static mut Queue<Request<64>, 2> = Box::leak(Box::default());
+        let message_replies: &'static mut Queue<Reply<64>, 2> = Box::leak(Box::default());
         let ((request_in, mut request_out), (mut reply_in, reply_out)) = (requests.split(), replies.split());
-        let mut future = pin!(step(AcyclicPort::new(request_in, reply_out)));
+        let (message_in, message_reply_out) = (messages.split().0, message_replies.split().1);
+        let port = AcyclicPort::new(
+            Lane::new(request_in, reply_out),
+            Lane::new(message_in, message_reply_out),
+        );
+        let mut future = pin!(step(port));
         for _ in 0..10_000 {
             if let Poll::Ready(result) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
                 return result;
@@ -166,8 +174,8 @@ impl Chain {
         panic!("no end after {} frames", self.frames);
     }
 
-    fn set_up(&mut self) -> BusClocks {
-        self.run(async |mut port: AcyclicPort<'static>| set_up(&mut port, &STATIONS).await)
+    fn set_up(&mut self) -> BusClocks<16> {
+        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS).await)
             .expect("the set-up")
     }
 
@@ -175,7 +183,7 @@ impl Chain {
         STATIONS
             .iter()
             .map(|station| {
-                self.run(async |mut port: AcyclicPort<'static>| difference_ns(&mut port, *station).await)
+                self.run(async |mut port: AcyclicPort<'static, 64>| difference_ns(&mut port, *station).await)
                     .expect("the difference")
             })
             .collect()
@@ -260,7 +268,7 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
         chain.slaves[position].put(register::DC_OFFSET, &[0; 12]);
         let writes = chain.log.matches("Fpwr").count();
         chain
-            .run(async |mut port: AcyclicPort<'static>| restore(&mut port, &STATIONS, &mut clocks, position).await)
+            .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, position).await)
             .expect("the clock");
         assert_eq!(chain.log.matches("Fpwr").count() - writes, 3, "only its own registers");
         let passed_ns = chain.slaves[1].system_ns(chain.true_ns) - before_ns;
@@ -278,7 +286,9 @@ fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
     for (shift_ns, station) in [(0, STATIONS[1]), (250_000, STATIONS[2]), (999_999, STATIONS[3])] {
         chain.log.clear();
         let start_ns = chain
-            .run(async |mut port: AcyclicPort<'static>| start_sync(&mut port, station, &clocks, 0x0300, shift_ns).await)
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                start_sync(&mut port, station, &clocks, 0x0300, shift_ns).await
+            })
             .expect("the activation");
         assert_eq!(chain.log, "Fpwr:0980 Fpwr:09a0 Fprd:0910 Fpwr:0990 Fpwr:0980");
         let now_ns = chain.slaves[0].system_ns(chain.true_ns);
@@ -301,7 +311,7 @@ fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
     // Half a percent fast and without a control loop: 32 frames later it is far away.
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 5_000_000), (WIDE, 42, 0), (WIDE, 7, 0)]);
     chain.set_up();
-    let result = chain.run(async |mut port: AcyclicPort<'static>| await_agreement(&mut port, STATIONS[1]).await);
+    let result = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[1]).await);
     match result {
         Err(BusError::ClockDifference {
             expected_ns: DIFFERENCE_MAX_NS,
@@ -313,6 +323,6 @@ fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
         }
         other => panic!("{other:?}"),
     }
-    let agreed = chain.run(async |mut port: AcyclicPort<'static>| await_agreement(&mut port, STATIONS[2]).await);
+    let agreed = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[2]).await);
     assert_eq!(agreed, Ok(0));
 }
