@@ -7,7 +7,7 @@ use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
 use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
 use crate::cell::capture::{Capture, Direction};
-use crate::cell::{AlState, Cell, CellOptions, SlaveState};
+use crate::cell::{AlState, Cell, CellOptions, SlaveKind, SlaveListError, SlaveState, parse_slaves};
 use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
 use serde::Serialize;
@@ -22,6 +22,10 @@ use std::time::{Duration, Instant};
 pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
+    /// The slaves in the order of the chain: ax2000, cia402, ek1100 or sii:FILE, with *N for N of a kind, for instance
+    /// ax2000*4,ek1100. Without it an AX2000 for each of the configured drives.
+    #[arg(long, value_name = "LIST", value_parser = slave_list)]
+    slaves: Option<SlaveList>,
     /// Scripted faults, one a line; see host-tools/src/cell/faults.rs.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
@@ -33,6 +37,14 @@ pub struct Arguments {
     json: bool,
     #[command(flatten)]
     config: ConfigArguments,
+}
+
+/// A chain of slaves.
+#[derive(Clone, Debug)]
+struct SlaveList(Vec<SlaveKind>);
+
+fn slave_list(text: &str) -> Result<SlaveList, SlaveListError> {
+    parse_slaves(text).map(SlaveList)
 }
 
 /// How often the cell's time goes on without a frame.
@@ -94,18 +106,26 @@ struct Summary {
 #[derive(Debug, Serialize)]
 struct SlaveSummary {
     slave: usize,
+    kind: &'static str,
     powered: bool,
     al_state: &'static str,
     al_status_code: u16,
     al_status_text: &'static str,
-    drive: String,
+    /// Nothing where there is no drive.
+    drive: Option<String>,
     drive_error: u16,
 }
 
 impl SlaveSummary {
-    fn new((slave, state): (usize, &SlaveState)) -> Self {
+    fn new(slave: usize, kind: &SlaveKind, state: &SlaveState) -> Self {
         Self {
             slave,
+            kind: match kind {
+                SlaveKind::Ax2000 => "ax2000",
+                SlaveKind::Cia402 => "cia402",
+                SlaveKind::Ek1100 => "ek1100",
+                SlaveKind::Sii(_) => "sii",
+            },
             powered: state.powered,
             al_state: match state.al_state {
                 AlState::Init => "INIT",
@@ -115,7 +135,7 @@ impl SlaveSummary {
             },
             al_status_code: state.al_status_code,
             al_status_text: al_code_text(state.al_status_code),
-            drive: format!("{:?}", state.drive),
+            drive: kind.is_drive().then(|| format!("{:?}", state.drive)),
             drive_error: state.drive_error,
         }
     }
@@ -128,13 +148,16 @@ impl SlaveSummary {
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let faults = read_faults(arguments.faults.as_deref())?;
-    let cell = Cell::new(
-        &config,
-        CellOptions {
-            faults,
-            ..CellOptions::default()
-        },
-    );
+    let slaves = match &arguments.slaves {
+        Some(SlaveList(slaves)) => slaves.clone(),
+        None => vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
+    };
+    let options = CellOptions {
+        faults,
+        slaves: slaves.clone(),
+        ..CellOptions::default()
+    };
+    let cell = Cell::new(&config, options);
     let ended = ended_by_a_signal()?;
     let port =
         transport::listen(&arguments.segment.endpoint()).map_err(|error| CommandError::new(code::CONNECTION, error))?;
@@ -148,6 +171,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     eprintln!("{} slaves; Ctrl-C ends the segment.", cell.state().slaves.len());
     let mut running = Running {
         cell,
+        slaves,
         port,
         capture,
         clock: Clock::new(),
@@ -175,6 +199,7 @@ fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {
 /// The segment at work.
 struct Running {
     cell: Cell,
+    slaves: Vec<SlaveKind>,
     port: Box<dyn SegmentPort>,
     capture: Option<Capture<BufWriter<File>>>,
     clock: Clock,
@@ -227,6 +252,7 @@ impl Running {
                 .map_err(|cause| CommandError::failed("the capture", cause))?;
         }
         let state = self.cell.state();
+        let slaves = (1..).zip(self.slaves.iter().zip(&state.slaves));
         Ok(Summary {
             listens,
             seconds: ran.as_secs_f64(),
@@ -234,7 +260,9 @@ impl Running {
             frames: state.frames,
             replies: self.replies,
             ignored: self.ignored,
-            slaves: (1..).zip(&state.slaves).map(SlaveSummary::new).collect(),
+            slaves: slaves
+                .map(|(slave, (kind, state))| SlaveSummary::new(slave, kind, state))
+                .collect(),
         })
     }
 }
@@ -250,7 +278,11 @@ fn tell(summary: &Summary) {
             0 => String::new(),
             number => format!(", AL status code {number:#06x}: {}", slave.al_status_text),
         };
-        eprintln!("slave {}: {}, {}{error}", slave.slave, slave.al_state, slave.drive);
+        let drive = slave.drive.as_ref().map_or(String::new(), |drive| format!(", {drive}"));
+        eprintln!(
+            "slave {}: {}, {}{drive}{error}",
+            slave.slave, slave.kind, slave.al_state
+        );
     }
 }
 

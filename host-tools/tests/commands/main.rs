@@ -2,6 +2,7 @@
 //!
 //! The commands that need no emulator are tried here, those that do in `emulator`.
 
+mod bus;
 // The tests there look at processes by way of /proc.
 #[cfg(target_os = "linux")]
 mod emulator;

@@ -194,3 +194,21 @@ fn a_missing_right_is_answered_with_the_command_that_gives_it() {
         "{stderr}"
     );
 }
+
+#[test]
+fn a_list_of_slaves_makes_the_chain_and_a_wrong_word_is_named() {
+    let folder = Folder::new();
+    let place = folder.join("segment.sock");
+    let words = ["segment", "--json", "--slaves", "ek1100,cia402,ax2000*2", "--unix"];
+    let segment = Segment::start(etherpen(&folder).args(words).arg(&place));
+    let summary: serde_json::Value = serde_json::from_str(&segment.end()).expect("JSON");
+    let slaves = summary["slaves"].as_array().expect("a list");
+    let kinds: Vec<_> = slaves.iter().filter_map(|slave| slave["kind"].as_str()).collect();
+    assert_eq!(kinds, ["ek1100", "cia402", "ax2000", "ax2000"]);
+    assert!(slaves[0]["drive"].is_null() && slaves[1]["drive"].is_string());
+    let (status, _, stderr) = run(etherpen(&folder)
+        .args(["segment", "--slaves", "ax200", "--unix"])
+        .arg(&place));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("'ax200'") && stderr.contains("ek1100"), "{stderr}");
+}
