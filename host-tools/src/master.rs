@@ -9,12 +9,14 @@
 
 use crate::transport::Transport;
 use etherpen::controller::MASTER_ADDRESS;
-use etherpen::ethercat::cyclic::{Arrival, BusCounters};
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup, Step};
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
+use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
-use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
+use etherpen::ethercat_robot::BUS_MESSAGE_BYTES;
 use std::io;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,6 +36,11 @@ const SILENT_WAIT: Duration = Duration::from_millis(1);
 const SILENT_CYCLES: u32 = 10;
 /// Most milliseconds that the supervisor catches up at once.
 const CATCH_UP_MS_MAX: u64 = 100;
+
+/// Most slaves on the bus; 32 are the most that the exchange reports.
+const SLAVES_MAX: usize = 32;
+
+type HostExchange<'a> = Exchange<'a, SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
 /// Why the master cannot work, or not any more.
 #[derive(Debug)]
@@ -74,11 +81,35 @@ pub struct Master {
 }
 
 impl Master {
+    /// Looks at the bus only: the slaves stay as they are until a request changes one.
+    ///
+    /// # Errors
+    /// The system has no thread left.
+    pub fn look(transport: Box<dyn Transport>) -> Result<Self, MasterError> {
+        Self::new(transport, None)
+    }
+
     /// Brings the bus up as `setup` says; `wait` is the longest time for it.
     ///
     /// # Errors
     /// The step that failed, or that the transport was lost.
     pub fn start(transport: Box<dyn Transport>, setup: BusSetup, wait: Duration) -> Result<Self, MasterError> {
+        let mut master = Self::new(transport, Some(setup))?;
+        let until = Instant::now() + wait;
+        loop {
+            match master.report(until, wait)? {
+                Report::Event(BusEvent::Operational) => return Ok(master),
+                Report::Event(BusEvent::Refused { position, step, error }) => {
+                    return Err(MasterError::Refused { position, step, error });
+                }
+                Report::Event(event) => master.events.push(event),
+                Report::Answer(_) => {}
+                Report::Lost(error) => return Err(MasterError::Transport(error)),
+            }
+        }
+    }
+
+    fn new(transport: Box<dyn Transport>, setup: Option<BusSetup>) -> Result<Self, MasterError> {
         let (requests, asked) = mpsc::channel();
         let (reporter, reports) = mpsc::channel();
         let ended = Arc::new(AtomicBool::new(false));
@@ -95,26 +126,14 @@ impl Master {
             .name("bus".into())
             .spawn(move || worker.run(setup))
             .map_err(MasterError::Transport)?;
-        let mut master = Self {
+        Ok(Self {
             requests,
             reports,
             events: Vec::new(),
             counters,
             ended,
             thread: Some(thread),
-        };
-        let until = Instant::now() + wait;
-        loop {
-            match master.report(until, wait)? {
-                Report::Event(BusEvent::Operational) => return Ok(master),
-                Report::Event(BusEvent::Refused { position, step, error }) => {
-                    return Err(MasterError::Refused { position, step, error });
-                }
-                Report::Event(event) => master.events.push(event),
-                Report::Answer(_) => {}
-                Report::Lost(error) => return Err(MasterError::Transport(error)),
-            }
-        }
+        })
     }
 
     /// Asks something of the bus and waits for the answer, at most `wait`.
@@ -179,15 +198,17 @@ struct Worker {
 }
 
 impl Worker {
-    fn run(mut self, setup: BusSetup) {
-        let mut queues = Box::new(RobotBusQueues::new());
+    fn run(mut self, setup: Option<BusSetup>) {
+        let mut queues = Box::new(BusQueues::<SLAVES_MAX, BUS_MESSAGE_BYTES>::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
-        let mut exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
-        let mut supervisor = RobotSupervisor::new(supervisor_end);
+        let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
+        let mut supervisor = Supervisor::new(supervisor_end);
         let mut supervision = pin!(supervisor.run());
         let mut context = Context::from_waker(Waker::noop());
-        // The queue is empty.
-        let _ = application.commands.enqueue(BusCommand::Start(setup));
+        if let Some(setup) = setup {
+            // The queue is empty.
+            let _ = application.commands.enqueue(BusCommand::Start(setup));
+        }
         let begun = Instant::now();
         let (mut polled_ms, mut released) = (0, begun);
         while !self.ended.load(Ordering::Relaxed) {
@@ -218,9 +239,9 @@ impl Worker {
     }
 
     /// Inputs, then outputs; lasts until `until` at least.
-    fn cycle(&mut self, exchange: &mut RobotExchange, until: Instant) -> io::Result<()> {
-        self.transact(exchange, RobotExchange::input_telegram, Arrival::Input)?;
-        self.transact(exchange, RobotExchange::output_telegram, Arrival::Output)?;
+    fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
+        self.transact(exchange, HostExchange::input_telegram, Arrival::Input)?;
+        self.transact(exchange, HostExchange::output_telegram, Arrival::Output)?;
         let mut frame = [0; FRAME_LEN_MAX];
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -237,8 +258,8 @@ impl Worker {
     /// Sends a telegram and waits for its reply.
     fn transact<'q>(
         &mut self,
-        exchange: &mut RobotExchange<'q>,
-        telegram: for<'t> fn(&'t mut RobotExchange<'q>) -> &'t [u8],
+        exchange: &mut HostExchange<'q>,
+        telegram: for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8],
         expected: Arrival,
     ) -> io::Result<()> {
         let telegram = telegram(exchange);

@@ -8,13 +8,12 @@ use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session};
 use crate::master::Master;
 use crate::transport::{self, Endpoint};
-use etherpen::config::{Bus, Config};
-use etherpen::ethercat::event::BusSetup;
+use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
 use std::time::{Duration, Instant};
 
-/// Longest wait for the bus to be there.
-const START_MAX: Duration = Duration::from_secs(60);
+/// Longest time for which a busy bus is asked again.
+const BUSY_MAX: Duration = Duration::from_secs(60);
 /// Longest wait for one answer.
 const ANSWER_MAX: Duration = Duration::from_secs(60);
 /// Longest wait for a firmware's greeting, ms.
@@ -23,8 +22,6 @@ const GREETING_MAX_MS: u64 = 5_000;
 const SILENCE_MAX_MS: u64 = 5_000;
 /// Pause before a question is asked again that found the bus busy.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Watchdog of the drives' outputs under a computer that is no controller, ms.
-const WATCHDOG_MS: u16 = 1_000;
 
 /// One question, one answer.
 trait Carrier {
@@ -39,7 +36,7 @@ struct Patient<C>(C);
 
 impl<C: Carrier> BusAccess for Patient<C> {
     fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError> {
-        let until = Instant::now() + START_MAX;
+        let until = Instant::now() + BUSY_MAX;
         loop {
             match self.0.ask(request.clone()).map_err(AccessError::Lost)? {
                 Ok(reply) => return Ok(reply),
@@ -52,23 +49,14 @@ impl<C: Carrier> BusAccess for Patient<C> {
     }
 }
 
-/// The master on this computer: finds the slaves and leaves them in the state they have after that.
+/// The master on this computer; the slaves stay as they are until a request changes one.
 ///
 /// # Errors
-/// There is no way to the segment, or no slave answers.
-pub(super) fn own_master(endpoint: &Endpoint, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
+/// There is no way to the segment.
+pub(super) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, CommandError> {
     let transport = transport::open(endpoint).map_err(|error| CommandError::new(code::CONNECTION, error))?;
-    let setup = BusSetup {
-        bus: Bus {
-            // Whatever is there is welcome.
-            drives: 0,
-            watchdog_ms: WATCHDOG_MS,
-            ..config.bus.clone()
-        },
-        axes: config.axes,
-    };
-    let started = Master::start(transport, setup, START_MAX);
-    let master = started.map_err(|error| CommandError::new(code::CONNECTION, text::master_error(&error)))?;
+    let master =
+        Master::look(transport).map_err(|error| CommandError::new(code::FAILED, text::master_error(&error)))?;
     Ok(Box::new(Patient(master)))
 }
 

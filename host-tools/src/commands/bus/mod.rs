@@ -21,7 +21,8 @@ use value::Type;
 /// Options of `etherpen bus`.
 ///
 /// Slaves count from 1 in chain order. Objects are written INDEX:SUB with a hexadecimal index, for instance 6041:0.
-/// This computer's master brings the slaves to INIT and finds them anew; no other master may be at work on the bus.
+/// This computer's master gives the slaves addresses and leaves their states alone until it is asked for another; no
+/// other master may be at work on the bus.
 /// --port takes over the connection of a program that is drawing.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
@@ -195,7 +196,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let way = &arguments.way;
     let mut access = match (&way.port, way.endpoint()) {
-        (_, Ok(endpoint)) => carrier::own_master(&endpoint, &config)?,
+        (_, Ok(endpoint)) => carrier::own_master(&endpoint)?,
         (Some(port), Err(_)) if way.is_port_alone() => carrier::firmware(port, &config)?,
         (_, Err(why)) => return Err(CommandError::new(code::USAGE, why)),
     };
