@@ -26,6 +26,12 @@ pub(super) mod code {
     pub(in crate::cell) const OUTPUTS: u16 = 0x001D;
     /// The input sync manager is not as it must be.
     pub(in crate::cell) const INPUTS: u16 = 0x001E;
+    /// Synchronisation went away in OP.
+    pub(in crate::cell) const SYNC_LOST: u16 = 0x002C;
+    /// No SYNC0 pulse came.
+    pub(in crate::cell) const NO_SYNC: u16 = 0x002D;
+    /// The SYNC unit's registers do not go together.
+    pub(in crate::cell) const SYNC_INVALID: u16 = 0x0030;
 }
 
 /// State of a slave's application layer.
@@ -48,6 +54,10 @@ pub(super) struct Readiness {
     pub(super) outputs: bool,
     pub(super) inputs: bool,
     pub(super) outputs_received: bool,
+    /// The SYNC unit is off, or its registers go together.
+    pub(super) sync_valid: bool,
+    /// The SYNC unit is off, or pulses come.
+    pub(super) synchronous: bool,
 }
 
 /// State, error bit and code.
@@ -92,14 +102,24 @@ impl Application {
         self.refuse(code);
     }
 
+    /// Refuses a request for this state, if it is one, whatever the checks say.
+    pub(super) fn deny(&mut self, control: u16, state: AlState, code: u16) -> bool {
+        let denied = control & STATE_MASK == state as u16;
+        if denied {
+            self.refuse(code);
+        }
+        denied
+    }
+
     /// One millisecond: a waiting request for OP.
     pub(super) fn step(&mut self, ready: Readiness) {
         let Some(waited_ms) = self.waiting_ms else { return };
-        if ready.outputs_received {
+        if ready.outputs_received && ready.synchronous {
             self.waiting_ms = None;
             self.state = AlState::Operational;
         } else if waited_ms + 1 >= OUTPUTS_WAIT_MS {
-            self.refuse(code::WATCHDOG);
+            let no_sync = ready.outputs_received;
+            self.refuse(if no_sync { code::NO_SYNC } else { code::WATCHDOG });
         } else {
             self.waiting_ms = Some(waited_ms + 1);
         }
@@ -136,7 +156,10 @@ impl Application {
             (Init, PreOperational) if !ready.mailbox => self.refuse(code::MAILBOX),
             (PreOperational, SafeOperational) if !ready.outputs => self.refuse(code::OUTPUTS),
             (PreOperational, SafeOperational) if !ready.inputs => self.refuse(code::INPUTS),
-            (SafeOperational, Operational) if !ready.outputs_received => self.waiting_ms = Some(0),
+            (PreOperational, SafeOperational) if !ready.sync_valid => self.refuse(code::SYNC_INVALID),
+            (SafeOperational, Operational) if !(ready.outputs_received && ready.synchronous) => {
+                self.waiting_ms = Some(0);
+            }
             (Init, PreOperational) | (PreOperational, SafeOperational) | (SafeOperational, Operational) => {
                 self.code = 0;
                 self.state = target;
@@ -161,6 +184,8 @@ mod tests {
         outputs: true,
         inputs: true,
         outputs_received: true,
+        sync_valid: true,
+        synchronous: true,
     };
 
     fn after(requests: &[u16], ready: Readiness) -> (u16, u16) {

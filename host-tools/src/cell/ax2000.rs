@@ -8,7 +8,7 @@
 use super::abort::Abort;
 use super::device::{Device, Emergency, Windows};
 use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
-use super::drive::{Drive, MODE_DIGITAL_CURRENT, MODE_DIGITAL_SPEED};
+use super::drive::{MODE_DIGITAL_CURRENT, MODE_DIGITAL_SPEED};
 use super::process_data::{Pdo, PdoEntry, ProcessData};
 use super::servo::Servo;
 use super::sii::{self, Description};
@@ -291,12 +291,12 @@ impl Device for Ax2000 {
         self.servo.take_emergency()
     }
 
-    fn drive(&self) -> Option<&Drive> {
-        Some(&self.servo.drive)
+    fn servo(&self) -> Option<&Servo> {
+        Some(&self.servo)
     }
 
-    fn drive_mut(&mut self) -> Option<&mut Drive> {
-        Some(&mut self.servo.drive)
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
+        Some(&mut self.servo)
     }
 
     fn boxed_clone(&self) -> Box<dyn Device> {

@@ -88,6 +88,7 @@ pub(super) struct MailboxServer {
     queue: VecDeque<Vec<u8>>,
     last_sent: Option<Vec<u8>>,
     transfer: Transfer,
+    losing: bool,
 }
 
 impl MailboxServer {
@@ -133,7 +134,33 @@ impl MailboxServer {
     pub(super) fn next(&mut self) -> Option<Vec<u8>> {
         let message = self.queue.pop_front()?;
         self.last_sent = Some(message.clone());
-        Some(message)
+        (!std::mem::take(&mut self.losing)).then_some(message)
+    }
+
+    /// Scripted: refuses an SDO request with this code.
+    pub(super) fn abort(&mut self, request: &[u8], code: u32) {
+        let object = object_of(request).map_or([0; 3], |(index, sub)| {
+            let [low, high] = index.to_le_bytes();
+            [low, high, sub]
+        });
+        self.transfer = Transfer::None;
+        let mut body = vec![0x80];
+        body.extend_from_slice(&object);
+        body.extend_from_slice(&code.to_le_bytes());
+        self.coe(SERVICE_SDO_REQUEST, &body);
+    }
+
+    /// Scripted: the next message is lost, and only a repeat brings it.
+    pub(super) fn lose_next(&mut self) {
+        self.losing = true;
+    }
+
+    /// Scripted: the next message has the counter of the one before.
+    pub(super) fn repeat_counter(&mut self) {
+        self.counter = match self.counter {
+            0 | 1 => 7,
+            counter => counter - 1,
+        };
     }
 
     /// The message that was sent last, for a repeat.
@@ -320,6 +347,13 @@ impl MailboxServer {
         }
         self.queue.push_back(message);
     }
+}
+
+/// Index and sub-index of an SDO request in a mailbox message.
+pub(super) fn object_of(message: &[u8]) -> Option<(u16, u8)> {
+    let &[_, _, _, _, _, kind, _, service, _, low, high, sub] = message.first_chunk()?;
+    let is_sdo = kind & 0x0F == TYPE_COE && service >> 4 == SERVICE_SDO_REQUEST;
+    is_sdo.then_some((u16::from_le_bytes([low, high]), sub))
 }
 
 #[cfg(test)]

@@ -5,9 +5,10 @@
 //! application reaches it through sync managers and the state registers. Register layout: the slave controller's
 //! register description (ET1100 as the pattern).
 
+use super::clock::{self, DistributedClock, SyncState};
 use super::datagram::Datagram;
 use super::device::{ClockWidth, Silicon};
-use super::eeprom::{self, Eeprom};
+use super::eeprom::{self, Eeprom, SiiFault};
 use super::fmmu::{self, Fmmu, Overlap, bit, set_bit};
 use super::registers as register;
 use super::sync_manager::{self, SyncManager};
@@ -37,6 +38,32 @@ const WATCHDOG_PROCESS_DATA_DEFAULT: u16 = 1000;
 /// Length of the controller's clock tick, nanoseconds.
 const CLOCK_TICK_NS: u64 = 40;
 
+/// Word addresses of what the controller loads at power-up: interface control, pulse length, alias.
+const WORD_PDI_CONTROL: usize = 0;
+const WORD_PULSE_LENGTH: usize = 2;
+const WORD_ALIAS: usize = 4;
+
+/// What differs between two controllers of the same silicon.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Nature {
+    /// How much too fast the crystal is, 1e-9.
+    pub(super) drift_ppb: i64,
+    /// How long the clock has run at the start, ns.
+    pub(super) local_ns: u64,
+    /// How long a command of the information memory takes, ns.
+    pub(super) sii_busy_ns: u64,
+}
+
+impl Default for Nature {
+    fn default() -> Self {
+        Self {
+            drift_ppb: 0,
+            local_ns: 0,
+            sii_busy_ns: eeprom::BUSY_NS,
+        }
+    }
+}
+
 /// Registers and memory of one slave controller.
 #[derive(Clone, Debug)]
 pub(super) struct Controller {
@@ -45,21 +72,30 @@ pub(super) struct Controller {
     sync_managers: [SyncManager; SYNC_MANAGERS],
     fmmus: [Option<Fmmu>; FMMUS],
     eeprom: Eeprom,
+    clock: DistributedClock,
+    now_ns: u64,
+    back_ns: Option<u64>,
+    processor_alive: bool,
     al_request: Option<u16>,
 }
 
 impl Controller {
     /// A controller after power-up with this content of its information memory.
-    pub(super) fn new(silicon: Silicon, image: Vec<u8>) -> Self {
+    pub(super) fn new(silicon: Silicon, image: Vec<u8>, nature: Nature) -> Self {
         let mut controller = Self {
             silicon,
             memory: Vec::new(),
             sync_managers: Default::default(),
             fmmus: Default::default(),
-            eeprom: Eeprom::new(image),
+            eeprom: Eeprom::new(image, nature.sii_busy_ns),
+            clock: DistributedClock::new(silicon.clock, nature.drift_ppb, 0),
+            now_ns: 0,
+            back_ns: None,
+            processor_alive: true,
             al_request: None,
         };
         controller.power_up();
+        controller.clock = DistributedClock::new(silicon.clock, nature.drift_ppb, nature.local_ns);
         controller
     }
 
@@ -80,6 +116,11 @@ impl Controller {
         if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
             self.eeprom.reset(registers);
         }
+        if let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH) {
+            self.clock.power_up(registers);
+        }
+        self.processor_alive = true;
+        self.load_configuration();
         for index in 0..SYNC_MANAGERS {
             self.mirror(index);
         }
@@ -98,11 +139,83 @@ impl Controller {
         self.store(register::FEATURES, &u16::to_le_bytes(features));
     }
 
-    /// One millisecond of the controller's own machinery.
-    pub(super) fn step(&mut self) {
-        if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
-            self.eeprom.step(registers);
+    /// What the controller takes out of its information memory, if that is whole.
+    fn load_configuration(&mut self) {
+        if !self.eeprom.is_valid() {
+            return;
         }
+        let words = [WORD_PDI_CONTROL, WORD_PULSE_LENGTH, WORD_ALIAS].map(|at| self.eeprom.word(at));
+        let [control, pulse, alias] = words;
+        self.store(register::PDI_CONTROL, &control.to_le_bytes());
+        self.store(register::STATION_ALIAS, &alias.to_le_bytes());
+        if let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH) {
+            DistributedClock::set_pulse_length(registers, pulse);
+        }
+    }
+
+    /// Lets time pass on the segment's true clock.
+    pub(super) fn advance(&mut self, now_ns: u64) {
+        self.now_ns = self.now_ns.max(now_ns);
+        self.clock.advance(self.now_ns);
+        let reloaded = self
+            .memory
+            .get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH)
+            .is_some_and(|registers| self.eeprom.advance(registers, self.now_ns));
+        if reloaded {
+            self.load_configuration();
+        }
+    }
+
+    /// A frame arrives, and will come back from the chain behind at `back_ns`.
+    pub(super) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
+        self.advance(arrival_ns);
+        self.back_ns = back_ns;
+    }
+
+    /// SYNC0 pulses since the last call.
+    pub(super) fn take_pulses(&mut self) -> u64 {
+        self.clock.take_pulses()
+    }
+
+    /// What the SYNC unit is doing.
+    pub(super) fn sync_state(&self) -> SyncState {
+        self.clock.state()
+    }
+
+    /// Something is wrong with the information memory.
+    pub(super) fn set_sii_fault(&mut self, fault: SiiFault) {
+        if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
+            self.eeprom.set_fault(fault, registers);
+        }
+    }
+
+    /// A frame came damaged to port 0: from the cable in front of it, or from further away.
+    pub(super) fn count_damage(&mut self, forwarded: bool) {
+        let counters: &[usize] = match forwarded {
+            false => &[register::RECEIVE_ERRORS, register::RECEIVE_ERRORS + 1],
+            true => &[register::RECEIVE_ERRORS, register::FORWARDED_ERRORS],
+        };
+        for counter in counters {
+            self.count_up(*counter);
+        }
+    }
+
+    /// Shows whether the slave's processor lives; counts expiries of its watchdog.
+    pub(super) fn set_processor(&mut self, alive: bool) {
+        if self.processor_alive && !alive {
+            self.count_up(register::WATCHDOG_PDI_COUNTER);
+        }
+        self.processor_alive = alive;
+    }
+
+    /// Time after which a silent processor is an error, microseconds; nothing if that watchdog is off.
+    pub(super) fn processor_watchdog_us(&self) -> Option<u64> {
+        self.watchdog_time_us(register::WATCHDOG_PDI)
+    }
+
+    fn count_up(&mut self, counter: usize) {
+        let count = self.byte(counter).saturating_add(1);
+        self.store(counter, &[count]);
     }
 
     /// Lets a datagram pass.
@@ -136,7 +249,7 @@ impl Controller {
     /// Shows which ports have a link: bit n for port n; counts the links that went.
     pub(super) fn set_links(&mut self, links: u8) {
         let before = self.word(register::DL_STATUS) >> 4;
-        let mut status: u16 = 0x0001;
+        let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive) << 1;
         for port in 0..4u16 {
             let linked = u16::from(links) >> port & 1;
             let closed = 1 - linked;
@@ -162,7 +275,11 @@ impl Controller {
 
     /// Time after which missing process data are an error, microseconds; nothing if the watchdog is off.
     pub(super) fn watchdog_us(&self) -> Option<u64> {
-        let periods = u64::from(self.word(register::WATCHDOG_PROCESS_DATA));
+        self.watchdog_time_us(register::WATCHDOG_PROCESS_DATA)
+    }
+
+    fn watchdog_time_us(&self, register: usize) -> Option<u64> {
+        let periods = u64::from(self.word(register));
         let ticks = u64::from(self.word(register::WATCHDOG_DIVIDER)) + 2;
         (periods > 0).then(|| periods * ticks * CLOCK_TICK_NS / 1000)
     }
@@ -306,6 +423,12 @@ impl Controller {
 
     /// Reads registers or memory; true if anything could be read.
     fn read(&mut self, address: usize, into: &mut [u8]) -> bool {
+        if address < clock::BASE + clock::LENGTH
+            && address + into.len() > clock::BASE
+            && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
+        {
+            self.clock.show(registers);
+        }
         let mut success = false;
         let mut done = 0;
         while let Some((manager, length)) = self.stretch(address + done, into.len() - done) {
@@ -369,23 +492,41 @@ impl Controller {
     }
 
     fn write_registers(&mut self, start: usize, data: &[u8]) -> bool {
+        let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
+        let unread = self.al_request.is_some();
         let mut success = false;
         for (offset, value) in data.iter().enumerate() {
             let at = start + offset;
-            if register::is_counter(at) {
+            if unread && (register::AL_CONTROL..register::AL_CONTROL + 2).contains(&at) {
+                continue;
+            }
+            if self.clock.exists() && (clock::BASE..clock::BASE + clock::TIMES_LENGTH).contains(&at) {
+                success = true;
+            } else if register::is_counter(at) {
                 success |= self.store(at, &[0]);
             } else if !register::is_read_only(at) {
                 success |= self.store(at, &[*value]);
             }
         }
-        let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
-        if touches(register::AL_CONTROL, 1) {
+        if touches(register::AL_CONTROL, 1) && !unread {
             self.al_request = Some(self.word(register::AL_CONTROL));
         }
-        if touches(register::SII_CONTROL, 2)
-            && let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH)
+        if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
+            if touches(register::SII_CONFIG, 1) {
+                self.eeprom.configure(registers);
+            }
+            if touches(register::SII_CONTROL, 2) {
+                self.eeprom.command(registers, self.now_ns);
+            }
+        }
+        if touches(clock::BASE, clock::LENGTH)
+            && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
         {
-            self.eeprom.command(registers);
+            // Registers of the clock are written one by one by any master; the part in front of it is none of it.
+            let skipped = clock::BASE.saturating_sub(start);
+            let data = data.get(skipped..).unwrap_or_default();
+            self.clock
+                .written(registers, start.saturating_sub(clock::BASE), data, self.back_ns);
         }
         for index in 0..FMMUS {
             let at = register::FMMU + index * fmmu::BLOCK;
@@ -435,113 +576,4 @@ impl Controller {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::cell::datagram::Datagrams;
-    use crate::cell::test_bench::*;
-
-    /// Lets one datagram pass; gives its data and working counter afterwards.
-    fn pass(controller: &mut Controller, command: u8, device: u16, register: u16, data: &[u8]) -> (Vec<u8>, u16) {
-        let mut frame = frame_of(&[(command, device, register, data)]);
-        let mut datagrams = Datagrams::of_frame(&mut frame).expect("a frame");
-        controller.pass(&mut datagrams.next().expect("a datagram"));
-        content(&frame, data.len())
-    }
-
-    fn controller() -> Controller {
-        Controller::new(Silicon::ET1100, vec![0; 128])
-    }
-
-    #[test]
-    fn registers_of_the_controller_itself_are_not_written() {
-        let mut controller = controller();
-        for register in [0x0000, 0x0004, 0x0110, 0x0130, 0x0134, 0x0440, 0x0805, 0x0807] {
-            let before = pass(&mut controller, APRD, 0, register, &[0]).0;
-            assert_eq!(pass(&mut controller, APWR, 0, register, &[0xAA]).1, 0, "{register:#x}");
-            assert_eq!(
-                pass(&mut controller, APRD, 0, register, &[0]).0,
-                before,
-                "{register:#x}"
-            );
-        }
-    }
-
-    #[test]
-    fn error_counters_are_cleared_by_writing() {
-        let mut controller = controller();
-        for links in [3, 1, 3, 1] {
-            controller.set_links(links);
-        }
-        assert_eq!(pass(&mut controller, APRD, 0, 0x0310, &[0; 4]).0, [0, 2, 0, 0]);
-        assert_eq!(pass(&mut controller, APWR, 0, 0x0310, &[9; 4]).1, 1);
-        assert_eq!(pass(&mut controller, APRD, 0, 0x0310, &[7; 4]).0, [0; 4]);
-    }
-
-    #[test]
-    fn memory_ends_and_nothing_is_there_behind_it() {
-        let mut controller = controller();
-        assert_eq!(pass(&mut controller, APRD, 0, 0x3000, &[7; 4]), (vec![7; 4], 0));
-        assert_eq!(pass(&mut controller, APWR, 0, 0xFFFE, &[7; 4]).1, 0);
-        assert_eq!(
-            pass(&mut controller, APWR, 0, 0x2FFE, &[7; 4]).1,
-            1,
-            "the part that exists"
-        );
-    }
-
-    #[test]
-    fn the_alias_answers_only_when_it_is_switched_on() {
-        let mut controller = controller();
-        pass(&mut controller, APWR, 0, 0x0010, &[0x01, 0x10, 0x55, 0x00]);
-        assert_eq!(pass(&mut controller, FPRD, 0x1001, 0x0012, &[0; 2]), (vec![0x55, 0], 1));
-        assert_eq!(pass(&mut controller, FPRD, 0x0055, 0x0012, &[0; 2]).1, 0);
-        pass(&mut controller, APWR, 0, 0x0103, &[1]);
-        assert_eq!(pass(&mut controller, FPRD, 0x0055, 0x0012, &[0; 2]).1, 1);
-    }
-
-    #[test]
-    fn a_read_and_write_counts_three_and_gives_the_old_content() {
-        let mut controller = controller();
-        assert_eq!(pass(&mut controller, APRW, 0, 0x1000, &[5, 6]), (vec![0, 0], 3));
-        assert_eq!(pass(&mut controller, APRW, 0, 0x1000, &[7, 8]), (vec![5, 6], 3));
-        assert_eq!(
-            pass(&mut controller, BRW, 9, 0x1000, &[0x10, 0]),
-            (vec![0x17, 8], 3),
-            "or-ed"
-        );
-        assert_eq!(pass(&mut controller, APRD, 0, 0x1000, &[0; 2]).0, [0x10, 0]);
-    }
-
-    #[test]
-    fn the_others_write_what_one_reads() {
-        let mut controller = controller();
-        pass(&mut controller, APWR, 0, 0x1000, &[5]);
-        assert_eq!(pass(&mut controller, ARMW, 0, 0x1000, &[9]), (vec![5], 1));
-        assert_eq!(pass(&mut controller, ARMW, 1, 0x1000, &[9]), (vec![9], 1));
-        assert_eq!(pass(&mut controller, APRD, 0, 0x1000, &[0]).0, [9]);
-    }
-
-    #[test]
-    fn single_bits_pass_through_a_mapping_and_leave_their_neighbours() {
-        let mut controller = controller();
-        pass(&mut controller, APWR, 0, 0x1000, &[0xF0, 0x0F]);
-        let write = [0, 0, 0, 0, 1, 0, 2, 4, 0x00, 0x10, 3, 2, 1, 0, 0, 0];
-        pass(&mut controller, APWR, 0, 0x0600, &write);
-        let read = [1, 0, 0, 0, 1, 0, 0, 3, 0x01, 0x10, 2, 1, 1, 0, 0, 0];
-        pass(&mut controller, APWR, 0, 0x0610, &read);
-        let (data, count) = pass(&mut controller, LRW, 0, 0, &[0b0000_0100, 0xA0]);
-        assert_eq!((data, count), (vec![0b0000_0100, 0xA3], 3));
-        assert_eq!(pass(&mut controller, APRD, 0, 0x1000, &[0; 2]).0, [0b1100_1000, 0x0F]);
-    }
-
-    #[test]
-    fn a_mailbox_that_is_written_short_stays_empty() {
-        let mut controller = controller();
-        pass(&mut controller, APWR, 0, 0x0800, &[0x00, 0x18, 8, 0, 0x26, 0, 1, 0]);
-        assert_eq!(pass(&mut controller, APWR, 0, 0x1800, &[1; 7]).1, 1);
-        assert_eq!(pass(&mut controller, APRD, 0, 0x0805, &[0]).0[0] & 0x08, 0);
-        assert_eq!(pass(&mut controller, APWR, 0, 0x1800, &[1; 8]).1, 1);
-        assert_eq!(pass(&mut controller, APRD, 0, 0x0805, &[0]).0[0] & 0x08, 0x08);
-        assert_eq!(pass(&mut controller, APWR, 0, 0x1800, &[2; 8]).1, 0);
-    }
-}
+mod tests;

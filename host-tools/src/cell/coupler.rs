@@ -3,15 +3,25 @@
 use super::device::{ClockWidth, Device, Silicon, Windows};
 use super::dictionary::Dictionary;
 use super::process_data::ProcessData;
+use super::servo::Servo;
 use super::sii::{self, Description};
 use etherpen::ethercat::wire::sii::Identity;
 
 const NAME: &str = "EK1100 EtherCAT Coupler";
 const ORDER: &str = "EK1100";
 
-/// The device behind one slave controller.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Coupler;
+/// The device behind one slave controller; it may stand where a drive was, whose motor then rests on its brake.
+#[derive(Clone, Debug)]
+pub(super) struct Coupler {
+    parked: Option<Servo>,
+}
+
+impl Coupler {
+    /// A coupler, with the motor that nobody drives any more.
+    pub(super) fn new(parked: Option<Servo>) -> Self {
+        Self { parked }
+    }
+}
 
 impl Device for Coupler {
     fn image(&self) -> Vec<u8> {
@@ -54,7 +64,19 @@ impl Device for Coupler {
         Dictionary::default()
     }
 
+    fn step(&mut self, _operational: bool) {
+        self.parked.iter_mut().for_each(|servo| servo.step(false));
+    }
+
+    fn servo(&self) -> Option<&Servo> {
+        self.parked.as_ref()
+    }
+
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
+        self.parked.as_mut()
+    }
+
     fn boxed_clone(&self) -> Box<dyn Device> {
-        Box::new(*self)
+        Box::new(self.clone())
     }
 }

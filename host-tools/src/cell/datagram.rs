@@ -20,6 +20,7 @@ const FRAME_LENGTH_MASK: u16 = 0x07FF;
 const FRAME_TYPE_DATAGRAMS: u16 = 1;
 const LENGTH_MASK: u16 = 0x07FF;
 const MORE_FOLLOW: u16 = 0x8000;
+const CIRCULATING: u16 = 0x4000;
 
 /// One datagram: header, data and working counter in place.
 #[derive(Debug)]
@@ -91,6 +92,32 @@ impl<'frame> Datagram<'frame> {
         *self.counter = u16::from_le_bytes(*self.counter).wrapping_add(by).to_le_bytes();
     }
 
+    /// Whether it says that another follows.
+    pub(super) fn has_more(&self) -> bool {
+        self.flags() & MORE_FOLLOW != 0
+    }
+
+    /// Lets it say that another follows: a scripted fault.
+    pub(super) fn set_more(&mut self) {
+        self.set_flags(self.flags() | MORE_FOLLOW);
+    }
+
+    /// Lets it say that it has been around: a scripted fault.
+    pub(super) fn set_circulating(&mut self) {
+        self.set_flags(self.flags() | CIRCULATING);
+    }
+
+    fn flags(&self) -> u16 {
+        let [_, _, _, _, _, _, low, high, ..] = *self.header;
+        u16::from_le_bytes([low, high])
+    }
+
+    fn set_flags(&mut self, flags: u16) {
+        let [low, high] = flags.to_le_bytes();
+        let [_, _, _, _, _, _, old_low, old_high, ..] = &mut *self.header;
+        (*old_low, *old_high) = (low, high);
+    }
+
     /// Replaces the index: a scripted fault.
     pub(super) fn change_index(&mut self, by: u8) {
         let [_, index, ..] = &mut *self.header;
@@ -138,6 +165,18 @@ pub(super) fn mark_processed(frame: &mut [u8]) {
     }
     if let Some(byte) = frame.get_mut(SOURCE_ADDRESS) {
         *byte |= SOURCE_BIT;
+    }
+}
+
+/// Replaces length and type of the EtherCAT header: a scripted fault.
+pub(super) fn set_frame_header(frame: &mut [u8], change: impl FnOnce(u16, u8) -> (u16, u8)) {
+    let place = payload_start(frame)
+        .and_then(|start| frame.get_mut(start..))
+        .and_then(|payload| payload.first_chunk_mut::<ETHERCAT_HEADER_LEN>());
+    if let Some(place) = place {
+        let header = u16::from_le_bytes(*place);
+        let (length, kind) = change(header & FRAME_LENGTH_MASK, (header >> 12) as u8);
+        *place = (length.min(FRAME_LENGTH_MASK) | u16::from(kind) << 12).to_le_bytes();
     }
 }
 

@@ -6,8 +6,8 @@
 
 use super::abort::Abort;
 use super::dictionary::Dictionary;
-use super::drive::Drive;
 use super::process_data::ProcessData;
+use super::servo::Servo;
 use etherpen::ethercat::wire::register::{CONTROL_INPUTS, CONTROL_MAILBOX_IN, CONTROL_MAILBOX_OUT, CONTROL_OUTPUTS};
 use etherpen::ethercat::wire::sii::MailboxWindow;
 use std::fmt;
@@ -148,11 +148,11 @@ pub(super) trait Device: fmt::Debug + Send {
         None
     }
     /// The drive inside, if there is one.
-    fn drive(&self) -> Option<&Drive> {
+    fn servo(&self) -> Option<&Servo> {
         None
     }
     /// The same, to be changed.
-    fn drive_mut(&mut self) -> Option<&mut Drive> {
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
         None
     }
     /// A copy of it.

@@ -180,3 +180,51 @@ fn drives_of_any_kind_are_the_axes_in_their_order() {
     assert_eq!(state.joints, default.joints, "the same pose from the same seed");
     assert!(state.platform.is_some());
 }
+
+/// All four drives enabled in digital current mode, with this torque demand of the arms from then on.
+fn arms_with_torque(digits: i16, milliseconds: u32) -> CellState {
+    let mut bench = segment("ax2000*4");
+    bench.mailboxes();
+    bench.request(2);
+    for station in 0x1001..=0x1004u16 {
+        assert_eq!(bench.download(station, 0x6060, 0, &[0xFD]), 0);
+        assert_eq!(bench.download(station, 0x1C12, 0, &[0]), 0);
+        assert_eq!(bench.download(station, 0x1C12, 1, &[3, 0x17]), 0);
+        assert_eq!(bench.download(station, 0x1C12, 0, &[1]), 0);
+        bench.write(station, 0x0810, &[0x00, 0x11, 4, 0, 0x64, 0, 1, 0]);
+        bench.write(station, 0x0818, &[0x40, 0x11, 6, 0, 0x20, 0, 1, 0]);
+        let start = 4 * (station - 0x1001) as u8;
+        bench.write(
+            station,
+            0x0600,
+            &[start, 0, 1, 0, 4, 0, 0, 7, 0, 0x11, 0, 2, 1, 0, 0, 0],
+        );
+    }
+    bench.request(4);
+    let cycle = |bench: &mut Bench, torque: i16, control: u8| {
+        let [low, high] = torque.to_le_bytes();
+        let arm = [low, high, control, 0];
+        let outputs: Vec<u8> = [arm, arm, arm, [0, 0, control, 0]].concat();
+        assert_eq!(bench.ask(LWR, 0, 1, &outputs).1, 4);
+    };
+    cycle(&mut bench, 0, 0);
+    bench.request(8);
+    for control in [0, 6, 7, 15] {
+        for _ in 0..4 {
+            cycle(&mut bench, digits, control);
+        }
+    }
+    for _ in 0..milliseconds {
+        cycle(&mut bench, digits, 15);
+    }
+    bench.cell.state()
+}
+
+#[test]
+fn arms_fall_without_torque_and_rise_with_more_than_their_weight() {
+    let fallen = arms_with_torque(0, 60);
+    assert!(fallen.velocities.0[..3].iter().all(|rad_s| *rad_s > 0.5), "{fallen:?}");
+    assert!(fallen.velocities.0[3].abs() < 0.01);
+    let risen = arms_with_torque(-800, 20);
+    assert!(risen.velocities.0[..3].iter().all(|rad_s| *rad_s < -0.5), "{risen:?}");
+}

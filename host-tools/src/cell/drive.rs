@@ -194,6 +194,23 @@ impl Drive {
         self.motor.speed_rad_s() / self.axis.gear
     }
 
+    /// Motor revolutions for one of the joint.
+    pub(super) fn gear(&self) -> f64 {
+        self.axis.gear
+    }
+
+    /// Torque of the motor at the joint, N m; nothing outside torque mode.
+    pub(super) fn joint_torque_nm(&self) -> Option<f64> {
+        let in_torque_mode = self.state == DriveState::OperationEnabled
+            && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE);
+        in_torque_mode.then(|| self.motor.torque_nm() * self.axis.gear)
+    }
+
+    /// Moves the joint with this acceleration, rad/s2, for a while.
+    pub(super) fn accelerate(&mut self, joint_rad_s2: f64, duration_s: f64) {
+        self.motor.accelerate(joint_rad_s2 * self.axis.gear, duration_s);
+    }
+
     /// Position as the drive shows it, increments: within one motor turn, or over all turns.
     pub(super) fn position(&self) -> i32 {
         self.stuck_position.unwrap_or_else(|| self.true_position())

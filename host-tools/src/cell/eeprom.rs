@@ -1,45 +1,76 @@
 //! The slave information memory behind registers 0x0500 to 0x050F.
 //!
-//! A command takes until the next millisecond of the cell, during which the busy bit is set; the word address counts
-//! 16-bit words; reads give eight bytes. Register layout: EEPROM interface of the slave controller's register
-//! description.
+//! A command is busy for a while of the segment's own time; the word address counts 16-bit words; reads give eight
+//! bytes. While the slave's processor owns the memory, or it is offered to it, a command is refused. Register layout:
+//! EEPROM interface of the slave controller's register description.
 
 use super::registers;
 use etherpen::ethercat::wire::register as wire;
+use etherpen::ethercat::wire::sii::{WORD_CHECKSUM, checksum};
 
 /// First register of the interface.
 pub(super) const BASE: usize = registers::SII_CONFIG;
 /// Bytes of the interface.
 pub(super) const LENGTH: usize = 16;
+/// How long a command is busy unless the options say otherwise, ns: eight bytes at 400 kHz.
+pub(super) const BUSY_NS: u64 = 300_000;
 
+const CONFIG: usize = 0;
+const PDI_ACCESS: usize = (wire::SII_PDI_ACCESS - wire::SII_CONFIG) as usize;
 const CONTROL: usize = (wire::SII_CONTROL - wire::SII_CONFIG) as usize;
 const ADDRESS: usize = (wire::SII_ADDRESS - wire::SII_CONFIG) as usize;
 const DATA: usize = (wire::SII_DATA - wire::SII_CONFIG) as usize;
 
+const OFFERED: u8 = 0x01;
+const FORCED: u8 = wire::SII_FORCE;
 const WRITE_ENABLE: u16 = 0x0001;
 const READS_EIGHT_BYTES: u16 = wire::SII_READS_8_BYTES;
 const COMMAND_MASK: u16 = 0x0700;
 const COMMAND_READ: u16 = wire::SII_READ;
 const COMMAND_WRITE: u16 = wire::SII_WRITE;
 const COMMAND_RELOAD: u16 = 0x0400;
+const ERROR_CHECKSUM: u16 = wire::SII_CHECKSUM_ERROR;
 const ERROR_COMMAND: u16 = wire::SII_ACKNOWLEDGE_ERROR;
 const ERROR_WRITE_ENABLE: u16 = wire::SII_WRITE_ERROR;
 const BUSY: u16 = wire::SII_BUSY;
+
+/// What is wrong with a memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SiiFault {
+    /// A command never ends.
+    Busy,
+    /// Every command ends with the acknowledge error.
+    Acknowledge,
+    /// Every byte is 0xFF.
+    Blank,
+    /// Every eighth byte has a flipped bit.
+    Damaged,
+    /// The slave's processor owns it until it is taken by force.
+    Owned,
+    /// Nothing is wrong any more.
+    Whole,
+}
 
 /// Content and command state of the memory.
 #[derive(Clone, Debug)]
 pub(super) struct Eeprom {
     image: Vec<u8>,
     pending: u16,
+    due_ns: u64,
+    busy_ns: u64,
     write_enabled: bool,
+    fault: SiiFault,
 }
 
 impl Eeprom {
-    pub(super) fn new(image: Vec<u8>) -> Self {
+    pub(super) fn new(image: Vec<u8>, busy_ns: u64) -> Self {
         Self {
             image,
             pending: 0,
+            due_ns: 0,
+            busy_ns,
             write_enabled: false,
+            fault: SiiFault::Whole,
         }
     }
 
@@ -47,57 +78,111 @@ impl Eeprom {
     pub(super) fn reset(&mut self, registers: &mut [u8]) {
         self.pending = 0;
         self.write_enabled = false;
-        set_word(registers, CONTROL, READS_EIGHT_BYTES);
+        self.set_status(registers, 0);
+        self.own(registers);
+    }
+
+    /// Something goes wrong, or is whole again.
+    pub(super) fn set_fault(&mut self, fault: SiiFault, registers: &mut [u8]) {
+        self.fault = fault;
+        self.own(registers);
+    }
+
+    /// Whether the configuration area has its checksum.
+    pub(super) fn is_valid(&self) -> bool {
+        self.byte(2 * usize::from(WORD_CHECKSUM)) == {
+            let area: Vec<u8> = (0..2 * usize::from(WORD_CHECKSUM)).map(|at| self.byte(at)).collect();
+            checksum(&area)
+        }
+    }
+
+    /// One word of the memory.
+    pub(super) fn word(&self, at: usize) -> u16 {
+        u16::from_le_bytes([self.byte(2 * at), self.byte(2 * at + 1)])
+    }
+
+    /// The bus has written the access registers.
+    pub(super) fn configure(&mut self, registers: &mut [u8]) {
+        let config = byte(registers, CONFIG);
+        if config & FORCED != 0 && self.fault == SiiFault::Owned {
+            self.fault = SiiFault::Whole;
+        }
+        self.own(registers);
     }
 
     /// The bus has written the control register.
-    pub(super) fn command(&mut self, registers: &mut [u8]) {
+    pub(super) fn command(&mut self, registers: &mut [u8], now_ns: u64) {
         let control = word(registers, CONTROL);
         self.write_enabled = control & WRITE_ENABLE != 0;
+        let owned = byte(registers, CONFIG) & OFFERED != 0 || byte(registers, PDI_ACCESS) & 1 != 0;
         let status = match control & COMMAND_MASK {
-            0 => READS_EIGHT_BYTES,
+            0 => 0,
+            _ if owned => ERROR_COMMAND,
             command @ (COMMAND_READ | COMMAND_WRITE | COMMAND_RELOAD) => {
                 self.pending = command;
-                READS_EIGHT_BYTES | BUSY | command
+                self.due_ns = now_ns.saturating_add(self.busy_ns);
+                BUSY | command
             }
-            _ => READS_EIGHT_BYTES | ERROR_COMMAND,
+            _ => ERROR_COMMAND,
         };
-        set_word(registers, CONTROL, status);
+        self.set_status(registers, status);
     }
 
-    /// One millisecond: finishes a command.
-    pub(super) fn step(&mut self, registers: &mut [u8]) {
-        let command = std::mem::take(&mut self.pending);
-        if command == 0 {
-            return;
+    /// Finishes a command whose time has come; true after a reload.
+    pub(super) fn advance(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
+        if self.pending == 0 || now_ns < self.due_ns || self.fault == SiiFault::Busy {
+            return false;
         }
+        let command = std::mem::take(&mut self.pending);
         let start = (u64::from(word(registers, ADDRESS)) | u64::from(word(registers, ADDRESS + 2)) << 16) * 2;
         let start = usize::try_from(start).unwrap_or(usize::MAX);
-        let mut status = READS_EIGHT_BYTES;
+        let mut status = 0;
         match command {
+            _ if self.fault == SiiFault::Acknowledge => status = ERROR_COMMAND,
             COMMAND_READ if start < self.image.len() => {
                 for (index, target) in registers.iter_mut().skip(DATA).take(8).enumerate() {
-                    *target = self.image.get(start + index).copied().unwrap_or(0xFF);
+                    *target = self.byte(start + index);
                 }
             }
-            COMMAND_WRITE if !self.write_enabled => status |= ERROR_WRITE_ENABLE | ERROR_COMMAND,
+            COMMAND_WRITE if !self.write_enabled => status = ERROR_WRITE_ENABLE | ERROR_COMMAND,
             COMMAND_WRITE if start + 2 <= self.image.len() => {
-                for (target, source) in self
-                    .image
-                    .iter_mut()
-                    .skip(start)
-                    .take(2)
-                    .zip(registers.iter().skip(DATA))
-                {
-                    *target = *source;
-                }
+                let data = registers.iter().skip(DATA);
+                let place = self.image.iter_mut().skip(start).take(2);
+                place.zip(data).for_each(|(target, source)| *target = *source);
             }
             COMMAND_RELOAD => {}
-            _ => status |= ERROR_COMMAND,
+            _ => status = ERROR_COMMAND,
         }
         self.write_enabled = false;
-        set_word(registers, CONTROL, status);
+        self.set_status(registers, status);
+        command == COMMAND_RELOAD
     }
+
+    fn own(&self, registers: &mut [u8]) {
+        set_byte(registers, PDI_ACCESS, u8::from(self.fault == SiiFault::Owned));
+    }
+
+    fn byte(&self, at: usize) -> u8 {
+        let stored = self.image.get(at).copied().unwrap_or(0xFF);
+        match self.fault {
+            SiiFault::Blank => 0xFF,
+            SiiFault::Damaged if at % 8 == 2 => stored ^ 0x10,
+            _ => stored,
+        }
+    }
+
+    fn set_status(&self, registers: &mut [u8], status: u16) {
+        let checksum = if self.is_valid() { 0 } else { ERROR_CHECKSUM };
+        set_word(registers, CONTROL, READS_EIGHT_BYTES | checksum | status);
+    }
+}
+
+fn byte(registers: &[u8], at: usize) -> u8 {
+    registers.get(at).copied().unwrap_or(0)
+}
+
+fn set_byte(registers: &mut [u8], at: usize, value: u8) {
+    registers.iter_mut().skip(at).take(1).for_each(|byte| *byte = value);
 }
 
 fn word(registers: &[u8], at: usize) -> u16 {
@@ -117,6 +202,12 @@ fn set_word(registers: &mut [u8], at: usize, value: u16) {
 mod tests {
     use super::*;
 
+    fn image() -> Vec<u8> {
+        let mut image: Vec<u8> = (0..64).collect();
+        image[14] = checksum(&image);
+        image
+    }
+
     fn registers(command: u16, address: u32) -> [u8; LENGTH] {
         let mut registers = [0; LENGTH];
         set_word(&mut registers, CONTROL, command);
@@ -124,37 +215,74 @@ mod tests {
         registers
     }
 
+    fn run(eeprom: &mut Eeprom, registers: &mut [u8]) -> u16 {
+        eeprom.command(registers, 0);
+        eeprom.advance(registers, BUSY_NS);
+        word(registers, CONTROL)
+    }
+
     #[test]
-    fn a_read_is_busy_for_a_millisecond_and_gives_eight_bytes() {
-        let mut eeprom = Eeprom::new((0..64).collect());
+    fn a_read_is_busy_for_its_time_and_gives_eight_bytes() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
         let mut registers = registers(COMMAND_READ, 4);
-        eeprom.command(&mut registers);
+        eeprom.command(&mut registers, 1_000);
+        eeprom.advance(&mut registers, BUSY_NS);
         assert_eq!(word(&registers, CONTROL) & BUSY, BUSY);
-        eeprom.step(&mut registers);
+        eeprom.advance(&mut registers, BUSY_NS + 1_000);
         assert_eq!(word(&registers, CONTROL), READS_EIGHT_BYTES);
-        assert_eq!(registers[DATA..], [8, 9, 10, 11, 12, 13, 14, 15]);
+        assert_eq!(registers[DATA..], image()[8..16]);
     }
 
     #[test]
     fn a_read_beyond_the_memory_is_a_command_error() {
-        let mut eeprom = Eeprom::new(vec![0; 64]);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
         for address in [32, u32::MAX] {
             let mut registers = registers(COMMAND_READ, address);
-            eeprom.command(&mut registers);
-            eeprom.step(&mut registers);
-            assert_eq!(word(&registers, CONTROL) & ERROR_COMMAND, ERROR_COMMAND);
+            assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES | ERROR_COMMAND);
         }
     }
 
     #[test]
     fn a_write_needs_its_enable_bit() {
-        let mut eeprom = Eeprom::new(vec![0; 64]);
-        for (command, stored) in [(COMMAND_WRITE, 0), (COMMAND_WRITE | WRITE_ENABLE, 0x55)] {
-            let mut registers = registers(command, 2);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        for (command, stored) in [(COMMAND_WRITE, 40), (COMMAND_WRITE | WRITE_ENABLE, 0x55)] {
+            let mut registers = registers(command, 20);
             registers[DATA] = 0x55;
-            eeprom.command(&mut registers);
-            eeprom.step(&mut registers);
-            assert_eq!(eeprom.image[4], stored);
+            run(&mut eeprom, &mut registers);
+            assert_eq!(eeprom.image[40], stored);
         }
+    }
+
+    #[test]
+    fn each_fault_shows_and_goes() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        for (fault, status, first) in [
+            (SiiFault::Busy, READS_EIGHT_BYTES | BUSY | COMMAND_READ, 0),
+            (SiiFault::Acknowledge, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
+            (SiiFault::Blank, READS_EIGHT_BYTES | ERROR_CHECKSUM, 0xFF),
+            (SiiFault::Owned, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
+            (SiiFault::Damaged, READS_EIGHT_BYTES | ERROR_CHECKSUM, 8),
+            (SiiFault::Whole, READS_EIGHT_BYTES, 8),
+        ] {
+            let mut registers = registers(COMMAND_READ, 4);
+            eeprom.reset(&mut registers);
+            eeprom.set_fault(fault, &mut registers);
+            set_word(&mut registers, CONTROL, COMMAND_READ);
+            assert_eq!(run(&mut eeprom, &mut registers), status, "{fault:?}");
+            assert_eq!(registers[DATA], first, "{fault:?}");
+        }
+    }
+
+    #[test]
+    fn an_owned_memory_is_taken_by_force() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut registers = registers(COMMAND_READ, 4);
+        eeprom.set_fault(SiiFault::Owned, &mut registers);
+        registers[CONFIG] = FORCED;
+        eeprom.configure(&mut registers);
+        registers[CONFIG] = 0;
+        eeprom.configure(&mut registers);
+        set_word(&mut registers, CONTROL, COMMAND_READ);
+        assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES);
     }
 }

@@ -1,100 +1,68 @@
 //! Scripted faults: what goes wrong on the segment, and when.
 //!
-//! A script is text, one fault a line, `#` starts a comment:
+//! The language is described in [`SCRIPT_HELP`], which the command line prints as well. A script is checked against
+//! the chain before it is used ([`Script::check`]); what has happened is counted by kind.
 //!
-//! ```text
-//! frame 120 drop                 the 120th EtherCAT frame (the first is 1) never arrives
-//! frame 120..125 truncate 30     the replies to these frames are cut after 30 bytes
-//! every 100 duplicate            every 100th reply comes twice
-//! chance 0.01 lose               each reply is lost with this probability (seeded)
-//! ms 2000 cut 2                  2 s after the start the cable behind slave 2 is pulled (0: the master's)
-//! ```
-//!
-//! | fault | what happens |
-//! |---|---|
-//! | `drop`, `lose` | the request never reaches the slaves; the slaves act, the reply is lost |
-//! | `delay N` | the reply comes N frames later, before that frame's own reply |
-//! | `duplicate` | the reply comes twice |
-//! | `truncate N` | the reply is cut after N bytes |
-//! | `index N` | N is added to the index of the reply's datagrams |
-//! | `foreign` | a frame of another protocol comes before the reply |
-//! | `counter N` | N (it may be negative) is added to the working counters of the reply |
-//! | `stall N` | no frame gets through in either direction for N ms |
-//! | `cut K`, `join` | the cable behind slave K is pulled; all cables are plugged in again |
-//! | `remove K`, `insert K` | slave K is bypassed; it comes back |
-//! | `power K N` | slave K is without power for N ms, and with it the chain behind it |
-//! | `retreat K CODE` | slave K falls back to SAFEOP with the error bit and this AL status code |
-//! | `silence K N` | slave K answers no mailbox message for N ms |
-//! | `fault K CODE` | drive K faults with this error code |
-//! | `mains K N` | drive K has no main voltage for N ms |
-//! | `stuck K N` | the resolver of drive K freezes for N ms |
-//!
-//! Slaves count from 1 in the order of the chain; numbers are decimal or `0x` hexadecimal. `every` and `chance` go
-//! with faults of frames only. A fault of a frame with `ms` hits the first frame at or after that time.
+//! Invariant: the same script, seed and frames give the same faults.
 
+use super::application::AlState;
+use super::eeprom::SiiFault;
+use super::fault_kinds::{Fault, MailFault, MailStep, Product};
 use super::random::Random;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// One fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
-    /// The request never reaches the slaves.
-    Drop,
-    /// The slaves act, the reply is lost.
-    Lose,
-    /// The reply comes this many frames later.
-    Delay(u64),
-    /// The reply comes twice.
-    Duplicate,
-    /// The reply is cut after this many bytes.
-    Truncate(usize),
-    /// This is added to the index of the reply's datagrams.
-    Index(u8),
-    /// A frame of another protocol comes before the reply.
-    Foreign,
-    /// This is added to the working counters of the reply.
-    Counter(i16),
-    /// No frame gets through for this many milliseconds.
-    Stall(u64),
-    /// The cable behind this slave is pulled; 0 is the master's.
-    Cut(usize),
-    /// All cables are plugged in.
-    Join,
-    /// This slave is bypassed.
-    Remove(usize),
-    /// This slave comes back.
-    Insert(usize),
-    /// A slave is without power for some milliseconds.
-    Power(usize, u64),
-    /// A slave falls back to SAFEOP with an AL status code.
-    Retreat(usize, u16),
-    /// A slave answers no mailbox message for some milliseconds.
-    Silence(usize, u64),
-    /// A drive faults with an error code.
-    Drive(usize, u16),
-    /// A drive has no main voltage for some milliseconds.
-    Mains(usize, u64),
-    /// A drive's resolver freezes for some milliseconds.
-    Stuck(usize, u64),
-}
+/// The script language, for people.
+pub const SCRIPT_HELP: &str = "\
+A script is text, one fault a line, '#' starts a comment. A line says when, then what:
 
-impl Fault {
-    /// Whether it happens to one frame.
-    pub(super) fn is_of_frame(self) -> bool {
-        matches!(
-            self,
-            Self::Drop
-                | Self::Lose
-                | Self::Delay(_)
-                | Self::Duplicate
-                | Self::Truncate(_)
-                | Self::Index(_)
-                | Self::Foreign
-                | Self::Counter(_)
-        )
-    }
-}
+  frame 120 drop                 the 120th EtherCAT frame (the first is 1) never arrives
+  frame 120..125 truncate 30     the replies to these frames are cut after 30 bytes
+  every 100 duplicate            every 100th reply comes twice
+  chance 0.01 lose               each reply is lost with this probability (seeded)
+  1% of frames: lose             the same
+  ms 2000 cut 2                  2 s after the start the cable behind slave 2 is pulled
+
+Faults of a frame:
+  drop, lose          the request never reaches the slaves; the slaves act, the reply is lost
+  delay N             the reply comes N frames later, before that frame's own reply
+  duplicate           the reply comes twice
+  truncate N          the reply is cut after N bytes
+  overlong N          N bytes follow the reply, the EtherCAT header counts them
+  index N             N is added to the index of the reply's datagrams
+  counter N           N (it may be negative) is added to the working counters of the reply
+  type N              the EtherCAT header of the reply has this type
+  more                the last datagram of the reply says that another follows
+  circulate           the reply's datagrams have the circulating bit
+  vlan                the reply carries a VLAN tag
+  foreign, reflect    a frame of another protocol, or the request itself, comes before the reply
+
+Faults of the chain:
+  stall N             no frame gets through in either direction for N ms
+  cut K, join         the cable behind slave K is pulled (0: the master's); all cables are plugged in
+  crc K N             the cable behind slave K destroys the next N frames (0: the master's)
+  remove K, insert K  slave K is bypassed; it comes back
+  swap K KIND         slave K is replaced: ax2000, cia402 or ek1100
+  power K N           slave K is without power for N ms, and with it the chain behind it
+
+Faults of a slave:
+  retreat K CODE      slave K falls back to SAFEOP with the error bit and this AL status code
+  refuse K STATE CODE the next request for init, preop, safeop or op is refused with this code
+  pdi K N             the processor of slave K stands still for N ms; its controller works
+  sii K WHAT          the information memory: busy, refused, blank, damaged, owned; whole ends it
+  silence K N         slave K answers no mailbox message for N ms
+  mailbox K STEP WHAT at a mailbox request (its number from now on, or INDEX:SUB of an SDO): abort CODE,
+                      silent, lost (only a repeat brings the answer), counter (the answer has the last
+                      one's), flood N (N emergencies come before the answer)
+
+Faults of a drive:
+  fault K CODE        drive K faults with this error code
+  mains K N           drive K has no main voltage for N ms
+  stuck K N           the resolver of drive K freezes for N ms
+
+Slaves count from 1 in the order of the chain; numbers are decimal or 0x hexadecimal. 'every', 'chance' and '%' go
+with faults of frames only. A fault of a frame with 'ms' hits the first frame at or after that time.";
 
 /// When a fault happens.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,15 +97,21 @@ pub enum ScriptProblem {
     Surplus,
     /// `every` and `chance` go with faults of frames only.
     Repeated,
+    /// No such slave in the chain.
+    Slave,
+    /// No such cable in the chain.
+    Cable,
 }
 
 impl fmt::Display for ScriptError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let reason = match self.reason {
-            ScriptProblem::When => "expected 'frame', 'ms', 'every' or 'chance'",
+            ScriptProblem::When => "expected 'frame', 'ms', 'every', 'chance' or 'N% of frames:'",
             ScriptProblem::Fault => "no such fault",
             ScriptProblem::Number => "a number is missing or out of range",
             ScriptProblem::Surplus => "one word too many",
+            ScriptProblem::Slave => "no such slave in this chain",
+            ScriptProblem::Cable => "no such cable in this chain",
             ScriptProblem::Repeated => "'every' and 'chance' go with faults of frames only",
         };
         write!(formatter, "line {}: {reason}: '{}'", self.line, self.word)
@@ -150,13 +124,36 @@ impl std::error::Error for ScriptError {}
 #[derive(Clone, Debug, Default)]
 pub struct Script {
     entries: Vec<(When, Fault)>,
+    lines: Vec<usize>,
+}
+
+impl Script {
+    /// Whether every slave and cable that it names is in a chain of so many slaves.
+    ///
+    /// # Errors
+    /// [`ScriptError`] with the line and the number of the first that is not.
+    pub fn check(&self, slaves: usize) -> Result<(), ScriptError> {
+        for (line, (_, fault)) in self.lines.iter().zip(&self.entries) {
+            let (reason, number) = match (fault.slave(), fault.cable()) {
+                (Some(slave), _) if slave > slaves => (ScriptProblem::Slave, slave),
+                (_, Some(cable)) if cable >= slaves => (ScriptProblem::Cable, cable),
+                _ => continue,
+            };
+            return Err(ScriptError {
+                line: *line,
+                reason,
+                word: number.to_string(),
+            });
+        }
+        Ok(())
+    }
 }
 
 impl FromStr for Script {
     type Err = ScriptError;
 
     fn from_str(text: &str) -> Result<Self, ScriptError> {
-        let mut entries = Vec::new();
+        let (mut entries, mut lines) = (Vec::new(), Vec::new());
         for (index, line) in text.lines().enumerate() {
             let content = line.split('#').next().unwrap_or_default();
             let mut words = Words {
@@ -165,9 +162,10 @@ impl FromStr for Script {
             };
             if let Some(first) = words.words.next() {
                 entries.push(entry(first, &mut words)?);
+                lines.push(index + 1);
             }
         }
-        Ok(Self { entries })
+        Ok(Self { entries, lines })
     }
 }
 
@@ -201,6 +199,53 @@ impl Words<'_> {
             .ok_or_else(|| self.error(ScriptProblem::Number, word))
     }
 
+    fn expect(&mut self, expected: &str) -> Result<(), ScriptError> {
+        match self.words.next().unwrap_or_default() {
+            word if word == expected => Ok(()),
+            word => Err(self.error(ScriptProblem::When, word)),
+        }
+    }
+
+    /// One of a few words.
+    fn choice<T: Copy>(&mut self, choices: &[(&str, T)]) -> Result<T, ScriptError> {
+        let word = self.words.next().unwrap_or_default();
+        let found = choices.iter().find(|(name, _)| *name == word);
+        found
+            .map(|(_, choice)| *choice)
+            .ok_or_else(|| self.error(ScriptProblem::Fault, word))
+    }
+
+    fn state(&mut self) -> Result<AlState, ScriptError> {
+        self.choice(&[
+            ("init", AlState::Init),
+            ("preop", AlState::PreOperational),
+            ("safeop", AlState::SafeOperational),
+            ("op", AlState::Operational),
+        ])
+    }
+
+    fn mail_step(&mut self) -> Result<MailStep, ScriptError> {
+        let word = self.words.next().unwrap_or_default();
+        match word.split_once(':') {
+            Some((index, sub)) => Ok(MailStep::Object(self.parse_number(index)?, self.parse_number(sub)?)),
+            None => match self.parse_number(word)? {
+                0 => Err(self.error(ScriptProblem::Number, word)),
+                request => Ok(MailStep::Request(request)),
+            },
+        }
+    }
+
+    fn mail_fault(&mut self) -> Result<MailFault, ScriptError> {
+        Ok(match self.words.next().unwrap_or_default() {
+            "abort" => MailFault::Abort(self.number()?),
+            "silent" => MailFault::Silent,
+            "lost" => MailFault::Lost,
+            "counter" => MailFault::Counter,
+            "flood" => MailFault::Flood(self.number()?),
+            word => return Err(self.error(ScriptProblem::Fault, word)),
+        })
+    }
+
     fn slave(&mut self) -> Result<usize, ScriptError> {
         match self.number()? {
             0 => Err(self.error(ScriptProblem::Number, "0")),
@@ -231,31 +276,19 @@ fn entry(first: &str, words: &mut Words) -> Result<(When, Fault), ScriptError> {
                 _ => return Err(words.error(ScriptProblem::Number, word)),
             }
         }
-        word => return Err(words.error(ScriptProblem::When, word)),
+        word => match word.strip_suffix('%').and_then(|number| number.parse::<f64>().ok()) {
+            Some(percent) if (0.0..=100.0).contains(&percent) => {
+                words.expect("of")?;
+                words.expect("frames:")?;
+                When::Chance {
+                    probability: percent / 100.0,
+                }
+            }
+            _ => return Err(words.error(ScriptProblem::When, word)),
+        },
     };
     let name = words.words.next().unwrap_or_default();
-    let fault = match name {
-        "drop" => Fault::Drop,
-        "lose" => Fault::Lose,
-        "delay" => Fault::Delay(words.number()?),
-        "duplicate" => Fault::Duplicate,
-        "truncate" => Fault::Truncate(words.number()?),
-        "index" => Fault::Index(words.number()?),
-        "foreign" => Fault::Foreign,
-        "counter" => Fault::Counter(words.number()?),
-        "stall" => Fault::Stall(words.number()?),
-        "cut" => Fault::Cut(words.number()?),
-        "join" => Fault::Join,
-        "remove" => Fault::Remove(words.slave()?),
-        "insert" => Fault::Insert(words.slave()?),
-        "power" => Fault::Power(words.slave()?, words.number()?),
-        "retreat" => Fault::Retreat(words.slave()?, words.number()?),
-        "silence" => Fault::Silence(words.slave()?, words.number()?),
-        "fault" => Fault::Drive(words.slave()?, words.number()?),
-        "mains" => Fault::Mains(words.slave()?, words.number()?),
-        "stuck" => Fault::Stuck(words.slave()?, words.number()?),
-        word => return Err(words.error(ScriptProblem::Fault, word)),
-    };
+    let fault = fault(name, words)?;
     if let Some(word) = words.words.next() {
         return Err(words.error(ScriptProblem::Surplus, word));
     }
@@ -265,11 +298,61 @@ fn entry(first: &str, words: &mut Words) -> Result<(When, Fault), ScriptError> {
     Ok((when, fault))
 }
 
+fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
+    Ok(match name {
+        "drop" => Fault::Drop,
+        "lose" => Fault::Lose,
+        "delay" => Fault::Delay(words.number()?),
+        "duplicate" => Fault::Duplicate,
+        "truncate" => Fault::Truncate(words.number()?),
+        "overlong" => Fault::Overlong(words.number::<u16>()?.min(OVERLONG_BYTES_MAX)),
+        "index" => Fault::Index(words.number()?),
+        "counter" => Fault::Counter(words.number()?),
+        "type" => Fault::Type(words.number::<u8>()? & 0x0F),
+        "more" => Fault::More,
+        "circulate" => Fault::Circulate,
+        "vlan" => Fault::Vlan,
+        "foreign" => Fault::Foreign,
+        "reflect" => Fault::Reflect,
+        "stall" => Fault::Stall(words.number()?),
+        "cut" => Fault::Cut(words.number()?),
+        "join" => Fault::Join,
+        "crc" => Fault::Crc(words.number()?, words.number()?),
+        "remove" => Fault::Remove(words.slave()?),
+        "insert" => Fault::Insert(words.slave()?),
+        "swap" => Fault::Swap(words.slave()?, words.choice(&Product::NAMES)?),
+        "power" => Fault::Power(words.slave()?, words.number()?),
+        "retreat" => Fault::Retreat(words.slave()?, words.number()?),
+        "refuse" => Fault::Refuse(words.slave()?, words.state()?, words.number()?),
+        "pdi" => Fault::Processor(words.slave()?, words.number()?),
+        "sii" => Fault::Sii(words.slave()?, words.choice(&SII_FAULTS)?),
+        "silence" => Fault::Silence(words.slave()?, words.number()?),
+        "mailbox" => Fault::Mailbox(words.slave()?, words.mail_step()?, words.mail_fault()?),
+        "fault" => Fault::Drive(words.slave()?, words.number()?),
+        "mains" => Fault::Mains(words.slave()?, words.number()?),
+        "stuck" => Fault::Stuck(words.slave()?, words.number()?),
+        word => return Err(words.error(ScriptProblem::Fault, word)),
+    })
+}
+
+/// Bytes that follow a reply at most.
+const OVERLONG_BYTES_MAX: u16 = 2_000;
+
+const SII_FAULTS: [(&str, SiiFault); 6] = [
+    ("busy", SiiFault::Busy),
+    ("refused", SiiFault::Acknowledge),
+    ("blank", SiiFault::Blank),
+    ("damaged", SiiFault::Damaged),
+    ("owned", SiiFault::Owned),
+    ("whole", SiiFault::Whole),
+];
+
 /// A script at work.
 #[derive(Clone, Debug)]
 pub(super) struct Schedule {
     entries: Vec<(When, Fault)>,
     random: Random,
+    counts: BTreeMap<&'static str, u64>,
 }
 
 impl Schedule {
@@ -277,12 +360,23 @@ impl Schedule {
         Self {
             entries: script.entries.clone(),
             random: Random::new(seed),
+            counts: BTreeMap::new(),
         }
     }
 
     /// Adds a fault that happens now: to the next frame, or to the cell at the next millisecond.
     pub(super) fn inject(&mut self, fault: Fault) {
         self.entries.push((When::Time { ms: 0 }, fault));
+    }
+
+    /// A fault has happened.
+    pub(super) fn count(&mut self, fault: Fault) {
+        *self.counts.entry(fault.name()).or_default() += 1;
+    }
+
+    /// How often each kind of fault has happened.
+    pub(super) fn counts(&self) -> &BTreeMap<&'static str, u64> {
+        &self.counts
     }
 
     /// The faults that happen to the cell at this millisecond, once each.
@@ -376,6 +470,11 @@ mod tests {
             ("every 3 cut 1", 1, ScriptProblem::Repeated, "cut"),
             ("chance 2 drop", 1, ScriptProblem::Number, "2"),
             ("every 0 drop", 1, ScriptProblem::Number, "0"),
+            ("1% of slaves: drop", 1, ScriptProblem::When, "slaves:"),
+            ("101% of frames: drop", 1, ScriptProblem::When, "101%"),
+            ("ms 1 sii 2 eaten", 1, ScriptProblem::Fault, "eaten"),
+            ("ms 1 mailbox 1 0 silent", 1, ScriptProblem::Number, "0"),
+            ("ms 1 refuse 1 boot 3", 1, ScriptProblem::Fault, "boot"),
         ];
         for (text, line, reason, word) in cases {
             let error = text.parse::<Script>().expect_err(text);
@@ -387,6 +486,52 @@ mod tests {
                     word: word.to_owned()
                 },
                 "{text}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_slave_or_cable_that_does_not_exist_is_refused_with_its_line() {
+        let script: Script = "ms 1 cut 3\n\nms 2 swap 4 ek1100\nms 3 crc 4 1"
+            .parse()
+            .expect("a script");
+        assert_eq!(script.check(5), Ok(()));
+        let error = |line, reason, word: &str| ScriptError {
+            line,
+            reason,
+            word: word.to_owned(),
+        };
+        assert_eq!(script.check(4), Err(error(4, ScriptProblem::Cable, "4")));
+        assert_eq!(script.check(3), Err(error(1, ScriptProblem::Cable, "3")));
+        let slave: Script = "ms 2 power 4 1".parse().expect("a script");
+        assert_eq!(slave.check(3), Err(error(1, ScriptProblem::Slave, "4")));
+    }
+
+    #[test]
+    fn every_fault_is_in_the_help_and_every_line_of_it_is_understood() {
+        for text in [
+            "1% of frames: overlong 10",
+            "every 2 type 3",
+            "frame 1 more",
+            "frame 1 circulate",
+            "frame 1 vlan",
+            "frame 1 reflect",
+            "ms 1 crc 0 2",
+            "ms 1 swap 1 cia402",
+            "ms 1 refuse 1 safeop 0x1D",
+            "ms 1 pdi 1 20",
+            "ms 1 sii 1 damaged",
+            "ms 1 mailbox 1 3 abort 0x06010000",
+            "ms 1 mailbox 1 0x6060:0 silent",
+            "ms 1 mailbox 1 1 lost",
+            "ms 1 mailbox 1 1 counter",
+            "ms 1 mailbox 1 1 flood 5",
+        ] {
+            let script: Script = text.parse().expect(text);
+            let name = script.entries[0].1.name();
+            assert!(
+                SCRIPT_HELP.contains(&format!("  {name} ")) || SCRIPT_HELP.contains(&format!(", {name} ")),
+                "{name}"
             );
         }
     }

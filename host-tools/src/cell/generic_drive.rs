@@ -7,7 +7,7 @@
 use super::abort::Abort;
 use super::device::{Device, Emergency, Windows};
 use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
-use super::drive::{Drive, MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, RATED_TORQUE_MNM};
+use super::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, RATED_TORQUE_MNM};
 use super::process_data::{Pdo, PdoEntry, ProcessData};
 use super::servo::Servo;
 use super::sii::{self, Description};
@@ -344,12 +344,12 @@ impl Device for GenericDrive {
         self.servo.take_emergency()
     }
 
-    fn drive(&self) -> Option<&Drive> {
-        Some(&self.servo.drive)
+    fn servo(&self) -> Option<&Servo> {
+        Some(&self.servo)
     }
 
-    fn drive_mut(&mut self) -> Option<&mut Drive> {
-        Some(&mut self.servo.drive)
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
+        Some(&mut self.servo)
     }
 
     fn boxed_clone(&self) -> Box<dyn Device> {

@@ -101,13 +101,16 @@ impl SlaveKind {
     /// The device; a drive goes into the kinds that have one.
     pub(super) fn device(&self, servo: Option<Servo>, serial: u32) -> Box<dyn Device> {
         match (self, servo) {
-            (Self::Ax2000, Some(servo)) => Box::new(Ax2000::new(servo, serial)),
+            (Self::Ax2000, Some(mut servo)) => {
+                servo.drive = servo.drive.with_profile(Profile::Ax2000);
+                Box::new(Ax2000::new(servo, serial))
+            }
             (Self::Cia402, Some(mut servo)) => {
                 servo.drive = servo.drive.with_profile(Profile::Cia402);
                 Box::new(GenericDrive::new(servo, serial))
             }
             (Self::Sii(image), _) => Box::new(ImageDevice::new(image.to_vec())),
-            _ => Box::new(Coupler),
+            (_, servo) => Box::new(Coupler::new(servo)),
         }
     }
 }

@@ -16,14 +16,18 @@ mod abort;
 mod application;
 mod ax2000;
 pub mod capture;
+mod clock;
 mod coe;
 mod controller;
 mod coupler;
+mod damage;
 mod datagram;
 mod device;
 mod dictionary;
 mod drive;
+mod dynamics;
 mod eeprom;
+mod fault_kinds;
 mod faults;
 mod fmmu;
 mod generic_drive;
@@ -46,20 +50,25 @@ pub use application::AlState;
 pub use ax2000::NAME;
 pub use device::ClockWidth;
 pub use drive::DriveState;
-pub use faults::{Fault, Script, ScriptError, ScriptProblem};
+pub use eeprom::SiiFault;
+pub use fault_kinds::{Fault, MailFault, MailStep, Product};
+pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
 pub use paper::{InkStroke, PEN_SPRING_MM};
 
+use controller::Nature;
 use drive::Drive;
+use dynamics::Dynamics;
 use etherpen::config::Config;
 use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
 use faults::Schedule;
 use paper::Sheet;
 use random::Random;
 use robot::Robot;
-use segment::Segment;
+use segment::{Now, Segment, Travel};
 use servo::Servo;
 use slave::Slave;
+use std::collections::BTreeMap;
 
 /// Length of the cell's step, microseconds.
 const STEP_US: u64 = 1000;
@@ -71,6 +80,21 @@ const SILENCE_US: u64 = 100_000;
 const CATCH_UP_STEPS_MAX: u64 = 600_000;
 /// Longest delay between bus and motor, steps.
 const DELAY_CYCLES_MAX: usize = 100;
+
+/// Ethernet header around the payload of a datagram.
+const ENVELOPE: [u8; 14] = [
+    0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x10, 0x10, 0x10, 0x10, 0x10, 0x10, 0x88, 0xA4,
+];
+/// Makes the clocks' chances others than the rest.
+const CLOCK_SEED: u64 = 0xC10C;
+/// Longest time a slave's clock has run at the start, ns.
+const CLOCK_AGE_MAX_NS: u64 = 10_000_000_000;
+/// Largest drift of a clock, parts per million.
+const DRIFT_MAX_PPM: f64 = 1000.0;
+/// Longest time through a cable or a slave, ns.
+const TRAVEL_MAX_NS: u64 = 1_000_000;
+/// Longest time of a command of an information memory, microseconds.
+const SII_BUSY_MAX_US: u64 = 10_000_000;
 
 /// What the cell is made of, beyond the configuration.
 #[derive(Clone, Debug)]
@@ -90,6 +114,34 @@ pub struct CellOptions {
     /// The slaves in the order of the chain; empty: an AX2000 for each of the configured drives. Drives are the
     /// configuration's axes in their order, further ones move nothing.
     pub slaves: Vec<SlaveKind>,
+    /// Distributed clocks and the way of the frames.
+    pub clocks: ClockOptions,
+    /// How long a command of an information memory is busy, microseconds.
+    pub sii_busy_us: u64,
+}
+
+/// Distributed clocks of the slaves, and how long frames travel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockOptions {
+    /// Width of the clocks of all slaves that have one.
+    pub width: ClockWidth,
+    /// Largest drift of a slave's clock, in either direction, parts per million.
+    pub drift_max_ppm: f64,
+    /// Time through one cable, ns.
+    pub cable_ns: u64,
+    /// Time through one slave in one direction, ns.
+    pub forwarding_ns: u64,
+}
+
+impl Default for ClockOptions {
+    fn default() -> Self {
+        Self {
+            width: ClockWidth::Bits64,
+            drift_max_ppm: 30.0,
+            cable_ns: 50,
+            forwarding_ns: 300,
+        }
+    }
 }
 
 impl Default for CellOptions {
@@ -102,6 +154,8 @@ impl Default for CellOptions {
             start_offset_max_rad: 0.1,
             faults: Script::default(),
             slaves: Vec::new(),
+            clocks: ClockOptions::default(),
+            sii_busy_us: eeprom::BUSY_NS / 1000,
         }
     }
 }
@@ -151,6 +205,7 @@ pub struct CellState {
 pub struct Cell {
     segment: Segment,
     robot: Robot,
+    dynamics: Dynamics,
     sheet: Sheet,
     schedule: Schedule,
     boundary_us: Option<u64>,
@@ -171,6 +226,7 @@ impl Cell {
             _ => options.slaves.clone(),
         };
         let mut axes = config.axes.into_iter();
+        let mut clocks = Random::new(options.seed ^ CLOCK_SEED);
         let slaves = (1..).zip(&kinds).map(|(serial, kind)| {
             let servo = kind.is_drive().then(|| {
                 let axis = axes.next().unwrap_or_default();
@@ -178,14 +234,25 @@ impl Cell {
                 let drive = Drive::new(axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz);
                 Servo::new(drive, output_delay, input_delay)
             });
-            Slave::new(kind.device(servo, serial))
+            Slave::new(
+                kind.device(servo, serial),
+                options.clocks.width,
+                nature(&mut clocks, &options),
+            )
         });
-        let segment = Segment::new(slaves.collect());
+        let segment = Segment::new(
+            slaves.collect(),
+            Travel {
+                cable_ns: options.clocks.cable_ns.min(TRAVEL_MAX_NS),
+                forwarding_ns: options.clocks.forwarding_ns.min(TRAVEL_MAX_NS),
+            },
+        );
         let mut robot = Robot::new(&config.geometry);
         robot.step(&joints(&segment));
         Self {
             segment,
             robot,
+            dynamics: Dynamics::new(&config.geometry),
             sheet: Sheet::new(config.paper),
             schedule: Schedule::new(&options.faults, random.next()),
             boundary_us: None,
@@ -200,7 +267,7 @@ impl Cell {
         let first_us = time_us.saturating_add(BOUNDARY_US);
         let mut boundary_us = self.boundary_us.unwrap_or(first_us).max(earliest_us);
         while boundary_us <= time_us && boundary_us < u64::MAX {
-            self.step();
+            self.step(boundary_us.saturating_mul(1000));
             boundary_us = boundary_us.saturating_add(STEP_US);
         }
         self.boundary_us = Some(boundary_us);
@@ -209,18 +276,48 @@ impl Cell {
     /// Lets an Ethernet frame pass at this time; gives what comes back, in order: usually one reply, none for a lost
     /// or foreign frame, more where the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.frame_at_ns(time_us.saturating_mul(1000), frame)
+    }
+
+    /// The same with the time in nanoseconds, for distributed clocks.
+    pub fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        let time_us = time_ns / 1000;
         self.advance_to(time_us);
         let frames = self.segment.frames();
-        let replies = self.segment.frame(frame, self.steps, &mut self.schedule);
+        let now = Now {
+            ms: self.steps,
+            ns: time_ns,
+        };
+        let replies = self.segment.frame(frame, now, &mut self.schedule);
         if self.segment.frames() > frames {
             self.follow(time_us);
         }
         replies
     }
 
+    /// Lets the payload of an EtherCAT datagram in UDP pass: EtherCAT header and datagrams in, the same out.
+    pub fn payload(&mut self, time_us: u64, payload: &[u8]) -> Vec<Vec<u8>> {
+        let mut frame = ENVELOPE.to_vec();
+        frame.extend_from_slice(payload);
+        let replies = self.frame(time_us, &frame);
+        let strip = |reply: Vec<u8>| reply.get(ENVELOPE.len()..).map(<[u8]>::to_vec);
+        replies
+            .into_iter()
+            .filter(|reply| reply.get(12..14) == ENVELOPE.get(12..14))
+            .filter_map(strip)
+            .collect()
+    }
+
     /// Lets a fault happen: to the next frame, or at the next millisecond. Slaves count from 1.
     pub fn inject(&mut self, fault: Fault) {
         self.schedule.inject(fault);
+    }
+
+    /// How often each kind of fault has happened, by its word in the script. Faults of frames count where they had an
+    /// effect, the others when they began.
+    #[must_use]
+    pub fn injected(&self) -> &BTreeMap<&'static str, u64> {
+        self.schedule.counts()
     }
 
     /// The ink on the paper; the last stroke may still grow.
@@ -274,12 +371,14 @@ impl Cell {
         self.last_frame_us = Some(time_us.max(self.last_frame_us.unwrap_or(0)));
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, now_ns: u64) {
         self.steps += 1;
         for fault in self.schedule.at_time(self.steps) {
             self.segment.apply(fault, self.steps);
+            self.schedule.count(fault);
         }
-        self.segment.step();
+        self.segment.step(now_ns);
+        self.dynamics.step(self.segment.drives_mut());
         for (arm, drive) in self.segment.drives_mut().enumerate() {
             self.robot.limit(arm, drive);
         }
@@ -287,6 +386,15 @@ impl Cell {
         if let Some(platform) = self.robot.step(&joints(&self.segment)) {
             self.sheet.step(self.steps, platform);
         }
+    }
+}
+
+fn nature(random: &mut Random, options: &CellOptions) -> Nature {
+    let drift_ppm = options.clocks.drift_max_ppm.clamp(0.0, DRIFT_MAX_PPM);
+    Nature {
+        drift_ppb: ((2.0 * random.unit() - 1.0) * drift_ppm * 1000.0) as i64,
+        local_ns: random.next() % CLOCK_AGE_MAX_NS,
+        sii_busy_ns: options.sii_busy_us.min(SII_BUSY_MAX_US) * 1000,
     }
 }
 
@@ -301,7 +409,11 @@ fn joints(segment: &Segment) -> JointAngles {
 #[cfg(test)]
 mod device_tests;
 #[cfg(test)]
+mod fault_tests;
+#[cfg(test)]
 mod master_tests;
+#[cfg(test)]
+mod replay_tests;
 #[cfg(test)]
 mod test_bench;
 #[cfg(test)]

@@ -6,8 +6,8 @@
 /// Length of a step, seconds.
 pub(super) const STEP_S: f64 = 1e-3;
 
-/// Inertia of a motor and its load, kg m2 at the motor.
-const INERTIA_KG_M2: f64 = 1.4e-3;
+/// Speed that no load lets the motor exceed: its voltage is used up.
+const SPEED_MAX_RAD_S: f64 = 700.0;
 
 /// What acts on the motor during one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,7 +16,7 @@ pub(super) enum Drive {
     Speed(f64),
     /// The speed falls to zero with this deceleration, rad/s2.
     Ramp(f64),
-    /// The current loop gives this torque at the motor, N m.
+    /// The current loop gives this torque at the motor, N m; the load decides how it moves.
     Torque(f64),
 }
 
@@ -65,23 +65,23 @@ impl Motor {
     pub(super) fn step(&mut self, drive: Drive) {
         self.torque_nm = 0.0;
         match drive {
-            Drive::Torque(torque_nm) => self.accelerate(torque_nm),
+            Drive::Torque(torque_nm) => self.torque_nm = torque_nm,
             Drive::Speed(target_rad_s) => self.follow(target_rad_s),
             Drive::Ramp(deceleration_rad_s2) => self.slow_down(deceleration_rad_s2),
         }
+    }
+
+    /// Moves the motor with this acceleration, rad/s2, for a while.
+    pub(super) fn accelerate(&mut self, rad_s2: f64, duration_s: f64) {
+        let change_rad_s = rad_s2 * duration_s;
+        self.angle_rad += (self.speed_rad_s + 0.5 * change_rad_s) * duration_s;
+        self.speed_rad_s = (self.speed_rad_s + change_rad_s).clamp(-SPEED_MAX_RAD_S, SPEED_MAX_RAD_S);
     }
 
     /// Stops the motor at once at this angle: a mechanical end stop.
     pub(super) fn block_at(&mut self, angle_rad: f64) {
         self.angle_rad = angle_rad;
         self.speed_rad_s = 0.0;
-    }
-
-    fn accelerate(&mut self, torque_nm: f64) {
-        self.torque_nm = torque_nm;
-        let change_rad_s = torque_nm / INERTIA_KG_M2 * STEP_S;
-        self.angle_rad += (self.speed_rad_s + 0.5 * change_rad_s) * STEP_S;
-        self.speed_rad_s += change_rad_s;
     }
 
     fn follow(&mut self, target_rad_s: f64) {

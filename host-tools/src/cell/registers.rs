@@ -28,6 +28,16 @@ pub(super) const WATCHDOG_PROCESS_DATA: usize = wire::WATCHDOG_SYNC_MANAGER as u
 pub(super) const WATCHDOG_STATUS: usize = wire::WATCHDOG_STATUS as usize;
 /// Expiries of the process-data watchdog.
 pub(super) const WATCHDOG_COUNTER: usize = wire::WATCHDOG_COUNTER as usize;
+/// Control of the slave's processor interface, as the information memory gives it.
+pub(super) const PDI_CONTROL: usize = wire::PDI_CONTROL as usize;
+/// Invalid frames and receive errors, two counters for each port.
+pub(super) const RECEIVE_ERRORS: usize = wire::RECEIVE_ERRORS as usize;
+/// Errors that came with the frame, one counter for each port.
+pub(super) const FORWARDED_ERRORS: usize = wire::FORWARDED_ERRORS as usize;
+/// Watchdog time of the slave's processor in periods of the divided clock.
+pub(super) const WATCHDOG_PDI: usize = wire::WATCHDOG_PDI as usize;
+/// Expiries of the processor's watchdog.
+pub(super) const WATCHDOG_PDI_COUNTER: usize = WATCHDOG_COUNTER + 1;
 /// Lost links, one counter for each port.
 pub(super) const LOST_LINKS: usize = wire::LOST_LINKS as usize;
 /// First register of the information memory's interface.
@@ -39,7 +49,9 @@ pub(super) const FMMU: usize = wire::FMMU as usize;
 /// First sync manager.
 pub(super) const SYNC_MANAGER: usize = wire::SYNC_MANAGER as usize;
 
-const ERROR_COUNTERS: usize = wire::RECEIVE_ERRORS as usize;
+const ERROR_COUNTERS: usize = RECEIVE_ERRORS;
+const SII_PDI_ACCESS: usize = wire::SII_PDI_ACCESS as usize;
+const TIME_DIFFERENCE: usize = wire::DC_TIME_DIFFERENCE as usize;
 const ERROR_COUNTERS_END: usize = ERROR_COUNTERS + wire::ERROR_COUNTERS_LEN;
 const SYNC_MANAGER_END: usize = SYNC_MANAGER + 8 * wire::SYNC_MANAGER_LEN;
 const STATUS_OFFSET: usize = wire::SYNC_MANAGER_STATUS_OFFSET as usize;
@@ -51,6 +63,10 @@ pub(super) fn is_read_only(at: usize) -> bool {
     let manager_flag =
         (SYNC_MANAGER..SYNC_MANAGER_END).contains(&at) && (in_manager == STATUS_OFFSET || in_manager == PDI_OFFSET);
     at < STATION_ADDRESS
+        || (STATION_ALIAS..STATION_ALIAS + 2).contains(&at)
+        || (PDI_CONTROL..PDI_CONTROL + 2).contains(&at)
+        || at == SII_PDI_ACCESS
+        || (TIME_DIFFERENCE..TIME_DIFFERENCE + 4).contains(&at)
         || (DL_STATUS..DL_STATUS + 2).contains(&at)
         || (AL_STATUS..AL_STATUS_CODE + 2).contains(&at)
         || (WATCHDOG_STATUS..WATCHDOG_STATUS + 2).contains(&at)

@@ -3,9 +3,11 @@
 //! A frame passes the slaves in order, whole, and comes back; the first controller marks its source address. Cables
 //! and power decide how far it gets, the script what else happens to it.
 
+use super::damage;
 use super::datagram::{Datagrams, mark_processed};
 use super::drive::Drive;
-use super::faults::{Fault, Schedule};
+use super::fault_kinds::Fault;
+use super::faults::Schedule;
 use super::slave::Slave;
 use std::collections::VecDeque;
 
@@ -26,6 +28,24 @@ const FOREIGN_FRAME: [u8; 60] = {
     frame
 };
 
+/// The present time: whole steps of the cell, and the true time of a frame's arrival.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Now {
+    /// Milliseconds since the start.
+    pub(super) ms: u64,
+    /// Nanoseconds on the caller's clock.
+    pub(super) ns: u64,
+}
+
+/// How long a frame takes through the chain.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Travel {
+    /// Through one cable, ns.
+    pub(super) cable_ns: u64,
+    /// Through one slave, in either direction, ns.
+    pub(super) forwarding_ns: u64,
+}
+
 /// Slaves, cables and frames under way.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
@@ -35,12 +55,15 @@ pub(super) struct Segment {
     removed: Vec<bool>,
     mains_off_ms: Vec<u64>,
     stalled_until_ms: u64,
+    /// Frames that each cable still destroys.
+    damaging: Vec<u64>,
+    travel: Travel,
     frames: u64,
     delayed: VecDeque<(u64, Vec<u8>)>,
 }
 
 impl Segment {
-    pub(super) fn new(slaves: Vec<Slave>) -> Self {
+    pub(super) fn new(slaves: Vec<Slave>, travel: Travel) -> Self {
         let count = slaves.len();
         let mut segment = Self {
             slaves,
@@ -48,6 +71,8 @@ impl Segment {
             removed: vec![false; count],
             mains_off_ms: vec![0; count],
             stalled_until_ms: 0,
+            damaging: vec![0; count + 1],
+            travel,
             frames: 0,
             delayed: VecDeque::new(),
         };
@@ -65,15 +90,15 @@ impl Segment {
         self.frames
     }
 
-    /// One millisecond.
-    pub(super) fn step(&mut self) {
+    /// One millisecond, at a true time.
+    pub(super) fn step(&mut self, now_ns: u64) {
         for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
             if *off_ms > 0 {
                 *off_ms -= 1;
                 let on = *off_ms == 0;
                 slave.drive_mut().into_iter().for_each(|drive| drive.set_mains(on));
             }
-            slave.step();
+            slave.step(now_ns);
         }
         self.show_links();
     }
@@ -115,20 +140,23 @@ impl Segment {
                     .take(1)
                     .for_each(|off_ms| *off_ms = ms);
             }
-            Fault::Drop
-            | Fault::Lose
-            | Fault::Delay(_)
-            | Fault::Duplicate
-            | Fault::Truncate(_)
-            | Fault::Index(_)
-            | Fault::Foreign
-            | Fault::Counter(_) => {}
+            Fault::Crc(cable, frames) => {
+                let cable = self.damaging.iter_mut().skip(cable).take(1);
+                cable.for_each(|left| *left = left.saturating_add(frames));
+            }
+            Fault::Swap(slave, product) => self.with(slave, |slave| slave.swap(product)),
+            Fault::Refuse(slave, state, code) => self.with(slave, |slave| slave.refuse(state, code)),
+            Fault::Processor(slave, ms) => self.with(slave, |slave| slave.hang(ms)),
+            Fault::Sii(slave, fault) => self.with(slave, |slave| slave.set_sii_fault(fault)),
+            Fault::Mailbox(slave, step, fault) => self.with(slave, |slave| slave.spoil_mailbox(step, fault)),
+            _ => {}
         }
         self.show_links();
     }
 
     /// Lets a frame pass; gives what comes back, in order.
-    pub(super) fn frame(&mut self, frame: &[u8], now_ms: u64, schedule: &mut Schedule) -> Vec<Vec<u8>> {
+    pub(super) fn frame(&mut self, frame: &[u8], now: Now, schedule: &mut Schedule) -> Vec<Vec<u8>> {
+        let now_ms = now.ms;
         let mut passing = frame.to_vec();
         if Datagrams::of_frame(&mut passing).is_none() {
             return Vec::new();
@@ -137,6 +165,7 @@ impl Segment {
         let mut faults = schedule.at_frame(self.frames, now_ms);
         for fault in faults.iter().filter(|fault| !fault.is_of_frame()) {
             self.apply(*fault, now_ms);
+            schedule.count(*fault);
         }
         faults.retain(|fault| fault.is_of_frame());
         let mut replies = Vec::new();
@@ -144,50 +173,80 @@ impl Segment {
             replies.extend(self.delayed.pop_front().map(|(_, reply)| reply));
         }
         let stalled = now_ms < self.stalled_until_ms;
-        if stalled || faults.contains(&Fault::Drop) || !self.pass(&mut passing) {
+        if stalled {
             return replies;
         }
-        self.answer(passing, &faults, &mut replies);
+        if faults.contains(&Fault::Drop) {
+            schedule.count(Fault::Drop);
+            return replies;
+        }
+        if !self.pass(&mut passing, now.ns) {
+            return replies;
+        }
+        if faults.contains(&Fault::Lose) {
+            schedule.count(Fault::Lose);
+            return replies;
+        }
+        faults.iter().for_each(|fault| schedule.count(*fault));
+        self.answer(frame, passing, &faults, &mut replies);
         replies
     }
 
     /// Lets a frame pass the slaves it can reach; false where it does not come back.
-    fn pass(&mut self, frame: &mut [u8]) -> bool {
+    fn pass(&mut self, frame: &mut [u8], now_ns: u64) -> bool {
         let reached = self.reached();
         if reached.is_empty() {
             return false;
         }
-        for index in reached {
+        let Travel {
+            cable_ns,
+            forwarding_ns,
+        } = self.travel;
+        let hop_ns = cable_ns + forwarding_ns;
+        let last = reached.len() as u64 - 1;
+        let mut damaged = false;
+        for (place, index) in (0u64..).zip(reached) {
+            if let Some(left) = self.damaging.get_mut(index).filter(|left| **left > 0 && !damaged) {
+                *left -= 1;
+                damaged = true;
+                self.slaves
+                    .iter_mut()
+                    .skip(index)
+                    .take(1)
+                    .for_each(|slave| slave.count_damage(false));
+                continue;
+            }
             let (Some(slave), Some(mut datagrams)) = (self.slaves.get_mut(index), Datagrams::of_frame(frame)) else {
                 continue;
             };
+            if damaged {
+                slave.count_damage(true);
+                continue;
+            }
+            let arrival_ns = now_ns.saturating_add(cable_ns + place * hop_ns);
+            let back_ns = (place < last).then(|| arrival_ns.saturating_add(2 * (last - place) * hop_ns));
+            slave.begin_frame(arrival_ns, back_ns);
             while let Some(mut datagram) = datagrams.next() {
                 slave.pass(&mut datagram);
             }
         }
         mark_processed(frame);
-        true
+        !damaged
     }
 
     /// Hands the reply back as the script has it.
-    fn answer(&mut self, mut reply: Vec<u8>, faults: &[Fault], replies: &mut Vec<Vec<u8>>) {
+    fn answer(&mut self, request: &[u8], mut reply: Vec<u8>, faults: &[Fault], replies: &mut Vec<Vec<u8>>) {
         let (mut delay, mut copies) = (0, 1);
         for fault in faults {
             match *fault {
-                Fault::Lose => return,
                 Fault::Delay(frames) => delay = frames,
                 Fault::Duplicate => copies = 2,
                 Fault::Foreign => replies.push(FOREIGN_FRAME.to_vec()),
-                Fault::Index(by) => damage(&mut reply, |datagram| datagram.change_index(by)),
-                Fault::Counter(by) => damage(&mut reply, |datagram| datagram.count(by as u16)),
-                _ => {}
+                Fault::Reflect => replies.push(request.to_vec()),
+                fault => damage::change(&mut reply, fault),
             }
         }
-        for fault in faults {
-            if let Fault::Truncate(length) = fault {
-                reply.truncate(*length);
-            }
-        }
+        damage::envelop(&mut reply, faults);
         for _ in 0..copies {
             if delay == 0 {
                 replies.push(reply.clone());
@@ -249,14 +308,6 @@ impl Segment {
     fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {
         if let Some(slave) = slave.checked_sub(1).and_then(|index| self.slaves.get_mut(index)) {
             work(slave);
-        }
-    }
-}
-
-fn damage(frame: &mut [u8], mut change: impl FnMut(&mut super::datagram::Datagram)) {
-    if let Some(mut datagrams) = Datagrams::of_frame(frame) {
-        while let Some(mut datagram) = datagrams.next() {
-            change(&mut datagram);
         }
     }
 }

@@ -1,17 +1,27 @@
 //! One slave of the segment: controller, application, mailbox and drive, and the millisecond that joins them.
 
 use super::application::{AlState, Application, Readiness, code};
-use super::coe::MailboxServer;
-use super::controller::Controller;
+use super::clock::SyncState;
+use super::coe::{MailboxServer, object_of};
+use super::controller::{Controller, Nature};
 use super::datagram::Datagram;
-use super::device::Device;
+use super::device::{ClockWidth, Device};
 use super::dictionary::{Dictionary, Objects};
 use super::drive::Drive;
+use super::eeprom::SiiFault;
+use super::fault_kinds::{MailFault, MailStep, Product};
+use super::kind::SlaveKind;
 use super::process_data::ProcessData;
+use super::servo::Servo;
+use etherpen::config::Axis;
 use etherpen::ethercat::wire::sii::MailboxWindow;
 
+/// Serial number of a slave that was put in another's place.
+const SWAPPED_SERIAL: u32 = 1000;
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
+/// Error code of the emergencies of a flood.
+const FLOOD_CODE: u16 = 0xFF00;
 const OUTPUT_MANAGER: usize = 2;
 const INPUT_MANAGER: usize = 3;
 
@@ -29,14 +39,25 @@ pub(super) struct Slave {
     silent_ms: u64,
     stuck_ms: u64,
     unfed_ms: u64,
+    width: ClockWidth,
+    nature: Nature,
+    refusals: Vec<(AlState, u16)>,
+    mail_faults: Vec<(MailStep, MailFault)>,
+    hung_ms: u64,
+    hung_for_ms: u64,
     outputs_received: bool,
+    has_outputs: bool,
 }
 
 impl Slave {
     /// A slave after power-up.
-    pub(super) fn new(device: Box<dyn Device>) -> Self {
+    pub(super) fn new(device: Box<dyn Device>, width: ClockWidth, nature: Nature) -> Self {
+        let mut silicon = device.silicon();
+        if silicon.clock != ClockWidth::None {
+            silicon.clock = width;
+        }
         let mut slave = Self {
-            controller: Controller::new(device.silicon(), device.image()),
+            controller: Controller::new(silicon, device.image(), nature),
             application: Application::default(),
             mailbox: MailboxServer::default(),
             dictionary: device.dictionary(),
@@ -46,7 +67,14 @@ impl Slave {
             silent_ms: 0,
             stuck_ms: 0,
             unfed_ms: 0,
+            width,
+            nature,
+            refusals: Vec::new(),
+            mail_faults: Vec::new(),
+            hung_ms: 0,
+            hung_for_ms: 0,
             outputs_received: false,
+            has_outputs: false,
         };
         slave.show_state();
         slave
@@ -69,12 +97,58 @@ impl Slave {
 
     /// The drive inside, if there is one.
     pub(super) fn drive(&self) -> Option<&Drive> {
-        self.device.drive()
+        self.device.servo().map(|servo| &servo.drive)
     }
 
     /// The same, to be changed.
     pub(super) fn drive_mut(&mut self) -> Option<&mut Drive> {
-        self.device.drive_mut()
+        self.device.servo_mut().map(|servo| &mut servo.drive)
+    }
+
+    /// Puts another product in its place, after power-up; a motor stays where it is.
+    pub(super) fn swap(&mut self, product: Product) {
+        let kind = match product {
+            Product::Ax2000 => SlaveKind::Ax2000,
+            Product::Cia402 => SlaveKind::Cia402,
+            Product::Ek1100 => SlaveKind::Ek1100,
+        };
+        let mut servo = self.device.servo().cloned();
+        servo.iter_mut().for_each(Servo::power_up);
+        if servo.is_none() && kind.is_drive() {
+            servo = Some(Servo::new(Drive::new(Axis::default(), 0.0, 100.0), 1, 1));
+        }
+        *self = Self::new(kind.device(servo, SWAPPED_SERIAL), self.width, self.nature);
+    }
+
+    /// Refuses the next request for a state.
+    pub(super) fn refuse(&mut self, state: AlState, code: u16) {
+        self.refusals.push((state, code));
+    }
+
+    /// Something will go wrong with a mailbox request.
+    pub(super) fn spoil_mailbox(&mut self, step: MailStep, fault: MailFault) {
+        self.mail_faults.push((step, fault));
+    }
+
+    /// A frame arrives, and will come back from the chain behind at `back_ns`; SYNC0 pulses before it take effect.
+    pub(super) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
+        self.controller.begin_frame(arrival_ns, back_ns);
+        self.obey_pulses();
+    }
+
+    /// A frame came damaged: from the cable in front of it, or from further away.
+    pub(super) fn count_damage(&mut self, forwarded: bool) {
+        self.controller.count_damage(forwarded);
+    }
+
+    /// Something is wrong with the information memory.
+    pub(super) fn set_sii_fault(&mut self, fault: SiiFault) {
+        self.controller.set_sii_fault(fault);
+    }
+
+    /// Stops the slave's processor for some milliseconds: the controller works, nothing behind it does.
+    pub(super) fn hang(&mut self, milliseconds: u64) {
+        (self.hung_ms, self.hung_for_ms) = (milliseconds, 0);
     }
 
     /// Lets a datagram pass.
@@ -93,6 +167,8 @@ impl Slave {
         self.application = Application::default();
         self.mailbox = MailboxServer::default();
         self.outputs_received = false;
+        self.has_outputs = false;
+        self.hung_ms = 0;
         self.controller.power_up();
         self.device.power_up();
         self.dictionary = self.device.dictionary();
@@ -117,14 +193,19 @@ impl Slave {
         self.set_stuck(milliseconds > 0);
     }
 
-    /// One millisecond.
-    pub(super) fn step(&mut self) {
+    /// One millisecond, at a true time.
+    pub(super) fn step(&mut self, now_ns: u64) {
         if !self.is_powered() {
             self.unpowered_ms -= 1;
             self.device.step(false);
             return;
         }
-        self.controller.step();
+        self.controller.advance(now_ns);
+        self.obey_pulses();
+        if self.is_hung() {
+            self.device.step(false);
+            return;
+        }
         self.serve_mailbox();
         self.watch();
         self.change_state();
@@ -134,25 +215,55 @@ impl Slave {
                 self.set_stuck(false);
             }
         }
-        let operational = self.take_outputs();
+        if self.controller.sync_state() == SyncState::Off {
+            self.has_outputs = self.take_outputs();
+        }
+        let operational = self.has_outputs && self.application.state() == AlState::Operational;
         self.device.step(operational);
     }
 
     /// Takes the inputs of this millisecond, after every motor has moved.
     pub(super) fn sample(&mut self) {
-        if !self.is_powered() {
+        if !self.is_powered() || self.hung_ms > 0 {
             return;
         }
         self.device.sample();
-        if self.application.state() >= AlState::SafeOperational {
-            let inputs = self.process_data.pack(self.device.as_ref());
-            self.controller
-                .with_sync_manager(INPUT_MANAGER, |manager| manager.put(&inputs));
+        if self.controller.sync_state() != SyncState::Running {
+            self.put_inputs();
         }
         while let Some((code, register, detail)) = self.device.take_emergency() {
             if self.application.state() >= AlState::PreOperational {
                 self.mailbox.emergency(code, register, detail);
             }
+        }
+    }
+
+    /// SYNC0 makes the device take its outputs and show its inputs.
+    fn obey_pulses(&mut self) {
+        if self.controller.take_pulses() > 0 && self.is_powered() && self.hung_ms == 0 {
+            self.has_outputs = self.take_outputs();
+            self.put_inputs();
+        }
+    }
+
+    /// Whether the processor stands still in this millisecond; its watchdog notices.
+    fn is_hung(&mut self) -> bool {
+        if self.hung_ms == 0 {
+            return false;
+        }
+        self.hung_ms -= 1;
+        self.hung_for_ms = self.hung_for_ms.saturating_add(1);
+        let limit_us = self.controller.processor_watchdog_us();
+        let expired = limit_us.is_some_and(|limit_us| self.hung_for_ms * 1000 >= limit_us);
+        self.controller.set_processor(self.hung_ms == 0 || !expired);
+        self.hung_ms > 0
+    }
+
+    fn put_inputs(&mut self) {
+        if self.application.state() >= AlState::SafeOperational {
+            let inputs = self.process_data.pack(self.device.as_ref());
+            self.controller
+                .with_sync_manager(INPUT_MANAGER, |manager| manager.put(&inputs));
         }
     }
 
@@ -170,7 +281,7 @@ impl Slave {
     }
 
     fn set_stuck(&mut self, stuck: bool) {
-        if let Some(drive) = self.device.drive_mut() {
+        if let Some(drive) = self.drive_mut() {
             drive.set_stuck(stuck);
         }
     }
@@ -187,17 +298,7 @@ impl Slave {
             .controller
             .with_sync_manager(MAILBOX_OUT_MANAGER, |manager| manager.take_message());
         if let Some(message) = message {
-            let capacity = self
-                .controller
-                .sync_manager(MAILBOX_IN_MANAGER)
-                .map_or(0, |manager| manager.length());
-            let mut objects = Objects {
-                dictionary: &mut self.dictionary,
-                process_data: &mut self.process_data,
-                device: self.device.as_mut(),
-                state: self.application.state(),
-            };
-            self.mailbox.receive(&message, capacity, &mut objects);
+            self.receive(&message);
         }
         let mailbox = &mut self.mailbox;
         self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {
@@ -212,6 +313,52 @@ impl Slave {
                 manager.put(&message);
             }
         });
+    }
+
+    /// Answers a mailbox message, as the script has it.
+    fn receive(&mut self, message: &[u8]) {
+        match self.mail_fault(message) {
+            Some(MailFault::Silent) => return,
+            Some(MailFault::Abort(code)) => return self.mailbox.abort(message, code),
+            Some(MailFault::Lost) => self.mailbox.lose_next(),
+            Some(MailFault::Counter) => self.mailbox.repeat_counter(),
+            Some(MailFault::Flood(count)) => {
+                for _ in 0..count {
+                    self.mailbox.emergency(FLOOD_CODE, 0, [0; 5]);
+                }
+            }
+            None => {}
+        }
+        let manager = self.controller.sync_manager(MAILBOX_IN_MANAGER);
+        let capacity = manager.map_or(0, |manager| manager.length());
+        let mut objects = Objects {
+            dictionary: &mut self.dictionary,
+            process_data: &mut self.process_data,
+            device: self.device.as_mut(),
+            state: self.application.state(),
+        };
+        self.mailbox.receive(message, capacity, &mut objects);
+    }
+
+    /// What goes wrong with this request, once; counts the steps of the others down.
+    fn mail_fault(&mut self, message: &[u8]) -> Option<MailFault> {
+        let object = object_of(message);
+        let mut hit = None;
+        self.mail_faults.retain_mut(|(step, fault)| {
+            let due = match step {
+                MailStep::Request(left) => {
+                    *left = left.saturating_sub(1);
+                    *left == 0
+                }
+                MailStep::Object(index, sub) => object == Some((*index, *sub)),
+            };
+            if due && hit.is_none() {
+                hit = Some(*fault);
+                return false;
+            }
+            true
+        });
+        hit
     }
 
     /// The process-data watchdog, on the cell's clock.
@@ -249,9 +396,19 @@ impl Slave {
         let ready = self.readiness();
         let before = self.application.state();
         if let Some(request) = self.controller.take_al_request() {
-            self.application.request(request, ready);
+            let denied = self
+                .refusals
+                .iter()
+                .position(|(state, code)| self.application.deny(request, *state, *code));
+            match denied {
+                Some(at) => drop(self.refusals.remove(at)),
+                None => self.application.request(request, ready),
+            }
         }
         self.application.step(ready);
+        if !ready.synchronous && self.application.state() == AlState::Operational {
+            self.application.retreat(AlState::SafeOperational, code::SYNC_LOST);
+        }
         let after = self.application.state();
         if after != before {
             self.unfed_ms = 0;
@@ -288,14 +445,18 @@ impl Slave {
         };
         let is_process_data = |index, bytes: usize, bus_written| {
             manager(index).is_some_and(|manager| {
-                (bytes == 0 && !manager.is_active())
-                    || (manager.is_active()
-                        && !manager.is_mailbox()
-                        && manager.is_bus_written() == bus_written
-                        && manager.length() == bytes)
+                let fits = manager.length() == bytes;
+                let kind = !manager.is_mailbox() && manager.is_bus_written() == bus_written;
+                match manager.is_active() {
+                    true => kind && fits,
+                    false => bytes == 0,
+                }
             })
         };
+        let sync = self.controller.sync_state();
         Readiness {
+            sync_valid: sync != SyncState::Invalid,
+            synchronous: matches!(sync, SyncState::Off | SyncState::Running),
             mailbox: !windows.has_mailbox()
                 || is_mailbox(MAILBOX_OUT_MANAGER, windows.mailbox_out, true)
                     && is_mailbox(MAILBOX_IN_MANAGER, windows.mailbox_in, false),

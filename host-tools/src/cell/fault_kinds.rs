@@ -1,0 +1,204 @@
+//! What can go wrong on the segment: one value for each fault of the script language.
+
+use super::application::AlState;
+use super::eeprom::SiiFault;
+
+/// One fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// The request never reaches the slaves.
+    Drop,
+    /// The slaves act, the reply is lost.
+    Lose,
+    /// The reply comes this many frames later.
+    Delay(u64),
+    /// The reply comes twice.
+    Duplicate,
+    /// The reply is cut after this many bytes.
+    Truncate(usize),
+    /// This many bytes follow the reply, and its header counts them.
+    Overlong(u16),
+    /// This is added to the index of the reply's datagrams.
+    Index(u8),
+    /// This is added to the working counters of the reply.
+    Counter(i16),
+    /// The EtherCAT header of the reply has this type, 0 to 15.
+    Type(u8),
+    /// The last datagram of the reply says that another follows.
+    More,
+    /// The reply's datagrams have the circulating bit.
+    Circulate,
+    /// The reply carries a VLAN tag.
+    Vlan,
+    /// A frame of another protocol comes before the reply.
+    Foreign,
+    /// The request itself comes before the reply.
+    Reflect,
+    /// No frame gets through for this many milliseconds.
+    Stall(u64),
+    /// The cable behind this slave is pulled; 0 is the master's.
+    Cut(usize),
+    /// All cables are plugged in.
+    Join,
+    /// The cable behind this slave destroys the next frames; 0 is the master's.
+    Crc(usize, u64),
+    /// This slave is bypassed.
+    Remove(usize),
+    /// This slave comes back.
+    Insert(usize),
+    /// This slave is replaced by another product.
+    Swap(usize, Product),
+    /// A slave is without power for some milliseconds.
+    Power(usize, u64),
+    /// A slave falls back to SAFEOP with an AL status code.
+    Retreat(usize, u16),
+    /// A slave refuses the next request for a state with an AL status code.
+    Refuse(usize, AlState, u16),
+    /// A slave's processor stands still for some milliseconds.
+    Processor(usize, u64),
+    /// Something is wrong with a slave's information memory.
+    Sii(usize, SiiFault),
+    /// A slave answers no mailbox message for some milliseconds.
+    Silence(usize, u64),
+    /// Something goes wrong with one mailbox request of a slave.
+    Mailbox(usize, MailStep, MailFault),
+    /// A drive faults with an error code.
+    Drive(usize, u16),
+    /// A drive has no main voltage for some milliseconds.
+    Mains(usize, u64),
+    /// A drive's resolver freezes for some milliseconds.
+    Stuck(usize, u64),
+}
+
+/// Which mailbox request of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MailStep {
+    /// The n-th from now on, from 1.
+    Request(u32),
+    /// The next SDO request for this index and sub-index.
+    Object(u16, u8),
+}
+
+/// What goes wrong with a mailbox request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MailFault {
+    /// It is aborted with this code.
+    Abort(u32),
+    /// It is not answered.
+    Silent,
+    /// Only a repeat brings the answer.
+    Lost,
+    /// The answer has the counter of the message before it.
+    Counter,
+    /// So many emergencies come before the answer.
+    Flood(u8),
+}
+
+/// A product that a slave can be replaced by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Product {
+    /// Servo drive AX2000-B110.
+    Ax2000,
+    /// Generic CiA 402 servo drive.
+    Cia402,
+    /// Bus coupler.
+    Ek1100,
+}
+
+impl Product {
+    /// Names in the script.
+    pub(super) const NAMES: [(&str, Self); 3] = [
+        ("ax2000", Self::Ax2000),
+        ("cia402", Self::Cia402),
+        ("ek1100", Self::Ek1100),
+    ];
+}
+
+impl Fault {
+    /// Whether it happens to one frame.
+    pub(super) fn is_of_frame(self) -> bool {
+        matches!(
+            self,
+            Self::Drop
+                | Self::Lose
+                | Self::Delay(_)
+                | Self::Duplicate
+                | Self::Truncate(_)
+                | Self::Overlong(_)
+                | Self::Index(_)
+                | Self::Counter(_)
+                | Self::Type(_)
+                | Self::More
+                | Self::Circulate
+                | Self::Vlan
+                | Self::Foreign
+                | Self::Reflect
+        )
+    }
+
+    /// The slave it is about, from 1.
+    pub(super) fn slave(self) -> Option<usize> {
+        match self {
+            Self::Remove(slave)
+            | Self::Insert(slave)
+            | Self::Swap(slave, _)
+            | Self::Power(slave, _)
+            | Self::Retreat(slave, _)
+            | Self::Refuse(slave, ..)
+            | Self::Processor(slave, _)
+            | Self::Sii(slave, _)
+            | Self::Silence(slave, _)
+            | Self::Mailbox(slave, ..)
+            | Self::Drive(slave, _)
+            | Self::Mains(slave, _)
+            | Self::Stuck(slave, _) => Some(slave),
+            _ => None,
+        }
+    }
+
+    /// The cable it is about: the one behind this slave, 0 is the master's.
+    pub(super) fn cable(self) -> Option<usize> {
+        match self {
+            Self::Cut(cable) | Self::Crc(cable, _) => Some(cable),
+            _ => None,
+        }
+    }
+
+    /// Its word in the script.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Drop => "drop",
+            Self::Lose => "lose",
+            Self::Delay(_) => "delay",
+            Self::Duplicate => "duplicate",
+            Self::Truncate(_) => "truncate",
+            Self::Overlong(_) => "overlong",
+            Self::Index(_) => "index",
+            Self::Counter(_) => "counter",
+            Self::Type(_) => "type",
+            Self::More => "more",
+            Self::Circulate => "circulate",
+            Self::Vlan => "vlan",
+            Self::Foreign => "foreign",
+            Self::Reflect => "reflect",
+            Self::Stall(_) => "stall",
+            Self::Cut(_) => "cut",
+            Self::Join => "join",
+            Self::Crc(..) => "crc",
+            Self::Remove(_) => "remove",
+            Self::Insert(_) => "insert",
+            Self::Swap(..) => "swap",
+            Self::Power(..) => "power",
+            Self::Retreat(..) => "retreat",
+            Self::Refuse(..) => "refuse",
+            Self::Processor(..) => "pdi",
+            Self::Sii(..) => "sii",
+            Self::Silence(..) => "silence",
+            Self::Mailbox(..) => "mailbox",
+            Self::Drive(..) => "fault",
+            Self::Mains(..) => "mains",
+            Self::Stuck(..) => "stuck",
+        }
+    }
+}
