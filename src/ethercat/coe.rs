@@ -1,25 +1,33 @@
-//! Reading and writing a slave's objects by SDO.
+//! Reading and writing a slave's objects by SDO, and asking for what there is.
 //!
 //! Values of up to four bytes travel in one message, longer ones in one message as far as it reaches and then in
-//! segments. Protocol: CiA 301, in the mailbox of IEC 61158-6-12.
+//! segments, whose toggle bit alternates. Complete access transfers all sub-indices of an object at once; sub-index 0
+//! then takes 16 bits. Protocol: CiA 301, in the mailbox of IEC 61158-6-12.
+//!
+//! Every answer is checked against its request. An answer for another object is left over from earlier and is passed
+//! over; one that breaks the transfer ends it with an abort to the slave, so that both sides know.
 //!
 //! Invariant: an abort of the slave reaches the caller with object and code; no transfer is longer than its buffer.
 
 use super::acyclic::{AcyclicPort, Bytes};
 use super::error::BusError;
 use super::mailbox::Mailbox;
-use super::wire::coe::{Object, SDO_LEN, SEGMENT_DATA_MIN, SEGMENT_HEADER_LEN, Sdo, Service};
-use super::wire::mailbox::Protocol;
-use super::wire::read_u32;
-
-/// Most segments of one transfer.
-const SEGMENTS_MAX: usize = 128;
-/// Longest message that is built here: an SDO with at most four bytes.
-const MESSAGE_MAX: usize = if SDO_LEN > SEGMENT_HEADER_LEN + SEGMENT_DATA_MIN {
-    SDO_LEN
-} else {
-    SEGMENT_HEADER_LEN + SEGMENT_DATA_MIN
+use super::wire::coe::{
+    EntryDescription, Information, InformationRepr, Object, ObjectDescription, ObjectList, SDO_LEN, SEGMENT_DATA_MIN,
+    SEGMENT_HEADER_LEN, Sdo, Service, VALUE_INFO_ACCESS,
 };
+use super::wire::mailbox::Protocol;
+use super::wire::{read_u16, read_u32};
+
+/// Most fragments of one answer about the object dictionary.
+const FRAGMENTS_MAX: usize = 1_024;
+/// Longest value of an expedited transfer, bytes.
+const EXPEDITED_MAX: usize = 4;
+
+const ABORT_TOGGLE: u32 = 0x0503_0000;
+const ABORT_COMMAND: u32 = 0x0504_0001;
+const ABORT_MEMORY: u32 = 0x0504_0005;
+const ABORT_TOO_LONG: u32 = 0x0607_0012;
 
 /// One slave's object dictionary, reached through its mailbox.
 pub struct ObjectDictionary<'c, 'q, const MESSAGE: usize> {
@@ -36,137 +44,389 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     /// Reads an object of at most `MESSAGE` bytes.
     ///
     /// # Errors
-    /// [`BusError::SdoAbort`], [`BusError::SdoAnswer`], [`BusError::SdoLength`], or those of the mailbox.
+    /// As [`Self::upload_into`].
     pub async fn upload(&mut self, object: Object) -> Result<Bytes<MESSAGE>, BusError> {
-        let mut value = Bytes::new();
-        let answer = self
-            .ask(
-                object,
-                &Sdo::Upload {
-                    object,
-                    complete: false,
-                },
-            )
-            .await?;
-        let size = match Sdo::parse_response(&answer) {
-            Ok(Sdo::UploadExpedited { data, .. }) => {
-                append(&mut value, data, object)?;
-                return Ok(value);
-            }
+        let mut value = super::acyclic::zeros(MESSAGE);
+        let length = self.upload_into(object, false, &mut value).await?;
+        value.truncate(length);
+        Ok(value)
+    }
+
+    /// Reads an object into `buffer` and gives its length in bytes; with `complete` all its sub-indices from the
+    /// object's (0 or 1) on.
+    ///
+    /// # Errors
+    /// [`BusError::SdoAbort`]; [`BusError::SdoAnswer`], [`BusError::SdoToggle`] or [`BusError::SdoLength`] for an answer
+    /// that does not fit the transfer, which is then aborted; or those of the mailbox.
+    pub async fn upload_into(&mut self, object: Object, complete: bool, buffer: &mut [u8]) -> Result<usize, BusError> {
+        let answer = self.ask(object, &Sdo::Upload { object, complete }).await?;
+        let (size, here) = match Sdo::parse_response(&answer) {
+            Ok(Sdo::UploadExpedited { data, .. }) => (data.len(), data),
             Ok(Sdo::UploadNormal { size, data, .. }) => {
-                let here = data.get(..data.len().min(size as usize)).unwrap_or(data);
-                append(&mut value, here, object)?;
-                size
+                let size = usize::try_from(size).unwrap_or(usize::MAX);
+                (size, data.get(..size).unwrap_or(data))
             }
-            _ => return Err(BusError::SdoAnswer { object }),
+            _ => {
+                return self
+                    .give_up(object, ABORT_COMMAND, BusError::SdoAnswer { object })
+                    .await;
+            }
         };
+        if size > buffer.len() {
+            let error = length_error(object, buffer.len(), size);
+            return self.give_up(object, ABORT_MEMORY, error).await;
+        }
+        put(buffer, 0, here);
+        let filled = here.len();
+        if filled < size {
+            let target = buffer.get_mut(..size).unwrap_or(&mut []);
+            self.upload_segments(object, target, filled).await?;
+        }
+        Ok(size)
+    }
+
+    /// Fetches the rest of a value in segments.
+    async fn upload_segments(&mut self, object: Object, value: &mut [u8], filled: usize) -> Result<(), BusError> {
+        let mut filled = filled;
         let mut toggle = false;
-        for _ in 0..SEGMENTS_MAX {
-            if value.len() >= size as usize {
-                break;
-            }
+        // Each turn adds a byte at least, or is the last.
+        for _ in 0..=value.len() {
             let answer = self.ask(object, &Sdo::UploadSegment { toggle }).await?;
-            let Ok(Sdo::UploadSegmentData { last, data, .. }) = Sdo::parse_response(&answer) else {
-                return Err(BusError::SdoAnswer { object });
+            let (actual, last, data) = match Sdo::parse_response(&answer) {
+                Ok(Sdo::UploadSegmentData { toggle, last, data }) => (toggle, last, data),
+                _ => {
+                    return self
+                        .give_up(object, ABORT_COMMAND, BusError::SdoAnswer { object })
+                        .await;
+                }
             };
-            append(&mut value, data, object)?;
-            toggle = !toggle;
+            if actual != toggle {
+                return self.give_up(object, ABORT_TOGGLE, BusError::SdoToggle { object }).await;
+            }
+            let length = filled + data.len();
+            if length > value.len() {
+                let error = length_error(object, value.len(), length);
+                return self.give_up(object, ABORT_TOO_LONG, error).await;
+            }
+            put(value, filled, data);
+            filled = length;
             if last {
                 break;
             }
+            if data.is_empty() {
+                return self
+                    .give_up(object, ABORT_COMMAND, BusError::SdoAnswer { object })
+                    .await;
+            }
+            toggle = !toggle;
         }
-        if value.len() == size as usize {
-            return Ok(value);
+        if filled == value.len() {
+            Ok(())
+        } else {
+            Err(length_error(object, value.len(), filled))
         }
-        Err(BusError::SdoLength {
-            object,
-            expected: size,
-            actual: value.len() as u32,
-        })
     }
 
     /// Reads an object of `length` bytes (1 to 4) as an unsigned number.
     ///
     /// # Errors
-    /// [`BusError::SdoLength`] when it has another length, or as [`Self::upload`].
+    /// [`BusError::SdoLength`] when it has another length, or as [`Self::upload_into`].
     pub async fn read(&mut self, object: Object, length: u8) -> Result<u32, BusError> {
-        let value = self.upload(object).await?;
-        if value.len() != usize::from(length) {
-            return Err(BusError::SdoLength {
-                object,
-                expected: length.into(),
-                actual: value.len() as u32,
-            });
+        let mut value = [0; EXPEDITED_MAX];
+        let actual = self.upload_into(object, false, &mut value).await?;
+        if actual != usize::from(length) {
+            return Err(length_error(object, length.into(), actual));
         }
-        let mut padded = [0; 4];
-        super::wire::write_bytes(&mut padded, 0, &value);
-        Ok(read_u32(&padded, 0))
+        Ok(read_u32(&value, 0))
     }
 
     /// Writes the `length` (1 to 4) low bytes of `value` to an object.
     ///
     /// # Errors
-    /// [`BusError::SdoAbort`], [`BusError::SdoAnswer`], or those of the mailbox.
+    /// As [`Self::download`].
     pub async fn write(&mut self, object: Object, value: u32, length: u8) -> Result<(), BusError> {
         let value = value.to_le_bytes();
         let data = value.get(..usize::from(length.clamp(1, 4))).unwrap_or(&value);
-        let answer = self
-            .ask(
-                object,
-                &Sdo::DownloadExpedited {
-                    object,
-                    complete: false,
-                    data,
-                },
-            )
-            .await?;
-        match Sdo::parse_response(&answer) {
-            Ok(Sdo::DownloadDone { .. }) => Ok(()),
-            _ => Err(BusError::SdoAnswer { object }),
-        }
+        self.download(object, false, data).await
     }
 
-    /// Sends a request and gives the answer that belongs to `object`; an abort becomes an error.
-    async fn ask(&mut self, object: Object, request: &Sdo<'_>) -> Result<Bytes<MESSAGE>, BusError> {
-        let mut message = [0; MESSAGE_MAX];
-        let Ok(length) = request.emit(&mut message) else {
+    /// Writes an object of any length; with `complete` all its sub-indices from the object's (0 or 1) on.
+    ///
+    /// # Errors
+    /// [`BusError::SdoAbort`]; [`BusError::SdoAnswer`] or [`BusError::SdoToggle`] for an answer that does not fit the
+    /// transfer, which is then aborted; [`BusError::Range`] beyond 4 GiB; or those of the mailbox.
+    pub async fn download(&mut self, object: Object, complete: bool, data: &[u8]) -> Result<(), BusError> {
+        let Ok(size) = u32::try_from(data.len()) else {
             return Err(BusError::Range { object });
         };
-        let message = message.get(..length).unwrap_or(&[]);
+        let here = data.len().min(self.mailbox.capacity().saturating_sub(SDO_LEN));
+        let (here, rest) = data.split_at_checked(here).unwrap_or((data, &[]));
+        let request = if (1..=EXPEDITED_MAX).contains(&data.len()) {
+            Sdo::DownloadExpedited { object, complete, data }
+        } else {
+            Sdo::DownloadNormal {
+                object,
+                complete,
+                size,
+                data: here,
+            }
+        };
+        let answer = self.ask(object, &request).await?;
+        let Ok(Sdo::DownloadDone { .. }) = Sdo::parse_response(&answer) else {
+            return self
+                .give_up(object, ABORT_COMMAND, BusError::SdoAnswer { object })
+                .await;
+        };
+        if matches!(request, Sdo::DownloadExpedited { .. }) {
+            return Ok(());
+        }
+        self.download_segments(object, rest).await
+    }
+
+    /// Writes the rest of a value in segments.
+    async fn download_segments(&mut self, object: Object, rest: &[u8]) -> Result<(), BusError> {
+        let room = self.mailbox.capacity().saturating_sub(SEGMENT_HEADER_LEN);
+        let mut segments = rest.chunks(room.max(SEGMENT_DATA_MIN)).peekable();
+        let mut toggle = false;
+        while let Some(data) = segments.next() {
+            let last = segments.peek().is_none();
+            let answer = self.ask(object, &Sdo::DownloadSegment { toggle, last, data }).await?;
+            match Sdo::parse_response(&answer) {
+                Ok(Sdo::DownloadSegmentDone { toggle: actual }) if actual == toggle => {}
+                Ok(Sdo::DownloadSegmentDone { .. }) => {
+                    return self.give_up(object, ABORT_TOGGLE, BusError::SdoToggle { object }).await;
+                }
+                _ => {
+                    return self
+                        .give_up(object, ABORT_COMMAND, BusError::SdoAnswer { object })
+                        .await;
+                }
+            }
+            toggle = !toggle;
+        }
+        Ok(())
+    }
+
+    /// Sends a request and gives the answer that belongs to it; an abort becomes an error.
+    async fn ask(&mut self, object: Object, request: &Sdo<'_>) -> Result<Bytes<MESSAGE>, BusError> {
+        let emit = |data: &mut [u8]| {
+            // The data are as long as the request says.
+            let _ = request.emit(data);
+        };
         let answer = self
             .mailbox
-            .exchange(self.port, Protocol::Coe, message, |data| belongs(data, request, object))
+            .exchange(self.port, Protocol::Coe, request.len(), emit, |data| {
+                belongs(data, request, object)
+            })
             .await?;
         match Sdo::parse_response(&answer) {
             Ok(Sdo::Abort { code, .. }) => Err(BusError::SdoAbort { object, code }),
             _ => Ok(answer),
         }
     }
+
+    /// Aborts a transfer that the slave has broken, and gives the reason.
+    async fn give_up<T>(&mut self, object: Object, code: u32, error: BusError) -> Result<T, BusError> {
+        let abort = Sdo::Abort { object, code };
+        let emit = |data: &mut [u8]| {
+            let _ = abort.emit(data);
+        };
+        // The reason counts, not whether the slave could be told.
+        let _ = self.mailbox.send(self.port, Protocol::Coe, abort.len(), emit).await;
+        Err(error)
+    }
+
+    /// Hands the indices of a list to `take` and gives how many there were. For [`ObjectList::Lengths`] it is the
+    /// lengths of the five lists instead.
+    ///
+    /// # Errors
+    /// [`BusError::SdoAbort`] when the slave refuses, [`BusError::SdoAnswer`] for an answer that is no such list, or
+    /// those of the mailbox. The object of both is 0:0.
+    pub async fn list(&mut self, list: ObjectList, mut take: impl FnMut(u16)) -> Result<usize, BusError> {
+        const NUMBER_LEN: usize = 2;
+        let object = Object::new(0, 0);
+        let request = Information::GetList { list: list as u16 };
+        let mut answer = self.inform(object, request).await?;
+        let mut count = 0;
+        for fragment in 0..FRAGMENTS_MAX {
+            let repr = InformationRepr::parse(&answer);
+            let Ok(InformationRepr {
+                incomplete,
+                body: Information::List { data },
+                ..
+            }) = repr
+            else {
+                return Err(BusError::SdoAnswer { object });
+            };
+            let indices = match fragment {
+                0 if read_u16(data, 0) != list as u16 => return Err(BusError::SdoAnswer { object }),
+                0 => data.get(NUMBER_LEN..).unwrap_or(&[]),
+                _ => data,
+            };
+            for index in indices.chunks_exact(2) {
+                take(read_u16(index, 0));
+                count += 1;
+            }
+            if !incomplete {
+                return Ok(count);
+            }
+            answer = self.next_fragment(object).await?;
+        }
+        Err(BusError::SdoAnswer { object })
+    }
+
+    /// Asks for an object's description and hands it to `take`; a name that comes in several fragments is cut.
+    ///
+    /// # Errors
+    /// [`BusError::SdoAbort`] when the slave refuses, or those of the mailbox.
+    pub async fn describe<R>(
+        &mut self,
+        index: u16,
+        take: impl FnOnce(&ObjectDescription<'_>) -> R,
+    ) -> Result<R, BusError> {
+        let object = Object::new(index, 0);
+        let answer = self.inform(object, Information::GetObject { index }).await?;
+        let described = match InformationRepr::parse(&answer) {
+            Ok(InformationRepr {
+                incomplete,
+                body: Information::Object(description),
+                ..
+            }) => Ok((incomplete, take(&description))),
+            _ => Err(BusError::SdoAnswer { object }),
+        };
+        self.skip_fragments(object, described).await
+    }
+
+    /// Asks for the description of one entry of an object and hands it to `take`; as [`Self::describe`].
+    ///
+    /// # Errors
+    /// As [`Self::describe`].
+    pub async fn describe_entry<R>(
+        &mut self,
+        object: Object,
+        take: impl FnOnce(&EntryDescription<'_>) -> R,
+    ) -> Result<R, BusError> {
+        let request = Information::GetEntry {
+            object,
+            value_info: VALUE_INFO_ACCESS,
+        };
+        let answer = self.inform(object, request).await?;
+        let described = match InformationRepr::parse(&answer) {
+            Ok(InformationRepr {
+                incomplete,
+                body: Information::Entry(description),
+                ..
+            }) => Ok((incomplete, take(&description))),
+            _ => Err(BusError::SdoAnswer { object }),
+        };
+        self.skip_fragments(object, described).await
+    }
+
+    /// Receives the fragments behind a first one, if there are any, without looking at them.
+    async fn skip_fragments<R>(
+        &mut self,
+        object: Object,
+        described: Result<(bool, R), BusError>,
+    ) -> Result<R, BusError> {
+        let (mut incomplete, result) = described?;
+        for _ in 0..FRAGMENTS_MAX {
+            if !incomplete {
+                break;
+            }
+            let answer = self.next_fragment(object).await?;
+            // Behind the two headers' first bytes, the operation's highest bit says whether it goes on.
+            incomplete = InformationRepr::parse(&answer).is_ok_and(|repr| repr.incomplete);
+        }
+        Ok(result)
+    }
+
+    /// Sends a question about the object dictionary and gives the first fragment of the answer.
+    async fn inform(&mut self, object: Object, question: Information<'_>) -> Result<Bytes<MESSAGE>, BusError> {
+        let request = InformationRepr::request(question);
+        let emit = |data: &mut [u8]| {
+            // The data are as long as the request says.
+            let _ = request.emit(data);
+        };
+        let answer = self
+            .mailbox
+            .exchange(self.port, Protocol::Coe, request.len(), emit, |data| {
+                answers(data, question)
+            })
+            .await?;
+        refusal(answer, object)
+    }
+
+    async fn next_fragment(&mut self, object: Object) -> Result<Bytes<MESSAGE>, BusError> {
+        let answer = self
+            .mailbox
+            .receive(self.port, Protocol::Coe, |data| {
+                Service::parse(data) == Ok(Service::SdoInformation)
+            })
+            .await?;
+        refusal(answer, object)
+    }
 }
 
-/// Whether a CoE message answers `request` for `object`; an answer to an earlier request does not.
-fn belongs(data: &[u8], request: &Sdo<'_>, object: Object) -> bool {
-    if !matches!(Service::parse(data), Ok(Service::SdoResponse | Service::SdoRequest)) {
-        return false;
+/// Makes an error of an answer by which the slave refuses.
+fn refusal<const MESSAGE: usize>(answer: Bytes<MESSAGE>, object: Object) -> Result<Bytes<MESSAGE>, BusError> {
+    match InformationRepr::parse(&answer) {
+        Ok(InformationRepr {
+            body: Information::Error { code },
+            ..
+        }) => Err(BusError::SdoAbort { object, code }),
+        _ => Ok(answer),
     }
-    match (request, Sdo::parse_response(data)) {
-        (_, Ok(Sdo::Abort { object: theirs, .. }))
-        | (
-            Sdo::Upload { .. },
-            Ok(Sdo::UploadExpedited { object: theirs, .. } | Sdo::UploadNormal { object: theirs, .. }),
-        )
-        | (Sdo::DownloadExpedited { .. }, Ok(Sdo::DownloadDone { object: theirs })) => theirs == object,
-        (Sdo::UploadSegment { toggle }, Ok(Sdo::UploadSegmentData { toggle: theirs, .. })) => *toggle == theirs,
+}
+
+/// Whether a CoE message answers a question about the object dictionary; an answer to an earlier one does not.
+fn answers(data: &[u8], question: Information<'_>) -> bool {
+    match (question, InformationRepr::parse(data).map(|repr| repr.body)) {
+        (_, Ok(Information::Error { .. })) => true,
+        (Information::GetList { .. }, Ok(Information::List { .. })) => true,
+        (Information::GetObject { index }, Ok(Information::Object(theirs))) => theirs.index == index,
+        (Information::GetEntry { object, .. }, Ok(Information::Entry(theirs))) => theirs.object == object,
         _ => false,
     }
 }
 
-fn append<const MESSAGE: usize>(value: &mut Bytes<MESSAGE>, data: &[u8], object: Object) -> Result<(), BusError> {
-    value.extend_from_slice(data).map_err(|_| BusError::SdoLength {
+/// Whether a CoE message answers `request` for `object`, rightly or wrongly; one that is about another object is left
+/// over from an earlier request and does not.
+fn belongs(data: &[u8], request: &Sdo<'_>, object: Object) -> bool {
+    if !matches!(Service::parse(data), Ok(Service::SdoResponse | Service::SdoRequest)) {
+        return false;
+    }
+    let segmented = matches!(request, Sdo::UploadSegment { .. } | Sdo::DownloadSegment { .. });
+    match Sdo::parse_response(data) {
+        // Slaves that answer a segment by an abort copy its data to where the index should be.
+        Ok(Sdo::Abort { object: theirs, .. }) => segmented || theirs.index == object.index,
+        Ok(
+            Sdo::UploadExpedited { object: theirs, .. }
+            | Sdo::UploadNormal { object: theirs, .. }
+            | Sdo::DownloadDone { object: theirs },
+        ) => theirs == object,
+        Ok(Sdo::UploadSegmentData { .. } | Sdo::DownloadSegmentDone { .. }) => segmented,
+        _ => false,
+    }
+}
+
+fn put(buffer: &mut [u8], offset: usize, data: &[u8]) {
+    super::wire::write_bytes(buffer, offset, data);
+}
+
+fn length_error(object: Object, expected: usize, actual: usize) -> BusError {
+    let number = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
+    BusError::SdoLength {
         object,
-        expected: value.capacity() as u32,
-        actual: (value.len() + data.len()) as u32,
-    })
+        expected: number(expected),
+        actual: number(actual),
+    }
+}
+
+/// The value of sub-index 0 and those behind it, out of what complete access from sub-index 0 on has read; sub-index 0
+/// takes 16 bits there.
+pub fn split_complete(value: &[u8]) -> Option<(u8, &[u8])> {
+    let (&[count, _], rest) = value.split_first_chunk::<2>()?;
+    Some((count, rest))
 }
 
 /// Text of an SDO abort code (CiA 301 and IEC 61158-6-12 give the numbers).
@@ -175,6 +435,9 @@ pub const fn abort_text(code: u32) -> &'static str {
         0x0503_0000 => "toggle bit did not alternate",
         0x0504_0000 => "transfer timed out",
         0x0504_0001 => "command not valid",
+        0x0504_0002 => "block size not valid",
+        0x0504_0003 => "sequence number not valid",
+        0x0504_0004 => "checksum wrong",
         0x0504_0005 => "out of memory",
         0x0601_0000 => "access not supported",
         0x0601_0001 => "object can only be written",
@@ -196,12 +459,15 @@ pub const fn abort_text(code: u32) -> &'static str {
         0x0609_0030 => "value out of range",
         0x0609_0031 => "value too high",
         0x0609_0032 => "value too low",
+        0x0609_0033 => "list of modules does not match",
         0x0609_0036 => "highest value is below the lowest",
+        0x060A_0023 => "resource not available",
         0x0800_0000 => "general error",
         0x0800_0020 => "value cannot be stored",
         0x0800_0021 => "value cannot be stored: local control",
         0x0800_0022 => "value cannot be stored in this state",
         0x0800_0023 => "no object dictionary",
+        0x0800_0024 => "no data available",
         _ => "unknown abort code",
     }
 }
@@ -210,12 +476,76 @@ pub const fn abort_text(code: u32) -> &'static str {
 pub const fn abort_hint(code: u32) -> &'static str {
     match code {
         0x0503_0000 | 0x0504_0000 => "repeat; look for lost frames if it persists",
+        0x0504_0001..=0x0504_0004 => "the device does not know this kind of transfer; try another form of access",
+        0x0504_0005 => "read or write fewer bytes at a time",
         0x0601_0000..=0x0601_0002 => "check the direction of the access",
         0x0601_0003 => "set sub-index 0 to 0 first",
-        0x0602_0000 | 0x0609_0011 => "check index and sub-index against the device's dictionary",
-        0x0607_0010..=0x0607_0013 => "check the object's type and length",
-        0x0609_0030..=0x0609_0032 => "check the value against the device's limits",
+        0x0601_0004 => "read or write each sub-index by itself",
+        0x0601_0005 => "read or write each sub-index by itself, or in segments",
         0x0601_0006 | 0x0800_0021 | 0x0800_0022 => "go to PREOP and switch the drive off first",
+        0x0602_0000 | 0x0609_0011 => "check index and sub-index against the device's dictionary",
+        0x0604_0041..=0x0604_0043 => "check the PDO lists against what the device allows",
+        0x0604_0047 | 0x0606_0000 => "look at the device's own diagnosis; power it off and on",
+        0x0607_0010..=0x0607_0013 => "check the object's type and length",
+        0x0609_0030..=0x0609_0032 | 0x0609_0036 => "check the value against the device's limits",
+        0x0609_0033 => "compare the modules there are with those configured",
+        0x060A_0023 | 0x0800_0024 => "try again later",
+        0x0800_0020 => "check the value, and whether the device's state allows it",
         _ => "look for the object in the device's manual",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sub_index_zero_takes_sixteen_bits_in_complete_access() {
+        assert_eq!(
+            split_complete(&[2, 0, 0x01, 0x1B, 0x02, 0x1B]),
+            Some((2, &[1, 0x1B, 2, 0x1B][..]))
+        );
+        assert_eq!(
+            (split_complete(&[0, 0]), split_complete(&[1])),
+            (Some((0, &[][..])), None)
+        );
+    }
+
+    #[test]
+    fn an_answer_belongs_to_the_request_for_its_object_only() {
+        let (object, other) = (Object::new(0x1C12, 1), Object::new(0x1C12, 2));
+        let belongs = |answer: Sdo<'_>, request: Sdo<'_>| {
+            let mut bytes = [0; 32];
+            let length = answer.emit(&mut bytes).unwrap();
+            super::belongs(&bytes[..length], &request, object)
+        };
+        let upload = Sdo::Upload {
+            object,
+            complete: false,
+        };
+        let segment = Sdo::UploadSegment { toggle: false };
+        let data = &[1][..];
+        assert!(belongs(Sdo::UploadExpedited { object, data }, upload));
+        assert!(!belongs(Sdo::UploadExpedited { object: other, data }, upload));
+        assert!(
+            belongs(Sdo::DownloadDone { object }, upload),
+            "wrong, but about the object"
+        );
+        let code = ABORT_TOGGLE;
+        assert!(!belongs(
+            Sdo::Abort {
+                object: Object::new(0x1C13, 1),
+                code
+            },
+            upload
+        ));
+        assert!(belongs(Sdo::Abort { object: other, code }, segment));
+        let part = Sdo::UploadSegmentData {
+            toggle: true,
+            last: true,
+            data,
+        };
+        assert!(belongs(part, segment), "its toggle is judged by the transfer");
+        assert!(!belongs(part, upload));
     }
 }

@@ -90,6 +90,11 @@ pub enum BusError {
         /// The object asked for.
         object: Object,
     },
+    /// The slave's toggle bit did not alternate: a segment was lost or came twice.
+    SdoToggle {
+        /// The object.
+        object: Object,
+    },
     /// An object has another length than expected.
     SdoLength {
         /// The object.

@@ -5,21 +5,59 @@
 //! before it is repeated with the same counter, and a lost answer is fetched again through the repeat bit of sync
 //! manager 1 (IEC 61158-4-12, mailbox).
 //!
+//! Emergencies may come at any time; they wait in [`Emergencies`] until somebody takes them.
+//!
 //! Invariant: a request is handed to the slave's application once; waiting always ends.
 
-use super::acyclic::{AcyclicPort, Bytes, Outcome, Reply, Request, bytes, no_room, zeros};
+use super::acyclic::{AcyclicPort, Bytes, Outcome, Reply, Request, no_room, zeros};
 use super::error::BusError;
 use super::wire::coe::{Emergency, Service};
 use super::wire::mailbox::{self, MAILBOX_HEADER_LEN, MailboxRepr, Protocol};
 use super::wire::sii::MailboxWindow;
-use super::wire::{Address, Command, read_u8, register, write_bytes};
+use super::wire::{Address, Command, read_u8, register};
 
 /// Longest wait for a slave to take or give a message, ms.
 pub const MAILBOX_TIMEOUT_MS: u32 = 1_000;
+/// Most emergencies that wait to be taken.
+pub const EMERGENCIES_MAX: usize = 4;
 /// How long an answer is waited for when the fate of the request is unknown, ms.
 const UNKNOWN_FATE_MS: u32 = 20;
 /// Most messages thrown away before a request.
 const DRAIN_MAX: usize = 8;
+
+/// The emergencies of one slave that nobody has taken yet, oldest first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Emergencies {
+    places: [Emergency; EMERGENCIES_MAX],
+    first: u8,
+    count: u8,
+    dropped: u16,
+}
+
+impl Emergencies {
+    /// Appends one; the oldest gives way when there is no place, and is counted.
+    fn push(&mut self, emergency: Emergency) {
+        if usize::from(self.count) == EMERGENCIES_MAX {
+            self.pop();
+            self.dropped = self.dropped.saturating_add(1);
+        }
+        let place = usize::from(self.first + self.count) % EMERGENCIES_MAX;
+        if let Some(place) = self.places.get_mut(place) {
+            *place = emergency;
+            self.count += 1;
+        }
+    }
+
+    /// Takes the oldest.
+    fn pop(&mut self) -> Option<Emergency> {
+        self.count = self.count.checked_sub(1)?;
+        let oldest = self.places.get(usize::from(self.first)).copied();
+        self.first = (self.first + 1) % EMERGENCIES_MAX as u8;
+        oldest
+    }
+}
+
+const _: () = assert!(EMERGENCIES_MAX <= 64, "places are counted in eight bits");
 
 /// One slave's mailbox.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,7 +66,8 @@ pub struct Mailbox {
     out: MailboxWindow,
     input: MailboxWindow,
     counter: u8,
-    emergency: Option<Emergency>,
+    unexpected: u16,
+    emergencies: Emergencies,
 }
 
 impl Mailbox {
@@ -50,19 +89,28 @@ impl Mailbox {
             station,
             out,
             input,
-            counter: 0,
-            emergency: None,
+            ..Self::default()
         })
     }
 
     /// Bytes of service data that one message may hold.
     pub fn capacity(&self) -> usize {
-        usize::from(self.out.length) - MAILBOX_HEADER_LEN
+        usize::from(self.out.length).saturating_sub(MAILBOX_HEADER_LEN)
     }
 
-    /// The last emergency that came between other messages; it is handed out once.
+    /// The oldest emergency that nobody has taken; each is handed out once.
     pub fn take_emergency(&mut self) -> Option<Emergency> {
-        self.emergency.take()
+        self.emergencies.pop()
+    }
+
+    /// How many emergencies gave way to younger ones.
+    pub const fn emergencies_dropped(&self) -> u16 {
+        self.emergencies.dropped
+    }
+
+    /// How many messages came that nobody had asked for, besides emergencies.
+    pub const fn unexpected(&self) -> u16 {
+        self.unexpected
     }
 
     /// Throws away what the slave still has to say from before; emergencies are kept.
@@ -76,33 +124,53 @@ impl Mailbox {
             }
             let message = self.fetch(port).await?;
             // Whatever it is, nobody waits for it any more.
-            let _ = self.dispatch(Protocol::Coe, &message);
+            if !matches!(self.dispatch(Protocol::Coe, &message), Ok(None)) {
+                self.unexpected = self.unexpected.saturating_add(1);
+            }
         }
         Ok(())
     }
 
-    /// Sends `request` as service data of `protocol` and gives the service data of the answer, which `accept` has to
-    /// recognise; messages of other kinds that come in between are dispatched.
+    /// Sends a request and gives the service data of its answer; see [`Self::send`] and [`Self::receive`].
     ///
     /// # Errors
-    /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], [`BusError::MailboxLength`], or as
-    /// [`AcyclicPort::insist`].
+    /// Those of both.
     pub async fn exchange<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
         protocol: Protocol,
-        request: &[u8],
+        length: usize,
+        emit: impl Fn(&mut [u8]),
         accept: impl Fn(&[u8]) -> bool,
     ) -> Result<Bytes<MESSAGE>, BusError> {
         self.drain(port).await?;
-        self.send(port, protocol, request).await?;
+        self.send(port, protocol, length, emit).await?;
+        self.receive(port, protocol, accept).await
+    }
+
+    /// Waits for a message of `protocol` that `accept` recognises by its service data, which are given; messages of
+    /// other kinds that come in between are dispatched.
+    ///
+    /// # Errors
+    /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], or as [`AcyclicPort::insist`].
+    pub async fn receive<const MESSAGE: usize>(
+        &mut self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+        protocol: Protocol,
+        accept: impl Fn(&[u8]) -> bool,
+    ) -> Result<Bytes<MESSAGE>, BusError> {
         let started_ms = port.now_ms();
         loop {
             if self.is_full(port, 1).await? {
-                let message = self.fetch(port).await?;
+                let mut message = self.fetch(port).await?;
                 match self.dispatch(protocol, &message)? {
-                    Some(data) if accept(data) => return Ok(bytes(data)),
-                    _ => {}
+                    Some(data) if accept(data) => {
+                        let length = data.len();
+                        strip_header(&mut message, length);
+                        return Ok(message);
+                    }
+                    Some(_) => self.unexpected = self.unexpected.saturating_add(1),
+                    None => {}
                 }
             }
             let waited_ms = port.now_ms().wrapping_sub(started_ms);
@@ -123,21 +191,26 @@ impl Mailbox {
         Ok(read_u8(&byte, 0) & register::MAILBOX_FULL_BIT != 0)
     }
 
-    async fn send<const MESSAGE: usize>(
+    /// Sends `length` bytes of service data that `emit` writes, as soon as the slave has taken the message before.
+    ///
+    /// # Errors
+    /// [`BusError::MailboxTimeout`], [`BusError::MailboxLength`], [`BusError::NoRoom`], or as [`AcyclicPort::insist`].
+    pub async fn send<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
         protocol: Protocol,
-        request: &[u8],
+        length: usize,
+        emit: impl Fn(&mut [u8]),
     ) -> Result<(), BusError> {
-        if request.len() > self.capacity() {
+        if length > self.capacity() {
             return Err(BusError::MailboxLength {
                 expected: self.capacity() as u16,
-                actual: request.len() as u16,
+                actual: u16::try_from(length).unwrap_or(u16::MAX),
             });
         }
         self.counter = mailbox::next_counter(self.counter);
         let header = MailboxRepr {
-            length: request.len() as u16,
+            length: length as u16,
             address: 0,
             priority: 0,
             protocol,
@@ -145,9 +218,11 @@ impl Mailbox {
         };
         let write = || {
             let mut data = zeros(usize::from(self.out.length));
-            // Header and request fit the window, which was checked above.
+            // Header and service data fit the window, which was checked above.
             let _ = header.emit(&mut data);
-            write_bytes(&mut data, MAILBOX_HEADER_LEN, request);
+            if let Some(service_data) = data.get_mut(MAILBOX_HEADER_LEN..MAILBOX_HEADER_LEN + length) {
+                emit(service_data);
+            }
             Request {
                 command: Command::Fpwr,
                 address: Address::station(self.station, self.out.start),
@@ -236,10 +311,15 @@ impl Mailbox {
         }
     }
 
-    /// The service data of a message of `protocol`; `None` for messages of other kinds.
+    /// The service data of a message of `protocol`; `None` for messages of other kinds, of which emergencies are kept
+    /// and the others counted.
     fn dispatch<'m>(&mut self, protocol: Protocol, message: &'m [u8]) -> Result<Option<&'m [u8]>, BusError> {
-        let (Ok(header), Ok(data)) = (MailboxRepr::parse(message), mailbox::service_data(message)) else {
-            return Ok(None);
+        let (header, data) = match (MailboxRepr::parse(message), mailbox::service_data(message)) {
+            (Ok(header), Ok(data)) => (header, data),
+            _ => {
+                self.unexpected = self.unexpected.saturating_add(1);
+                return Ok(None);
+            }
         };
         if header.protocol == Protocol::Error {
             return Err(BusError::Mailbox {
@@ -247,9 +327,80 @@ impl Mailbox {
             });
         }
         if header.protocol == Protocol::Coe && Service::parse(data) == Ok(Service::Emergency) {
-            self.emergency = Emergency::parse(data).ok().or(self.emergency);
+            if let Ok(emergency) = Emergency::parse(data) {
+                self.emergencies.push(emergency);
+            }
             return Ok(None);
         }
-        Ok((header.protocol == protocol).then_some(data))
+        if header.protocol != protocol {
+            self.unexpected = self.unexpected.saturating_add(1);
+            return Ok(None);
+        }
+        Ok(Some(data))
+    }
+}
+
+/// Leaves the `length` bytes of service data of a message.
+fn strip_header<const MESSAGE: usize>(message: &mut Bytes<MESSAGE>, length: usize) {
+    let end = MAILBOX_HEADER_LEN + length;
+    if end <= message.len() {
+        message.copy_within(MAILBOX_HEADER_LEN..end, 0);
+        message.truncate(length);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_emergency_gives_way_and_is_counted() {
+        let emergency = |code| Emergency {
+            code,
+            ..Emergency::default()
+        };
+        let mut mailbox = Mailbox::default();
+        assert_eq!(mailbox.take_emergency(), None);
+        for code in 1..=6 {
+            mailbox.emergencies.push(emergency(code));
+        }
+        assert_eq!(mailbox.emergencies_dropped(), 2);
+        for code in 3..=6 {
+            assert_eq!(mailbox.take_emergency(), Some(emergency(code)));
+        }
+        assert_eq!(mailbox.take_emergency(), None);
+        mailbox.emergencies.push(emergency(7));
+        assert_eq!(mailbox.take_emergency(), Some(emergency(7)));
+    }
+
+    #[test]
+    fn every_message_is_dispatched_by_its_kind_whatever_its_bytes_are() {
+        let mut mailbox = Mailbox::default();
+        let mut message = [0xAA; 24];
+        let mut dispatch = |length: u16, protocol: Protocol, service: u8| {
+            let header = MailboxRepr {
+                length,
+                address: 0,
+                priority: 0,
+                protocol,
+                counter: 1,
+            };
+            header.emit(&mut message).unwrap();
+            message[7] = service << 4;
+            let given = mailbox.dispatch(Protocol::Coe, &message);
+            (given.map(|data| data.map(<[u8]>::len)), mailbox.unexpected())
+        };
+        assert_eq!(dispatch(10, Protocol::Coe, 3), (Ok(Some(10)), 0));
+        assert_eq!(dispatch(10, Protocol::Coe, 1), (Ok(None), 0), "an emergency");
+        assert_eq!(dispatch(4, Protocol::Coe, 1), (Ok(None), 0), "one that is cut");
+        assert_eq!(dispatch(10, Protocol::Foe, 3), (Ok(None), 1));
+        assert_eq!(dispatch(19, Protocol::Coe, 3), (Ok(None), 2), "longer than the mailbox");
+        let refused = BusError::Mailbox { detail: 0xAAAA };
+        assert_eq!(dispatch(10, Protocol::Error, 0), (Err(refused), 2));
+        assert_eq!(
+            dispatch(3, Protocol::Error, 0),
+            (Err(BusError::Mailbox { detail: 0 }), 2)
+        );
+        assert!(mailbox.take_emergency().is_some() && mailbox.take_emergency().is_none());
     }
 }

@@ -11,6 +11,8 @@ pub mod acyclic;
 mod bringup_tests;
 pub mod clock;
 pub mod coe;
+#[cfg(test)]
+mod coe_tests;
 pub mod configure;
 pub mod cyclic;
 pub mod envelope;
