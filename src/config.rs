@@ -194,6 +194,12 @@ pub struct Bus {
     pub host_silence_ms: u16,
     /// Longest pause between dead-man messages of a jog, ms.
     pub dead_man_ms: u16,
+    /// Whether the slaves' distributed clocks are set up and the sample's timer follows them.
+    pub clocks: bool,
+    /// When SYNC0 of drives that use it comes after the frame of the input telegram has passed the reference clock, us.
+    pub sync_shift_us: u16,
+    /// Phase error of the sample against the bus clock that ends in a fault, us.
+    pub clock_error_max_us: u16,
     /// Name of the robot, for messages.
     pub name: String<24>,
 }
@@ -210,6 +216,10 @@ impl Default for Bus {
             late_max_per_s: 10,
             host_silence_ms: 500,
             dead_man_ms: 100,
+            // Drives that ignore SYNC0 keep a time of their own: following the clock of one of them gains nothing.
+            clocks: false,
+            sync_shift_us: 500,
+            clock_error_max_us: 50,
             name,
         }
     }
@@ -344,7 +354,7 @@ impl Axis {
 
 impl Config {
     /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
-    fn scalars(&self) -> [Bound; 36] {
+    fn scalars(&self) -> [Bound; 38] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
         let reach = geometry.upper_arm_mm + geometry.forearm_mm;
@@ -459,6 +469,8 @@ impl Config {
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
             bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),
             bound("bus.dead_man_ms", f64::from(bus.dead_man_ms), 20.0, 500.0),
+            bound("bus.sync_shift_us", f64::from(bus.sync_shift_us), 0.0, 999.0),
+            bound("bus.clock_error_max_us", f64::from(bus.clock_error_max_us), 10.0, 500.0),
             bound(
                 "bus.watchdog_ms",
                 f64::from(bus.watchdog_ms),

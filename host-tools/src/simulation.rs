@@ -13,8 +13,8 @@ use std::task::{Context, Poll, Waker};
 
 /// What is said to the firmware and heard from it in one millisecond, at most this many bytes each way.
 pub const LINE_BYTES_PER_MS: usize = etherpen::link::device::LINE_BYTES_PER_MS;
-/// Length of a millisecond, us.
-const MILLISECOND_US: u64 = 1_000;
+/// Length of a millisecond that nobody corrects, ns.
+const MILLISECOND_NS: u64 = 1_000_000;
 /// When the reply to a telegram is there, us after the telegram.
 const ROUND_TRIP_US: u64 = 50;
 /// When the input reply is given up, us after the release.
@@ -32,7 +32,7 @@ pub trait Host {
 /// A network interface whose wire is the virtual segment.
 struct Wire<'c> {
     cell: &'c mut dyn Segment,
-    time_us: u64,
+    time_ns: u64,
     arrived: VecDeque<Vec<u8>>,
 }
 
@@ -50,7 +50,7 @@ impl TxToken for Departing<'_, '_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, fill: F) -> R {
         let mut frame = vec![0; length];
         let result = fill(&mut frame);
-        let replies = self.0.cell.frame(self.0.time_us, &frame);
+        let replies = self.0.cell.frame_at_ns(self.0.time_ns, &frame);
         self.0.arrived.extend(replies);
         result
     }
@@ -104,22 +104,24 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
     } = channels.split("simulation");
     let mut transport = RawTransport::new(Wire {
         cell,
-        time_us: 0,
+        time_ns: 0,
         arrived: VecDeque::new(),
     });
     let mut watch = std::pin::pin!(supervisor.run());
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];
+    let mut release_ns = 0;
     for ms in 1..=limit_ms {
-        let release_us = u64::from(ms) * MILLISECOND_US;
-        transport.driver_mut().time_us = release_us;
-        transport.driver_mut().cell.advance_to(release_us);
+        let period_ns = MILLISECOND_NS.saturating_add_signed(sampler.take_timer_correction_ns().into());
+        release_ns += period_ns;
+        transport.driver_mut().time_ns = release_ns;
+        transport.driver_mut().cell.advance_to(release_ns / 1_000);
         let trajectory_due = sampler.sample(&mut transport, 0, 0);
         for time_us in [ROUND_TRIP_US, 2 * ROUND_TRIP_US] {
-            transport.driver_mut().time_us = release_us + time_us;
+            transport.driver_mut().time_ns = release_ns + time_us * 1_000;
             sampler.bus_frame(&mut transport, (time_us * 1_000) as u32);
         }
-        transport.driver_mut().time_us = release_us + DEADLINE_US;
+        transport.driver_mut().time_ns = release_ns + DEADLINE_US * 1_000;
         sampler.bus_deadline(&mut transport, (DEADLINE_US * 1_000) as u32);
         sampler.bus_frame(&mut transport, ((DEADLINE_US + ROUND_TRIP_US) * 1_000) as u32);
 

@@ -14,6 +14,7 @@ use crate::config::{Axis, Bus};
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
+use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
 use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters};
 use crate::ethercat::transport::raw::{RawTransport, Sending};
 use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
@@ -109,6 +110,8 @@ pub struct CycleReport {
     pub standstill: bool,
     /// AL states OR-ed and number of slaves, when the broadcast came back.
     pub al: Option<AlStatus>,
+    /// Phase of the sample against the bus clock, ns, positive when it came too late; `None` without a clock.
+    pub clock_error_ns: Option<i32>,
     /// The latched fault.
     pub fault: Option<Fault>,
     /// The sampler's counters.
@@ -151,6 +154,11 @@ pub struct Sampler<'a> {
     still_ms: u16,
     late: u16,
     missed: u32,
+    /// Station of the reference clock that the timer follows.
+    clock: Option<u16>,
+    steering: ClockSteering,
+    released_late_ns: u32,
+    timer_correction_ns: i32,
     counters: SamplerCounters,
 }
 
@@ -188,6 +196,10 @@ impl<'a> Sampler<'a> {
             still_ms: 0,
             late: 0,
             missed: 0,
+            clock: None,
+            steering: ClockSteering::new(),
+            released_late_ns: 0,
+            timer_correction_ns: 0,
             counters: SamplerCounters::default(),
         }
     }
@@ -204,6 +216,7 @@ impl<'a> Sampler<'a> {
         self.counters.cycles = self.counters.cycles.wrapping_add(1);
         let newly_missed = missed.wrapping_sub(self.missed);
         self.missed = missed;
+        self.released_late_ns = elapsed_ns;
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(newly_missed);
         self.late = self
             .late
@@ -239,6 +252,7 @@ impl<'a> Sampler<'a> {
     fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
         self.phase = Phase::Done;
         self.inputs = self.robot.read(&self.exchange);
+        self.steer();
         self.measure();
         let (following, underrun) = self.next_reference();
         let output_rad_s = self.control(following);
@@ -249,6 +263,29 @@ impl<'a> Sampler<'a> {
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
         self.report(following, output_rad_s);
+    }
+
+    /// By how much the timer's next period is to be longer, ns (negative: shorter), so that the sample keeps its phase to
+    /// the bus clock; to be asked for once a millisecond, at most
+    /// [`CORRECTION_MAX_NS`](crate::ethercat::clock::steering::CORRECTION_MAX_NS) either way.
+    pub fn take_timer_correction_ns(&mut self) -> i32 {
+        core::mem::take(&mut self.timer_correction_ns)
+    }
+
+    /// Takes this cycle's time of the bus clock. A plan with another reference begins anew.
+    fn steer(&mut self) {
+        let clock = self.exchange.plan().clock.map(|clock| clock.station);
+        if clock != self.clock {
+            self.clock = clock;
+            self.steering = ClockSteering::new();
+        }
+        if self.clock.is_some() {
+            self.timer_correction_ns = self.steering.step(ClockReading {
+                // The low half is enough for a phase, and all that narrow clocks have.
+                reference_ns: self.exchange.clock_ns().map(|time_ns| time_ns as u32),
+                elapsed_ns: self.released_late_ns,
+            });
+        }
     }
 
     fn take_commands(&mut self) {
@@ -357,6 +394,7 @@ impl<'a> Sampler<'a> {
             drive_fault: [false; AXES],
             reference_lost: [false; AXES],
             al_status: self.exchange.al_status().map(|al| al.status as u8),
+            clock: self.steering.fault(u32::from(self.bus.clock_error_max_us) * 1_000),
             power: self.power == Power::On,
             following: following || underrun,
             underrun,
@@ -418,6 +456,7 @@ impl<'a> Sampler<'a> {
             referenced: self.referenced,
             standstill: self.still_ms >= STANDSTILL_MS,
             al: self.exchange.al_status(),
+            clock_error_ns: self.clock.map(|_| self.steering.error_ns()),
             fault: self.supervision.fault(),
             counters: self.counters,
             bus: self.exchange.counters(),

@@ -29,6 +29,8 @@ pub struct Observation {
     pub reference_lost: [bool; AXES],
     /// AL state of all slaves, OR-ed, with the error flag, when the broadcast came back.
     pub al_status: Option<u8>,
+    /// What is wrong with the bus clock.
+    pub clock: Option<Fault>,
     /// Whether the drives are to have power.
     pub power: bool,
     /// Whether the drives follow references.
@@ -146,6 +148,9 @@ impl Supervision {
                 al_code: 0,
             });
         }
+        if let Some(fault) = seen.clock {
+            self.latch(fault);
+        }
         if seen.underrun {
             self.latch(Fault::ReferenceUnderrun);
         }
@@ -203,6 +208,7 @@ mod tests {
             drive_fault: [false; AXES],
             reference_lost: [false; AXES],
             al_status: Some(AL_OPERATIONAL),
+            clock: None,
             power: true,
             following: true,
             underrun: false,
@@ -237,6 +243,21 @@ mod tests {
                 limit_ms
             })
         );
+    }
+
+    #[test]
+    fn a_lost_clock_stops_drives_that_have_power_and_no_others() {
+        let fault = Fault::ClockLost {
+            missing_cycles: 10,
+            limit_cycles: 10,
+        };
+        let lost = Observation {
+            clock: Some(fault),
+            ..well()
+        };
+        assert_eq!(run(1, &lost), Some(fault));
+        let off = Observation { power: false, ..lost };
+        assert_eq!(run(100, &off), None);
     }
 
     #[test]

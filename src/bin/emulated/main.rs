@@ -131,7 +131,7 @@ mod app {
         load::woke();
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
         let wire = transport.driver_mut();
-        wire.clock.release();
+        wire.clock.release(sampler.take_timer_correction_ns());
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);

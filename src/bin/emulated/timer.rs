@@ -6,6 +6,7 @@
 
 use crate::device::{CLOCK_HZ, Interrupt};
 use crate::lan9118::free_run;
+use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
 
 /// Counts in one period of the sample task.
@@ -145,6 +146,12 @@ pub(crate) struct Clock {
     pub(crate) delivery: Alarm,
     /// Nominal release of the present millisecond.
     released_at: u32,
+    /// Counts from that release to the next one.
+    period: u32,
+    /// Counts from the first nominal release to that of the present millisecond.
+    counts: u64,
+    /// What the bus clock asks for.
+    correction: CountCorrection,
     /// Nominal releases so far, the first included.
     releases: u32,
     /// Nominal releases at which `sample` did not run.
@@ -164,6 +171,9 @@ impl Clock {
             deadline: Alarm::new(&APB_TIMER_1, Interrupt::TIMER1),
             delivery: Alarm::new(&DUAL_TIMER, Interrupt::DUAL_TIMER),
             released_at: free_run(),
+            period: PERIOD_COUNTS,
+            counts: 0,
+            correction: CountCorrection::new(COUNTS_PER_US as u32),
             releases: 0,
             missed: 0,
         };
@@ -172,20 +182,26 @@ impl Clock {
         clock
     }
 
-    /// Begins the next millisecond; call it first thing in the task that `sample` releases.
-    pub(crate) fn release(&mut self) {
+    /// Begins the next millisecond, which is to be longer by `correction_ns`; call it first thing in the task that
+    /// `sample` releases.
+    pub(crate) fn release(&mut self, correction_ns: i32) {
         self.sample.acknowledge();
         self.advance();
-        while !is_before(free_run(), self.released_at.wrapping_add(PERIOD_COUNTS)) {
+        self.period = PERIOD_COUNTS.saturating_add_signed(self.correction.take(correction_ns));
+        while !is_before(free_run(), self.released_at.wrapping_add(self.period)) {
             self.advance();
             self.missed = self.missed.wrapping_add(1);
+            self.period = PERIOD_COUNTS;
         }
-        self.sample.set(self.released_at.wrapping_add(PERIOD_COUNTS));
+        self.sample.set(self.released_at.wrapping_add(self.period));
         self.deadline.set(self.released_at.wrapping_add(DEADLINE_COUNTS));
     }
 
     fn advance(&mut self) {
-        self.released_at = self.released_at.wrapping_add(PERIOD_COUNTS);
+        self.released_at = self.released_at.wrapping_add(self.period);
+        if self.releases > 0 {
+            self.counts += u64::from(self.period);
+        }
         self.releases = self.releases.wrapping_add(1);
     }
 
@@ -218,8 +234,7 @@ impl Clock {
 
     /// Microseconds since the first nominal release.
     pub(crate) fn time_us(&self) -> u64 {
-        let whole = u64::from(self.milliseconds()) * 1000;
-        whole + u64::from(self.elapsed_counts()) / COUNTS_PER_US
+        (self.counts + u64::from(self.elapsed_counts())) / COUNTS_PER_US
     }
 
     /// Number of this millisecond, counted from 0.

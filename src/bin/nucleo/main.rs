@@ -61,6 +61,7 @@ mod app {
     use embassy_stm32::uid;
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
+    use etherpen::ethercat::clock::steering::CountCorrection;
     use etherpen::ethercat::transport::raw::RawTransport;
     use etherpen::ethercat_robot::RobotSupervisor;
     use etherpen::ethernet::phy::Phy;
@@ -138,13 +139,20 @@ mod app {
     ///
     /// Period 1 ms, priority 15, deadline: the next release. Overrun: the elapsed time handed over shows the lateness,
     /// which the sampler counts; more than the configured number in a second is a fault.
-    #[task(binds = TIM1_UP, priority = 15, shared = [sampler, wire], local = [periods: Periods = Periods::new()])]
+    #[task(
+        binds = TIM1_UP,
+        priority = 15,
+        shared = [sampler, wire],
+        local = [periods: Periods = Periods::new(), correction: CountCorrection = timer::correction()]
+    )]
     fn sample(context: sample::Context) {
         const { assert!(CRITICAL_PRIORITY == 15) };
         health::woke();
         timer::acknowledge_sample();
         let missed = context.local.periods.released();
         let resources = context.shared;
+        let correction_ns = resources.sampler.take_timer_correction_ns();
+        timer::steer(context.local.correction, correction_ns);
         if resources.sampler.sample(resources.wire, timer::elapsed_ns(), missed) {
             health::trajectory_released();
             rtic::pend(Interrupt::LPTIM2);

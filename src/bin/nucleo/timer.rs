@@ -9,6 +9,7 @@ use embassy_stm32::pac::timer::regs::SrAdv;
 use embassy_stm32::pac::timer::vals::Urs;
 use embassy_stm32::pac::{TIM1, TIM2};
 use embassy_stm32::{peripherals, rcc};
+use etherpen::ethercat::clock::steering::{CORRECTION_MAX_NS, CountCorrection};
 
 /// Rate of the sample task, Hz.
 const SAMPLE_HZ: u32 = 1_000;
@@ -24,7 +25,15 @@ const _: () = assert!(
     TIMER_HZ.is_multiple_of(PRESCALER * SAMPLE_HZ),
     "the period must be exact"
 );
-const _: () = assert!(TICKS_PER_SAMPLE <= 1 << 16, "the counter has 16 bits");
+/// Counts of the sample's timer in a microsecond.
+const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
+/// Longest correction of a period, counts.
+const CORRECTION_TICKS_MAX: u32 = CORRECTION_MAX_NS as u32 * TICKS_PER_US / 1_000 + 1;
+const _: () = assert!(
+    TICKS_PER_SAMPLE + CORRECTION_TICKS_MAX <= 1 << 16,
+    "the counter has 16 bits"
+);
+const _: () = assert!(TICKS_TO_DEADLINE + CORRECTION_TICKS_MAX < TICKS_PER_SAMPLE);
 const _: () = assert!(TICK_HZ.is_multiple_of(1_000_000), "the deadline must be exact");
 const _: () = assert!(TICKS_TO_DEADLINE < TICKS_PER_SAMPLE);
 /// Counts of [`free_run`] in a period of the sample.
@@ -62,7 +71,20 @@ pub(crate) fn start() {
     TIM1.cr1().modify(|control| control.set_cen(true));
 }
 
-/// Time since the latest release of the sample, ns, 0 to 999,983. Safe in a critical task: one register read.
+/// Lengthens the running period by what the bus clock asks for; call it first thing in the task that the sample releases,
+/// when the counter has not come far.
+pub(crate) fn steer(correction: &mut CountCorrection, correction_ns: i32) {
+    let ticks = TICKS_PER_SAMPLE.saturating_add_signed(correction.take(correction_ns));
+    // Without preload the new end counts at once.
+    TIM1.arr().write(|reload| reload.set_arr((ticks - 1) as u16));
+}
+
+/// What is owed to the timer of the sample by the bus clock.
+pub(crate) const fn correction() -> CountCorrection {
+    CountCorrection::new(TICKS_PER_US)
+}
+
+/// Time since the latest release of the sample, ns, 0 to 1,000,983. Safe in a critical task: one register read.
 pub(crate) fn elapsed_ns() -> u32 {
     u32::from(TIM1.cnt().read().cnt()) * NS_NUMERATOR / NS_DENOMINATOR
 }
