@@ -3,7 +3,10 @@
 //! The host reads it from `etherpen.toml` and sends it at connect; the firmware checks every value, answers with a
 //! hash, refuses to enable without one, and keeps running on it when the host goes.
 
+use crate::network::NetworkSettings;
 use crate::robot::AXES;
+use core::fmt::{self, Write};
+use core::net::Ipv4Addr;
 use heapless::String;
 use serde::{Deserialize, Serialize};
 
@@ -178,6 +181,77 @@ impl Default for Axis {
     }
 }
 
+/// How EtherCAT travels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transport {
+    /// In Ethernet frames of its own type.
+    #[default]
+    Raw,
+    /// In UDP.
+    Udp,
+}
+
+/// Longest text of a [`HostAddress`], bytes.
+const ADDRESS_TEXT_MAX: usize = 18;
+
+/// The controller's own IPv4 address: `dhcp`, or `a.b.c.d/len`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String<ADDRESS_TEXT_MAX>", into = "String<ADDRESS_TEXT_MAX>")]
+pub enum HostAddress {
+    /// A server gives it.
+    #[default]
+    Dhcp,
+    /// It is this one.
+    Fixed {
+        /// The address.
+        address: Ipv4Addr,
+        /// Bits of the network's part, 1 to 30.
+        prefix: u8,
+    },
+}
+
+/// A text that is no [`HostAddress`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AddressError;
+
+impl fmt::Display for AddressError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(
+            "expected \"dhcp\" or an address with the length of its network's part from 1 to 30, \"192.168.1.2/24\"",
+        )
+    }
+}
+
+impl TryFrom<String<ADDRESS_TEXT_MAX>> for HostAddress {
+    type Error = AddressError;
+
+    fn try_from(text: String<ADDRESS_TEXT_MAX>) -> Result<Self, AddressError> {
+        if text == "dhcp" {
+            return Ok(Self::Dhcp);
+        }
+        let (address, prefix) = text.split_once('/').ok_or(AddressError)?;
+        let address = address.parse().map_err(|_| AddressError)?;
+        let prefix = prefix.parse().map_err(|_| AddressError)?;
+        match prefix {
+            1..=30 => Ok(Self::Fixed { address, prefix }),
+            _ => Err(AddressError),
+        }
+    }
+}
+
+impl From<HostAddress> for String<ADDRESS_TEXT_MAX> {
+    fn from(address: HostAddress) -> Self {
+        let mut text = Self::new();
+        // The longest address has as many bytes as there is room for.
+        let _ = match address {
+            HostAddress::Dhcp => text.write_str("dhcp"),
+            HostAddress::Fixed { address, prefix } => write!(text, "{address}/{prefix}"),
+        };
+        text
+    }
+}
+
 /// The bus: what is expected on it and how patient the master is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -200,8 +274,27 @@ pub struct Bus {
     pub sync_shift_us: u16,
     /// Phase error of the sample against the bus clock that ends in a fault, us.
     pub clock_error_max_us: u16,
+    /// How EtherCAT travels.
+    pub transport: Transport,
+    /// The own address, for UDP.
+    pub address: HostAddress,
+    /// Where packets for other networks go with an address that no server gave; 0.0.0.0 for nowhere.
+    pub gateway: Ipv4Addr,
+    /// The segment's address, for UDP; 0.0.0.0 for none.
+    pub segment: Ipv4Addr,
     /// Name of the robot, for messages.
     pub name: String<24>,
+}
+
+impl Bus {
+    /// What the IP stack is to do; `None` when the bus needs none.
+    pub fn network(&self) -> Option<NetworkSettings> {
+        (self.transport == Transport::Udp).then_some(NetworkSettings {
+            address: self.address,
+            gateway: (!self.gateway.is_unspecified()).then_some(self.gateway),
+            segment: self.segment,
+        })
+    }
 }
 
 impl Default for Bus {
@@ -220,6 +313,10 @@ impl Default for Bus {
             clocks: false,
             sync_shift_us: 500,
             clock_error_max_us: 50,
+            transport: Transport::Raw,
+            address: HostAddress::Dhcp,
+            gateway: Ipv4Addr::UNSPECIFIED,
+            segment: Ipv4Addr::UNSPECIFIED,
             name,
         }
     }
@@ -354,7 +451,7 @@ impl Axis {
 
 impl Config {
     /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
-    fn scalars(&self) -> [Bound; 38] {
+    fn scalars(&self) -> [Bound; 39] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
         let reach = geometry.upper_arm_mm + geometry.forearm_mm;
@@ -469,6 +566,13 @@ impl Config {
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
             bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),
             bound("bus.dead_man_ms", f64::from(bus.dead_man_ms), 20.0, 500.0),
+            bound(
+                "bus.segment",
+                f64::from(u32::from(bus.segment)),
+                // UDP needs a peer; addresses from 224.0.0.0 on are no hosts'.
+                f64::from(u8::from(bus.transport == Transport::Udp)),
+                f64::from(0xDFFF_FFFF_u32),
+            ),
             bound("bus.sync_shift_us", f64::from(bus.sync_shift_us), 0.0, 999.0),
             bound("bus.clock_error_max_us", f64::from(bus.clock_error_max_us), 10.0, 500.0),
             bound(
@@ -568,6 +672,40 @@ mod tests {
         let mut config = Config::default();
         config.bus.watchdog_ms = config.bus.blind_max_ms;
         assert_eq!(config.check().unwrap_err().field.name(), "bus.watchdog_ms");
+    }
+
+    #[test]
+    fn addresses_are_dhcp_or_an_address_with_its_network_and_nothing_else() {
+        let parse = |text: &str| HostAddress::try_from(String::try_from(text).unwrap());
+        assert_eq!(parse("dhcp"), Ok(HostAddress::Dhcp));
+        let fixed = HostAddress::Fixed {
+            address: Ipv4Addr::new(192, 168, 100, 200),
+            prefix: 24,
+        };
+        assert_eq!(parse("192.168.100.200/24"), Ok(fixed));
+        assert_eq!(String::from(fixed), "192.168.100.200/24");
+        for wrong in [
+            "",
+            "DHCP",
+            "1.2.3.4",
+            "1.2.3.4/0",
+            "1.2.3.4/31",
+            "1.2.3/8",
+            "1.2.3.4/x",
+            "1.2.3.4/24/",
+        ] {
+            assert_eq!(parse(wrong), Err(AddressError), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn udp_needs_a_segment_to_talk_to() {
+        let mut config = Config::default();
+        config.bus.transport = Transport::Udp;
+        assert_eq!(config.check().unwrap_err().field.name(), "bus.segment");
+        config.bus.segment = Ipv4Addr::new(10, 0, 2, 2);
+        assert_eq!(config.check(), Ok(()));
+        assert!(config.hash().is_some());
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::link::task::LinkTask;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
+use crate::network::{NetworkQueues, NetworkTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
 /// References between the trajectory task and the sampler: the period being read, the next one, and a spare.
@@ -39,6 +40,7 @@ pub struct Channels {
     motion_orders: Queue<MotionOrder, 17>,
     motion_reports: Queue<MotionReport, 5>,
     bus: RobotBusQueues,
+    network: NetworkQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
 }
@@ -53,6 +55,8 @@ pub struct Parts<'a> {
     pub host_bytes: HostBytes<'a>,
     /// For the task that speaks with the host.
     pub link: LinkTask<'a>,
+    /// For the task that runs the IP stack, for EtherCAT in UDP.
+    pub network: NetworkTask<'a>,
     /// For the task that brings up and watches the bus.
     pub supervisor: RobotSupervisor<'a>,
 }
@@ -68,6 +72,7 @@ impl Channels {
             motion_orders: Queue::new(),
             motion_reports: Queue::new(),
             bus: RobotBusQueues::new(),
+            network: NetworkQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
         }
@@ -82,11 +87,12 @@ impl Channels {
         let (orders_in, orders_out) = self.motion_orders.split();
         let (motion_reports_in, motion_reports_out) = self.motion_reports.split();
         let (exchange_end, supervisor_end, bus) = self.bus.split();
+        let (network_end, network, network_settings) = self.network.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
         let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
-            sampler: Sampler::new(exchange, sampler_commands_out, references_out, reports_in),
+            sampler: Sampler::new(exchange, network_end, sampler_commands_out, references_out, reports_in),
             trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
             host_bytes: HostBytes {
                 received: received_in,
@@ -104,8 +110,10 @@ impl Channels {
                     motion_orders: orders_in,
                     motion_reports: motion_reports_out,
                     bus,
+                    network: network_settings,
                 },
             ),
+            network,
             supervisor: RobotSupervisor::new(supervisor_end),
         }
     }

@@ -56,4 +56,5 @@ pub mod ethernet;
 pub mod io;
 pub mod link;
 pub mod motion;
+pub mod network;
 pub mod robot;

@@ -10,16 +10,18 @@
 //! following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
-use crate::config::{Axis, Bus};
+use crate::config::{Axis, Bus, Transport};
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
 use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters};
+use crate::ethercat::envelope::Envelope;
 use crate::ethercat::transport::raw::{RawTransport, Sending};
 use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
 use crate::io::{AxisCommand, AxisInput, Increments};
 use crate::motion::Reference;
+use crate::network::NetworkEnd;
 use crate::robot::AXES;
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
@@ -131,6 +133,9 @@ enum Phase {
 /// The critical tasks' state.
 pub struct Sampler<'a> {
     exchange: RobotExchange<'a>,
+    network: NetworkEnd<'a>,
+    /// Whether the addresses of EtherCAT in UDP are known.
+    has_path: bool,
     robot: EtherCatRobot,
     axes: [Axis; AXES],
     bus: Bus,
@@ -166,6 +171,7 @@ impl<'a> Sampler<'a> {
     /// A sampler that has no configuration yet and keeps the drives without power.
     pub fn new(
         exchange: RobotExchange<'a>,
+        network: NetworkEnd<'a>,
         commands: Consumer<'a, SamplerCommand>,
         references: Consumer<'a, Queued>,
         reports: Producer<'a, CycleReport>,
@@ -173,6 +179,8 @@ impl<'a> Sampler<'a> {
         let axes = [Axis::default(); AXES];
         Self {
             exchange,
+            network,
+            has_path: false,
             robot: EtherCatRobot::new(&axes),
             axes,
             bus: Bus::default(),
@@ -222,7 +230,11 @@ impl<'a> Sampler<'a> {
             .late
             .saturating_add(u16::try_from(newly_missed).unwrap_or(u16::MAX));
         self.take_commands();
-        transport.send(self.exchange.input_telegram());
+        self.take_path();
+        let telegram = self.exchange.input_telegram();
+        if may_send(&self.bus, self.has_path) {
+            transport.send(telegram);
+        }
         self.phase = Phase::Input;
         self.counters.cycles.is_multiple_of(TRAJECTORY_PERIOD)
     }
@@ -232,10 +244,14 @@ impl<'a> Sampler<'a> {
     /// Returns whether more may be waiting: then this is to be called again, after what is as urgent.
     pub fn bus_frame<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) -> bool {
         for _ in 0..FRAMES_PER_RUN {
-            let Some(arrival) = transport.receive(|frame| self.exchange.receive(frame)) else {
+            let over_ip = self.bus.transport == Transport::Udp;
+            let Some(arrival) = transport.receive(|frame| {
+                let passed_on = over_ip && self.network.offer(frame);
+                (!passed_on).then(|| self.exchange.receive(frame))
+            }) else {
                 return false;
             };
-            if arrival == Arrival::Input && self.phase == Phase::Input {
+            if arrival == Some(Arrival::Input) && self.phase == Phase::Input {
                 self.finish(transport, elapsed_ns);
             }
         }
@@ -258,11 +274,28 @@ impl<'a> Sampler<'a> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        let sending = transport.send(self.exchange.output_telegram());
+        let telegram = self.exchange.output_telegram();
+        let sending = match may_send(&self.bus, self.has_path) {
+            true => transport.send(telegram),
+            false => Sending::Nothing,
+        };
+        self.network.send_next(|frame| {
+            // A frame that the port does not take is lost, as on any network.
+            let _ = transport.send(frame);
+        });
         let late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
         self.report(following, output_rad_s);
+    }
+
+    /// Takes what the IP stack has found out. Without addresses nothing is sent, which the bus' other side takes for
+    /// silence, and the supervision too.
+    fn take_path(&mut self) {
+        while let Some(path) = self.network.next_path() {
+            self.has_path = path.is_some();
+            self.exchange.set_envelope(path.map_or(Envelope::Raw, Envelope::Udp));
+        }
     }
 
     /// By how much the timer's next period is to be longer, ns (negative: shorter), so that the sample keeps its phase to
@@ -465,6 +498,11 @@ impl<'a> Sampler<'a> {
             self.counters.reports_dropped = self.counters.reports_dropped.wrapping_add(1);
         }
     }
+}
+
+/// Whether telegrams may leave: EtherCAT in UDP needs addresses first.
+fn may_send(bus: &Bus, has_path: bool) -> bool {
+    bus.transport == Transport::Raw || has_path
 }
 
 /// Joint angle from where the unwrapping began, rad: good for differences before there is a reference.

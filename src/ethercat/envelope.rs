@@ -6,8 +6,8 @@
 
 use super::telegram::Ignored;
 use super::wire::{
-    ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT, read_u16,
-    write_bytes,
+    self, ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
+    UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr, read_u16, write_bytes,
 };
 
 const LENGTH_MASK: u16 = 0x07FF;
@@ -19,6 +19,8 @@ pub enum Envelope {
     /// In Ethernet frames of its own type.
     #[default]
     Raw,
+    /// In UDP, with these headers.
+    Udp(UdpRepr),
     /// Without any: EtherCAT header and datagrams, for transports that wrap them themselves, such as sockets.
     Bare,
 }
@@ -37,6 +39,7 @@ impl Envelope {
     pub(super) const fn header_len(&self) -> usize {
         match self {
             Self::Raw => PAYLOAD_OFFSET,
+            Self::Udp(_) => UDP_PAYLOAD_OFFSET + ETHERCAT_HEADER_LEN,
             Self::Bare => ETHERCAT_HEADER_LEN,
         }
     }
@@ -49,7 +52,8 @@ impl Envelope {
                 write_bytes(frame, 6, &source);
                 write_bytes(frame, 12, &ETHERTYPE.to_be_bytes());
             }
-            Self::Bare => {}
+            // Headers with lengths come when the frame is closed.
+            Self::Udp(_) | Self::Bare => {}
         }
     }
 
@@ -62,6 +66,8 @@ impl Envelope {
         write_bytes(frame, start - ETHERCAT_HEADER_LEN, &header.to_le_bytes());
         match self {
             Self::Raw => end.max(FRAME_LEN_MIN),
+            // Frames are built in buffers of the greatest length.
+            Self::Udp(repr) => repr.emit(frame, end.saturating_sub(UDP_PAYLOAD_OFFSET)).unwrap_or(0),
             Self::Bare => end,
         }
     }
@@ -74,6 +80,7 @@ impl Envelope {
     pub(super) fn open<'f>(&self, frame: &'f [u8], source: MacAddress) -> Result<Opened<'f>, Ignored> {
         let (content, marked) = match self {
             Self::Raw => open_raw(frame, source)?,
+            Self::Udp(own) => (open_udp(frame, own)?, false),
             Self::Bare => (frame, false),
         };
         let header = content.first_chunk::<2>().ok_or(Ignored::Truncated)?;
@@ -109,4 +116,20 @@ fn open_raw(frame: &[u8], source: MacAddress) -> Result<(&[u8], bool), Ignored> 
         return Err(Ignored::ForeignSource);
     }
     Ok((content, first != 0))
+}
+
+/// Checks headers of Ethernet, IPv4 and UDP. Gives the UDP payload of an answer, or of an own packet that slave
+/// controllers have passed on as it was.
+fn open_udp<'f>(frame: &'f [u8], own: &UdpRepr) -> Result<&'f [u8], Ignored> {
+    let (found, payload) = UdpRepr::parse(frame).map_err(|error| match error {
+        wire::Error::Truncated { .. } | wire::Error::Checksum { .. } => Ignored::Truncated,
+        _ => Ignored::EtherType,
+    })?;
+    let answers = (found.destination, found.destination_port) == (own.source, own.source_port);
+    let returns = (found.source, found.source_port) == (own.source, own.source_port);
+    if answers || returns && found.destination_port == UDP_PORT {
+        frame.get(payload).ok_or(Ignored::Truncated)
+    } else {
+        Err(Ignored::ForeignSource)
+    }
 }

@@ -16,6 +16,7 @@ use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::ethercat::service::{ServiceError, ServiceRequest};
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
+use crate::network::SettingsEnd;
 use crate::robot::{JointAngles, Position};
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
@@ -46,6 +47,8 @@ pub struct LinkEnds<'a> {
     pub motion_reports: Consumer<'a, MotionReport>,
     /// The bus' supervisor.
     pub bus: ApplicationEnd<'a>,
+    /// What the IP stack is to do.
+    pub network: SettingsEnd<'a>,
 }
 
 /// The link task.
@@ -189,6 +192,8 @@ impl<'a> LinkTask<'a> {
             bus: config.bus.clone(),
         });
         self.tell_trajectory(MotionOrder::Configure(config.clone()));
+        // The stack's task empties the queue every millisecond.
+        let _ = self.ends.network.enqueue(config.bus.network());
         let _ = self.ends.bus.commands.enqueue(BusCommand::Start(BusSetup {
             bus: config.bus.clone(),
             axes: config.axes,

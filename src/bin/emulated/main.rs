@@ -18,6 +18,7 @@ mod metronome;
 mod panic;
 mod semihosting;
 mod serial;
+mod time;
 mod timer;
 mod uart;
 mod wire;
@@ -30,11 +31,14 @@ mod app {
     use crate::lan9118::Mmio;
     use crate::lockstep::{self, Bus};
     use crate::log::{self, Drain};
+    use crate::metronome::Metronome;
     use crate::serial::{Route, Serial};
     use crate::timer::Clock;
     use crate::uart::Uart;
     use crate::wire::Wire;
-    use crate::{critical, load, metronome};
+    use crate::{critical, load, time};
+    use core::future::poll_fn;
+    use core::pin::pin;
     use core::sync::atomic::{AtomicU32, Ordering};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
@@ -43,6 +47,7 @@ mod app {
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link::task::LinkTask;
     use etherpen::motion::task::TrajectoryTask;
+    use etherpen::network::NetworkTask;
 
     /// Interrupts of the tasks that nothing may mask.
     const CRITICAL: [Interrupt; 4] = [
@@ -51,6 +56,9 @@ mod app {
         Interrupt::DUAL_TIMER,
         Interrupt::LAN9118,
     ];
+
+    static SUPERVISOR: Metronome = Metronome::new();
+    static NETWORK: Metronome = Metronome::new();
 
     /// Releases of the trajectory task that it has not yet completed.
     static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);
@@ -70,6 +78,7 @@ mod app {
         trajectory: TrajectoryTask<'static>,
         link: LinkTask<'static>,
         health: Health,
+        network: NetworkTask<'static>,
         supervisor: RobotSupervisor<'static>,
         drain: Drain,
     }
@@ -96,10 +105,12 @@ mod app {
             serial: Serial::new(parts.host_bytes, route),
         };
         supervisor::spawn().unwrap_or_else(|()| panic!("the supervisor is spawned once"));
+        network::spawn().unwrap_or_else(|()| panic!("the network task is spawned once"));
         let local = Local {
             trajectory: parts.trajectory,
             link: parts.link,
             health: Health::new(),
+            network: parts.network,
             supervisor: parts.supervisor,
             drain,
         };
@@ -232,7 +243,8 @@ mod app {
     fn link(cx: link::Context) {
         cx.local.link.tick();
         cx.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
-        metronome::tick();
+        SUPERVISOR.tick();
+        NETWORK.tick();
         rtic::pend(Interrupt::FREE17);
     }
 
@@ -241,7 +253,21 @@ mod app {
     /// Polled after each `link`, priority 1, no deadline.
     #[task(priority = 1, local = [supervisor])]
     async fn supervisor(cx: supervisor::Context) {
-        metronome::every_tick(cx.local.supervisor.run()).await;
+        SUPERVISOR.every_tick(cx.local.supervisor.run()).await;
+    }
+
+    /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
+    ///
+    /// Polled after each `link`, priority 1, no deadline: frames that find its ring full are dropped and counted.
+    #[task(priority = 1, local = [network])]
+    async fn network(cx: network::Context) {
+        let mut run = pin!(cx.local.network.run());
+        NETWORK
+            .every_tick(poll_fn(|context| {
+                time::tick();
+                run.as_mut().poll(context)
+            }))
+            .await;
     }
 
     /// Empties the log's ring into the host's file.

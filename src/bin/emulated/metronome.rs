@@ -1,7 +1,7 @@
 //! Polls a future once every millisecond, whatever the future thinks of wakers.
 //!
-//! The supervisor is written as a sequence of waits for the next look at the bus. It registers no waker, because the tasks
-//! it waits for must take no critical section; so it is looked at in every tick of a task that may.
+//! The supervisor and the IP stack are written as sequences of waits for the next look. They register no waker, because the
+//! tasks they wait for must take no critical section; so they are looked at in every tick of a task that may.
 
 use core::cell::Cell;
 use core::future::poll_fn;
@@ -9,23 +9,30 @@ use core::pin::pin;
 use core::task::{Context, Waker};
 use critical_section::Mutex;
 
-static WAITING: Mutex<Cell<Option<Waker>>> = Mutex::new(Cell::new(None));
+/// Polls one task's future.
+pub(crate) struct Metronome(Mutex<Cell<Option<Waker>>>);
 
-/// One tick: the future of [`every_tick`] is polled as soon as its task may run.
-pub(crate) fn tick() {
-    let waiting = critical_section::with(|section| WAITING.borrow(section).take());
-    if let Some(waker) = waiting {
-        waker.wake();
+impl Metronome {
+    pub(crate) const fn new() -> Self {
+        Self(Mutex::new(Cell::new(None)))
     }
-}
 
-/// Polls `future` now and after every [`tick`]; ticks that come while it is being polled count as one.
-pub(crate) async fn every_tick<T>(future: impl Future<Output = T>) -> T {
-    let mut future = pin!(future);
-    poll_fn(|context| {
-        let waker = context.waker().clone();
-        critical_section::with(|section| WAITING.borrow(section).set(Some(waker)));
-        future.as_mut().poll(&mut Context::from_waker(Waker::noop()))
-    })
-    .await
+    /// One tick: the future of [`Self::every_tick`] is polled as soon as its task may run.
+    pub(crate) fn tick(&self) {
+        let waiting = critical_section::with(|section| self.0.borrow(section).take());
+        if let Some(waker) = waiting {
+            waker.wake();
+        }
+    }
+
+    /// Polls `future` now and after every [`Self::tick`]; ticks that come while it is being polled count as one.
+    pub(crate) async fn every_tick<T>(&self, future: impl Future<Output = T>) -> T {
+        let mut future = pin!(future);
+        poll_fn(|context| {
+            let waker = context.waker().clone();
+            critical_section::with(|section| self.0.borrow(section).set(Some(waker)));
+            future.as_mut().poll(&mut Context::from_waker(Waker::noop()))
+        })
+        .await
+    }
 }

@@ -12,6 +12,7 @@
 //! | `trajectory` | `sample`, every 12 ms | 6 | 12 ms |
 //! | `link` | `sample`, every 1 ms | 3 | 1 ms |
 //! | `supervisor` | `link`, every 1 ms | 1 | none |
+//! | `network` | `link`, every 1 ms | 1 | none |
 //! | `phy` | `link`, every 1 ms | 1 | none |
 //!
 //! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
@@ -38,6 +39,7 @@ mod pins;
 mod release;
 mod serial;
 mod start_up;
+mod time;
 mod timer;
 
 use defmt_rtt as _;
@@ -53,7 +55,7 @@ mod app {
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
-    use crate::{BOARD, clocks, memory, panic, pins, start_up, timer};
+    use crate::{BOARD, clocks, memory, panic, pins, start_up, time, timer};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
@@ -67,6 +69,7 @@ mod app {
     use etherpen::ethernet::phy::Phy;
     use etherpen::link::task::LinkTask;
     use etherpen::motion::task::TrajectoryTask;
+    use etherpen::network::NetworkTask;
 
     /// Interrupts of the critical tasks.
     const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
@@ -86,6 +89,7 @@ mod app {
         link: &'static mut LinkTask<'static>,
         serial: Serial,
         supervisor: &'static mut RobotSupervisor<'static>,
+        network: &'static mut NetworkTask<'static>,
         phy: Phy,
     }
 
@@ -102,9 +106,11 @@ mod app {
         let (channels, space) = (context.local.channels, context.local.parts);
         let parts = start_up::on_large_stack(|| space.write(channels.split(BOARD)));
         let wire = RawTransport::new(Ethernet::new(hardware_address(uid::uid())));
+        parts.network.set_hardware_address(wire.mac_address());
         let serial = Serial::new(&mut parts.host_bytes);
         critical::start_up_check(&mut core.SYST, &CRITICAL);
         assert!(supervisor::spawn().is_ok(), "the supervisor starts once");
+        assert!(network::spawn().is_ok(), "the network task starts once");
         defmt::info!(
             "{=str}: {=u32} MHz, serial line at {=u32} baud",
             BOARD,
@@ -122,6 +128,7 @@ mod app {
                 link: &mut parts.link,
                 serial,
                 supervisor: &mut parts.supervisor,
+                network: &mut parts.network,
                 phy: Phy::new(),
             },
         )
@@ -214,9 +221,11 @@ mod app {
         rtic::pend(Interrupt::USART3);
         rtic::pend(Interrupt::LPTIM4);
         SUPERVISOR.now();
+        NETWORK.now();
     }
 
     static SUPERVISOR: Release = Release::new();
+    static NETWORK: Release = Release::new();
 
     /// Brings the bus up, watches it, repairs it.
     ///
@@ -227,6 +236,21 @@ mod app {
         let mut run = pin!(context.local.supervisor.run());
         poll_fn(|task| {
             SUPERVISOR.wait(task.waker());
+            run.as_mut().poll(task)
+        })
+        .await
+    }
+
+    /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
+    ///
+    /// One step every ms, priority 1, no deadline. Overrun: steps merge; frames that find its ring full are dropped and
+    /// counted.
+    #[task(priority = 1, local = [network])]
+    async fn network(context: network::Context) {
+        let mut run = pin!(context.local.network.run());
+        poll_fn(|task| {
+            NETWORK.wait(task.waker());
+            time::tick();
             run.as_mut().poll(task)
         })
         .await

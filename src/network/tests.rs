@@ -1,0 +1,133 @@
+//! The stack against a small network: ARP and DHCP answered by hand, in virtual time.
+
+extern crate std;
+
+use super::*;
+use core::future::Future;
+use core::pin::pin;
+use core::task::{Context, Waker};
+use std::boxed::Box;
+use std::println;
+use std::vec::Vec as StdVec;
+
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const PEER: [u8; 6] = [2, 3, 4, 5, 6, 7];
+const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 7, 2);
+const SEGMENT: Ipv4Addr = Ipv4Addr::new(192, 168, 7, 9);
+
+fn settings() -> NetworkSettings {
+    NetworkSettings {
+        address: HostAddress::Fixed {
+            address: OWN,
+            prefix: 24,
+        },
+        gateway: None,
+        segment: SEGMENT,
+    }
+}
+
+/// Answer of `PEER`, who has `address`, to a request for it.
+fn arp_reply(request: &[u8], address: Ipv4Addr) -> Option<StdVec<u8>> {
+    let asks = request.get(12..14) == Some(&[8, 6]) && request.get(38..42) == Some(&address.octets());
+    asks.then(|| {
+        let mut reply = StdVec::new();
+        reply.extend(&request[6..12]);
+        reply.extend(PEER);
+        reply.extend(&request[12..20]);
+        reply.extend([0, 2]);
+        reply.extend(PEER);
+        reply.extend(address.octets());
+        reply.extend(&request[22..32]);
+        reply
+    })
+}
+
+/// Runs a task with these settings for some milliseconds; `answer` gives what the network has to say to each frame.
+/// Gives the news about the path with their times.
+fn run(
+    settings: NetworkSettings,
+    limit_ms: u32,
+    mut answer: impl FnMut(u32, &[u8]) -> Option<StdVec<u8>>,
+) -> StdVec<(u32, Option<UdpRepr>)> {
+    let queues = Box::leak(Box::new(NetworkQueues::new()));
+    let (mut end, mut task, mut configure) = queues.split();
+    assert!(configure.enqueue(Some(settings)).is_ok());
+    let mut life = pin!(async move { task.run().await });
+    let mut news = StdVec::new();
+    for ms in 0..limit_ms {
+        embassy_time::MockDriver::get().advance(embassy_time::Duration::from_millis(1));
+        assert!(life.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending());
+        let mut replies = StdVec::new();
+        end.send_next(|frame| {
+            assert!(!is_ethercat(frame), "the probe stays inside");
+            replies.extend(answer(ms, frame));
+        });
+        for reply in replies {
+            assert!(end.offer(&reply));
+        }
+        while let Some(path) = end.next_path() {
+            println!("{ms} ms: {path:?}");
+            news.push((ms, path));
+        }
+    }
+    news
+}
+
+#[test]
+fn the_path_is_known_as_soon_as_the_segment_answers_and_lost_when_it_stays_silent() {
+    let news = run(settings(), 80_000, |ms, frame| {
+        (ms < 2_000).then(|| arp_reply(frame, SEGMENT)).flatten()
+    });
+    let expected = UdpRepr {
+        source_mac: MAC,
+        destination_mac: PEER,
+        source: OWN,
+        destination: SEGMENT,
+        source_port: UDP_PORT,
+        destination_port: UDP_PORT,
+    };
+    assert_eq!(news.len(), 2, "{news:?}");
+    assert!(news[0].0 < 500 && news[0].1 == Some(expected), "{news:?}");
+    assert!(news[1].1.is_none() && news[1].0 < 75_000, "{news:?}");
+}
+
+#[test]
+fn nothing_is_told_while_nobody_answers() {
+    assert!(run(settings(), 3_000, |_, _| None).is_empty());
+}
+
+#[test]
+fn a_segment_on_another_network_is_reached_through_the_gateway() {
+    let gateway = Ipv4Addr::new(192, 168, 7, 1);
+    let far = NetworkSettings {
+        gateway: Some(gateway),
+        segment: Ipv4Addr::new(10, 9, 8, 7),
+        ..settings()
+    };
+    let news = run(far, 1_000, |_, frame| arp_reply(frame, gateway));
+    assert!(
+        matches!(news[..], [(_, Some(path))] if path.destination_mac == PEER && path.destination == far.segment),
+        "{news:?}"
+    );
+}
+
+#[test]
+fn ethercat_stays_with_the_exchange_and_everything_else_goes_to_the_stack_as_far_as_there_is_room() {
+    let queues = Box::leak(Box::new(NetworkQueues::new()));
+    let (mut end, _task, _configure) = queues.split();
+    let mut raw = [0; 60];
+    raw[12..14].copy_from_slice(&[0x88, 0xA4]);
+    assert!(!end.offer(&raw));
+    let mut udp = [0; 80];
+    UdpRepr::request(MAC, OWN, SEGMENT).emit(&mut udp, 20).unwrap();
+    assert!(!end.offer(&udp[..62]));
+    udp[34..38].copy_from_slice(&[0, 68, 0, 67]);
+    for number in 0..10 {
+        assert!(end.offer(&udp), "{number}");
+    }
+    assert_eq!(end.dropped() as usize, 10 - (RECEIVED_PLACES - 1));
+    for short in 0..60 {
+        end.offer(&raw[..short]);
+    }
+    assert!(end.offer(&[0; 1514]));
+}
