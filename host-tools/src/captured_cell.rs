@@ -53,6 +53,10 @@ impl Segment for Cell {
         Cell::frame(self, time_us, frame)
     }
 
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        Cell::frame_at_ns(self, time_ns, frame)
+    }
+
     fn advance_to(&mut self, time_us: u64) {
         Cell::advance_to(self, time_us);
     }
@@ -60,8 +64,13 @@ impl Segment for Cell {
 
 impl Segment for CapturedCell {
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.frame_at_ns(time_us * 1_000, frame)
+    }
+
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        let time_us = time_ns / 1_000;
         self.record(time_us, Direction::Sent, frame);
-        let replies = self.cell.frame(time_us, frame);
+        let replies = self.cell.frame_at_ns(time_ns, frame);
         for reply in &replies {
             self.record(time_us, Direction::Received, reply);
         }

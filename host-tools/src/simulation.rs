@@ -101,6 +101,8 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         mut host_bytes,
         mut link,
         mut supervisor,
+        // Raw frames need no addresses.
+        network: _,
     } = channels.split("simulation");
     let mut transport = RawTransport::new(Wire {
         cell,
