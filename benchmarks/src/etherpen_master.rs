@@ -7,10 +7,13 @@ use core::hint::black_box;
 use core::pin::pin;
 use core::task::{Context, Waker};
 use etherpen::controller::MASTER_ADDRESS;
-use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave};
+use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave, ExchangeKind, ReferenceClock};
 use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
 use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
+
+/// Station address of the first drive, whose clock the others follow.
+const STATION: u16 = 0x1001;
 
 /// The master with its drives in OP: the critical side with the plan that the supervisor would have sent.
 pub struct EtherpenMaster<'q> {
@@ -28,12 +31,22 @@ impl<'q> EtherpenMaster<'q> {
     pub fn new(queues: &'q mut RobotBusQueues, case: Case) -> Self {
         let (exchange_end, mut supervisor_end, _) = queues.split();
         let mut plan = CyclicPlan::default();
-        let drives = DRIVES as u32;
-        for number in 0..drives {
+        if case.exchange != Exchange::Split {
+            plan.exchange = ExchangeKind::Combined;
+        }
+        if case.exchange == Exchange::CombinedWithClock {
+            plan.clock = Some(ReferenceClock {
+                station: STATION,
+                slaves: DRIVES as u16,
+                wide: true,
+            });
+        }
+        let (inputs, outputs) = (u32::from(case.data.inputs), u32::from(case.data.outputs));
+        for number in 0..DRIVES as u32 {
             let drive = CyclicSlave {
-                input_address: number * u32::from(case.data.inputs),
+                input_address: number * (inputs + outputs),
                 input_length: case.data.inputs,
-                output_address: drives * u32::from(case.data.inputs) + number * u32::from(case.data.outputs),
+                output_address: number * (inputs + outputs) + inputs,
                 output_length: case.data.outputs,
                 watched: true,
                 ..CyclicSlave::default()
@@ -68,6 +81,14 @@ impl<'q> EtherpenMaster<'q> {
         }
     }
 
+    fn combined<M: Meter>(&mut self) {
+        M::count(|| self.write());
+        let sent = M::count(|| black_box(self.exchange.input_telegram()));
+        let length = reply(&mut self.frame, sent, self.case);
+        let (arrival, complete) = M::count(|| (self.receive(length), self.read()));
+        assert!(arrival == Arrival::Input && complete, "no inputs");
+    }
+
     fn split<M: Meter>(&mut self) {
         let sent = M::count(|| black_box(self.exchange.input_telegram()));
         let length = reply(&mut self.frame, sent, self.case);
@@ -89,7 +110,7 @@ impl Master for EtherpenMaster<'_> {
     fn cycle<M: Meter>(&mut self) {
         match self.case.exchange {
             Exchange::Split => self.split::<M>(),
-            Exchange::Combined | Exchange::CombinedWithClock => self.split::<M>(),
+            Exchange::Combined | Exchange::CombinedWithClock => self.combined::<M>(),
         }
         assert!(
             self.exchange.counters().working_counter_errors == 0,
@@ -98,6 +119,11 @@ impl Master for EtherpenMaster<'_> {
         assert!(
             self.exchange.al_status().is_some_and(|al| al.status == 8),
             "no AL status"
+        );
+        let clock = self.exchange.clock_ns().is_some();
+        assert!(
+            clock == (self.case.exchange == Exchange::CombinedWithClock),
+            "the clock's time"
         );
     }
 }
