@@ -106,6 +106,40 @@ fn a_sync_unit_is_checked_on_the_way_to_op() {
 }
 
 #[test]
+fn a_drive_takes_outputs_and_shows_inputs_at_the_pulses_only() {
+    let mut bench = chain(4, 0.0);
+    bench.mailboxes();
+    bench.request(2);
+    let station = 0x1002;
+    assert_eq!(bench.download(station, 0x6060, 0, &[0xFE]), 0);
+    bench.process_data();
+    let now = bench.read(station, 0x0910, 8);
+    let now = u64::from_le_bytes(std::array::from_fn(|byte| now[byte]));
+    bench.write(station, 0x09A0, &10_000_000u32.to_le_bytes());
+    bench.write(station, 0x0990, &(now + 20_000_000).to_le_bytes());
+    bench.write(station, 0x0981, &[3]);
+    bench.write(station, 0x0120, &[4, 0]);
+    let outputs = |control: u8| [0x20, 0x4E, 0, 0, control, 0];
+    for _ in 0..30 {
+        bench.ask(FPWR, station, 0x1100, &outputs(0));
+    }
+    bench.write(station, 0x0120, &[8, 0]);
+    for control in [6, 7, 15] {
+        for _ in 0..25 {
+            bench.write(station, 0x1100, &outputs(control));
+        }
+    }
+    assert_eq!(bench.cell.state().slaves[1].drive, DriveState::OperationEnabled);
+    let mut positions = Vec::new();
+    for _ in 0..50 {
+        bench.write(station, 0x1100, &outputs(15));
+        positions.push(bench.read(station, 0x1140, 4));
+    }
+    let changes = positions.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!((9..=11).contains(&changes), "{changes} changes in 100 ms");
+}
+
+#[test]
 fn a_damaged_frame_is_counted_where_the_cable_ends_and_forwarded_behind() {
     let mut bench = chain(4, 0.0);
     bench.cell.inject(Fault::Crc(2, 3));

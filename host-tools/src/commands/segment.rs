@@ -7,7 +7,7 @@ use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
 use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
 use crate::cell::capture::{Capture, Direction};
-use crate::cell::{AlState, Cell, CellOptions, SlaveKind, SlaveListError, SlaveState, parse_slaves};
+use crate::cell::{AlState, Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, SlaveState, parse_slaves};
 use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
 use serde::Serialize;
@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 
 /// Options of `etherpen segment`.
 #[derive(clap::Args, Debug)]
+#[command(after_long_help = SCRIPT_HELP)]
 pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
@@ -26,7 +27,7 @@ pub struct Arguments {
     /// ax2000*4,ek1100. Without it an AX2000 for each of the configured drives.
     #[arg(long, value_name = "LIST", value_parser = slave_list)]
     slaves: Option<SlaveList>,
-    /// Scripted faults, one a line; see host-tools/src/cell/faults.rs.
+    /// Scripted faults, one a line; the long help (--help) describes the language.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Record every frame in both directions as pcapng, for Wireshark.
@@ -152,6 +153,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         Some(SlaveList(slaves)) => slaves.clone(),
         None => vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
     };
+    faults
+        .check(slaves.len())
+        .map_err(|cause| CommandError::new(code::INPUT, format!("faults: {cause}")))?;
     let options = CellOptions {
         faults,
         slaves: slaves.clone(),
