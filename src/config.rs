@@ -3,6 +3,7 @@
 //! The host reads it from `etherpen.toml` and sends it at connect; the firmware checks every value, answers with a
 //! hash, refuses to enable without one, and keeps running on it when the host goes.
 
+use crate::ethercat::cyclic::ExchangeKind;
 use crate::network::NetworkSettings;
 use crate::robot::AXES;
 use core::fmt::{self, Write};
@@ -258,6 +259,8 @@ impl From<HostAddress> for String<ADDRESS_TEXT_MAX> {
 pub struct Bus {
     /// Number of drives expected, in chain order, one for each axis.
     pub drives: u8,
+    /// Inputs and outputs apart, in the same cycle, or together, outputs one cycle later.
+    pub exchange: ExchangeKind,
     /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
     pub watchdog_ms: u16,
     /// Longest motion without a valid measurement, ms.
@@ -304,6 +307,7 @@ impl Default for Bus {
         let _ = name.push_str("IRB 340");
         Self {
             drives: AXES as u8,
+            exchange: ExchangeKind::Split,
             watchdog_ms: 10,
             blind_max_ms: 5,
             late_max_per_s: 10,

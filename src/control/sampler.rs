@@ -5,7 +5,10 @@
 //! The three run at one priority and never pre-empt each other; everything that comes from or goes to the slower
 //! tasks passes through lock-free queues.
 //!
-//! Invariants: every released millisecond sends exactly one output telegram once the bus is configured; a drive gets
+//! When inputs and outputs are exchanged together, there is no output telegram: the outputs go with the next input
+//! telegram.
+//!
+//! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets
 //! a velocity other than zero only while it follows references of the epoch it was told; the first fault makes every
 //! following output a quick stop until the fault is cleared.
 
@@ -15,7 +18,7 @@ use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
-use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters};
+use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::envelope::Envelope;
 use crate::ethercat::transport::raw::{RawTransport, Sending};
 use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
@@ -28,7 +31,7 @@ use heapless::spsc::{Consumer, Producer};
 
 /// Length of the sample period, ns.
 pub const PERIOD_NS: u32 = 1_000_000;
-/// The output telegram counts as late when it is not with the MAC this long after the release, ns.
+/// The telegram with the outputs counts as late when it is not with the MAC this long after the release, ns.
 pub const OUTPUT_LATE_NS: u32 = 500_000;
 /// Frames taken in one run of `bus_frame`, so that foreign traffic cannot keep the critical tasks busy.
 pub const FRAMES_PER_RUN: usize = 8;
@@ -164,6 +167,8 @@ pub struct Sampler<'a> {
     steering: ClockSteering,
     released_late_ns: u32,
     timer_correction_ns: i32,
+    /// Whether the telegram that began this cycle was late or not sent.
+    first_late: bool,
     counters: SamplerCounters,
 }
 
@@ -208,6 +213,7 @@ impl<'a> Sampler<'a> {
             steering: ClockSteering::new(),
             released_late_ns: 0,
             timer_correction_ns: 0,
+            first_late: false,
             counters: SamplerCounters::default(),
         }
     }
@@ -232,9 +238,11 @@ impl<'a> Sampler<'a> {
         self.take_commands();
         self.take_path();
         let telegram = self.exchange.input_telegram();
-        if may_send(&self.bus, self.has_path) {
-            transport.send(telegram);
-        }
+        let sending = match may_send(&self.bus, self.has_path) {
+            true => transport.send(telegram),
+            false => Sending::Nothing,
+        };
+        self.first_late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
         self.phase = Phase::Input;
         self.counters.cycles.is_multiple_of(TRAJECTORY_PERIOD)
     }
@@ -283,7 +291,11 @@ impl<'a> Sampler<'a> {
             // A frame that the port does not take is lost, as on any network.
             let _ = transport.send(frame);
         });
-        let late = elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy;
+        let late = match self.exchange.plan().exchange {
+            ExchangeKind::Split => elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy,
+            // The outputs before these went with the input telegram; these are in time for the next one.
+            ExchangeKind::Combined => self.first_late || elapsed_ns >= PERIOD_NS,
+        };
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
         self.report(following, output_rad_s);

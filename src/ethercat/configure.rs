@@ -7,7 +7,7 @@
 
 use super::acyclic::{AcyclicPort, Bytes, Request};
 use super::coe::ObjectDictionary;
-use super::cyclic::{CyclicSlave, DriveRole, PROCESS_BYTES_MAX};
+use super::cyclic::{CyclicSlave, DriveRole, SPAN_BYTES_MAX};
 use super::error::BusError;
 use super::slave::Slave;
 use super::state::{AlState, STATE_TIMEOUT_MS};
@@ -23,23 +23,15 @@ pub const SII_TIMEOUT_MS: u32 = 100;
 const SII_TRIES_MAX: u8 = 3;
 /// How often a setting is read back until the drive shows it; one reading takes some milliseconds.
 const VERIFY_TRIES_MAX: u8 = 10;
-/// Logical address of the outputs; each slave has [`PROCESS_BYTES_MAX`] bytes.
-pub const LOGICAL_OUTPUTS: u32 = 0x0001_0000;
-/// Logical address of the inputs.
-pub const LOGICAL_INPUTS: u32 = 0x0002_0000;
+/// Where the slaves' process data start in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
+/// its inputs right behind them, so that one datagram may carry both.
+pub const LOGICAL_START: u32 = 0x0001_0000;
 /// Watchdog units (100 us) in a millisecond.
 const WATCHDOG_UNITS_PER_MS: u16 = 10;
 /// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
 const WATCHDOG_PDI_UNITS: u16 = 1_000;
 /// Sync managers and FMMUs that are cleared at the start.
 const CLEARED: usize = 4;
-
-const _: () = {
-    assert!(
-        LOGICAL_OUTPUTS + (32 * PROCESS_BYTES_MAX) as u32 <= LOGICAL_INPUTS,
-        "up to 32 slaves"
-    );
-};
 
 /// Counts the slaves and brings all of them to INIT with nothing configured; error counters start at 0.
 ///
@@ -277,11 +269,11 @@ pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
         return CyclicSlave::default();
     };
     let description = kind.description();
-    let offset = u32::from(slave.position) * PROCESS_BYTES_MAX as u32;
+    let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
     CyclicSlave {
-        input_address: LOGICAL_INPUTS + offset,
+        input_address: start + u32::from(description.output_length),
         input_length: description.input_length,
-        output_address: LOGICAL_OUTPUTS + offset,
+        output_address: start,
         output_length: description.output_length,
         watched: false,
         role: Some(DriveRole { axis, kind }),

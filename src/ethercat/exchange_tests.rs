@@ -4,7 +4,7 @@ extern crate std;
 
 use super::BusQueues;
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
-use super::configure::{LOGICAL_INPUTS, LOGICAL_OUTPUTS};
+use super::configure::LOGICAL_START;
 use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignored, SILENT_CYCLES};
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};
@@ -19,9 +19,9 @@ type TestExchange<'a> = Exchange<'a, SLAVES, MESSAGE>;
 
 fn plan(watched: bool) -> CyclicPlan<SLAVES> {
     let slaves = (0..SLAVES as u32).map(|number| CyclicSlave {
-        input_address: LOGICAL_INPUTS + 32 * number,
+        input_address: LOGICAL_START + 64 * number + 6,
         input_length: 6,
-        output_address: LOGICAL_OUTPUTS + 32 * number,
+        output_address: LOGICAL_START + 64 * number,
         output_length: 6,
         watched,
         ..CyclicSlave::default()
@@ -95,7 +95,7 @@ fn inputs_come_and_outputs_go_in_the_same_cycle() {
     let telegram = output(&mut exchange);
     let view = FrameView::new_checked(&telegram).unwrap();
     let last = view.datagrams().nth(3).unwrap().unwrap();
-    assert_eq!((last.address().0, last.data()), (LOGICAL_OUTPUTS + 96, &b"output"[..]));
+    assert_eq!((last.address().0, last.data()), (LOGICAL_START + 192, &b"output"[..]));
     assert_eq!(exchange.receive(&answered(telegram)), Arrival::Output);
     assert_eq!(exchange.counters().frames_sent, 2);
     assert_eq!(

@@ -243,18 +243,20 @@ impl FakeSlave {
         for number in 0..4 {
             let at = usize::from(register::fmmu(number));
             let mapping = FmmuRepr::parse(&self.memory[at..]).unwrap();
-            let exact = mapping.logical_start == repr.address.0 && mapping.length == repr.length;
-            if !mapping.active || !exact || self.memory[usize::from(register::AL_STATUS)] & 0x0F < 4 {
+            let offset = mapping.logical_start.wrapping_sub(repr.address.0) as usize;
+            let inside = offset.saturating_add(mapping.length.into()) <= data.len();
+            if !mapping.active || !inside || self.memory[usize::from(register::AL_STATUS)] & 0x0F < 4 {
                 continue;
             }
             let start = usize::from(mapping.physical_start);
-            if mapping.reads && repr.command == Command::Lrd {
-                data.copy_from_slice(&self.memory[start..][..data.len()]);
+            let window = &mut data[offset..offset + usize::from(mapping.length)];
+            if mapping.reads && repr.command.reads() {
+                window.copy_from_slice(&self.memory[start..][..window.len()]);
                 counter += 1;
             }
-            if mapping.writes && repr.command == Command::Lwr {
-                write_bytes(&mut self.memory, start, data);
-                counter += 1;
+            if mapping.writes && repr.command.writes() {
+                write_bytes(&mut self.memory, start, window);
+                counter += if repr.command.reads() { 2 } else { 1 };
             }
         }
         counter

@@ -16,6 +16,8 @@ mod coe_tests;
 pub mod configure;
 pub mod cyclic;
 pub mod envelope;
+#[cfg(test)]
+mod envelope_tests;
 pub mod error;
 pub mod event;
 #[cfg(test)]

@@ -216,6 +216,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         let idle_bits = idle.fold(0, |bits, slave| bits | u16::from(slave.report.status));
         let mut plan = CyclicPlan {
             slaves: slaves.collect(),
+            exchange: self.setup.bus.exchange,
             // The bit of OP is the one that tells of the slaves in use.
             al_bits_ignored: idle_bits & !(AlState::Operational as u16),
             ..CyclicPlan::default()

@@ -12,7 +12,7 @@ use super::envelope::Envelope;
 use super::plan::{AL_STATUS_LEN, PROCESS_BYTES_MAX, ReferenceClock, Window};
 use super::wire::{
     Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, DatagramRepr, FRAME_LEN_MAX, FRAME_LEN_MIN, MacAddress,
-    read_u8, read_u16, register, write_bytes,
+    read_u8, read_u16, read_u32, register, write_bytes,
 };
 use heapless::Vec;
 
@@ -164,7 +164,9 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             length: window.length,
             working_counter: window.working_counter,
         };
-        if self.shares.is_full() {
+        // Inputs are copied in words: the AL status behind the last ones makes sure that there are bytes to be copied.
+        let end = self.chain.end + 2 * DATAGRAM_OVERHEAD + usize::from(window.length) + AL_STATUS_LEN;
+        if self.shares.is_full() || end > FRAME_LEN_MAX {
             return None;
         }
         let data = self.push(window.command, window.address, usize::from(window.length))?;
@@ -301,8 +303,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
                     images.get_mut(usize::from(share.slave)),
                     data.get(usize::from(share.input_offset)..),
                 ) {
-                    let words = input.as_chunks::<4>().0;
-                    for (word, bytes) in image.iter_mut().zip(words).take(share.input_words.into()) {
+                    let words = input.as_chunks::<4>().0.get(..share.input_words.into()).unwrap_or(&[]);
+                    for (word, bytes) in image.iter_mut().zip(words) {
                         *word = *bytes;
                     }
                 }
@@ -317,8 +319,12 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
         if let Some(clock) = self.clock {
             let (data, counter) = walk.next(clock.length(), false).ok_or(Ignored::Mismatch)?;
-            let time = data.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
-            let time_ns = if clock.wide { time } else { time & u64::from(u32::MAX) };
+            let low = u64::from(read_u32(data, 0));
+            let time_ns = if clock.wide {
+                low | u64::from(read_u32(data, 4)) << 32
+            } else {
+                low
+            };
             taken.clock_ns = (counter == clock.slaves).then_some(time_ns);
         }
         for place in &self.acyclic {
@@ -327,7 +333,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         taken.touched = walk.counters != 0;
         if walk.differences == 0 {
             Ok(taken)
-        } else if walk.differences == u32::from(CIRCULATING_BIT) << 16 {
+        } else if walk.differences == u64::from(CIRCULATING_BIT) << 48 {
             Err(Ignored::Circulating)
         } else {
             Err(Ignored::Mismatch)
@@ -362,7 +368,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
 struct Walk<'a> {
     sent: &'a [u8],
     received: &'a [u8],
-    differences: u32,
+    differences: u64,
     counters: u16,
 }
 
@@ -371,18 +377,17 @@ impl<'a> Walk<'a> {
     /// address where `counts_position`.
     #[inline(always)]
     fn next(&mut self, length: usize, counts_position: bool) -> Option<(&'a [u8], u16)> {
-        let (sent, _) = self.sent.split_first_chunk::<8>()?;
-        let (received, _) = self.received.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
-        let low = |bytes: &[u8; 4]| u32::from_le_bytes(*bytes);
-        let mask = if counts_position { 0x0000_FFFF } else { u32::MAX };
-        let ([s0, s1, s2, s3, s4, s5, s6, s7], [r0, r1, r2, r3, r4, r5, r6, r7, ..]) = (*sent, *received);
-        self.differences |= (low(&[s0, s1, s2, s3]) ^ low(&[r0, r1, r2, r3])) & mask;
-        self.differences |= low(&[s4, s5, s6, s7]) ^ low(&[r4, r5, r6, r7]);
-        let data = self.received.get(DATAGRAM_HEADER_LEN..)?;
-        let counter = u16::from_le_bytes(*data.get(length..)?.first_chunk::<2>()?);
+        let mask = if counts_position { !0xFFFF_0000 } else { u64::MAX };
+        let sent = u64::from_le_bytes(*self.sent.first_chunk::<8>()?);
+        let received = u64::from_le_bytes(*self.received.first_chunk::<8>()?);
+        self.differences |= (sent ^ received) & mask;
+        let (_, data) = self.received.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
+        let (_, end) = data.split_at_checked(length)?;
+        let (counter, rest) = end.split_first_chunk::<2>()?;
+        let counter = u16::from_le_bytes(*counter);
         self.counters |= counter;
         self.sent = self.sent.get(DATAGRAM_OVERHEAD + length..)?;
-        self.received = self.received.get(DATAGRAM_OVERHEAD + length..)?;
+        self.received = rest;
         Some((data, counter))
     }
 
