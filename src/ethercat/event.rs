@@ -58,6 +58,8 @@ pub enum Step {
     CyclicData,
     /// To OP.
     Operational,
+    /// Setting up the distributed clocks.
+    Clocks,
 }
 
 /// What the supervisor has to report.

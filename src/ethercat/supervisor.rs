@@ -9,6 +9,7 @@
 //! before; all waiting ends.
 
 use super::acyclic::AcyclicPort;
+use super::clock::{self, BusClocks};
 use super::configure;
 use super::cyclic::{CyclicPlan, Observation};
 use super::error::BusError;
@@ -100,6 +101,7 @@ pub struct Supervisor<'a, const SLAVES: usize, const MESSAGE: usize> {
     started: bool,
     running: bool,
     slaves: Vec<Slave, SLAVES>,
+    clocks: BusClocks<SLAVES>,
     generation: u8,
     extra_reported: u16,
     seen: Option<Observation>,
@@ -119,6 +121,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             started: false,
             running: false,
             slaves: Vec::new(),
+            clocks: BusClocks::default(),
             generation: 0,
             extra_reported: 0,
             seen: None,
@@ -219,6 +222,10 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             exchange: self.setup.bus.exchange,
             // The bit of OP is the one that tells of the slaves in use.
             al_bits_ignored: idle_bits & !(AlState::Operational as u16),
+            clock: self.clocks.reference_clock(&self.stations(), |position| {
+                let slave = self.slaves.get(position);
+                slave.is_some_and(|slave| slave.condition != Condition::Lost)
+            }),
             ..CyclicPlan::default()
         };
         while let Err(back) = self.end.plans.enqueue(plan) {
@@ -255,6 +262,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         for number in 0..self.slaves.len() {
             self.introduce(number).await;
         }
+        self.set_up_clocks().await?;
         for number in 0..self.slaves.len() {
             self.reach_safe_operational(number).await?;
         }
@@ -267,6 +275,24 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             self.introduce(number).await;
         }
         Ok(())
+    }
+
+    /// Lets the slaves' clocks agree and has the reference's time spread from now on.
+    async fn set_up_clocks(&mut self) -> Result<(), Failure> {
+        self.clocks = BusClocks::default();
+        if !self.setup.bus.clocks {
+            return Ok(());
+        }
+        let stations = self.stations();
+        self.clocks = clock::set_up(&mut self.end.port, &stations)
+            .await
+            .map_err(Failure::bus(Step::Clocks))?;
+        self.send_plan().await;
+        Ok(())
+    }
+
+    fn stations(&self) -> Vec<u16, SLAVES> {
+        self.slaves.iter().map(Slave::station).collect()
     }
 
     /// Waits until as many slaves as expected are there and their number stays the same.
@@ -385,6 +411,10 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                 return Err(at(Step::CyclicData)(BusError::NoInputs { waited_ms }));
             }
             self.end.port.wait_ms(1).await;
+        }
+        if self.clocks.has_clock(usize::from(slave.position)) {
+            let result = clock::await_agreement(&mut self.end.port, slave.station()).await;
+            result.map_err(at(Step::Clocks))?;
         }
         let result = state::change(&mut self.end.port, slave.station(), AlState::Operational).await;
         result.map_err(at(Step::Operational))?;
@@ -561,6 +591,11 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                 actual: new.product,
             }));
         }
+        let stations = self.stations();
+        let (port, clocks) = (&mut self.end.port, &mut self.clocks);
+        clock::restore(port, &stations, clocks, usize::from(position))
+            .await
+            .map_err(at(Step::Clocks))?;
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
         self.reach_operational(number).await

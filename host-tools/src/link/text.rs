@@ -265,7 +265,7 @@ pub fn al_state(al_state: u8) -> String {
 }
 
 fn bring_up_step(step: u8) -> &'static str {
-    const STEPS: [(Step, &str); 13] = [
+    const STEPS: [(Step, &str); 14] = [
         (Step::Discover, "counting the slaves"),
         (Step::Reset, "bringing all slaves to INIT"),
         (Step::Address, "giving station addresses"),
@@ -279,6 +279,7 @@ fn bring_up_step(step: u8) -> &'static str {
         (Step::SafeOperational, "bringing it to SAFEOP"),
         (Step::CyclicData, "waiting for its cyclic inputs"),
         (Step::Operational, "bringing it to OP"),
+        (Step::Clocks, "setting up the clocks"),
     ];
     let known = STEPS.iter().find(|(known, _)| *known as u8 == step);
     known.map_or("an unknown step", |(_, text)| text)

@@ -76,10 +76,16 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.slaves.iter().position(|slave| slave.width.is_some())
     }
 
-    /// What the critical side has to know to spread the reference's time; `stations` are the station addresses.
-    pub fn reference_clock(&self, stations: &[u16]) -> Option<ReferenceClock> {
+    /// What the critical side has to know to spread the reference's time; `stations` are the station addresses, and
+    /// `answers` tells which slaves are not lost.
+    pub fn reference_clock(&self, stations: &[u16], answers: impl Fn(usize) -> bool) -> Option<ReferenceClock> {
         let station = *stations.get(self.reference()?)?;
-        let clocks = self.slaves.iter().filter_map(|slave| slave.width);
+        let present = self
+            .slaves
+            .iter()
+            .enumerate()
+            .filter(|(position, _)| answers(*position));
+        let clocks = present.filter_map(|(_, slave)| slave.width);
         let (slaves, wide) = clocks.fold((0, true), |(slaves, wide), width| {
             (slaves + 1, wide && width == Width::Bits64)
         });
