@@ -25,6 +25,11 @@ pub struct Arguments {
     /// drives' watchdog ends in a fault; samples/play.toml is patient.
     #[arg(long)]
     free_running: bool,
+    /// Give the firmware the emulator's own network instead of the virtual cell, for EtherCAT in UDP: it gets its address
+    /// by DHCP and reaches a segment on this computer (etherpen segment --udp 127.0.0.1:34980) as 10.0.2.2. Needs
+    /// --free-running, and transport = "udp", segment = "10.0.2.2" in the configuration that the job sends.
+    #[arg(long, requires = "free_running", conflicts_with = "faults")]
+    udp: bool,
     /// Scripted faults of the virtual segment, one a line.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
@@ -150,7 +155,11 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         }
     };
     if arguments.free_running {
-        return free_run(arguments.port, &image, &options, cell, log);
+        let started = match arguments.udp {
+            true => FreeRunning::start_on_user_network(&image, &options.qemu, arguments.port, log),
+            false => FreeRunning::start(&image, &options.qemu, arguments.port, cell, log),
+        };
+        return free_run(started.map_err(|error| emulator_error(&error))?);
     }
     let line = TcpLine::listen(arguments.port).map_err(|cause| {
         CommandError::new(
@@ -176,14 +185,7 @@ fn announce(address: &str) -> Result<(), CommandError> {
 }
 
 /// Runs without lockstep until the emulator ends.
-fn free_run(
-    port: u16,
-    image: &Path,
-    options: &Options,
-    cell: CapturedCell,
-    log: impl FnMut(&LogLine) + Send + 'static,
-) -> Result<(), CommandError> {
-    let running = FreeRunning::start(image, &options.qemu, port, cell, log).map_err(|error| emulator_error(&error))?;
+fn free_run(running: FreeRunning) -> Result<(), CommandError> {
     announce(&format!("127.0.0.1:{}", running.port()))?;
     while running.is_running() {
         std::thread::sleep(LOOK);

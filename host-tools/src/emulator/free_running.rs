@@ -7,7 +7,7 @@ use super::error::EmulatorError;
 use super::lockstep::Incoming;
 use super::log::{self, Decoder, LogLine};
 use super::process::{Directory, Process};
-use super::{FIRMWARE_SOCKET, Segment, bind, machine};
+use super::{FIRMWARE_SOCKET, Segment, bind, cable, machine};
 use defmt_decoder::Table;
 use std::ffi::OsString;
 use std::io::{self, ErrorKind};
@@ -19,6 +19,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+/// The Ethernet cable to a network of the emulator's own: 10.0.2.0/24 with a DHCP server, where 10.0.2.2 is this
+/// computer's loopback interface.
+const USER_NETWORK: &str = "user,id=cable";
 /// How long to wait for a frame before looking after the log and the emulator.
 const RECEIVE_TIMEOUT: Duration = Duration::from_millis(20);
 const FRAME_BYTES_MAX: usize = 2048;
@@ -43,13 +46,52 @@ impl FreeRunning {
         segment: impl Segment + Send + 'static,
         line: impl FnMut(&LogLine) + Send + 'static,
     ) -> Result<Self, EmulatorError> {
-        let table = log::table(image)?;
         let directory = Directory::make()?;
+        let wire = Wire {
+            socket: bind(&directory)?,
+            firmware: directory.join(FIRMWARE_SOCKET),
+            segment,
+            started: Instant::now(),
+        };
+        Self::start_at(image, qemu, port, directory, &cable(), Some(wire), line)
+    }
+
+    /// The same at the emulator's own network, for EtherCAT in UDP: the firmware reaches a segment that listens on this
+    /// computer's loopback interface as 10.0.2.2.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_on_user_network(
+        image: &Path,
+        qemu: &Path,
+        port: u16,
+        line: impl FnMut(&LogLine) + Send + 'static,
+    ) -> Result<Self, EmulatorError> {
+        let directory = Directory::make()?;
+        Self::start_at(
+            image,
+            qemu,
+            port,
+            directory,
+            USER_NETWORK,
+            None::<Wire<NoSegment>>,
+            line,
+        )
+    }
+
+    fn start_at(
+        image: &Path,
+        qemu: &Path,
+        port: u16,
+        directory: Directory,
+        cable: &str,
+        wire: Option<Wire<impl Segment + Send + 'static>>,
+        line: impl FnMut(&LogLine) + Send + 'static,
+    ) -> Result<Self, EmulatorError> {
+        let table = log::table(image)?;
         let log = Incoming::new(directory.fifo_from_firmware("log")?);
-        let socket = bind(&directory)?;
-        let firmware = directory.join(FIRMWARE_SOCKET);
         let port = free_port(port).map_err(EmulatorError::io(format!("TCP port {port}")))?;
-        let mut arguments = machine(image)?;
+        let mut arguments = machine(image, cable)?;
         let uart = format!("socket,id=uart,host=127.0.0.1,port={port},server=on,wait=off");
         // Counted instructions keep the firmware's tasks in proportion when the machine is busy; the clock still follows
         // wall time.
@@ -65,10 +107,7 @@ impl FreeRunning {
         let peer = Peer {
             process,
             log,
-            socket,
-            firmware,
-            segment,
-            started: Instant::now(),
+            wire,
             stop: Arc::clone(&stop),
         };
         let thread = std::thread::Builder::new()
@@ -125,23 +164,45 @@ fn free_port(port: u16) -> io::Result<u16> {
 struct Peer<S> {
     process: Process,
     log: Incoming,
+    wire: Option<Wire<S>>,
+    stop: Arc<AtomicBool>,
+}
+
+/// This program's end of the Ethernet cable.
+struct Wire<S> {
     socket: UnixDatagram,
     firmware: PathBuf,
     segment: S,
     started: Instant,
-    stop: Arc<AtomicBool>,
+}
+
+/// Stands where no segment hangs on the cable.
+enum NoSegment {}
+
+impl Segment for NoSegment {
+    fn frame(&mut self, _: u64, _: &[u8]) -> Vec<Vec<u8>> {
+        match *self {}
+    }
+
+    fn advance_to(&mut self, _: u64) {
+        match *self {}
+    }
 }
 
 impl<S: Segment> Peer<S> {
     fn run(mut self, table: Option<&Table>, mut line: impl FnMut(&LogLine)) -> Result<(), EmulatorError> {
-        let set_up = self
-            .socket
-            .set_nonblocking(false)
-            .and_then(|()| self.socket.set_read_timeout(Some(RECEIVE_TIMEOUT)));
-        set_up.map_err(EmulatorError::io("setting up the Ethernet socket"))?;
+        if let Some(Wire { socket, .. }) = &self.wire {
+            let set_up = socket
+                .set_nonblocking(false)
+                .and_then(|()| socket.set_read_timeout(Some(RECEIVE_TIMEOUT)));
+            set_up.map_err(EmulatorError::io("setting up the Ethernet socket"))?;
+        }
         let mut decoder = Decoder::new(table);
         while !self.stop.load(Ordering::Relaxed) {
-            self.answer().map_err(EmulatorError::io("answering the emulator"))?;
+            match &mut self.wire {
+                Some(wire) => wire.answer().map_err(EmulatorError::io("answering the emulator"))?,
+                None => std::thread::sleep(RECEIVE_TIMEOUT),
+            }
             self.log
                 .read()
                 .map_err(EmulatorError::io("reading the log of the emulator"))?;
@@ -156,7 +217,9 @@ impl<S: Segment> Peer<S> {
         }
         Ok(())
     }
+}
 
+impl<S: Segment> Wire<S> {
     /// Answers one frame, or lets time pass.
     fn answer(&mut self) -> io::Result<()> {
         let mut frame = [0; FRAME_BYTES_MAX];

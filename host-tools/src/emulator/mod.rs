@@ -217,17 +217,19 @@ fn bind(directory: &Directory) -> Result<UnixDatagram, EmulatorError> {
 /// Arguments of the emulator in lockstep; all file names are relative to its working directory.
 fn arguments(image: &Path, options: &Options) -> Result<Vec<OsString>, EmulatorError> {
     let shift = options.instruction_shift;
-    let mut arguments = machine(image)?;
+    let mut arguments = machine(image, &cable())?;
     arguments.extend(["-serial", "none", "-icount", &format!("shift={shift},sleep=off")].map(OsString::from));
     Ok(arguments)
 }
 
+/// The Ethernet cable to a socket of this program.
+fn cable() -> String {
+    format!("dgram,id=cable,local.type=unix,local.path={FIRMWARE_SOCKET},remote.type=unix,remote.path={HOST_SOCKET}")
+}
+
 /// The arguments that every attachment needs: machine, image, semihosting and the Ethernet cable.
-fn machine(image: &Path) -> Result<Vec<OsString>, EmulatorError> {
+fn machine(image: &Path, cable: &str) -> Result<Vec<OsString>, EmulatorError> {
     let image = std::path::absolute(image).map_err(EmulatorError::io(format!("finding {}", image.display())))?;
-    let cable = format!(
-        "dgram,id=cable,local.type=unix,local.path={FIRMWARE_SOCKET},remote.type=unix,remote.path={HOST_SOCKET}"
-    );
     let fixed = [
         "-M",
         "mps2-an500",
@@ -239,7 +241,7 @@ fn machine(image: &Path) -> Result<Vec<OsString>, EmulatorError> {
         "-semihosting-config",
         "enable=on,target=native",
         "-netdev",
-        &cable,
+        cable,
         "-net",
         "nic,netdev=cable,model=lan9118",
         "-kernel",
