@@ -1,6 +1,7 @@
 //! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
 #![forbid(unsafe_code)]
 
+pub mod bench;
 pub mod captured_cell;
 pub mod cell;
 pub mod commands;

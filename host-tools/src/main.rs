@@ -2,7 +2,7 @@
 #![forbid(unsafe_code)]
 
 use clap::Parser;
-use host_tools::commands::{self, CommandError, bus, demo, draw, emulate, segment, simulate, verify};
+use host_tools::commands::{self, CommandError, bench, bus, demo, draw, emulate, segment, simulate, verify};
 use std::process::ExitCode;
 
 /// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
@@ -20,6 +20,8 @@ struct Arguments {
 #[derive(clap::Subcommand)]
 #[allow(clippy::large_enum_variant)] // one is alive
 enum Subcommand {
+    /// Measure the project's figures beside those of its peers; installs and builds what is missing.
+    Bench(bench::Arguments),
     /// Look at the slaves on the bus and change them.
     Bus(bus::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
@@ -38,6 +40,7 @@ enum Subcommand {
 
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
+        Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),

@@ -2,6 +2,7 @@
 //!
 //! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
 
+pub mod bench;
 pub mod bus;
 pub mod demo;
 mod display;

@@ -4,6 +4,7 @@
 
 mod bus;
 // The tests there look at processes by way of /proc.
+mod bench;
 #[cfg(target_os = "linux")]
 mod emulator;
 mod ethercrab;

@@ -1,0 +1,93 @@
+//! The figures that the project claims, measured beside those of its peers.
+//!
+//! Everything is counted: instructions, bytes, frames. No figure depends on how fast or how busy the computer is.
+//!
+//! Invariant: a row is measured in this run or left out; none is remembered.
+
+mod bring_up;
+pub mod ethercat;
+mod programs;
+
+use crate::setup::SetupError;
+use serde::Serialize;
+
+/// One figure.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// What was measured, and where: `cyclic/lrw@host`.
+    pub case: String,
+    /// `etherpen`, or the peer.
+    pub subject: &'static str,
+    /// The figure.
+    pub value: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The most it may be, where that was decided.
+    pub target: Option<f64>,
+}
+
+impl Row {
+    /// Whether the figure is no more than it may be; `None` without a target.
+    #[must_use]
+    pub fn met(&self) -> Option<bool> {
+        self.target.map(|target| self.value <= target)
+    }
+}
+
+/// The figures of one benchmark.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Which one.
+    pub bench: &'static str,
+    /// Its figures.
+    pub rows: Vec<Row>,
+}
+
+/// What of a benchmark is wanted.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    /// Only cases with this in their names.
+    pub case: Option<String>,
+    /// Only this subject.
+    pub subject: Option<String>,
+}
+
+impl Selection {
+    /// Whether the figure of this case and subject is wanted.
+    #[must_use]
+    pub fn wants(&self, case: &str, subject: &str) -> bool {
+        self.case.as_ref().is_none_or(|wanted| case.contains(wanted.as_str()))
+            && self.subject.as_ref().is_none_or(|wanted| wanted == subject)
+    }
+}
+
+/// Why a figure could not be measured.
+#[derive(Debug)]
+pub enum BenchError {
+    /// A tool is missing, or a build failed.
+    Setup(SetupError),
+    /// A program of the benchmark did not do its work.
+    Program {
+        /// Which one.
+        program: String,
+        /// What it said, or what was wrong with that.
+        cause: String,
+    },
+}
+
+impl std::fmt::Display for BenchError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Setup(error) => error.fmt(f),
+            Self::Program { program, cause } => write!(f, "{program}: {cause}"),
+        }
+    }
+}
+
+impl std::error::Error for BenchError {}
+
+impl From<SetupError> for BenchError {
+    fn from(error: SetupError) -> Self {
+        Self::Setup(error)
+    }
+}

@@ -1,0 +1,155 @@
+//! The programs of the crate `benchmarks`: built, run in QEMU or under valgrind, weighed.
+//!
+//! They are built in a folder of their own below the target folder, by the lock file that lies beside them.
+
+use super::BenchError;
+use crate::setup::{self, QEMU, TARGET};
+use object::{Object, ObjectSection, SectionKind};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+/// Cycles that a program under valgrind says it has run are at most this many.
+const CYCLES_MAX: u64 = 1 << 20;
+
+/// Where a program runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Machine {
+    /// This computer.
+    Host,
+    /// The emulated Cortex-M7.
+    CortexM7,
+}
+
+fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
+    BenchError::Program {
+        program: program.to_owned(),
+        cause: cause.to_string(),
+    }
+}
+
+fn build_dir() -> PathBuf {
+    setup::target_dir().join("benchmarks")
+}
+
+fn path(machine: Machine, program: &str) -> PathBuf {
+    let folder = match machine {
+        Machine::Host => build_dir(),
+        Machine::CortexM7 => build_dir().join(TARGET),
+    };
+    folder.join("release").join(program)
+}
+
+/// Builds programs of one machine.
+pub(super) fn build(machine: Machine, programs: &[&str]) -> Result<(), BenchError> {
+    let manifest = setup::workspace().join("benchmarks/Cargo.toml");
+    let mut command = setup::cargo();
+    command.args(["build", "--release", "--locked", "--manifest-path"]);
+    command.arg(&manifest).arg("--target-dir").arg(build_dir());
+    if machine == Machine::CortexM7 {
+        setup::ensure_target()?;
+        command.args(["--target", TARGET, "--no-default-features", "--features", "cortex-m7"]);
+    }
+    for program in programs {
+        command.args(["--bin", program]);
+    }
+    match command.stdout(Stdio::null()).status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(failed(
+            "cargo",
+            format_args!("the benchmarks could not be built ({status})"),
+        )),
+        Err(cause) => Err(failed("cargo", cause)),
+    }
+}
+
+/// Runs a program in the emulator to its end; gives what it printed.
+pub(super) fn emulate(program: &str) -> Result<String, BenchError> {
+    setup::ensure_qemu()?;
+    let mut command = Command::new(QEMU);
+    command.args([
+        "-M",
+        "mps2-an500",
+        "-display",
+        "none",
+        "-monitor",
+        "none",
+        "-serial",
+        "none",
+    ]);
+    // An instruction takes 1,024 ns of virtual time, which the program's timer resolves.
+    command.args([
+        "-icount",
+        "shift=10",
+        "-semihosting-config",
+        "enable=on,target=native",
+        "-kernel",
+    ]);
+    command.arg(path(Machine::CortexM7, program));
+    output(program, &mut command)
+}
+
+/// Counts the instructions of one cycle with callgrind.
+pub(super) fn callgrind(subject: &str, case: &str) -> Result<u64, BenchError> {
+    setup::ensure_program("valgrind")?;
+    let file = build_dir().join(format!("callgrind-{}.out", std::process::id()));
+    let mut command = Command::new("valgrind");
+    command.args(["--quiet", "--tool=callgrind", "--toggle-collect=*counted_part*"]);
+    command.arg(format!("--callgrind-out-file={}", file.display()));
+    command.arg(path(Machine::Host, "callgrind")).args([subject, case]);
+    let printed = output("valgrind", &mut command);
+    let profile = std::fs::read_to_string(&file);
+    // A file that stays costs nothing but its room.
+    let _ = std::fs::remove_file(&file);
+    let cycles: u64 = printed?
+        .trim()
+        .parse()
+        .map_err(|cause| failed("callgrind", format_args!("number of cycles: {cause}")))?;
+    let profile = profile.map_err(|cause| failed("valgrind", cause))?;
+    let instructions = profile
+        .lines()
+        .find_map(|line| line.strip_prefix("summary:")?.trim().parse::<u64>().ok())
+        .ok_or_else(|| failed("valgrind", "its output has no summary"))?;
+    if instructions == 0 || !(1..=CYCLES_MAX).contains(&cycles) {
+        return Err(failed(
+            "callgrind",
+            format_args!("{instructions} instructions in {cycles} cycles"),
+        ));
+    }
+    Ok((instructions + cycles / 2) / cycles)
+}
+
+/// Bytes of code and constants in a program of the emulated board.
+pub(super) fn code_bytes(program: &str) -> Result<u64, BenchError> {
+    let bytes = std::fs::read(path(Machine::CortexM7, program)).map_err(|cause| failed(program, cause))?;
+    let image = object::File::parse(bytes.as_slice()).map_err(|cause| failed(program, cause))?;
+    let loaded = image.sections().filter(|section| {
+        matches!(
+            section.kind(),
+            SectionKind::Text | SectionKind::ReadOnlyData | SectionKind::Data
+        )
+    });
+    Ok(loaded.map(|section| section.size()).sum())
+}
+
+/// Starts a program on this computer with pipes for standard input and output.
+pub(super) fn start(program: &str) -> Result<Child, BenchError> {
+    Command::new(path(Machine::Host, program))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .map_err(|cause| failed(program, cause))
+}
+
+fn output(program: &str, command: &mut Command) -> Result<String, BenchError> {
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|cause| failed(program, cause))?;
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
+    if output.status.success() {
+        return Ok(text(&output.stdout));
+    }
+    let said = format!("{}\n{}\n{}", output.status, text(&output.stdout), text(&output.stderr));
+    Err(failed(program, said.trim()))
+}

@@ -1,0 +1,30 @@
+//! The figures' format, with those that need nothing built.
+
+use crate::program::{Folder, etherpen, run};
+use host_tools::commands::code;
+use serde_json::Value;
+
+#[test]
+fn figures_come_as_rows_with_case_subject_value_unit_and_target() {
+    let folder = Folder::new();
+    let figure = ["--case", "bringup_frames", "--subject", "etherpen"];
+    let (status, stdout, stderr) = run(etherpen(&folder).args(["bench", "ethercat", "--json"]).args(figure));
+    assert_eq!(status, Some(0), "{stderr}");
+    let report: Value = serde_json::from_str(&stdout).expect("JSON on stdout");
+    assert_eq!(report["bench"], "ethercat");
+    let rows = report["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 1);
+    assert_eq!(rows[0]["case"], "bringup_frames");
+    assert_eq!(rows[0]["subject"], "etherpen");
+    assert_eq!(rows[0]["unit"], "frames");
+    assert_eq!(rows[0]["target"], 400.0);
+    assert!(rows[0]["value"].as_f64().is_some_and(|frames| frames > 4.0), "{rows:?}");
+}
+
+#[test]
+fn a_case_that_does_not_exist_is_wrong_usage() {
+    let folder = Folder::new();
+    let (status, stdout, _) = run(etherpen(&folder).args(["bench", "ethercat", "--case", "nothing"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stdout.is_empty());
+}
