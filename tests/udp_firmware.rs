@@ -65,7 +65,7 @@ fn the_firmware_finds_its_address_by_dhcp_and_brings_the_drives_to_op_over_udp()
         });
         exchanged.expect("the link");
         while let Some(event) = session.next_event() {
-            if !matches!(event, Event::Samples(_) | Event::Status(_)) {
+            if !matches!(event, Event::Samples { .. } | Event::Status(_)) {
                 println!("{event:?}");
             }
         }
