@@ -133,10 +133,23 @@ impl Default for Motion {
     }
 }
 
-/// One axis: its drive's scaling, its reference, its controller and its supervision.
+/// How an axis is commanded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AxisMode {
+    /// The drive closes the velocity loop.
+    #[default]
+    Velocity,
+    /// The firmware closes the velocity loop, the drive follows a torque.
+    Torque,
+}
+
+/// One axis: its drive's scaling, its reference, its controllers and its supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Axis {
+    /// What the drive is told: a velocity or a torque.
+    pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
     pub gear: f64,
     /// Encoder increments for one motor revolution.
@@ -161,11 +174,30 @@ pub struct Axis {
     pub output_max_rad_s: f64,
     /// Quick-stop deceleration at the joint, rad/s2.
     pub quick_stop_rad_s2: f64,
+    /// Torque of the motor for a current, N m/A.
+    pub torque_constant_nm_a: f64,
+    /// Peak current of the drive, A.
+    pub peak_current_a: f64,
+    /// Rated torque of the motor, N m.
+    pub rated_torque_nm: f64,
+    /// Largest torque command, N m at the joint.
+    pub torque_max_nm: f64,
+    /// Inertia of motor and load, kg m2 at the joint; what the torque feed-forward is made from.
+    pub inertia_kg_m2: f64,
+    /// How far the torque feed-forward is read ahead, ms.
+    pub torque_lead_ms: f64,
+    /// Gain of the velocity controller in torque mode, N m for 1 rad/s at the joint.
+    pub velocity_gain_nm_s: f64,
+    /// Integral gain of the velocity controller for its gain, 1/s.
+    pub velocity_integral_per_s: f64,
+    /// Time constant of the low-pass on the velocity controller's error, ms; 0 switches it off.
+    pub velocity_filter_ms: f64,
 }
 
 impl Default for Axis {
     fn default() -> Self {
         Self {
+            mode: AxisMode::Velocity,
             gear: 12.0,
             increments_per_revolution: 1 << 20,
             digits_per_rpm: 262_144.0 / 1_875.0,
@@ -178,6 +210,15 @@ impl Default for Axis {
             following_error_max_rad: 0.05,
             output_max_rad_s: 27.0,
             quick_stop_rad_s2: 100.0,
+            torque_constant_nm_a: 0.7,
+            peak_current_a: 12.0,
+            rated_torque_nm: 2.8,
+            torque_max_nm: 100.0,
+            inertia_kg_m2: 0.2,
+            torque_lead_ms: 1.5,
+            velocity_gain_nm_s: 26.0,
+            velocity_integral_per_s: 20.0,
+            velocity_filter_ms: 0.25,
         }
     }
 }
@@ -420,7 +461,7 @@ const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
 }
 
 impl Axis {
-    fn scalars(&self) -> [Bound; 12] {
+    fn scalars(&self) -> [Bound; 21] {
         [
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
@@ -449,6 +490,20 @@ impl Axis {
             ),
             bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
             bound("axes.quick_stop_rad_s2", self.quick_stop_rad_s2, 1.0, 2000.0),
+            bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
+            bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),
+            bound("axes.rated_torque_nm", self.rated_torque_nm, 0.001, 1000.0),
+            bound("axes.torque_max_nm", self.torque_max_nm, 0.001, 5000.0),
+            bound("axes.inertia_kg_m2", self.inertia_kg_m2, 0.0, 100.0),
+            bound("axes.torque_lead_ms", self.torque_lead_ms, 0.0, 10.0),
+            bound("axes.velocity_gain_nm_s", self.velocity_gain_nm_s, 0.0, 10_000.0),
+            bound(
+                "axes.velocity_integral_per_s",
+                self.velocity_integral_per_s,
+                0.0,
+                1000.0,
+            ),
+            bound("axes.velocity_filter_ms", self.velocity_filter_ms, 0.0, 10.0),
         ]
     }
 }

@@ -1,19 +1,20 @@
 //! Four drives on the bus as the four axes of a robot.
 //!
 //! Positions of single-turn resolvers are unwrapped into 64 bits and, once referenced, given as joint angles; commands
-//! are turned from rad/s at the joint into the drives' digits.
+//! are turned from rad/s or N m at the joint into the drives' digits.
 //!
-//! Invariants: a position is only given in the cycle it came in; a velocity never exceeds the axis's clamp and is 0
-//! unless the drive is in operation and meant to stay there; an axis whose turns may have been miscounted, or whose
-//! drive was configured anew, is not referenced any more.
+//! Invariants: a position is only given in the cycle it came in; a velocity or torque never exceeds the axis's clamp and
+//! is 0 unless the drive is in operation, meant to stay there, and takes this kind of demand; a drive that is not in OP,
+//! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
+//! turns may have been miscounted, or whose drive was configured anew, is not referenced any more.
 
-use crate::config::Axis;
+use crate::config::{Axis, AxisMode};
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
-use crate::drives::{DriveInput, DriveOutput};
+use crate::drives::{DriveInput, DriveKind, DriveOutput};
 use crate::ethercat::BusQueues;
-use crate::ethercat::cyclic::Exchange;
+use crate::ethercat::cyclic::{CyclicSlave, DriveRole, Exchange};
 use crate::ethercat::supervisor::Supervisor;
-use crate::io::{AxisCommand, AxisInput, Increments, IoGroup, VelocityIo};
+use crate::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
 use crate::robot::AXES;
 use core::f64::consts::TAU;
 
@@ -51,15 +52,41 @@ pub enum ReferenceError {
     },
 }
 
+/// What a drive's digits are worth on an axis.
+#[derive(Clone, Copy, Debug)]
+struct Scale {
+    kind: DriveKind,
+    mode: AxisMode,
+    /// Digits for 1 rad/s or 1 N m at the joint.
+    digits_per_unit: f64,
+    /// Largest demand, rad/s or N m at the joint.
+    limit: f64,
+}
+
+impl Scale {
+    fn new(axis: &Axis, role: &DriveRole) -> Option<Self> {
+        let mode = role.layout.mode;
+        let at_motor = (role.kind.mode(mode)?.digits_per_unit)(axis);
+        let (digits_per_unit, limit) = match mode {
+            AxisMode::Velocity => (at_motor * axis.gear, axis.output_max_rad_s.abs()),
+            AxisMode::Torque => (at_motor / axis.gear, axis.torque_max_nm.abs()),
+        };
+        Some(Self {
+            kind: role.kind,
+            mode,
+            digits_per_unit,
+            limit,
+        })
+    }
+}
+
 /// One axis: scaling, unwrapped position, reference.
 #[derive(Clone, Copy, Debug)]
 struct AxisState {
+    config: Axis,
     increments_per_rad: f64,
-    digits_per_rad_s: f64,
     increments_per_revolution: i64,
-    velocity_max_rad_s: f64,
-    sync_angle_rad: f64,
-    sync_increments: i64,
+    drive: Option<Scale>,
     raw: i32,
     position: i64,
     known: bool,
@@ -67,6 +94,8 @@ struct AxisState {
     step: i64,
     input: Option<(i64, StatusWord)>,
     status: StatusWord,
+    mode_in_effect: bool,
+    operational: bool,
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
@@ -78,12 +107,10 @@ impl AxisState {
     fn new(axis: &Axis) -> Self {
         let increments = f64::from(axis.increments_per_revolution.max(1));
         Self {
+            config: *axis,
             increments_per_rad: axis.gear * increments / TAU,
-            digits_per_rad_s: axis.gear * 60.0 / TAU * axis.digits_per_rpm,
             increments_per_revolution: i64::from(axis.increments_per_revolution.max(1)),
-            velocity_max_rad_s: axis.output_max_rad_s.abs(),
-            sync_angle_rad: axis.sync_angle_rad,
-            sync_increments: i64::from(axis.sync_increments),
+            drive: None,
             raw: 0,
             position: 0,
             known: false,
@@ -91,6 +118,8 @@ impl AxisState {
             step: 0,
             input: None,
             status: StatusWord(0),
+            mode_in_effect: false,
+            operational: false,
             generation: 0,
             zero: None,
             reference_lost: false,
@@ -143,6 +172,7 @@ impl AxisState {
         self.raw = input.position;
         self.gap_ms = 0;
         self.status = input.status;
+        self.mode_in_effect = input.mode_in_effect;
         self.input = Some((self.position, input.status));
     }
 
@@ -159,19 +189,52 @@ impl AxisState {
         })
     }
 
-    fn output(&mut self, command: &AxisCommand) -> DriveOutput {
-        let running = self.status.state() == DriveState::OperationEnabled && command.target == DriveTarget::Enabled;
-        let wanted_rad_s = if running && command.velocity_rad_s.is_finite() {
-            command.velocity_rad_s
-        } else {
-            0.0
+    /// The drive of this cycle's plan; without one the axis takes no demand.
+    fn adopt(&mut self, share: Option<&CyclicSlave>) {
+        // The slave is watched from when it has reached OP until it is seen elsewhere.
+        self.operational = share.is_some_and(|share| share.watched);
+        let role = share.and_then(|share| share.role);
+        let same = match (&self.drive, &role) {
+            (Some(scale), Some(role)) => core::ptr::eq(scale.kind, role.kind) && scale.mode == role.layout.mode,
+            (None, None) => true,
+            _ => false,
         };
-        let velocity_rad_s = wanted_rad_s.clamp(-self.velocity_max_rad_s, self.velocity_max_rad_s);
-        self.commanded = velocity_rad_s != 0.0;
+        if !same {
+            self.drive = role.and_then(|role| Scale::new(&self.config, &role));
+        }
+    }
+
+    /// The demand in digits, if the drive takes it, else 0.
+    fn digits(&self, demand: Demand) -> i32 {
+        let wanted = match (demand, self.drive) {
+            (Demand::Velocity(rad_s), Some(scale)) if scale.mode == AxisMode::Velocity => Some((rad_s, scale)),
+            (Demand::Torque(nm), Some(scale)) if scale.mode == AxisMode::Torque => Some((nm, scale)),
+            _ => None,
+        };
+        match wanted {
+            Some((value, scale)) if value.is_finite() => {
+                let clamped = value.clamp(-scale.limit, scale.limit);
+                // The conversion saturates.
+                libm::round(clamped * scale.digits_per_unit) as i32
+            }
+            _ => 0,
+        }
+    }
+
+    fn output(&mut self, command: &AxisCommand) -> DriveOutput {
+        let may_run = self.operational && self.mode_in_effect;
+        let target = match command.target {
+            // A drive that still moves brakes, any other one stays without power.
+            DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
+            target => target,
+        };
+        let running = self.status.state() == DriveState::OperationEnabled && target == DriveTarget::Enabled;
+        let demand_digits = if running { self.digits(command.demand) } else { 0 };
+        self.commanded = demand_digits != 0;
         DriveOutput {
-            // The conversion saturates.
-            velocity_digits: libm::round(velocity_rad_s * self.digits_per_rad_s) as i32,
-            control: cia402::step(self.status, command.target),
+            demand_digits,
+            position: self.raw,
+            control: cia402::step(self.status, target),
         }
     }
 }
@@ -195,11 +258,12 @@ impl EtherCatRobot {
     /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
     pub fn read(&mut self, exchange: &RobotExchange<'_>) -> [Option<AxisInput>; AXES] {
         for (number, axis) in self.axes.iter_mut().enumerate() {
-            let drive = exchange.drive(number);
-            let input = drive.and_then(|(slave, kind)| (kind.description().decode)(exchange.input(slave)?));
-            let generation = drive
-                .and_then(|(slave, _)| exchange.plan().slaves.get(slave))
-                .map_or(axis.generation, |slave| slave.generation);
+            let slave = exchange.drive(number);
+            let share = slave.and_then(|slave| exchange.plan().slaves.get(slave));
+            axis.adopt(share);
+            let role = share.and_then(|share| share.role);
+            let input = role.and_then(|role| role.layout.decode(exchange.input(slave?)?));
+            let generation = share.map_or(axis.generation, |share| share.generation);
             axis.step(input, generation);
         }
         self.axes.each_ref().map(AxisState::axis_input)
@@ -220,9 +284,9 @@ impl EtherCatRobot {
             }
         }
         for axis in &mut self.axes {
-            let off_mark = axis.nearest(i64::from(axis.raw) - axis.sync_increments);
+            let off_mark = axis.nearest(i64::from(axis.raw) - i64::from(axis.config.sync_increments));
             let at_mark = (axis.position - off_mark) as f64;
-            axis.zero = Some(at_mark - axis.sync_angle_rad * axis.increments_per_rad);
+            axis.zero = Some(at_mark - axis.config.sync_angle_rad * axis.increments_per_rad);
             axis.reference_lost = false;
         }
         Ok(())
@@ -247,8 +311,10 @@ impl EtherCatRobot {
     pub fn write(&mut self, exchange: &mut RobotExchange<'_>, commands: &[AxisCommand; AXES]) {
         for (number, (axis, command)) in self.axes.iter_mut().zip(commands).enumerate() {
             let output = axis.output(command);
-            if let Some((slave, kind)) = exchange.drive(number) {
-                (kind.description().encode)(&output, exchange.output(slave));
+            let Some(slave) = exchange.drive(number) else { continue };
+            let role = exchange.plan().slaves.get(slave).and_then(|share| share.role);
+            if let Some(role) = role {
+                role.layout.encode(&output, exchange.output(slave));
             }
         }
     }
@@ -272,8 +338,20 @@ impl VelocityIo for AxisIo<'_> {
         self.axis.axis_input()
     }
 
-    fn set_velocity(&mut self, command: AxisCommand) {
-        *self.command = command;
+    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) {
+        let demand = Demand::Velocity(velocity_rad_s);
+        *self.command = AxisCommand { target, demand };
+    }
+}
+
+impl TorqueIo for AxisIo<'_> {
+    fn input(&self) -> Option<AxisInput> {
+        self.axis.axis_input()
+    }
+
+    fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) {
+        let demand = Demand::Torque(torque_nm);
+        *self.command = AxisCommand { target, demand };
     }
 }
 
@@ -295,6 +373,8 @@ impl IoGroup for EtherCatRobot {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::drives::layout::LayoutBuilder;
+    use crate::drives::{akd, ax2000, generic};
 
     const TURN: i32 = 1 << 20;
 
@@ -311,7 +391,42 @@ mod tests {
         Some(DriveInput {
             position,
             status: StatusWord(0x0637),
+            mode_in_effect: true,
         })
+    }
+
+    /// A slave in OP that drives axis 0.
+    fn share(kind: DriveKind, mode: AxisMode) -> CyclicSlave {
+        let description = kind.mode(mode).unwrap();
+        let mut builder = LayoutBuilder::new(mode, description);
+        for (outputs, inputs) in description.outputs.entries.iter().zip(description.inputs.entries) {
+            builder.output(*outputs).unwrap();
+            builder.input(*inputs).unwrap();
+        }
+        for entry in description
+            .inputs
+            .entries
+            .iter()
+            .skip(description.outputs.entries.len())
+        {
+            builder.input(*entry).unwrap();
+        }
+        CyclicSlave {
+            watched: true,
+            role: Some(DriveRole {
+                axis: 0,
+                kind,
+                layout: builder.finish().unwrap(),
+            }),
+            ..CyclicSlave::default()
+        }
+    }
+
+    fn enabled(demand: Demand) -> AxisCommand {
+        AxisCommand {
+            target: DriveTarget::Enabled,
+            demand,
+        }
     }
 
     fn robot(positions: [i32; AXES]) -> EtherCatRobot {
@@ -398,30 +513,90 @@ mod tests {
     #[test]
     fn velocities_are_scaled_clamped_and_zero_unless_in_operation() {
         let mut axis = axis();
-        let command = |velocity_rad_s| AxisCommand {
-            target: DriveTarget::Enabled,
-            velocity_rad_s,
-        };
-        assert_eq!(axis.output(&command(1.0)).velocity_digits, 0);
+        let velocity = |rad_s| enabled(Demand::Velocity(rad_s));
+        axis.adopt(Some(&share(&ax2000::AX2000, AxisMode::Velocity)));
+        assert_eq!(axis.output(&velocity(1.0)).demand_digits, 0);
         axis.step(at(0), 0);
         // 1 rad/s at the joint is 12 rad/s, 114.59 rpm, at the motor.
-        assert_eq!(axis.output(&command(1.0)).velocity_digits, 16_021);
-        assert_eq!(axis.output(&command(-1.0)).velocity_digits, -16_021);
-        let clamped = axis.output(&command(1.0e9)).velocity_digits;
-        assert_eq!(
-            clamped,
-            axis.output(&command(Axis::default().output_max_rad_s)).velocity_digits
-        );
-        assert_eq!(axis.output(&command(f64::NAN)).velocity_digits, 0);
+        assert_eq!(axis.output(&velocity(1.0)).demand_digits, 16_021);
+        assert_eq!(axis.output(&velocity(-1.0)).demand_digits, -16_021);
+        let clamped = axis.output(&velocity(1.0e9)).demand_digits;
+        let limit = velocity(Axis::default().output_max_rad_s);
+        assert_eq!(clamped, axis.output(&limit).demand_digits);
+        assert_eq!(axis.output(&velocity(f64::NAN)).demand_digits, 0);
+        assert_eq!(axis.output(&enabled(Demand::Torque(1.0))).demand_digits, 0);
         let stop = AxisCommand {
             target: DriveTarget::QuickStop,
-            velocity_rad_s: 1.0,
+            ..velocity(1.0)
         };
         let output = axis.output(&stop);
         assert_eq!(
-            (output.velocity_digits, output.control),
+            (output.demand_digits, output.control),
             (0, cia402::ControlWord::QUICK_STOP)
         );
+    }
+
+    #[test]
+    fn torques_are_scaled_by_current_or_rated_torque_and_clamped() {
+        let torque = |nm| enabled(Demand::Torque(nm));
+        for (kind, digits, limit_digits) in [
+            // 12 N m at the joint are 1 N m at the motor: 1 / 8.4 of 3280 digits, or 1000 / 2.8 digits.
+            (&ax2000::AX2000, 390, 3_254),
+            (&generic::GENERIC, 357, 2_976),
+        ] {
+            let mut axis = axis();
+            axis.adopt(Some(&share(kind, AxisMode::Torque)));
+            axis.step(at(0), 0);
+            assert_eq!(axis.output(&torque(12.0)).demand_digits, digits);
+            assert_eq!(axis.output(&torque(-12.0)).demand_digits, -digits);
+            assert_eq!(axis.output(&torque(1.0e9)).demand_digits, limit_digits);
+            assert_eq!(axis.output(&torque(f64::INFINITY)).demand_digits, 0);
+            assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
+        }
+    }
+
+    #[test]
+    fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
+        let mut axis = axis();
+        let drive = share(&akd::AKD, AxisMode::Velocity);
+        let quick_stop = DriveOutput {
+            control: cia402::ControlWord::QUICK_STOP,
+            ..DriveOutput::default()
+        };
+        axis.step(at(0), 0);
+        let left = CyclicSlave {
+            watched: false,
+            ..drive
+        };
+        for share in [None, Some(&left)] {
+            axis.adopt(share);
+            assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), quick_stop);
+        }
+        axis.adopt(Some(&drive));
+        assert_ne!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
+        let mut other_mode = at(0).unwrap();
+        other_mode.mode_in_effect = false;
+        axis.step(Some(other_mode), 0);
+        assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), quick_stop);
+        other_mode.status = StatusWord(0x0250);
+        axis.step(Some(other_mode), 0);
+        let output = axis.output(&enabled(Demand::Velocity(1.0)));
+        assert_eq!(output.control, cia402::ControlWord::DISABLE_VOLTAGE);
+    }
+
+    #[test]
+    fn while_a_drive_is_not_in_operation_its_set_points_are_where_it_is() {
+        let mut axis = axis();
+        axis.adopt(Some(&share(&generic::GENERIC, AxisMode::Velocity)));
+        for status in [0x0250, 0x0231, 0x0233] {
+            let input = DriveInput {
+                status: StatusWord(status),
+                ..at(1_234).unwrap()
+            };
+            axis.step(Some(input), 0);
+            let output = axis.output(&enabled(Demand::Velocity(1.0)));
+            assert_eq!((output.demand_digits, output.position), (0, 1_234));
+        }
     }
 
     #[test]
@@ -432,12 +607,26 @@ mod tests {
         });
         axis.step(at(0), 0);
         axis.zero = Some(0.0);
-        let command = AxisCommand {
-            target: DriveTarget::Enabled,
-            velocity_rad_s: 1.0,
-        };
-        assert!(axis.output(&command).velocity_digits < 0);
+        for (mode, demand) in [
+            (AxisMode::Velocity, Demand::Velocity(1.0)),
+            (AxisMode::Torque, Demand::Torque(10.0)),
+        ] {
+            axis.adopt(Some(&share(&ax2000::AX2000, mode)));
+            assert!(axis.output(&enabled(demand)).demand_digits < 0);
+        }
         axis.step(at(-1000), 0);
         assert!(axis.axis_input().unwrap().angle_rad.unwrap() > 0.0);
+    }
+
+    #[test]
+    fn an_axis_takes_commands_through_velocity_io_and_torque_io() {
+        let mut robot = robot([0; AXES]);
+        let mut io = robot.io(2).unwrap();
+        assert!(VelocityIo::input(&io).is_some());
+        io.set_velocity(DriveTarget::Enabled, 0.5);
+        io.set_torque(DriveTarget::Enabled, 7.0);
+        assert_eq!(robot.commands[2], enabled(Demand::Torque(7.0)));
+        assert_eq!(robot.commands[1], AxisCommand::default());
+        assert!(robot.io(AXES).is_none());
     }
 }

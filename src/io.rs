@@ -25,13 +25,29 @@ pub struct AxisInput {
     pub status: StatusWord,
 }
 
+/// What moves an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Demand {
+    /// Velocity at the joint, rad/s.
+    Velocity(f64),
+    /// Torque at the joint, N m.
+    Torque(f64),
+}
+
+impl Default for Demand {
+    /// A velocity of 0.
+    fn default() -> Self {
+        Self::Velocity(0.0)
+    }
+}
+
 /// What an axis is told in one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisCommand {
     /// Where the drive is to be led.
     pub target: DriveTarget,
-    /// Velocity at the joint, rad/s; used while the drive is in operation and is to stay there.
-    pub velocity_rad_s: f64,
+    /// What moves it; used while the drive is in operation and is to stay there, if its mode takes this kind of demand.
+    pub demand: Demand,
 }
 
 /// Moves all values between memory and wire at one moment.
@@ -85,7 +101,7 @@ pub trait VelocityIo {
     fn input(&self) -> Option<AxisInput>;
 
     /// Sets where the drive is to be led, and the velocity at the joint in rad/s.
-    fn set_velocity(&mut self, command: AxisCommand);
+    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64);
 }
 
 /// An axis that is commanded by torque.

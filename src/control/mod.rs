@@ -1,5 +1,6 @@
-//! The 1 kHz side: sampler, position controller and supervision.
+//! The 1 kHz side: sampler, position and velocity controllers, supervision.
 
 pub mod position;
 pub mod sampler;
 pub mod supervision;
+pub mod velocity;

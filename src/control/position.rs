@@ -16,8 +16,10 @@ pub const AGE_MAX_MS: usize = 10;
 pub const LEAD_MAX_MS: usize = 10;
 /// A velocity reference is the difference over the millisecond that ends at its time: its centre lies this far back.
 const DIFFERENCE_CENTRE_MS: f64 = 0.5;
-/// References kept: the present one, the oldest whole age, and one more to interpolate to.
-const HISTORY: usize = AGE_MAX_MS + 2;
+/// Steps in a second.
+const CYCLES_PER_S: f64 = 1_000.0;
+/// References kept: the present one, the oldest whole age, one more to interpolate to, and the one before it.
+const HISTORY: usize = AGE_MAX_MS + 3;
 /// Upcoming references that [`PositionController::step`] looks at, counted from the present one.
 pub const REFERENCES_AHEAD: usize = LEAD_MAX_MS + 3;
 
@@ -66,13 +68,29 @@ impl PositionController {
         self.feedback_gain_per_s * error + self.feed_forward_gain * forward
     }
 
+    /// One millisecond of an axis whose velocity loop is closed by the firmware.
+    ///
+    /// Returns the velocity to be compared with the measured one, rad/s at the joint: the feed-forward is the
+    /// reference's difference over the very millisecond over which the latest measurements were differenced.
+    pub fn step_for_torque(&mut self, reference_rad: f64, measured_rad: f64) -> f64 {
+        self.remember(reference_rad);
+        let reference_rad = self.reference_back(0.0);
+        let forward = (reference_rad - self.reference_back(1.0)) * CYCLES_PER_S;
+        self.feedback_gain_per_s * (reference_rad - measured_rad) + self.feed_forward_gain * forward
+    }
+
     /// The reference that the latest measurement is compared with, rad.
     pub fn reference_at_age(&self) -> f64 {
+        self.reference_back(0.0)
+    }
+
+    /// The reference this long before the latest measurement, rad.
+    fn reference_back(&self, before_ms: f64) -> f64 {
         let back = (1..=HISTORY).map(|age| {
             let slot = (self.newest + HISTORY + 1 - age) % HISTORY;
             self.history.get(slot).copied().unwrap_or(0.0)
         });
-        interpolate(back, self.age_ms)
+        interpolate(back, self.age_ms + before_ms)
     }
 
     fn remember(&mut self, reference_rad: f64) {
@@ -88,7 +106,7 @@ impl PositionController {
 }
 
 /// The value at `place` of a sequence with one value a millisecond, from 0; its last value goes on for ever.
-fn interpolate(values: impl IntoIterator<Item = f64>, place: f64) -> f64 {
+pub(super) fn interpolate(values: impl IntoIterator<Item = f64>, place: f64) -> f64 {
     let whole = place as usize;
     let mut values = values.into_iter();
     let mut low = 0.0;
@@ -148,6 +166,24 @@ mod tests {
     }
 
     #[test]
+    fn the_velocity_of_a_torque_axis_is_differenced_where_the_measurement_is() {
+        for age_ms in [0.0, 1.0, 2.25, 10.0] {
+            let mut controller = PositionController::new(&axis(age_ms, 3.1));
+            for ms in 0..40 {
+                let position = |ms: f64| 1.0e-4 * ms * ms;
+                let measured = position(f64::from(ms) - age_ms);
+                let wanted = controller.step_for_torque(position(ms.into()), measured);
+                let expected = (measured - position(f64::from(ms) - age_ms - 1.0)) * CYCLES_PER_S;
+                // Between two references the parabola is a chord.
+                assert!(
+                    ms < 14 || (wanted - expected).abs() < 0.005,
+                    "{wanted} at {ms} ms, age {age_ms} ms"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn enabling_forgets_old_references() {
         let mut controller = PositionController::new(&axis(5.0, 0.0));
         controller.step(3.0, 3.0, [0.0]);
@@ -155,5 +191,5 @@ mod tests {
         assert_eq!(controller.step(1.0, 1.0, [0.0]), 0.0);
     }
 
-    const _: () = assert!(REFERENCES_AHEAD > LEAD_MAX_MS + 1 && HISTORY > AGE_MAX_MS);
+    const _: () = assert!(REFERENCES_AHEAD > LEAD_MAX_MS + 1 && HISTORY > AGE_MAX_MS + 2);
 }

@@ -13,16 +13,17 @@
 //! following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
-use crate::config::{Axis, Bus, Transport};
+use crate::config::{Axis, AxisMode, Bus, Transport};
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
+use crate::control::velocity::VelocityController;
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
 use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::envelope::Envelope;
 use crate::ethercat::transport::raw::{RawTransport, Sending};
 use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
-use crate::io::{AxisCommand, AxisInput, Increments};
+use crate::io::{AxisCommand, AxisInput, Demand, Increments};
 use crate::motion::Reference;
 use crate::network::NetworkEnd;
 use crate::robot::AXES;
@@ -143,6 +144,7 @@ pub struct Sampler<'a> {
     axes: [Axis; AXES],
     bus: Bus,
     controllers: [PositionController; AXES],
+    velocity_controllers: [VelocityController; AXES],
     supervision: Supervision,
     commands: Consumer<'a, SamplerCommand>,
     references: Consumer<'a, Queued>,
@@ -190,6 +192,7 @@ impl<'a> Sampler<'a> {
             axes,
             bus: Bus::default(),
             controllers: axes.map(|axis| PositionController::new(&axis)),
+            velocity_controllers: axes.map(|axis| VelocityController::new(&axis)),
             supervision: Supervision::new(),
             commands,
             references,
@@ -339,6 +342,7 @@ impl<'a> Sampler<'a> {
                 SamplerCommand::Configure { axes, bus } => {
                     self.robot = EtherCatRobot::new(&axes);
                     self.controllers = axes.map(|axis| PositionController::new(&axis));
+                    self.velocity_controllers = axes.map(|axis| VelocityController::new(&axis));
                     (self.axes, self.bus) = (axes, bus);
                 }
                 SamplerCommand::Power(power) => {
@@ -419,9 +423,15 @@ impl<'a> Sampler<'a> {
         let mut output_rad_s = [0.0; AXES];
         for (axis, output) in output_rad_s.iter_mut().enumerate() {
             let controller = &mut self.controllers[axis];
+            let (reference_rad, measured_rad) = (self.reference.position_rad[axis], self.measured_rad[axis]);
             if following {
-                let ahead = self.window.iter().map(|reference| reference.velocity_rad_s[axis]);
-                *output = controller.step(self.reference.position_rad[axis], self.measured_rad[axis], ahead);
+                *output = match self.axes[axis].mode {
+                    AxisMode::Velocity => {
+                        let ahead = self.window.iter().map(|reference| reference.velocity_rad_s[axis]);
+                        controller.step(reference_rad, measured_rad, ahead)
+                    }
+                    AxisMode::Torque => controller.step_for_torque(reference_rad, measured_rad),
+                };
             } else {
                 controller.reset();
             }
@@ -466,11 +476,33 @@ impl<'a> Sampler<'a> {
             (None, Power::On) => DriveTarget::Enabled,
         };
         let moving = following && target == DriveTarget::Enabled && self.powered();
-        let commands = core::array::from_fn(|axis| AxisCommand {
-            target,
-            velocity_rad_s: if moving { output_rad_s[axis] } else { 0.0 },
+        let commands = core::array::from_fn(|axis| {
+            let velocity_rad_s = if moving { output_rad_s[axis] } else { 0.0 };
+            let demand = match self.axes[axis].mode {
+                AxisMode::Velocity => Demand::Velocity(velocity_rad_s),
+                AxisMode::Torque => Demand::Torque(self.torque_nm(axis, velocity_rad_s, target, moving)),
+            };
+            AxisCommand { target, demand }
         });
         self.robot.write(&mut self.exchange, &commands);
+    }
+
+    /// The torque that leads an axis to a velocity, N m at the joint; an enabled axis that does not move is held.
+    fn torque_nm(&mut self, axis: usize, velocity_rad_s: f64, target: DriveTarget, moving: bool) -> f64 {
+        let controller = &mut self.velocity_controllers[axis];
+        if target != DriveTarget::Enabled || self.status[axis].state() != DriveState::OperationEnabled {
+            controller.reset();
+            return 0.0;
+        }
+        let limit_rad_s = self.axes[axis].output_max_rad_s.abs();
+        let wanted_rad_s = velocity_rad_s.clamp(-limit_rad_s, limit_rad_s);
+        let references = if moving { self.window.len() } else { 0 };
+        let ahead = self
+            .window
+            .iter()
+            .take(references)
+            .map(|reference| reference.velocity_rad_s[axis]);
+        controller.step(wanted_rad_s, self.measured_rad_s[axis], ahead)
     }
 
     fn powered(&self) -> bool {

@@ -1,20 +1,45 @@
 //! The servo drives this controller knows.
 //!
-//! A drive type is a file with one [`DriveDescription`]: identity, windows, process data and settings, and one line in
-//! [`DriveKind`] and [`DriveKind::ALL`]. The CiA 402 state machine is common to all.
+//! Adding a drive type takes one file and one line. The file lies in this folder, declared below, and holds one
+//! [`DriveDescription`]: how the drive is recognised, the modes it has and for each the process data objects to be
+//! assigned or written, what a digit of its demand is worth, and what is set before it is used. The line stands in
+//! [`DRIVES`](crate::ethercat::factory::DRIVES). Everything else is common: the process data are found wherever the
+//! drive maps them ([`layout`]), and the state machine is that of CiA 402 ([`cia402`]). [`generic`] is the example.
 //!
 //! Invariant: a description is data and pure functions; it never touches the bus.
 
+pub mod akd;
 pub mod ax2000;
 pub mod cia402;
+pub mod generic;
+pub mod layout;
 
-use crate::config::Axis;
+use crate::config::{Axis, AxisMode};
 use crate::ethercat::wire::coe::Object;
 use cia402::{ControlWord, StatusWord};
+use core::f64::consts::TAU;
 use heapless::Vec;
 
 /// Most settings that a drive gets before it is used.
-pub const SETTINGS_MAX: usize = 12;
+pub const SETTINGS_MAX: usize = 8;
+/// Control word, 16 bits.
+pub const CONTROL_WORD: Object = Object::new(0x6040, 0);
+/// Status word, 16 bits.
+pub const STATUS_WORD: Object = Object::new(0x6041, 0);
+/// Mode of operation, 8 bits.
+pub const OPERATION_MODE: Object = Object::new(0x6060, 0);
+/// Mode of operation in effect, 8 bits.
+pub const OPERATION_MODE_DISPLAY: Object = Object::new(0x6061, 0);
+/// Position in the drive's own increments, 32 bits; some drives give it instead of [`POSITION`].
+pub const POSITION_INTERNAL: Object = Object::new(0x6063, 0);
+/// Position, 32 bits.
+pub const POSITION: Object = Object::new(0x6064, 0);
+/// Torque or current as it is, 16 bits.
+pub const TORQUE: Object = Object::new(0x6077, 0);
+/// Target position, 32 bits.
+pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
+/// Quick-stop deceleration, 32 bits.
+pub const QUICK_STOP_DECELERATION: Object = Object::new(0x6085, 0);
 
 /// What a drive reports each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,13 +48,17 @@ pub struct DriveInput {
     pub position: i32,
     /// CiA 402 status word.
     pub status: StatusWord,
+    /// Whether the mode in effect is the one that was set; true where the drive does not report it each cycle.
+    pub mode_in_effect: bool,
 }
 
 /// What a drive is told each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DriveOutput {
-    /// Velocity demand in the drive's digits.
-    pub velocity_digits: i32,
+    /// Velocity or torque demand, whichever the mode takes, in the drive's digits; limited to the object's range.
+    pub demand_digits: i32,
+    /// Position where the drive is; it becomes the target position of drives that map one, so that no mode jumps.
+    pub position: i32,
     /// CiA 402 control word.
     pub control: ControlWord,
 }
@@ -45,20 +74,24 @@ pub struct Setting {
     pub length: u8,
     /// The object that has to show the same value afterwards.
     pub verify: Option<Object>,
-    /// Whether a refusal is accepted if the object has that value already.
-    pub may_be_fixed: bool,
+    /// Whether a drive that refuses the object is used all the same.
+    pub optional: bool,
 }
 
 impl Setting {
     /// A setting that is written and not read back.
     pub const fn new(index: u16, sub: u8, value: u32, length: u8) -> Self {
-        let object = Object::new(index, sub);
+        Self::of(Object::new(index, sub), value, length)
+    }
+
+    /// The same for an object.
+    pub const fn of(object: Object, value: u32, length: u8) -> Self {
         Self {
             object,
             value,
             length,
             verify: None,
-            may_be_fixed: false,
+            optional: false,
         }
     }
 
@@ -71,65 +104,223 @@ impl Setting {
     }
 
     /// The same, read back from another object.
-    pub const fn shown_by(self, index: u16, sub: u8) -> Self {
+    pub const fn shown_by(self, object: Object) -> Self {
         Self {
-            verify: Some(Object::new(index, sub)),
+            verify: Some(object),
             ..self
         }
     }
 
-    /// The same, for objects that some devices keep fixed.
-    pub const fn or_fixed(self) -> Self {
-        Self {
-            may_be_fixed: true,
-            ..self
-        }
+    /// The same, for objects that not every drive of the type has.
+    pub const fn optional(self) -> Self {
+        Self { optional: true, ..self }
     }
 }
 
 /// The settings of one drive, in the order they are written.
 pub type Settings = Vec<Setting, SETTINGS_MAX>;
 
+/// An object in the process data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// The object; index 0 is a gap.
+    pub object: Object,
+    /// Bits it takes.
+    pub bits: u8,
+}
+
+impl Entry {
+    /// An object with its length.
+    pub const fn new(object: Object, bits: u8) -> Self {
+        Self { object, bits }
+    }
+
+    /// The entry that a mapping object (0x16xx, 0x1Axx) or its value describes: index, sub-index and bits (CiA 301).
+    pub const fn from_mapping(value: u32) -> Self {
+        Self::new(Object::new((value >> 16) as u16, (value >> 8) as u8), value as u8)
+    }
+
+    /// The value of the mapping object for this entry.
+    pub const fn mapping(&self) -> u32 {
+        (self.object.index as u32) << 16 | (self.object.sub as u32) << 8 | self.bits as u32
+    }
+}
+
+/// A process data object to be used in one direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PdoChoice {
+    /// Its index, from 0x1600 for outputs and from 0x1A00 for inputs.
+    pub pdo: u16,
+    /// What it holds, or is to hold.
+    pub entries: &'static [Entry],
+    /// Whether the entries have to be written; otherwise the drive has them by itself.
+    pub written: bool,
+}
+
+impl PdoChoice {
+    /// An object whose content the drive gives.
+    pub const fn fixed(pdo: u16, entries: &'static [Entry]) -> Self {
+        Self {
+            pdo,
+            entries,
+            written: false,
+        }
+    }
+
+    /// An object whose content is written.
+    pub const fn written(pdo: u16, entries: &'static [Entry]) -> Self {
+        Self {
+            pdo,
+            entries,
+            written: true,
+        }
+    }
+}
+
+/// One way of driving.
+#[derive(Clone, Copy, Debug)]
+pub struct ModeDescription {
+    /// Value of the mode of operation (0x6060).
+    pub operation_mode: i8,
+    /// The object that takes the demand: 32 bits for a velocity, 16 bits for a torque.
+    pub demand: Object,
+    /// Outputs to be assigned.
+    pub outputs: PdoChoice,
+    /// Inputs to be assigned.
+    pub inputs: PdoChoice,
+    /// Digits of the demand for one unit at the motor: 1 rad/s for a velocity, 1 N m for a torque.
+    pub digits_per_unit: fn(&Axis) -> f64,
+}
+
+/// How a drive is recognised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recognition {
+    /// By vendor and product in its SII.
+    Product {
+        /// Vendor number.
+        vendor: u32,
+        /// Product code.
+        product: u32,
+    },
+    /// By its device type (object 0x1000), if no other description knows its product.
+    DeviceType(u32),
+}
+
+/// Where the process data lie in the slave's memory, if its SII does not tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Windows {
+    /// Start of the outputs: sync manager 2.
+    pub outputs: u16,
+    /// Start of the inputs: sync manager 3.
+    pub inputs: u16,
+}
+
+/// How the drive uses the distributed clocks, if its SII does not tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clocks {
+    /// AssignActivate: what is written to the registers 0x0980 (low byte) and 0x0981 (high byte).
+    pub assign_activate: u16,
+}
+
+impl Clocks {
+    /// Cyclic operation with SYNC0.
+    pub const SYNC0: Self = Self {
+        assign_activate: 0x0300,
+    };
+
+    /// Whether it needs SYNC0.
+    pub const fn uses_sync0(&self) -> bool {
+        self.assign_activate & 0x0200 != 0
+    }
+
+    /// Whether it needs SYNC1.
+    pub const fn uses_sync1(&self) -> bool {
+        self.assign_activate & 0x0400 != 0
+    }
+}
+
 /// Everything the master has to know about a drive type.
 #[derive(Debug)]
 pub struct DriveDescription {
-    /// Name for people.
+    /// Name for people; no two types have the same.
     pub name: &'static str,
-    /// Vendor number in the SII.
-    pub vendor: u32,
-    /// Product code in the SII.
-    pub product: u32,
-    /// Start of the outputs' sync manager (2) in the slave's memory.
-    pub output_start: u16,
-    /// Bytes of outputs.
-    pub output_length: u16,
-    /// Start of the inputs' sync manager (3) in the slave's memory.
-    pub input_start: u16,
-    /// Bytes of inputs.
-    pub input_length: u16,
+    /// How it is recognised.
+    pub recognition: Recognition,
+    /// How it is driven by velocity, if it can be.
+    pub velocity: Option<ModeDescription>,
+    /// How it is driven by torque, if it can be.
+    pub torque: Option<ModeDescription>,
+    /// Where its process data lie.
+    pub windows: Windows,
+    /// How it uses the distributed clocks.
+    pub clocks: Clocks,
     /// Settings for an axis, written in PREOP; `None` when a value does not fit the drive's object.
     pub settings: fn(&Axis) -> Option<Settings>,
-    /// Takes inputs apart; `None` when there are too few bytes.
-    pub decode: fn(&[u8]) -> Option<DriveInput>,
-    /// Writes outputs; what does not fit is left out.
-    pub encode: fn(&DriveOutput, &mut [u8]),
 }
 
-/// The drive types.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DriveKind {
-    /// AX2000-B110 in digital speed.
-    Ax2000Velocity,
-}
-
-impl DriveKind {
-    /// All drive types that are recognised by their identity.
-    pub const ALL: [Self; 1] = [Self::Ax2000Velocity];
-
-    /// What there is to know about it.
-    pub const fn description(self) -> &'static DriveDescription {
-        match self {
-            Self::Ax2000Velocity => &ax2000::VELOCITY,
+impl DriveDescription {
+    /// How it is driven in a mode; `None` when it cannot be.
+    pub const fn mode(&self, mode: AxisMode) -> Option<&ModeDescription> {
+        match mode {
+            AxisMode::Velocity => self.velocity.as_ref(),
+            AxisMode::Torque => self.torque.as_ref(),
         }
+    }
+}
+
+impl PartialEq for DriveDescription {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for DriveDescription {}
+
+/// A drive type.
+pub type DriveKind = &'static DriveDescription;
+
+/// Velocity digits for 1 rad/s at the motor, as the configuration gives them.
+pub fn velocity_digits(axis: &Axis) -> f64 {
+    axis.digits_per_rpm * 60.0 / TAU
+}
+
+/// Quick-stop deceleration as object 0x6085 takes it: position increments per second squared at the motor.
+///
+/// `None` when it does not fit 32 bits or is below 1.
+pub fn quick_stop_increments_s2(axis: &Axis) -> Option<u32> {
+    let motor_rad_s2 = axis.quick_stop_rad_s2 * axis.gear.abs();
+    let increments_s2 = motor_rad_s2 / TAU * f64::from(axis.increments_per_revolution);
+    (1.0..=f64::from(u32::MAX))
+        .contains(&increments_s2)
+        .then_some(increments_s2 as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quick_stop_is_written_in_increments_and_bounded() {
+        let mut axis = Axis::default();
+        // 100 rad/s2 at the joint are 1200 rad/s2, that is 190.99 revolutions/s2, at the motor.
+        assert_eq!(quick_stop_increments_s2(&axis), Some(200_263_264));
+        axis.quick_stop_rad_s2 = 1e9;
+        assert_eq!(quick_stop_increments_s2(&axis), None);
+        axis.quick_stop_rad_s2 = f64::NAN;
+        assert_eq!(quick_stop_increments_s2(&axis), None);
+    }
+
+    #[test]
+    fn a_mapping_value_and_its_entry_are_the_same_thing() {
+        let entry = Entry::from_mapping(0x60C1_0120);
+        assert_eq!(entry, Entry::new(Object::new(0x60C1, 1), 32));
+        assert_eq!(entry.mapping(), 0x60C1_0120);
+    }
+
+    #[test]
+    fn assign_activate_tells_which_sync_signals_are_used() {
+        assert!(Clocks::SYNC0.uses_sync0() && !Clocks::SYNC0.uses_sync1());
+        let free_run = Clocks { assign_activate: 0 };
+        assert!(!free_run.uses_sync0());
     }
 }

@@ -5,31 +5,22 @@
 //!
 //! Invariant: steps for one slave touch no other slave, except [`reset_all`].
 
+mod process_data;
+
+pub use process_data::{LOGICAL_START, ask_device_type, cyclic_slave, objects, process_data};
+
 use super::acyclic::{AcyclicPort, Bytes, Request};
-use super::coe::ObjectDictionary;
-use super::cyclic::{CyclicSlave, DriveRole, SPAN_BYTES_MAX};
 use super::error::BusError;
 use super::slave::Slave;
 use super::state::{AlState, STATE_TIMEOUT_MS};
-use super::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
+use super::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
 use super::wire::sii::{self, FixedPart};
 use super::wire::{Address, Command, read_u16};
-use crate::config::Axis;
-use crate::drives::Setting;
 
 /// Longest wait for the SII to become free, ms.
 pub const SII_TIMEOUT_MS: u32 = 100;
 /// How often an unacknowledged SII command is repeated.
 const SII_TRIES_MAX: u8 = 3;
-/// How often a setting is read back until the drive shows it; one reading takes some milliseconds.
-const VERIFY_TRIES_MAX: u8 = 10;
-/// Where the slaves' process data start in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
-/// its inputs right behind them, so that one datagram may carry both.
-pub const LOGICAL_START: u32 = 0x0001_0000;
-/// Watchdog units (100 us) in a millisecond.
-const WATCHDOG_UNITS_PER_MS: u16 = 10;
-/// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
-const WATCHDOG_PDI_UNITS: u16 = 1_000;
 /// Sync managers and FMMUs that are cleared at the start.
 const CLEARED: usize = 4;
 
@@ -204,141 +195,6 @@ async fn write_managers<const MESSAGE: usize>(
         // The array is as long as the structure.
         let _ = manager.emit(&mut registers);
         port.write(station, register::sync_manager(number), &registers).await?;
-    }
-    Ok(())
-}
-
-/// Writes a drive's settings through CoE, in PREOP, and reads back those that matter.
-///
-/// # Errors
-/// [`BusError::SdoAbort`], [`BusError::ReadBack`], [`BusError::Range`], or those of the mailbox.
-pub async fn objects<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &mut Slave,
-    axis: &Axis,
-) -> Result<(), BusError> {
-    let Some(kind) = slave.kind else { return Ok(()) };
-    let object = super::wire::coe::Object::new(0x6085, 0);
-    let settings = (kind.description().settings)(axis).ok_or(BusError::Range { object })?;
-    let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
-    for setting in &settings {
-        apply(&mut dictionary, setting).await?;
-    }
-    Ok(())
-}
-
-async fn apply<const MESSAGE: usize>(
-    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
-    setting: &Setting,
-) -> Result<(), BusError> {
-    let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
-    let expected = setting.value & mask;
-    match dictionary.write(setting.object, setting.value, setting.length).await {
-        Err(BusError::SdoAbort { .. }) if setting.may_be_fixed => {
-            // A device that keeps its process data fixed refuses even what it has; sub-index 0 may not become 0.
-            let actual = dictionary.read(setting.object, setting.length).await?;
-            let counts = setting.object.sub == 0 && expected == 0;
-            if actual != expected && !counts {
-                return Err(BusError::ReadBack {
-                    object: setting.object,
-                    expected,
-                    actual,
-                });
-            }
-        }
-        other => other?,
-    }
-    let Some(object) = setting.verify else { return Ok(()) };
-    let mut actual = 0;
-    for _ in 0..VERIFY_TRIES_MAX {
-        actual = dictionary.read(object, setting.length).await?;
-        if actual == expected {
-            return Ok(());
-        }
-    }
-    Err(BusError::ReadBack {
-        object,
-        expected,
-        actual,
-    })
-}
-
-/// A slave's share of the logical memory; without process data for slaves that are not used.
-pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
-    let (Some(kind), Some(axis)) = (slave.kind, slave.axis) else {
-        return CyclicSlave::default();
-    };
-    let description = kind.description();
-    let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
-    CyclicSlave {
-        input_address: start + u32::from(description.output_length),
-        input_length: description.input_length,
-        output_address: start,
-        output_length: description.output_length,
-        watched: false,
-        role: Some(DriveRole { axis, kind }),
-        generation: slave.generation,
-    }
-}
-
-/// Sets up process-data sync managers, FMMUs and watchdogs, in PREOP.
-///
-/// `watchdog_ms` is the sync managers' watchdog; 0 switches it off.
-///
-/// # Errors
-/// As [`AcyclicPort::insist`].
-pub async fn process_data<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave,
-    watchdog_ms: u16,
-) -> Result<(), BusError> {
-    let Some(kind) = slave.kind else { return Ok(()) };
-    let (station, description, share) = (slave.station(), kind.description(), cyclic_slave(slave));
-    let units = watchdog_ms.saturating_mul(WATCHDOG_UNITS_PER_MS);
-    port.write(
-        station,
-        register::WATCHDOG_DIVIDER,
-        &register::WATCHDOG_DIVIDER_100_US.to_le_bytes(),
-    )
-    .await?;
-    port.write(station, register::WATCHDOG_PDI, &WATCHDOG_PDI_UNITS.to_le_bytes())
-        .await?;
-    port.write(station, register::WATCHDOG_SYNC_MANAGER, &units.to_le_bytes())
-        .await?;
-    let window = |start: u16, length: u16, control: u8| SyncManagerRepr {
-        start,
-        length,
-        control,
-        activate: register::SYNC_MANAGER_ENABLE,
-        ..SyncManagerRepr::default()
-    };
-    let managers = [
-        window(
-            description.output_start,
-            description.output_length,
-            register::CONTROL_OUTPUTS,
-        ),
-        window(
-            description.input_start,
-            description.input_length,
-            register::CONTROL_INPUTS,
-        ),
-    ];
-    write_managers(port, station, 2, &managers).await?;
-    let mappings = [
-        FmmuRepr::bytes(
-            share.output_address,
-            share.output_length,
-            description.output_start,
-            false,
-        ),
-        FmmuRepr::bytes(share.input_address, share.input_length, description.input_start, true),
-    ];
-    for (number, mapping) in (0..).zip(&mappings) {
-        let mut registers = [0; FMMU_LEN];
-        // The array is as long as the structure.
-        let _ = mapping.emit(&mut registers);
-        port.write(station, register::fmmu(number), &registers).await?;
     }
     Ok(())
 }

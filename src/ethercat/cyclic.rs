@@ -18,7 +18,6 @@ pub use super::plan::{
 pub use super::telegram::{IGNORED_KINDS, Ignored};
 use super::telegram::{Image, SlotState, Taken, Telegram};
 use super::wire::{MacAddress, read_u8};
-use crate::drives::DriveKind;
 use crate::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
 
@@ -256,11 +255,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         &self.plan
     }
 
-    /// The slave that drives an axis: its position in the chain and its kind.
-    pub fn drive(&self, axis: usize) -> Option<(usize, DriveKind)> {
-        let slave = usize::from((*self.axis_slaves.get(axis)?)?);
-        let role = self.plan.slaves.get(slave)?.role?;
-        Some((slave, role.kind))
+    /// The slave that drives an axis: its position in the chain.
+    pub fn drive(&self, axis: usize) -> Option<usize> {
+        (*self.axis_slaves.get(axis)?).map(usize::from)
     }
 
     fn take_index(&mut self) -> u8 {

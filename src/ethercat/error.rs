@@ -113,6 +113,29 @@ pub enum BusError {
         /// Value read.
         actual: u32,
     },
+    /// An object that the drive is to be used by is not in its process data, or has another length there.
+    Mapping {
+        /// The object.
+        object: Object,
+        /// Bits expected.
+        expected: u8,
+        /// Bits found; 0 when it is not mapped.
+        actual: u8,
+    },
+    /// An object in the process data does not begin with a byte.
+    Alignment {
+        /// The object.
+        object: Object,
+        /// The bit it begins with.
+        bit: u16,
+    },
+    /// A slave has more process data in one direction than there is room for.
+    ProcessLength {
+        /// Most bytes allowed.
+        expected: u16,
+        /// Bytes found.
+        actual: u16,
+    },
     /// A value of the configuration does not fit the drive's object.
     Range {
         /// The object.

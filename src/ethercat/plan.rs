@@ -7,6 +7,7 @@
 
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
 use crate::drives::DriveKind;
+use crate::drives::layout::ProcessLayout;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -35,8 +36,10 @@ pub enum ExchangeKind {
 pub struct DriveRole {
     /// Axis, from 0.
     pub axis: u8,
-    /// How its process data are laid out.
+    /// Its drive type.
     pub kind: DriveKind,
+    /// Where its values lie in its process data.
+    pub layout: ProcessLayout,
 }
 
 /// One slave's share of the logical memory.

@@ -5,7 +5,8 @@
 use super::mailbox::Mailbox;
 use super::state::AlReport;
 use super::wire::sii::{FixedPart, Identity};
-use crate::drives::DriveKind;
+use crate::drives::layout::ProcessLayout;
+use crate::drives::{DriveKind, Windows};
 
 /// Station address of the first slave; the others follow in chain order.
 pub const STATION_BASE: u16 = 0x1001;
@@ -26,6 +27,15 @@ pub enum Condition {
     LeftOperational,
 }
 
+/// A slave's process data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProcessData {
+    /// Where outputs and inputs lie in its memory.
+    pub windows: Windows,
+    /// Where its values lie in them, and their lengths.
+    pub layout: ProcessLayout,
+}
+
 /// One slave in the chain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slave {
@@ -37,6 +47,8 @@ pub struct Slave {
     pub kind: Option<DriveKind>,
     /// The axis it drives, if it is used.
     pub axis: Option<u8>,
+    /// Its process data, once they have been configured.
+    pub process_data: Option<ProcessData>,
     /// Its mailbox, once configured.
     pub mailbox: Mailbox,
     /// How it is doing.

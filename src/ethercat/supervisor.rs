@@ -17,7 +17,7 @@ pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::factory;
 use super::mailbox::Mailbox;
 use super::service::{ServiceRequest, ServiceResult};
-use super::slave::{Condition, STATION_BASE, Slave};
+use super::slave::{Condition, ProcessData, STATION_BASE, Slave};
 use super::state::{self, AlReport, AlState};
 use super::wire::register;
 use crate::robot::AXES;
@@ -202,7 +202,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         let event = BusEvent::Slave {
             position: slave.position as u8,
             identity,
-            name: factory::name(&identity),
+            name: factory::name(slave.kind),
             axis: slave.axis,
             report,
         };
@@ -331,14 +331,17 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         let fixed = configure::fixed_part(port, station)
             .await
             .map_err(Failure::of(position, Step::Identify))?;
-        let kind = factory::drive_kind(&fixed.identity);
-        // There is room for as many slaves as were found.
-        let _ = self.slaves.push(Slave {
+        let mut slave = Slave {
             position,
             fixed,
-            kind,
+            kind: factory::drive_kind(&fixed.identity),
             ..Slave::default()
-        });
+        };
+        if slave.kind.is_none() {
+            slave.kind = configure::ask_device_type(port, &slave).await;
+        }
+        // There is room for as many slaves as were found.
+        let _ = self.slaves.push(slave);
         Ok(())
     }
 
@@ -357,8 +360,20 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         }
     }
 
+    /// Process data of another slave of the same product and revision.
+    fn twin(&self, number: usize) -> Option<ProcessData> {
+        let product = |slave: &Slave| {
+            let identity = slave.identity();
+            (identity.vendor, identity.product, identity.revision)
+        };
+        let wanted = product(self.slaves.get(number)?);
+        let mut others = self.slaves.iter().enumerate().filter(|(other, _)| *other != number);
+        others.find_map(|(_, other)| other.process_data.filter(|_| product(other) == wanted))
+    }
+
     /// Configures a used slave from INIT to SAFEOP; leaves others alone.
     async fn reach_safe_operational(&mut self, number: usize) -> Result<(), Failure> {
+        let twin = self.twin(number);
         let Some(slave) = self.slaves.get_mut(number) else {
             return Ok(());
         };
@@ -383,7 +398,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         state::change(port, station, AlState::PreOperational)
             .await
             .map_err(at(Step::PreOperational))?;
-        configure::objects(port, slave, axis).await.map_err(at(Step::Objects))?;
+        configure::objects(port, slave, axis, twin)
+            .await
+            .map_err(at(Step::Objects))?;
         let watchdog_ms = self.setup.bus.watchdog_ms;
         configure::process_data(port, slave, watchdog_ms)
             .await

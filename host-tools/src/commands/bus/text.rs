@@ -124,6 +124,28 @@ pub fn bus_error(error: &BusError) -> String {
             expected,
             actual,
         } => format!("{} has {actual} bytes, not {expected}; check the type", object(at)),
+        BusError::Mapping {
+            object: at,
+            expected,
+            actual: 0,
+        } => format!(
+            "{} ({expected} bits) is not in the process data; look at what 0x1c12 and 0x1c13 assign",
+            object(at)
+        ),
+        BusError::Mapping {
+            object: at,
+            expected,
+            actual,
+        } => format!("{} takes {actual} bits of the process data, not {expected}", object(at)),
+        BusError::Alignment { object: at, bit } => {
+            format!(
+                "{} begins at bit {bit} of the process data, not with a byte",
+                object(at)
+            )
+        }
+        BusError::ProcessLength { expected, actual } => {
+            format!("the slave has {actual} bytes of process data in one direction, more than {expected}; assign less")
+        }
         BusError::SiiBusy { waited_ms } => format!("the slave information memory was busy for {waited_ms} ms"),
         BusError::Sii { status } => {
             format!("the slave information memory reports an error (status {status:#06x}); it may be damaged")

@@ -1,0 +1,478 @@
+//! A drive's process data: which objects they hold, where these lie, and the managers that move them.
+//!
+//! What the drive type asks for is assigned and mapped; a drive that refuses keeps what it has. Then the lists are read
+//! back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
+//! entries), with the SII's lists and then the drive type's own where there is no such object, and everything is laid
+//! out as the drive really has it.
+//!
+//! Invariants: no refusal of an assignment or a mapping is an error, but a missing value is; a share of the image never
+//! exceeds [`PROCESS_BYTES_MAX`](crate::ethercat::cyclic::PROCESS_BYTES_MAX); a wrong mode is never left unnoticed.
+
+use super::{mailbox_managers, read_sii, write_managers};
+use crate::config::Axis;
+use crate::drives::layout::LayoutBuilder;
+use crate::drives::{
+    DriveKind, Entry, OPERATION_MODE, OPERATION_MODE_DISPLAY, PdoChoice, QUICK_STOP_DECELERATION, Setting, Windows,
+};
+use crate::ethercat::acyclic::AcyclicPort;
+use crate::ethercat::coe::ObjectDictionary;
+use crate::ethercat::cyclic::{CyclicSlave, DriveRole, SPAN_BYTES_MAX};
+use crate::ethercat::error::BusError;
+use crate::ethercat::factory;
+use crate::ethercat::mailbox::Mailbox;
+use crate::ethercat::slave::{ProcessData, Slave};
+use crate::ethercat::state::{self, AlState};
+use crate::ethercat::wire::coe::Object;
+use crate::ethercat::wire::register::{self, FMMU_LEN, FmmuRepr, SyncManagerRepr};
+use crate::ethercat::wire::sii::{
+    self, CategoryHeader, CategoryWalker, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord, SyncManagerUse,
+};
+use crate::ethercat::wire::{read_u16, write_bytes};
+use heapless::Vec;
+
+/// Where the slaves' process data start in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
+/// its inputs right behind them, so that one datagram may carry both.
+pub const LOGICAL_START: u32 = 0x0001_0000;
+
+/// Device type, 32 bits.
+const DEVICE_TYPE: Object = Object::new(0x1000, 0);
+/// Object that lists the process data objects of the outputs.
+const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
+/// Object that lists the process data objects of the inputs.
+const ASSIGNMENT_INPUTS: u16 = 0x1C13;
+/// Most process data objects of one direction.
+const PDOS_MAX: usize = 8;
+/// Most entries of one process data object.
+const ENTRIES_MAX: u8 = 32;
+/// How often a setting is read back until the drive shows it; one reading takes some milliseconds.
+const VERIFY_TRIES_MAX: u8 = 10;
+/// Watchdog units (100 us) in a millisecond.
+const WATCHDOG_UNITS_PER_MS: u16 = 10;
+/// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
+const WATCHDOG_PDI_UNITS: u16 = 1_000;
+/// Lowest address of process memory.
+const PROCESS_MEMORY: u16 = register::PROCESS_MEMORY;
+/// Words of the SII in a KiBit.
+const SII_WORDS_PER_KIBIT: u16 = 64;
+
+/// Outputs or inputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Direction {
+    Outputs,
+    Inputs,
+}
+
+impl Direction {
+    const fn assignment(self) -> u16 {
+        match self {
+            Self::Outputs => ASSIGNMENT_OUTPUTS,
+            Self::Inputs => ASSIGNMENT_INPUTS,
+        }
+    }
+
+    /// The SII's category of process data objects.
+    const fn category(self) -> u16 {
+        match self {
+            Self::Outputs => sii::CATEGORY_RX_PDO,
+            Self::Inputs => sii::CATEGORY_TX_PDO,
+        }
+    }
+
+    const fn sync_manager(self) -> u8 {
+        match self {
+            Self::Outputs => 2,
+            Self::Inputs => 3,
+        }
+    }
+}
+
+/// Asks a slave whose product no description knows what it is, and leaves it in INIT; `None` for everything that is not
+/// driven or does not answer.
+pub async fn ask_device_type<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave,
+) -> Option<DriveKind> {
+    if !factory::is_to_be_asked(&slave.fixed) {
+        return None;
+    }
+    let station = slave.station();
+    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).ok()?;
+    mailbox_managers(port, slave).await.ok()?;
+    let device_type = match state::change(port, station, AlState::PreOperational).await {
+        Ok(()) => ObjectDictionary::new(port, &mut mailbox)
+            .read(DEVICE_TYPE, 4)
+            .await
+            .ok(),
+        Err(_) => None,
+    };
+    // One that does not come back is found where it is used.
+    let _ = state::change(port, station, AlState::Init).await;
+    factory::drive_kind_by_type(device_type?)
+}
+
+/// Chooses a drive's process data, sets its mode and its settings through CoE, in PREOP, and lays the process data out.
+///
+/// `twin` are the process data of a slave of the same product and revision: where the drive takes the same choice, its
+/// lists are the same.
+///
+/// # Errors
+/// [`BusError::Range`] when the drive lacks the axis's mode or an object cannot take a value, [`BusError::Mapping`],
+/// [`BusError::Alignment`] or [`BusError::ProcessLength`] when its process data cannot be used, [`BusError::SdoAbort`],
+/// [`BusError::ReadBack`], or those of the mailbox.
+pub async fn objects<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &mut Slave,
+    axis: &Axis,
+    twin: Option<ProcessData>,
+) -> Result<(), BusError> {
+    let Some(kind) = slave.kind else { return Ok(()) };
+    let object = OPERATION_MODE;
+    let mode = kind.mode(axis.mode).ok_or(BusError::Range { object })?;
+    let object = QUICK_STOP_DECELERATION;
+    let settings = (kind.settings)(axis).ok_or(BusError::Range { object })?;
+
+    let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
+    let outputs_taken = choose(&mut dictionary, Direction::Outputs, &mode.outputs).await?;
+    let inputs_taken = choose(&mut dictionary, Direction::Inputs, &mode.inputs).await?;
+    let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
+    apply(&mut dictionary, &operation_mode.shown_by(OPERATION_MODE_DISPLAY)).await?;
+    for setting in &settings {
+        apply(&mut dictionary, setting).await?;
+    }
+
+    let taken = outputs_taken && inputs_taken;
+    slave.process_data = match twin {
+        Some(twin) if taken && twin.layout.mode == axis.mode => Some(twin),
+        _ => {
+            let mut builder = LayoutBuilder::new(axis.mode, mode);
+            read_lists(port, slave, Direction::Outputs, &mode.outputs, |entry| {
+                builder.output(entry)
+            })
+            .await?;
+            read_lists(port, slave, Direction::Inputs, &mode.inputs, |entry| {
+                builder.input(entry)
+            })
+            .await?;
+            Some(ProcessData {
+                windows: windows(port, slave.station(), kind.windows).await?,
+                layout: builder.finish()?,
+            })
+        }
+    };
+    Ok(())
+}
+
+/// Writes a value; false when the drive refuses it.
+async fn offer<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    object: Object,
+    value: u32,
+    length: u8,
+) -> Result<bool, BusError> {
+    match dictionary.write(object, value, length).await {
+        Ok(()) => Ok(true),
+        Err(BusError::SdoAbort { .. }) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Assigns a process data object, and writes its entries unless they are fixed; false when the drive refused anything.
+async fn choose<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    direction: Direction,
+    choice: &PdoChoice,
+) -> Result<bool, BusError> {
+    let assignment = |sub| Object::new(direction.assignment(), sub);
+    if !offer(dictionary, assignment(0), 0, 1).await? {
+        return Ok(false);
+    }
+    let mut taken = true;
+    let count = Object::new(choice.pdo, 0);
+    if choice.written && offer(dictionary, count, 0, 1).await? {
+        for (sub, entry) in (1..).zip(choice.entries) {
+            let object = Object::new(choice.pdo, sub);
+            taken &= offer(dictionary, object, entry.mapping(), 4).await?;
+        }
+        taken &= offer(dictionary, count, choice.entries.len() as u32, 1).await?;
+    } else if choice.written {
+        taken = false;
+    }
+    taken &= offer(dictionary, assignment(1), choice.pdo.into(), 2).await?;
+    taken &= offer(dictionary, assignment(0), 1, 1).await?;
+    Ok(taken)
+}
+
+async fn apply<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    setting: &Setting,
+) -> Result<(), BusError> {
+    let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
+    let expected = setting.value & mask;
+    match dictionary.write(setting.object, setting.value, setting.length).await {
+        Err(BusError::SdoAbort { .. }) if setting.optional => return Ok(()),
+        other => other?,
+    }
+    let Some(object) = setting.verify else { return Ok(()) };
+    let mut actual = 0;
+    for _ in 0..VERIFY_TRIES_MAX {
+        actual = dictionary.read(object, setting.length).await?;
+        if actual == expected {
+            return Ok(());
+        }
+    }
+    Err(BusError::ReadBack {
+        object,
+        expected,
+        actual,
+    })
+}
+
+/// Hands the entries of one direction's process data to `take`, in their order.
+async fn read_lists<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &mut Slave,
+    direction: Direction,
+    choice: &PdoChoice,
+    mut take: impl FnMut(Entry) -> Result<(), BusError>,
+) -> Result<(), BusError> {
+    let station = slave.station();
+    let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
+    let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
+    let assigned = read_list(&mut dictionary, direction.assignment(), PDOS_MAX as u8, 2, |pdo| {
+        // The list is as long as there is room for.
+        let _ = pdos.push(pdo as u16);
+        Ok(())
+    });
+    match assigned.await {
+        Err(BusError::SdoAbort { .. }) => {
+            let here = |pdo: &PdoRecord| pdo.sync_manager == direction.sync_manager();
+            if sii_entries(port, station, direction, here, &mut take).await? == 0 {
+                choice.entries.iter().try_for_each(|entry| take(*entry))?;
+            }
+            return Ok(());
+        }
+        other => other?,
+    }
+    for pdo in pdos {
+        let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
+        let entries = read_list(&mut dictionary, pdo, ENTRIES_MAX, 4, |value| {
+            take(Entry::from_mapping(value))
+        });
+        let error = match entries.await {
+            // An object with unreadable entries that were not handed out yet.
+            Err(error @ BusError::SdoAbort { object, .. }) if object.sub == 0 => error,
+            other => {
+                other?;
+                continue;
+            }
+        };
+        let here = |record: &PdoRecord| record.index == pdo;
+        if sii_entries(port, station, direction, here, &mut take).await? > 0 {
+            continue;
+        }
+        if pdo != choice.pdo {
+            return Err(error);
+        }
+        choice.entries.iter().try_for_each(|entry| take(*entry))?;
+    }
+    Ok(())
+}
+
+/// Reads an object whose sub-index 0 counts its values of `length` bytes, and hands them to `take`.
+///
+/// # Errors
+/// [`BusError::SdoAbort`] with sub-index 0 when there is no such object; then nothing was handed out.
+async fn read_list<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    index: u16,
+    most: u8,
+    length: u8,
+    mut take: impl FnMut(u32) -> Result<(), BusError>,
+) -> Result<(), BusError> {
+    let object = Object::new(index, 0);
+    let count = dictionary.read(object, 1).await?;
+    if count > most.into() {
+        return Err(BusError::Range { object });
+    }
+    for sub in 1..=count as u8 {
+        take(dictionary.read(Object::new(index, sub), length).await?)?;
+    }
+    Ok(())
+}
+
+/// Hands the entries of those process data objects in the SII that `chosen` picks to `take`; how many objects that were.
+async fn sii_entries<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    direction: Direction,
+    chosen: impl Fn(&PdoRecord) -> bool,
+    take: &mut impl FnMut(Entry) -> Result<(), BusError>,
+) -> Result<u8, BusError> {
+    let Some(category) = find_category(port, station, direction.category()).await? else {
+        return Ok(0);
+    };
+    let (mut word, end) = (category.word, category.word.saturating_add(category.words));
+    let mut found = 0_u8;
+    while word < end {
+        let Ok(pdo) = PdoRecord::parse(&sii_record(port, station, word).await?) else {
+            break;
+        };
+        word = word.saturating_add(RECORD_WORDS);
+        if chosen(&pdo) && pdo.entries > 0 {
+            found = found.saturating_add(1);
+            for number in 0..u16::from(pdo.entries) {
+                let at = word.saturating_add(number.saturating_mul(RECORD_WORDS));
+                if at >= end {
+                    break;
+                }
+                if let Ok(entry) = PdoEntryRecord::parse(&sii_record(port, station, at).await?) {
+                    take(Entry::new(Object::new(entry.index, entry.sub), entry.bits))?;
+                }
+            }
+        }
+        word = word.saturating_add(u16::from(pdo.entries).saturating_mul(RECORD_WORDS));
+    }
+    Ok(found)
+}
+
+/// Words of a sync manager, a process data object or an entry in the SII.
+const RECORD_WORDS: u16 = 4;
+
+/// Reads a record of eight bytes from the SII.
+async fn sii_record<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    word: u16,
+) -> Result<[u8; 8], BusError> {
+    let mut record = [0; 2 * RECORD_WORDS as usize];
+    let mut at = 0;
+    while at < record.len() {
+        let part = read_sii(port, station, word.saturating_add(at as u16 / 2)).await?;
+        let room = record.len() - at;
+        write_bytes(&mut record, at, part.get(..part.len().min(room)).unwrap_or(&[]));
+        at += part.len().max(2);
+    }
+    Ok(record)
+}
+
+/// Looks for a category in the SII.
+async fn find_category<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    kind: u16,
+) -> Result<Option<CategoryHeader>, BusError> {
+    let size = read_u16(&read_sii(port, station, sii::WORD_SIZE).await?, 0);
+    let words = size.saturating_add(1).saturating_mul(SII_WORDS_PER_KIBIT);
+    let mut walker = CategoryWalker::new(words);
+    while let Some(word) = walker.next_word() {
+        let header = read_sii(port, station, word).await?;
+        match walker.feed(read_u16(&header, 0), read_u16(&header, 2)) {
+            Some(category) if category.kind == kind => return Ok(Some(category)),
+            _ => {}
+        }
+    }
+    Ok(None)
+}
+
+/// Where the process data lie according to the SII, or `otherwise`.
+async fn windows<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    otherwise: Windows,
+) -> Result<Windows, BusError> {
+    let mut windows = otherwise;
+    let Some(category) = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await? else {
+        return Ok(windows);
+    };
+    for number in [Direction::Outputs, Direction::Inputs].map(Direction::sync_manager) {
+        let offset = u16::from(number) * RECORD_WORDS;
+        if offset + RECORD_WORDS > category.words {
+            break;
+        }
+        let bytes = sii_record(port, station, category.word.saturating_add(offset)).await?;
+        match SyncManagerRecord::parse(&bytes) {
+            Ok(manager) if manager.start < PROCESS_MEMORY => {}
+            Ok(manager) if manager.usage == SyncManagerUse::Outputs => windows.outputs = manager.start,
+            Ok(manager) if manager.usage == SyncManagerUse::Inputs => windows.inputs = manager.start,
+            _ => {}
+        }
+    }
+    Ok(windows)
+}
+
+/// A slave's share of the logical memory; without process data for slaves that are not used or not configured yet.
+pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
+    let (Some(kind), Some(axis), Some(ProcessData { layout, .. })) = (slave.kind, slave.axis, slave.process_data)
+    else {
+        return CyclicSlave::default();
+    };
+    let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
+    CyclicSlave {
+        input_address: start + u32::from(layout.output_length),
+        input_length: layout.input_length.into(),
+        output_address: start,
+        output_length: layout.output_length.into(),
+        watched: false,
+        role: Some(DriveRole { axis, kind, layout }),
+        generation: slave.generation,
+    }
+}
+
+/// Sets up process-data sync managers, FMMUs and watchdogs, in PREOP.
+///
+/// `watchdog_ms` is the sync managers' watchdog; 0 switches it off.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn process_data<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave,
+    watchdog_ms: u16,
+) -> Result<(), BusError> {
+    let Some(ProcessData { windows, layout }) = slave.process_data else {
+        return Ok(());
+    };
+    let station = slave.station();
+    watchdogs(port, station, watchdog_ms).await?;
+    let (outputs, inputs) = (layout.output_length.into(), layout.input_length.into());
+    let manager = |start, length, control| SyncManagerRepr {
+        start,
+        length,
+        control,
+        activate: register::SYNC_MANAGER_ENABLE,
+        ..SyncManagerRepr::default()
+    };
+    let managers = [
+        manager(windows.outputs, outputs, register::CONTROL_OUTPUTS),
+        manager(windows.inputs, inputs, register::CONTROL_INPUTS),
+    ];
+    write_managers(port, station, Direction::Outputs.sync_manager(), &managers).await?;
+    let share = cyclic_slave(slave);
+    let mappings = [
+        FmmuRepr::bytes(share.output_address, outputs, windows.outputs, false),
+        FmmuRepr::bytes(share.input_address, inputs, windows.inputs, true),
+    ];
+    for (number, mapping) in (0..).zip(&mappings) {
+        let mut registers = [0; FMMU_LEN];
+        // The array is as long as the structure.
+        let _ = mapping.emit(&mut registers);
+        port.write(station, register::fmmu(number), &registers).await?;
+    }
+    Ok(())
+}
+
+async fn watchdogs<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    watchdog_ms: u16,
+) -> Result<(), BusError> {
+    let units = watchdog_ms.saturating_mul(WATCHDOG_UNITS_PER_MS);
+    for (at, value) in [
+        (register::WATCHDOG_DIVIDER, register::WATCHDOG_DIVIDER_100_US),
+        (register::WATCHDOG_PDI, WATCHDOG_PDI_UNITS),
+        (register::WATCHDOG_SYNC_MANAGER, units),
+    ] {
+        port.write(station, at, &value.to_le_bytes()).await?;
+    }
+    Ok(())
+}

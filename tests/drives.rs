@@ -1,0 +1,69 @@
+//! The short drawing with every kind of drive and of demand, firmware tasks and virtual cell in virtual time.
+//!
+//! The figures of each run are printed (`cargo test --test drives -- --nocapture`).
+
+use etherpen::config::{AxisMode, Config};
+use host_tools::cell::SlaveKind;
+use host_tools::commands::prepare::prepare;
+use host_tools::commands::run::{conclude, task};
+use host_tools::report::Report;
+use host_tools::run;
+use std::path::Path;
+
+/// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's bandwidth.
+const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
+
+/// Draws with four drives of a kind; asserts that everything is drawn, in time and without a loss.
+fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
+    let mut config = Config::default();
+    for axis in &mut config.axes {
+        axis.mode = mode;
+        if mode == AxisMode::Torque {
+            axis.feedback_gain_per_s = TORQUE_FEEDBACK_GAIN_PER_S;
+        }
+    }
+    let name = format!("{kind:?} {mode:?}");
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("samples/strokes.csv");
+    let prepared = prepare(&file, &config).expect("the sample can be drawn");
+    let mut task = task(&config, &prepared);
+    task.cell.slaves = vec![kind; config.axes.len()];
+    let drawn = run::simulate(&task, None, &mut |_| {}).expect("nothing is captured");
+    let report = conclude(&task, &prepared, &drawn, String::new(), None).expect("the drawing was drawn");
+    println!(
+        "{name}: path deviation {:.4} mm at most, {:.4} mm rms; following error {:?} rad",
+        report.path_deviation_max_mm, report.path_deviation_rms_mm, report.following_error_max_rad
+    );
+    let counted = [
+        report.cycles_late,
+        report.frames_lost,
+        report.working_counter_errors,
+        report.reference_underruns,
+    ];
+    assert_eq!(counted, [0; 4], "{name}: late, lost, working counter, underruns");
+    assert_eq!(report.ink_missing_mm, 0.0, "{name}");
+    report
+}
+
+#[test]
+fn four_ax2000_draw_in_digital_speed() {
+    let report = draw(SlaveKind::Ax2000, AxisMode::Velocity);
+    assert!(report.path_deviation_max_mm <= 0.1);
+}
+
+#[test]
+fn four_generic_drives_draw_in_cyclic_synchronous_velocity() {
+    let report = draw(SlaveKind::Cia402, AxisMode::Velocity);
+    assert!(report.path_deviation_max_mm <= 0.1);
+}
+
+#[test]
+fn four_ax2000_draw_in_digital_current() {
+    let report = draw(SlaveKind::Ax2000, AxisMode::Torque);
+    assert!(report.path_deviation_max_mm <= 0.5);
+}
+
+#[test]
+fn four_generic_drives_draw_in_cyclic_synchronous_torque() {
+    let report = draw(SlaveKind::Cia402, AxisMode::Torque);
+    assert!(report.path_deviation_max_mm <= 0.5);
+}
