@@ -12,7 +12,7 @@ use etherpen::ethercat::cyclic::{BusCounters, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
 use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
-use etherpen::io::{AxisCommand, AxisInput};
+use etherpen::io::{AxisCommand, AxisInput, Demand};
 use etherpen::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
 use host_tools::cell::{Cell, CellOptions, Fault};
@@ -128,7 +128,7 @@ impl Rig<'_> {
     fn lead(&mut self, target: DriveTarget, state: DriveState) {
         self.command = AxisCommand {
             target,
-            velocity_rad_s: 0.0,
+            demand: Demand::Velocity(0.0),
         };
         for _ in 0..3_000 {
             self.millisecond();
@@ -189,13 +189,13 @@ fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
     let mut rig = rig("");
     rig.operational();
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
-    rig.command.velocity_rad_s = 2.0;
+    rig.command.demand = Demand::Velocity(2.0);
     rig.run_ms(100);
     let speed_rad_s = rig.cell.state().velocities.0[0];
     assert!((speed_rad_s - 2.0).abs() < 0.05, "{speed_rad_s}");
     rig.command = AxisCommand {
         target: DriveTarget::QuickStop,
-        velocity_rad_s: 2.0,
+        demand: Demand::Velocity(2.0),
     };
     let started_ms = rig.now_ms;
     while rig.cell.state().velocities.0[0].abs() > 0.01 {
@@ -224,7 +224,7 @@ impl Rig<'_> {
     fn lead_one_fault_away(&mut self) {
         self.command = AxisCommand {
             target: DriveTarget::Off,
-            velocity_rad_s: 0.0,
+            demand: Demand::Velocity(0.0),
         };
         self.run_ms(20);
         self.lead(DriveTarget::FaultReset, DriveState::SwitchOnDisabled);

@@ -26,9 +26,9 @@ const MESSAGE: usize = 1024;
 /// What a cycle's frame meets on the wire: the frame's number, to be lost or not.
 type Losses = fn(u32) -> bool;
 
-struct Bench<'a> {
-    segment: FakeSegment,
-    exchange: Exchange<'a, SLAVES, MESSAGE>,
+pub(super) struct Bench<'a> {
+    pub(super) segment: FakeSegment,
+    pub(super) exchange: Exchange<'a, SLAVES, MESSAGE>,
     losses: Losses,
     frames: u32,
 }
@@ -60,7 +60,17 @@ impl Bench<'_> {
 }
 
 /// Runs `script` with a supervisor that has been told to start; the script gets each millisecond's events.
-fn run(segment: FakeSegment, losses: Losses, mut script: impl FnMut(u32, &mut Bench<'_>, &[BusEvent]) -> Next) {
+fn run(segment: FakeSegment, losses: Losses, script: impl FnMut(u32, &mut Bench<'_>, &[BusEvent]) -> Next) {
+    run_with(BusSetup::default(), segment, losses, script);
+}
+
+/// The same with a configuration.
+pub(super) fn run_with(
+    setup: BusSetup,
+    segment: FakeSegment,
+    losses: Losses,
+    mut script: impl FnMut(u32, &mut Bench<'_>, &[BusEvent]) -> Next,
+) {
     let mut queues = Box::new(BusQueues::<SLAVES, MESSAGE>::new());
     let (exchange_end, supervisor_end, mut application) = queues.split();
     let mut bench = Bench {
@@ -72,12 +82,7 @@ fn run(segment: FakeSegment, losses: Losses, mut script: impl FnMut(u32, &mut Be
     let mut supervisor = Supervisor::new(supervisor_end);
     let mut future = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
-    assert!(
-        application
-            .commands
-            .enqueue(BusCommand::Start(BusSetup::default()))
-            .is_ok()
-    );
+    assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
     for now_ms in 0..30_000 {
         bench.millisecond();
         assert!(future.as_mut().poll(&mut context).is_pending());
@@ -91,7 +96,7 @@ fn run(segment: FakeSegment, losses: Losses, mut script: impl FnMut(u32, &mut Be
     panic!("the script did not end within 30 s");
 }
 
-enum Next {
+pub(super) enum Next {
     On,
     Recover,
     Done,

@@ -25,6 +25,8 @@ pub(super) struct FakeSlave {
     pub(super) refuse_state: Option<(u8, u16)>,
     pub(super) downloads: usize,
     pub(super) mute: bool,
+    /// Objects whose writing is refused.
+    pub(super) read_only: Vec<u16>,
     answers: Vec<Vec<u8>>,
     fetched: Vec<u8>,
     mailbox_counter: u8,
@@ -48,6 +50,7 @@ impl FakeSlave {
             refuse_state: None,
             downloads: 0,
             mute: false,
+            read_only: Vec::new(),
             answers: Vec::new(),
             fetched: Vec::new(),
             mailbox_counter: 0,
@@ -151,6 +154,10 @@ impl FakeSlave {
     fn change_state(&mut self, control: u8) {
         let now = self.memory[usize::from(register::AL_STATUS)];
         let wanted = control & 0x0F;
+        if wanted == 1 {
+            self.mailbox_counter = 0;
+            self.answers.clear();
+        }
         if now & 0x10 != 0 && control & 0x10 == 0 && wanted > now & 0x0F {
             return;
         }
@@ -190,6 +197,11 @@ impl FakeSlave {
             Sdo::DownloadExpedited { object, data, .. } => {
                 self.downloads += 1;
                 match self.objects.get_mut(&(object.index, object.sub)) {
+                    _ if self.read_only.contains(&object.index) => Sdo::Abort {
+                        object,
+                        code: 0x0601_0002,
+                    }
+                    .emit(&mut bytes),
                     Some(value) if value.len() == data.len() => {
                         *value = data.to_vec();
                         Sdo::DownloadDone { object }.emit(&mut bytes)

@@ -15,6 +15,8 @@ pub mod coe;
 mod coe_tests;
 pub mod configure;
 pub mod cyclic;
+#[cfg(test)]
+mod drive_tests;
 pub mod envelope;
 #[cfg(test)]
 mod envelope_tests;
