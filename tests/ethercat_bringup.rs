@@ -160,9 +160,9 @@ fn four_drives_come_to_op_take_power_and_turn_as_told() {
         assert!((angle_rad - truth_rad).abs() < 1e-4, "{angle_rad} {truth_rad}");
     }
 
-    rig.command.velocity_rad_s = 0.5;
+    rig.command.demand = Demand::Velocity(0.5);
     rig.run_ms(400);
-    rig.command.velocity_rad_s = 0.0;
+    rig.command.demand = Demand::Velocity(0.0);
     rig.run_ms(100);
     for ((input, start_rad), truth_rad) in rig.inputs.iter().zip(before).zip(rig.cell.state().joints.0) {
         let angle_rad = input.and_then(|input| input.angle_rad).expect("still referenced");

@@ -6,7 +6,7 @@ use etherpen::ethercat::cyclic::Exchange;
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues};
-use etherpen::io::{AxisCommand, AxisInput};
+use etherpen::io::{AxisCommand, AxisInput, Demand};
 use std::pin::pin;
 use std::task::{Context, Waker};
 
@@ -84,7 +84,8 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
 }
 
 fn lead(commands: &mut [AxisCommand; AXES], target: DriveTarget, velocity_rad_s: f64) {
-    *commands = [AxisCommand { target, velocity_rad_s }; AXES];
+    let demand = Demand::Velocity(velocity_rad_s);
+    *commands = [AxisCommand { target, demand }; AXES];
 }
 
 fn all_in(cell: &Cell, drive: DriveState) -> bool {
