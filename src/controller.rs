@@ -1,4 +1,4 @@
-//! The controller as a board sees it: five task bodies and the lock-free channels between them.
+//! The controller as a board sees it: six task bodies and the lock-free channels between them.
 //!
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
 //! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes, `link`

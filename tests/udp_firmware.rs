@@ -13,6 +13,7 @@ use host_tools::link::session::{Event, Session};
 use host_tools::setup;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -80,11 +81,35 @@ fn the_firmware_finds_its_address_by_dhcp_and_brings_the_drives_to_op_over_udp()
     assert!(operational, "{:?}", state.slaves);
     let (packets, bytes) = segment.stop();
     println!("{packets} packets");
-    let mut found = 0_u32;
-    for frame in bytes.windows(60).filter(|bytes| bytes[12..15] == [8, 0, 0x45]) {
-        found += u32::from(UdpRepr::parse(frame).is_ok());
-    }
-    assert!(found > 0 && packets > 0);
+    assert_dissected(&bytes, packets);
+}
+
+/// Looks for EtherCAT in UDP and for anything malformed in a capture, with tshark if there is one.
+fn assert_dissected(capture: &[u8], packets: u32) {
+    let path = std::env::temp_dir().join(format!("udp-firmware-{}.pcapng", std::process::id()));
+    std::fs::write(&path, capture).expect("a temporary file");
+    let count = |filter: &str| {
+        let output = Command::new("tshark")
+            .arg("-r")
+            .arg(&path)
+            .args(["-Y", filter])
+            .output();
+        output
+            .ok()
+            .map(|output| String::from_utf8_lossy(&output.stdout).lines().count())
+    };
+    let counts = (
+        count("_ws.malformed || _ws.expert.severity >= \"Error\""),
+        count("udp && ecat"),
+    );
+    std::fs::remove_file(&path).expect("the file just written");
+    let (Some(damaged), Some(frames)) = counts else {
+        eprintln!("tshark is not installed: nothing was dissected");
+        return;
+    };
+    println!("tshark: {frames} frames of EtherCAT in UDP, {damaged} damaged");
+    assert_eq!(damaged, 0);
+    assert!(frames >= packets as usize);
 }
 
 /// The cell behind a socket, answered from a thread of its own: the firmware waits for no other.
