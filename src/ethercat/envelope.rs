@@ -106,20 +106,21 @@ fn open_raw(frame: &[u8], source: MacAddress) -> Result<(&[u8], bool), Ignored> 
     if read_u16(frame, 12) != ETHERTYPE.swap_bytes() {
         return Err(Ignored::EtherType);
     }
-    let sender = frame
-        .get(6..)
-        .and_then(|rest| rest.first_chunk::<6>())
-        .ok_or(Ignored::Truncated)?;
-    let differs = sender.iter().zip(source).skip(1).fold(0, |bits, (a, b)| bits | (a ^ b));
-    let first = sender[0] ^ source[0];
-    if differs | first & !SOURCE_BIT != 0 {
+    // The first four and the last two bytes of an address, to be compared in words.
+    let words = |[a, b, c, d, e, f]: MacAddress| (u32::from_le_bytes([a, b, c, d]), u16::from_le_bytes([e, f]));
+    let sender = frame.get(6..12).and_then(|bytes| bytes.first_chunk::<6>());
+    let (first, last) = words(*sender.ok_or(Ignored::Truncated)?);
+    let (own_first, own_last) = words(source);
+    let differs = first ^ own_first;
+    if differs & !u32::from(SOURCE_BIT) | u32::from(last ^ own_last) != 0 {
         return Err(Ignored::ForeignSource);
     }
-    Ok((content, first != 0))
+    Ok((content, differs != 0))
 }
 
 /// Checks headers of Ethernet, IPv4 and UDP. Gives the UDP payload of an answer, or of an own packet that slave
 /// controllers have passed on as it was.
+#[inline(never)]
 fn open_udp<'f>(frame: &'f [u8], own: &UdpRepr) -> Result<&'f [u8], Ignored> {
     let (found, payload) = UdpRepr::parse(frame).map_err(|error| match error {
         wire::Error::Truncated { .. } | wire::Error::Checksum { .. } => Ignored::Truncated,

@@ -65,12 +65,15 @@ pub(super) enum SlotState {
 /// One slave's datagram.
 #[derive(Clone, Copy, Debug)]
 struct Share {
-    slave: u8,
-    watched: bool,
-    input_words: u8,
-    input_offset: u16,
+    /// The first eight bytes of its header, which come back unchanged; without the index of a frame's first datagram.
+    header: u64,
+    /// The slave's bit in [`Taken::answered`].
+    bit: u32,
     length: u16,
     working_counter: u16,
+    input_offset: u16,
+    slave: u8,
+    input_words: u8,
 }
 
 /// One acyclic datagram of the present sending.
@@ -108,7 +111,10 @@ pub(super) struct Telegram<const SLAVES: usize> {
     frame: [u8; FRAME_LEN_MAX],
     start: usize,
     shares: Vec<Share, SLAVES>,
-    asks_status: bool,
+    /// Where the AL status is asked for.
+    status: Option<usize>,
+    /// Slaves of which a wrong working counter is an error: one bit for each.
+    watched: u32,
     clock: Option<ReferenceClock>,
     cyclic: Chain,
     chain: Chain,
@@ -124,7 +130,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             frame: [0; FRAME_LEN_MAX],
             start: 0,
             shares: Vec::new(),
-            asks_status: false,
+            status: None,
+            watched: 0,
             clock: None,
             cyclic: Chain { last: 0, end: 0 },
             chain: Chain { last: 0, end: 0 },
@@ -141,7 +148,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         envelope.emit(&mut self.frame, source);
         self.start = envelope.header_len();
         self.shares.clear();
-        self.asks_status = false;
+        self.status = None;
+        self.watched = 0;
         self.clock = None;
         self.cyclic = Chain {
             last: self.start,
@@ -156,13 +164,14 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// Adds a slave's datagram to a frame that is being built. Gives where its data start in the frame; `None` without
     /// room.
     pub(super) fn push_share(&mut self, slave: u8, watched: bool, window: &Window) -> Option<usize> {
-        let share = Share {
-            slave,
-            watched,
-            input_words: window.input_length.div_ceil(4) as u8,
-            input_offset: window.input_offset,
+        let mut share = Share {
+            header: 0,
+            bit: 1 << (slave & 31),
             length: window.length,
             working_counter: window.working_counter,
+            input_offset: window.input_offset,
+            slave,
+            input_words: window.input_length.div_ceil(4) as u8,
         };
         // Inputs are copied in words: the AL status behind the last ones makes sure that there are bytes to be copied.
         let end = self.chain.end + 2 * DATAGRAM_OVERHEAD + usize::from(window.length) + AL_STATUS_LEN;
@@ -170,6 +179,12 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             return None;
         }
         let data = self.push(window.command, window.address, usize::from(window.length))?;
+        let start = data - DATAGRAM_HEADER_LEN;
+        share.header = u64::from(read_u32(&self.frame, start)) | u64::from(read_u32(&self.frame, start + 4)) << 32;
+        if let Some(before) = self.shares.last_mut() {
+            before.header |= u64::from(MORE_BIT) << 48;
+        }
+        self.watched |= if watched { share.bit } else { 0 };
         // There is room, as was asked above.
         let _ = self.shares.push(share);
         Some(data)
@@ -178,7 +193,11 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// Adds the datagrams that concern all slaves: AL status and clock.
     pub(super) fn push_common(&mut self, clock: Option<ReferenceClock>) {
         let status = Address::broadcast(register::AL_STATUS);
-        self.asks_status = self.push(Command::Brd, status, AL_STATUS_LEN).is_some();
+        let data = self.push(Command::Brd, status, AL_STATUS_LEN);
+        if let Some(before) = self.shares.last_mut().filter(|_| data.is_some()) {
+            before.header |= u64::from(MORE_BIT) << 48;
+        }
+        self.status = data.map(|data| data - DATAGRAM_HEADER_LEN);
         self.clock = clock.filter(|clock| {
             let address = Address::station(clock.station, register::DC_SYSTEM_TIME);
             self.push(Command::Frmw, address, clock.length()).is_some()
@@ -292,33 +311,71 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     ///
     /// # Errors
     /// [`Ignored::Mismatch`] or [`Ignored::Circulating`].
+    #[inline]
     pub(super) fn take(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Result<Taken, Ignored> {
-        let mut walk = self.walk(payload).ok_or(Ignored::Mismatch)?;
         let mut taken = Taken::default();
-        for share in &self.shares {
-            let (data, counter) = walk.next(share.length.into(), false).ok_or(Ignored::Mismatch)?;
-            if counter == share.working_counter {
-                taken.answered |= 1 << (share.slave & 31);
-                if let (Some(image), Some(input)) = (
-                    images.get_mut(usize::from(share.slave)),
-                    data.get(usize::from(share.input_offset)..),
-                ) {
-                    let words = input.as_chunks::<4>().0.get(..share.input_words.into()).unwrap_or(&[]);
-                    for (word, bytes) in image.iter_mut().zip(words) {
-                        *word = *bytes;
-                    }
+        let received = match self.take_common(payload, &mut taken) {
+            Some(true) => self.take_shares(payload, images),
+            _ => None,
+        };
+        match received {
+            Some((answered, 0)) if self.acyclic.is_empty() || self.is_acyclic_same(payload) => {
+                taken.answered = answered;
+                taken.touched = answered != 0 || taken.al.is_some_and(|al| al.slaves != 0) || self.is_touched(payload);
+                let missing = self.watched & !answered;
+                if missing != 0 {
+                    taken.errors = missing.count_ones();
                 }
-            } else {
-                taken.errors += u32::from(share.watched);
+                Ok(taken)
             }
+            _ => Err(self.blame(payload)),
         }
-        if self.asks_status {
-            let (data, slaves) = walk.next(AL_STATUS_LEN, true).ok_or(Ignored::Mismatch)?;
-            let status = read_u16(data, 0);
-            taken.al = Some(AlStatus { status, slaves });
+    }
+
+    /// Takes the slaves' datagrams: which of them have the working counter expected, and in which bits headers differ
+    /// from what was sent; `None` when the reply ends before.
+    #[inline]
+    fn take_shares(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Option<(u32, u64)> {
+        let (mut answered, mut differences) = (0, 0);
+        let mut index = u64::from(self.index) << 8;
+        let mut rest = payload;
+        for share in &self.shares {
+            let (header, data) = rest.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
+            let (_, end) = data.split_at_checked(share.length.into())?;
+            let (counter, next) = end.split_first_chunk::<2>()?;
+            differences |= u64::from_le_bytes(*header.first_chunk::<8>()?) ^ (share.header | index);
+            if u16::from_le_bytes(*counter) == share.working_counter {
+                answered |= share.bit;
+                let image = images.get_mut(usize::from(share.slave))?;
+                let words = data.get(usize::from(share.input_offset)..)?.as_chunks::<4>().0;
+                for (word, bytes) in image.iter_mut().zip(words.get(..share.input_words.into())?) {
+                    *word = *bytes;
+                }
+            }
+            (rest, index) = (next, 0);
         }
+        Some((answered, differences))
+    }
+
+    /// Takes AL status and clock, if they are asked for. Whether their headers, and the length of all, are what was sent;
+    /// `None` when the reply ends before.
+    #[inline]
+    fn take_common(&self, payload: &[u8], taken: &mut Taken) -> Option<bool> {
+        if payload.len() != self.chain.end - self.start {
+            return None;
+        }
+        let Some(status) = self.status else { return Some(true) };
+        let mut walk = Walk {
+            sent: self.frame.get(status..)?,
+            received: payload.get(status - self.start..)?,
+            differences: 0,
+            counters: 0,
+        };
+        let (data, slaves) = walk.next(AL_STATUS_LEN, true)?;
+        let status = u16::from_le_bytes(*data.first_chunk::<2>()?);
+        taken.al = Some(AlStatus { status, slaves });
         if let Some(clock) = self.clock {
-            let (data, counter) = walk.next(clock.length(), false).ok_or(Ignored::Mismatch)?;
+            let (data, counter) = walk.next(clock.length(), false)?;
             let low = u64::from(read_u32(data, 0));
             let time_ns = if clock.wide {
                 low | u64::from(read_u32(data, 4)) << 32
@@ -327,16 +384,38 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             };
             taken.clock_ns = (counter == clock.slaves).then_some(time_ns);
         }
-        for place in &self.acyclic {
-            walk.next_any(place.length.into()).ok_or(Ignored::Mismatch)?;
-        }
-        taken.touched = walk.counters != 0;
-        if walk.differences == 0 {
-            Ok(taken)
-        } else if walk.differences == u64::from(CIRCULATING_BIT) << 48 {
-            Err(Ignored::Circulating)
+        Some(walk.differences == 0)
+    }
+
+    /// Whether the acyclic datagrams of a reply have the headers that were sent.
+    #[cold]
+    fn is_acyclic_same(&self, payload: &[u8]) -> bool {
+        let mut walk = self.walk(payload, self.cyclic.end);
+        let whole = self
+            .acyclic
+            .iter()
+            .all(|place| walk.next_any(place.length.into()).is_some());
+        whole && walk.differences == 0
+    }
+
+    /// Whether any slave has counted anything in a reply.
+    #[cold]
+    fn is_touched(&self, payload: &[u8]) -> bool {
+        let mut walk = self.walk(payload, self.start);
+        while walk.next_sent().is_some() {}
+        walk.counters != 0
+    }
+
+    /// What is wrong with a reply whose headers differ from what was sent.
+    #[cold]
+    fn blame(&self, payload: &[u8]) -> Ignored {
+        let mut walk = self.walk(payload, self.start);
+        while walk.next_sent().is_some() {}
+        let same_length = payload.len() == self.chain.end - self.start;
+        if same_length && walk.differences == u64::from(CIRCULATING_BIT) << 48 {
+            Ignored::Circulating
         } else {
-            Err(Ignored::Mismatch)
+            Ignored::Mismatch
         }
     }
 
@@ -353,14 +432,14 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    fn walk<'a>(&'a self, payload: &'a [u8]) -> Option<Walk<'a>> {
-        let sent = self.frame.get(self.start..self.chain.end)?;
-        (sent.len() == payload.len()).then_some(Walk {
-            sent,
-            received: payload,
+    /// Goes through what was sent and what came back from a place in the frame on.
+    fn walk<'a>(&'a self, payload: &'a [u8], from: usize) -> Walk<'a> {
+        Walk {
+            sent: self.frame.get(from..self.chain.end).unwrap_or(&[]),
+            received: payload.get(from - self.start..).unwrap_or(&[]),
             differences: 0,
             counters: 0,
-        })
+        }
     }
 }
 
@@ -395,5 +474,11 @@ impl<'a> Walk<'a> {
     fn next_any(&mut self, length: usize) -> Option<(&'a [u8], u16)> {
         let command = Command::from_number(read_u8(self.sent, 0));
         self.next(length, command.is_ok_and(Command::counts_position))
+    }
+
+    /// The same for a datagram of any length.
+    fn next_sent(&mut self) -> Option<(&'a [u8], u16)> {
+        let length = read_u16(self.sent.get(..DATAGRAM_OVERHEAD)?, 6) & !(MORE_BIT | CIRCULATING_BIT);
+        self.next_any(length.into())
     }
 }
