@@ -401,7 +401,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
     }
 
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {
-        let opened = self.envelope.open(frame, self.source)?;
+        let opened = self.envelope.open(frame, &self.source)?;
         let index = read_u8(opened.payload, 1);
         let is_input = self.first.state != SlotState::Idle && self.first.index == index;
         let is_output = self.second.state != SlotState::Idle && self.second.index == index;

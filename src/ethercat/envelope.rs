@@ -77,7 +77,7 @@ impl Envelope {
     /// # Errors
     /// [`Ignored::EtherType`], [`Ignored::FrameType`], [`Ignored::Truncated`] or [`Ignored::ForeignSource`].
     #[inline]
-    pub(super) fn open<'f>(&self, frame: &'f [u8], source: MacAddress) -> Result<Opened<'f>, Ignored> {
+    pub(super) fn open<'f>(&self, frame: &'f [u8], source: &MacAddress) -> Result<Opened<'f>, Ignored> {
         let (content, marked) = match self {
             Self::Raw => open_raw(frame, source)?,
             Self::Udp(own) => (open_udp(frame, own)?, false),
@@ -96,7 +96,7 @@ impl Envelope {
 
 /// Checks an Ethernet header. Gives what follows it, and whether the source is marked.
 #[inline]
-fn open_raw(frame: &[u8], source: MacAddress) -> Result<(&[u8], bool), Ignored> {
+fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool), Ignored> {
     let content = frame
         .get(PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN..)
         .ok_or(Ignored::Truncated)?;
@@ -106,11 +106,16 @@ fn open_raw(frame: &[u8], source: MacAddress) -> Result<(&[u8], bool), Ignored> 
     if read_u16(frame, 12) != ETHERTYPE.swap_bytes() {
         return Err(Ignored::EtherType);
     }
-    // The first four and the last two bytes of an address, to be compared in words.
-    let words = |[a, b, c, d, e, f]: MacAddress| (u32::from_le_bytes([a, b, c, d]), u16::from_le_bytes([e, f]));
-    let sender = frame.get(6..12).and_then(|bytes| bytes.first_chunk::<6>());
-    let (first, last) = words(*sender.ok_or(Ignored::Truncated)?);
-    let (own_first, own_last) = words(source);
+    // The first four and the last two bytes of the addresses are compared as words.
+    let words = |bytes: &[u8]| Some((bytes.first_chunk().copied()?, bytes.get(4..)?.first_chunk().copied()?));
+    let sender = frame.get(6..).and_then(words).ok_or(Ignored::Truncated)?;
+    let own = words(source).ok_or(Ignored::Truncated)?;
+    let first = u32::from_le_bytes(sender.0);
+    let (own_first, last, own_last) = (
+        u32::from_le_bytes(own.0),
+        u16::from_le_bytes(sender.1),
+        u16::from_le_bytes(own.1),
+    );
     let differs = first ^ own_first;
     if differs & !u32::from(SOURCE_BIT) | u32::from(last ^ own_last) != 0 {
         return Err(Ignored::ForeignSource);

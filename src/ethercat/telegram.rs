@@ -23,6 +23,11 @@ const MORE_BIT: u16 = 1 << 15;
 /// Bit of the length field that a slave sets in a frame that comes round again.
 const CIRCULATING_BIT: u16 = 1 << 14;
 
+/// The More bit in the first eight bytes of a header.
+const MORE_HEADER: u64 = (MORE_BIT as u64) << 48;
+/// The device half of the address there: slaves count it up in broadcasts.
+const POSITION_HEADER: u64 = 0xFFFF_0000;
+
 /// Why a received frame was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -52,8 +57,14 @@ pub enum Ignored {
 /// Number of kinds of [`Ignored`].
 pub const IGNORED_KINDS: usize = Ignored::Reflection as usize + 1;
 
-/// Inputs of one slave, in words: copied faster than bytes.
-pub(super) type Image = [[u8; 4]; PROCESS_BYTES_MAX / 4];
+/// Inputs of one slave, in two pieces that are copied as a whole.
+pub(super) type Image = [[u8; PIECE_LEN]; 2];
+
+const PIECE_LEN: usize = PROCESS_BYTES_MAX / 2;
+const _: () = assert!(
+    PIECE_LEN <= 1 + 2 + DATAGRAM_OVERHEAD + AL_STATUS_LEN,
+    "the first piece of the last slave's only byte of input ends with the AL status behind it"
+);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SlotState {
@@ -73,7 +84,8 @@ struct Share {
     working_counter: u16,
     input_offset: u16,
     slave: u8,
-    input_words: u8,
+    /// Pieces of an [`Image`] that hold inputs.
+    pieces: u8,
 }
 
 /// One acyclic datagram of the present sending.
@@ -111,8 +123,10 @@ pub(super) struct Telegram<const SLAVES: usize> {
     frame: [u8; FRAME_LEN_MAX],
     start: usize,
     shares: Vec<Share, SLAVES>,
-    /// Where the AL status is asked for.
-    status: Option<usize>,
+    /// The header that asks for the AL status, as [`Share::header`], if it is asked for.
+    status: Option<u64>,
+    /// The header that spreads the clock's time.
+    clock_header: u64,
     /// Slaves of which a wrong working counter is an error: one bit for each.
     watched: u32,
     clock: Option<ReferenceClock>,
@@ -131,6 +145,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             start: 0,
             shares: Vec::new(),
             status: None,
+            clock_header: 0,
             watched: 0,
             clock: None,
             cyclic: Chain { last: 0, end: 0 },
@@ -171,18 +186,17 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             working_counter: window.working_counter,
             input_offset: window.input_offset,
             slave,
-            input_words: window.input_length.div_ceil(4) as u8,
+            pieces: usize::from(window.input_length).div_ceil(PIECE_LEN) as u8,
         };
-        // Inputs are copied in words: the AL status behind the last ones makes sure that there are bytes to be copied.
+        // Inputs are copied in pieces: the AL status behind the last ones makes sure that there are bytes to be copied.
         let end = self.chain.end + 2 * DATAGRAM_OVERHEAD + usize::from(window.length) + AL_STATUS_LEN;
         if self.shares.is_full() || end > FRAME_LEN_MAX {
             return None;
         }
         let data = self.push(window.command, window.address, usize::from(window.length))?;
-        let start = data - DATAGRAM_HEADER_LEN;
-        share.header = u64::from(read_u32(&self.frame, start)) | u64::from(read_u32(&self.frame, start + 4)) << 32;
+        share.header = self.header(data);
         if let Some(before) = self.shares.last_mut() {
-            before.header |= u64::from(MORE_BIT) << 48;
+            before.header |= MORE_HEADER;
         }
         self.watched |= if watched { share.bit } else { 0 };
         // There is room, as was asked above.
@@ -194,14 +208,23 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     pub(super) fn push_common(&mut self, clock: Option<ReferenceClock>) {
         let status = Address::broadcast(register::AL_STATUS);
         let data = self.push(Command::Brd, status, AL_STATUS_LEN);
+        self.status = data.map(|data| self.header(data));
         if let Some(before) = self.shares.last_mut().filter(|_| data.is_some()) {
-            before.header |= u64::from(MORE_BIT) << 48;
+            before.header |= MORE_HEADER;
         }
-        self.status = data.map(|data| data - DATAGRAM_HEADER_LEN);
-        self.clock = clock.filter(|clock| {
-            let address = Address::station(clock.station, register::DC_SYSTEM_TIME);
-            self.push(Command::Frmw, address, clock.length()).is_some()
-        });
+        let Some(clock) = clock else { return };
+        let address = Address::station(clock.station, register::DC_SYSTEM_TIME);
+        if let Some(data) = self.push(Command::Frmw, address, clock.length()) {
+            self.clock_header = self.header(data);
+            self.clock = Some(clock);
+            self.status = self.status.map(|header| header | MORE_HEADER);
+        }
+    }
+
+    /// The first eight bytes of the header in front of data.
+    fn header(&self, data: usize) -> u64 {
+        let start = data - DATAGRAM_HEADER_LEN;
+        u64::from(read_u32(&self.frame, start)) | u64::from(read_u32(&self.frame, start + 4)) << 32
     }
 
     /// Ends building: what has been added is sent from now on.
@@ -300,9 +323,14 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// The time that is spread with the next sending, ns, until the reference clock puts its own there.
     pub(super) fn set_clock(&mut self, time_ns: u64) {
         let Some(clock) = self.clock else { return };
-        let start = self.cyclic.last + DATAGRAM_HEADER_LEN;
-        let bytes = time_ns.to_le_bytes();
-        write_bytes(&mut self.frame, start, bytes.get(..clock.length()).unwrap_or(&bytes));
+        let data = self.frame.get_mut(self.cyclic.last + DATAGRAM_HEADER_LEN..);
+        if clock.wide {
+            if let Some(bytes) = data.and_then(|data| data.first_chunk_mut()) {
+                *bytes = time_ns.to_le_bytes();
+            }
+        } else if let Some(bytes) = data.and_then(|data| data.first_chunk_mut()) {
+            *bytes = (time_ns as u32).to_le_bytes();
+        }
     }
 
     /// Takes a reply's datagrams apart: inputs go to `images`, everything else is given back.
@@ -314,77 +342,68 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     #[inline]
     pub(super) fn take(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Result<Taken, Ignored> {
         let mut taken = Taken::default();
-        let received = match self.take_common(payload, &mut taken) {
-            Some(true) => self.take_shares(payload, images),
-            _ => None,
-        };
-        match received {
-            Some((answered, 0)) if self.acyclic.is_empty() || self.is_acyclic_same(payload) => {
-                taken.answered = answered;
-                taken.touched = answered != 0 || taken.al.is_some_and(|al| al.slaves != 0) || self.is_touched(payload);
-                let missing = self.watched & !answered;
-                if missing != 0 {
-                    taken.errors = missing.count_ones();
-                }
-                Ok(taken)
-            }
-            _ => Err(self.blame(payload)),
+        let same = payload.len() == self.chain.end - self.start
+            && self.take_cyclic(payload, images, &mut taken) == Some(0)
+            && (self.acyclic.is_empty() || self.is_acyclic_same(payload));
+        if !same {
+            return Err(self.blame(payload));
         }
+        let missing = self.watched & !taken.answered;
+        if missing != 0 {
+            taken.errors = count(missing);
+        }
+        taken.touched = taken.answered != 0 || taken.al.is_some_and(|al| al.slaves != 0) || self.is_touched(payload);
+        Ok(taken)
     }
 
-    /// Takes the slaves' datagrams: which of them have the working counter expected, and in which bits headers differ
-    /// from what was sent; `None` when the reply ends before.
+    /// Takes the cyclic datagrams. Gives the bits in which headers differ from what was sent; `None` when the reply ends
+    /// before.
     #[inline]
-    fn take_shares(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Option<(u32, u64)> {
+    fn take_cyclic(&self, payload: &[u8], images: &mut [Image; SLAVES], taken: &mut Taken) -> Option<u64> {
         let (mut answered, mut differences) = (0, 0);
         let mut index = u64::from(self.index) << 8;
         let mut rest = payload;
         for share in &self.shares {
-            let (header, data) = rest.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
-            let (_, end) = data.split_at_checked(share.length.into())?;
-            let (counter, next) = end.split_first_chunk::<2>()?;
-            differences |= u64::from_le_bytes(*header.first_chunk::<8>()?) ^ (share.header | index);
-            if u16::from_le_bytes(*counter) == share.working_counter {
+            let (header, data, counter) = next(&mut rest, share.length.into())?;
+            differences |= header ^ (share.header | index);
+            index = 0;
+            if counter == share.working_counter {
                 answered |= share.bit;
-                let image = images.get_mut(usize::from(share.slave))?;
-                let words = data.get(usize::from(share.input_offset)..)?.as_chunks::<4>().0;
-                for (word, bytes) in image.iter_mut().zip(words.get(..share.input_words.into())?) {
-                    *word = *bytes;
+                if share.pieces != 0 {
+                    let [first, second] = images.get_mut(usize::from(share.slave))?;
+                    let (low, high) = data.get(usize::from(share.input_offset)..)?.split_first_chunk()?;
+                    *first = *low;
+                    if share.pieces > 1 {
+                        *second = *high.first_chunk()?;
+                    }
                 }
             }
-            (rest, index) = (next, 0);
         }
-        Some((answered, differences))
-    }
-
-    /// Takes AL status and clock, if they are asked for. Whether their headers, and the length of all, are what was sent;
-    /// `None` when the reply ends before.
-    #[inline]
-    fn take_common(&self, payload: &[u8], taken: &mut Taken) -> Option<bool> {
-        if payload.len() != self.chain.end - self.start {
-            return None;
+        taken.answered = answered;
+        if let Some(status) = self.status {
+            let more = if self.clock.is_none() { self.acyclic_more() } else { 0 };
+            let (header, data, slaves) = next(&mut rest, AL_STATUS_LEN)?;
+            differences |= (header ^ (status | index | more)) & !POSITION_HEADER;
+            let status = u16::from_le_bytes(*data.first_chunk()?);
+            taken.al = Some(AlStatus { status, slaves });
         }
-        let Some(status) = self.status else { return Some(true) };
-        let mut walk = Walk {
-            sent: self.frame.get(status..)?,
-            received: payload.get(status - self.start..)?,
-            differences: 0,
-            counters: 0,
-        };
-        let (data, slaves) = walk.next(AL_STATUS_LEN, true)?;
-        let status = u16::from_le_bytes(*data.first_chunk::<2>()?);
-        taken.al = Some(AlStatus { status, slaves });
         if let Some(clock) = self.clock {
-            let (data, counter) = walk.next(clock.length(), false)?;
-            let low = u64::from(read_u32(data, 0));
-            let time_ns = if clock.wide {
-                low | u64::from(read_u32(data, 4)) << 32
+            let (header, time_ns, counter) = if clock.wide {
+                let (header, data, counter) = next(&mut rest, 8)?;
+                (header, u64::from_le_bytes(*data.first_chunk()?), counter)
             } else {
-                low
+                let (header, data, counter) = next(&mut rest, 4)?;
+                (header, u32::from_le_bytes(*data.first_chunk()?).into(), counter)
             };
+            differences |= header ^ (self.clock_header | self.acyclic_more());
             taken.clock_ns = (counter == clock.slaves).then_some(time_ns);
         }
-        Some(walk.differences == 0)
+        Some(differences)
+    }
+
+    /// The More bit of the last cyclic datagram's header.
+    fn acyclic_more(&self) -> u64 {
+        if self.acyclic.is_empty() { 0 } else { MORE_HEADER }
     }
 
     /// Whether the acyclic datagrams of a reply have the headers that were sent.
@@ -443,6 +462,27 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     }
 }
 
+/// Takes the next datagram off `rest`: the first eight bytes of its header, everything from its data on, and its working
+/// counter.
+#[inline(always)]
+fn next<'a>(rest: &mut &'a [u8], length: usize) -> Option<(u64, &'a [u8], u16)> {
+    let (header, data) = rest.split_first_chunk::<DATAGRAM_HEADER_LEN>()?;
+    let (counter, behind) = data.split_at_checked(length)?.1.split_first_chunk()?;
+    *rest = behind;
+    Some((
+        u64::from_le_bytes(*header.first_chunk()?),
+        data,
+        u16::from_le_bytes(*counter),
+    ))
+}
+
+/// How many bits are set; apart, because it is rarely asked.
+#[cold]
+#[inline(never)]
+fn count(bits: u32) -> u32 {
+    bits.count_ones()
+}
+
 /// Goes through what was sent and what came back side by side, and collects where their headers differ.
 struct Walk<'a> {
     sent: &'a [u8],
@@ -456,7 +496,7 @@ impl<'a> Walk<'a> {
     /// address where `counts_position`.
     #[inline(always)]
     fn next(&mut self, length: usize, counts_position: bool) -> Option<(&'a [u8], u16)> {
-        let mask = if counts_position { !0xFFFF_0000 } else { u64::MAX };
+        let mask = if counts_position { !POSITION_HEADER } else { u64::MAX };
         let sent = u64::from_le_bytes(*self.sent.first_chunk::<8>()?);
         let received = u64::from_le_bytes(*self.received.first_chunk::<8>()?);
         self.differences |= (sent ^ received) & mask;
