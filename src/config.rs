@@ -214,10 +214,10 @@ impl Default for Axis {
             peak_current_a: 12.0,
             rated_torque_nm: 2.8,
             torque_max_nm: 100.0,
-            inertia_kg_m2: 0.2,
+            inertia_kg_m2: 0.3,
             torque_lead_ms: 1.5,
-            velocity_gain_nm_s: 26.0,
-            velocity_integral_per_s: 20.0,
+            velocity_gain_nm_s: 36.0,
+            velocity_integral_per_s: 40.0,
             velocity_filter_ms: 0.25,
         }
     }
@@ -396,12 +396,17 @@ impl Default for Config {
             sync_angle_rad: ARM_SYNC_ANGLE_RAD,
             ..Axis::default()
         };
+        let fourth = Axis {
+            inertia_kg_m2: 0.079,
+            velocity_gain_nm_s: 9.5,
+            ..Axis::default()
+        };
         Self {
             geometry: Geometry::default(),
             work_area: WorkArea::default(),
             paper: Paper::default(),
             motion: Motion::default(),
-            axes: [arm, arm, arm, Axis::default()],
+            axes: [arm, arm, arm, fourth],
             bus: Bus::default(),
         }
     }

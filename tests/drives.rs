@@ -10,28 +10,20 @@ use host_tools::report::Report;
 use host_tools::run;
 use std::path::Path;
 
-/// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's bandwidth.
+/// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's default bandwidth.
 const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
-/// Inertia that the torque loop is tuned for: the three arms' with their share of the platform, and the fourth axis',
-/// kg m2 at the joint.
-const INERTIA_KG_M2: [f64; 4] = [0.3, 0.3, 0.3, 0.079];
 /// Farthest the pen may be from its line in torque mode, mm: gravity, friction and coupling are left to the feedback.
 const TORQUE_DEVIATION_MAX_MM: f64 = 1.0;
 /// Most of the line that may be missing, as a share: in torque mode the pen's spring does not always reach the paper.
 const INK_MISSING_MAX: f64 = 0.01;
-/// Bandwidth of the firmware's own velocity loop, rad/s.
-const VELOCITY_BANDWIDTH_RAD_S: f64 = 120.0;
 
 /// Draws with four drives of a kind; asserts that everything is drawn, in time and without a loss.
 fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
     let mut config = Config::default();
-    for (axis, inertia_kg_m2) in config.axes.iter_mut().zip(INERTIA_KG_M2) {
+    for axis in &mut config.axes {
         axis.mode = mode;
         if mode == AxisMode::Torque {
             axis.feedback_gain_per_s = TORQUE_FEEDBACK_GAIN_PER_S;
-            axis.inertia_kg_m2 = inertia_kg_m2;
-            axis.velocity_gain_nm_s = VELOCITY_BANDWIDTH_RAD_S * inertia_kg_m2;
-            axis.velocity_integral_per_s = 40.0;
         }
     }
     let name = format!("{kind:?} {mode:?}");
