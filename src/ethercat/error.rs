@@ -44,6 +44,13 @@ pub enum BusError {
         /// Product code found.
         actual: u32,
     },
+    /// The same product at this place, but the serial number of another slave of this bus: they were swapped.
+    Serial {
+        /// Serial number expected.
+        expected: u32,
+        /// Serial number found.
+        actual: u32,
+    },
     /// Another slave's station address at this place: the chain was changed.
     Station {
         /// Station address expected.

@@ -26,6 +26,8 @@ pub enum BusCommand {
     Start(BusSetup),
     /// Bring lost slaves back; bring the bus up again if that has failed before.
     Recover,
+    /// Take all slaves out of OP, after safe outputs, and leave the bus alone.
+    Stop,
 }
 
 /// A step of bring-up or repair.
@@ -60,6 +62,8 @@ pub enum Step {
     Operational,
     /// Setting up the distributed clocks.
     Clocks,
+    /// Other slaves changed while one was being brought up or repaired.
+    Watch,
 }
 
 /// What the supervisor has to report.
@@ -101,6 +105,19 @@ pub enum BusEvent {
     Repaired {
         /// Place in the chain, from 0.
         position: u8,
+    },
+    /// All used slaves were taken out of OP.
+    Stopped,
+    /// A cable has damaged frames or lost its link.
+    CableErrors {
+        /// The slave at whose port it was counted: place in the chain, from 0.
+        position: u8,
+        /// The port, 0 to 3.
+        port: u8,
+        /// The slave at the other end; `None` is the master, or not known.
+        partner: Option<u8>,
+        /// How much the port's counters have grown.
+        count: u16,
     },
     /// Bring-up or repair failed.
     Refused {
@@ -144,7 +161,11 @@ impl BusEvent {
                 step: step as u8,
                 code: error.code(),
             },
-            Self::Found { .. } | Self::Slave { .. } | Self::Repaired { .. } => return None,
+            Self::Found { .. }
+            | Self::Slave { .. }
+            | Self::Repaired { .. }
+            | Self::Stopped
+            | Self::CableErrors { .. } => return None,
         };
         Some(BusCondition::Failed(fault))
     }

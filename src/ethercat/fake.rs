@@ -27,6 +27,8 @@ pub(super) struct FakeSlave {
     pub(super) mute: bool,
     /// Objects whose writing is refused.
     pub(super) read_only: Vec<u16>,
+    /// Only INIT clears the error flag.
+    pub(super) sticky_error: bool,
     answers: Vec<Vec<u8>>,
     fetched: Vec<u8>,
     mailbox_counter: u8,
@@ -51,6 +53,7 @@ impl FakeSlave {
             downloads: 0,
             mute: false,
             read_only: Vec::new(),
+            sticky_error: false,
             answers: Vec::new(),
             fetched: Vec::new(),
             mailbox_counter: 0,
@@ -107,11 +110,6 @@ impl FakeSlave {
         if from_mailbox && mail.status & register::MAILBOX_FULL_BIT == 0 {
             return false;
         }
-        if at == register::SII_DATA {
-            let word = usize::from(self.u16_at(register::SII_ADDRESS));
-            let image = self.sii.get(word * 2..).unwrap_or(&[]).to_vec();
-            write_bytes(&mut self.memory, usize::from(at), image.get(..4).unwrap_or(&[0xFF; 4]));
-        }
         data.copy_from_slice(&self.memory[usize::from(at)..][..data.len()]);
         if from_mailbox {
             self.fetched = data.to_vec();
@@ -140,7 +138,13 @@ impl FakeSlave {
         let repeat = register::sync_manager(1) + register::SYNC_MANAGER_ACTIVATE_OFFSET;
         match at {
             register::AL_CONTROL => self.change_state(data[0]),
-            register::SII_CONTROL if data.len() == 6 => self.memory[usize::from(at) + 1] = 0,
+            register::SII_CONTROL if data.len() == 6 => {
+                self.memory[usize::from(at) + 1] = 0;
+                let word = usize::from(self.u16_at(register::SII_ADDRESS));
+                let image = self.sii.get(word * 2..).unwrap_or(&[]).to_vec();
+                let answer = image.get(..4).unwrap_or(&[0xFF; 4]);
+                write_bytes(&mut self.memory, usize::from(register::SII_DATA), answer);
+            }
             _ if at == repeat && (data[0] ^ self.memory[usize::from(repeat) + 1]) & 2 != 0 => {
                 self.memory[usize::from(repeat) + 1] ^= 2;
                 self.answers.insert(0, self.fetched.clone());
@@ -157,6 +161,9 @@ impl FakeSlave {
         if wanted == 1 {
             self.mailbox_counter = 0;
             self.answers.clear();
+        }
+        if self.sticky_error && now & 0x10 != 0 && wanted != 1 {
+            return;
         }
         if now & 0x10 != 0 && control & 0x10 == 0 && wanted > now & 0x0F {
             return;

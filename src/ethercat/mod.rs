@@ -29,11 +29,14 @@ pub mod factory;
 mod fake;
 pub mod mailbox;
 mod plan;
+#[cfg(test)]
+mod repair_tests;
 pub mod service;
 pub mod slave;
 pub mod state;
 pub mod supervisor;
 mod telegram;
+pub mod topology;
 pub mod transport;
 pub mod wire;
 

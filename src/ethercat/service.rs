@@ -126,6 +126,23 @@ pub enum ServiceRequest {
 }
 
 impl ServiceRequest {
+    /// The slave that it is about; `None` for those about the whole bus.
+    pub const fn slave(&self) -> Option<u8> {
+        match *self {
+            Self::Bus | Self::ClearErrors => None,
+            Self::Slave { slave }
+            | Self::SetState { slave, .. }
+            | Self::Upload { slave, .. }
+            | Self::Download { slave, .. }
+            | Self::Objects { slave, .. }
+            | Self::DescribeObject { slave, .. }
+            | Self::DescribeEntry { slave, .. }
+            | Self::Registers { slave, .. }
+            | Self::Information { slave, .. }
+            | Self::Errors { slave } => Some(slave),
+        }
+    }
+
     /// Whether it changes anything on a slave.
     pub const fn changes(&self) -> bool {
         matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors)

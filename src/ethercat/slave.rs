@@ -3,6 +3,7 @@
 //! Invariant: plain data; the supervisor is the only one to change it.
 
 use super::mailbox::Mailbox;
+use super::service::PORTS;
 use super::state::AlReport;
 use super::wire::sii::{FixedPart, Identity};
 use crate::drives::layout::ProcessLayout;
@@ -10,6 +11,8 @@ use crate::drives::{DriveKind, Windows};
 
 /// Station address of the first slave; the others follow in chain order.
 pub const STATION_BASE: u16 = 0x1001;
+/// Station address of a slave while it is being identified.
+pub const STATION_TEMPORARY: u16 = 0x1000;
 
 /// How a slave is doing, as far as it is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,6 +28,8 @@ pub enum Condition {
     Lost,
     /// Answers, but is not in OP.
     LeftOperational,
+    /// Brought below OP because someone asked for it, and left alone.
+    Parked,
 }
 
 /// A slave's process data.
@@ -53,6 +58,10 @@ pub struct Slave {
     pub mailbox: Mailbox,
     /// How it is doing.
     pub condition: Condition,
+    /// Its ports, as the DL status register told when it was last asked.
+    pub dl_status: u16,
+    /// Damaged frames and lost links of each port when they were last read.
+    pub port_errors: [u16; PORTS],
     /// Its AL status when it was last asked.
     pub report: AlReport,
     /// Number of its last configuration from INIT among all on this bus, wrapping.

@@ -5,9 +5,9 @@
 //!
 //! Invariant: a change either ends in the state asked for, without error flag, or is an error with state and code.
 
-use super::acyclic::AcyclicPort;
+use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
-use super::wire::register;
+use super::wire::{Address, Command, register};
 use serde::{Deserialize, Serialize};
 
 /// Longest wait for a state, ms, as the standard's usual time-outs.
@@ -68,6 +68,18 @@ pub struct AlReport {
 }
 
 impl AlReport {
+    /// Bytes from the AL status register to the end of the code.
+    pub const LEN: usize = 6;
+
+    /// Takes the registers from AL status on; missing bytes count as 0.
+    pub fn parse(bytes: &[u8]) -> Self {
+        let status = super::wire::read_u16(bytes, 0);
+        Self {
+            status: (status & (register::AL_STATE_MASK | register::AL_ERROR_BIT)) as u8,
+            code: super::wire::read_u16(bytes, 4),
+        }
+    }
+
     /// Whether the error flag is set.
     pub const fn is_error(&self) -> bool {
         self.status as u16 & register::AL_ERROR_BIT != 0
@@ -92,12 +104,8 @@ pub async fn report<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
 ) -> Result<AlReport, BusError> {
-    let bytes = port.read(station, register::AL_STATUS, 6).await?;
-    let status = super::wire::read_u16(&bytes, 0);
-    Ok(AlReport {
-        status: (status & (register::AL_STATE_MASK | register::AL_ERROR_BIT)) as u8,
-        code: super::wire::read_u16(&bytes, 4),
-    })
+    let bytes = port.read(station, register::AL_STATUS, AlReport::LEN).await?;
+    Ok(AlReport::parse(&bytes))
 }
 
 /// Acknowledges a pending error: asks for the state there is, with the acknowledge bit.
@@ -143,21 +151,36 @@ pub async fn change<const MESSAGE: usize>(
     station: u16,
     target: AlState,
 ) -> Result<(), BusError> {
-    acknowledge(port, station).await?;
-    port.write(station, register::AL_CONTROL, &(target as u16).to_le_bytes())
-        .await?;
+    let control = if target == AlState::Init {
+        // INIT clears what an acknowledgement alone does not.
+        AlState::Init as u16 | register::AL_ERROR_BIT
+    } else {
+        acknowledge(port, station).await?;
+        target as u16
+    };
+    let address = |register| Address::station(station, register);
+    let requests = [
+        Request::write(Command::Fpwr, address(register::AL_CONTROL), &control.to_le_bytes()),
+        Request::read(Command::Fprd, address(register::AL_STATUS), AlReport::LEN),
+    ];
+    let mut now = AlReport::default();
+    let take = |number, bytes: &[u8]| {
+        if number == 1 {
+            now = AlReport::parse(bytes);
+        }
+    };
     let started_ms = port.now_ms();
+    port.insist_all(&requests, 1, take).await?;
     let timeout_ms = if target == AlState::Operational {
         OPERATIONAL_TIMEOUT_MS
     } else {
         STATE_TIMEOUT_MS
     };
     loop {
-        let now = report(port, station).await?;
         if now.is(target) {
             return Ok(());
         }
-        if now.is_error() {
+        if now.is_error() && target != AlState::Init {
             return Err(BusError::State {
                 expected: target as u8,
                 actual: now.status,
@@ -172,6 +195,7 @@ pub async fn change<const MESSAGE: usize>(
                 waited_ms,
             });
         }
+        now = report(port, station).await?;
     }
 }
 

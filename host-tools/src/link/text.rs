@@ -265,7 +265,7 @@ pub fn al_state(al_state: u8) -> String {
 }
 
 fn bring_up_step(step: u8) -> &'static str {
-    const STEPS: [(Step, &str); 14] = [
+    const STEPS: [(Step, &str); 15] = [
         (Step::Discover, "counting the slaves"),
         (Step::Reset, "bringing all slaves to INIT"),
         (Step::Address, "giving station addresses"),
@@ -280,6 +280,7 @@ fn bring_up_step(step: u8) -> &'static str {
         (Step::CyclicData, "waiting for its cyclic inputs"),
         (Step::Operational, "bringing it to OP"),
         (Step::Clocks, "setting up the clocks"),
+        (Step::Watch, "watching the other slaves meanwhile"),
     ];
     let known = STEPS.iter().find(|(known, _)| *known as u8 == step);
     known.map_or("an unknown step", |(_, text)| text)

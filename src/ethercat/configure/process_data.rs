@@ -14,7 +14,7 @@ use crate::drives::layout::LayoutBuilder;
 use crate::drives::{
     DriveKind, Entry, OPERATION_MODE, OPERATION_MODE_DISPLAY, PdoChoice, QUICK_STOP_DECELERATION, Setting, Windows,
 };
-use crate::ethercat::acyclic::AcyclicPort;
+use crate::ethercat::acyclic::{AcyclicPort, Request};
 use crate::ethercat::coe::ObjectDictionary;
 use crate::ethercat::cyclic::{CyclicSlave, DriveRole, SPAN_BYTES_MAX};
 use crate::ethercat::error::BusError;
@@ -27,7 +27,7 @@ use crate::ethercat::wire::register::{self, FMMU_LEN, FmmuRepr, SyncManagerRepr}
 use crate::ethercat::wire::sii::{
     self, CategoryHeader, CategoryWalker, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord, SyncManagerUse,
 };
-use crate::ethercat::wire::{read_u16, write_bytes};
+use crate::ethercat::wire::{Address, Command, read_u16, write_bytes};
 use heapless::Vec;
 
 /// Where the slaves' process data start in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
@@ -452,13 +452,12 @@ pub async fn process_data<const MESSAGE: usize>(
         FmmuRepr::bytes(share.output_address, outputs, windows.outputs, false),
         FmmuRepr::bytes(share.input_address, inputs, windows.inputs, true),
     ];
-    for (number, mapping) in (0..).zip(&mappings) {
-        let mut registers = [0; FMMU_LEN];
-        // The array is as long as the structure.
-        let _ = mapping.emit(&mut registers);
-        port.write(station, register::fmmu(number), &registers).await?;
+    let mut registers = [0; 2 * FMMU_LEN];
+    for (mapping, bytes) in mappings.iter().zip(registers.chunks_exact_mut(FMMU_LEN)) {
+        // Each part is as long as the structure.
+        let _ = mapping.emit(bytes);
     }
-    Ok(())
+    port.write(station, register::FMMU, &registers).await
 }
 
 async fn watchdogs<const MESSAGE: usize>(
@@ -467,12 +466,11 @@ async fn watchdogs<const MESSAGE: usize>(
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
     let units = watchdog_ms.saturating_mul(WATCHDOG_UNITS_PER_MS);
-    for (at, value) in [
+    let requests = [
         (register::WATCHDOG_DIVIDER, register::WATCHDOG_DIVIDER_100_US),
         (register::WATCHDOG_PDI, WATCHDOG_PDI_UNITS),
         (register::WATCHDOG_SYNC_MANAGER, units),
-    ] {
-        port.write(station, at, &value.to_le_bytes()).await?;
-    }
-    Ok(())
+    ]
+    .map(|(at, value)| Request::write(Command::Fpwr, Address::station(station, at), &value.to_le_bytes()));
+    port.insist_all(&requests, 1, |_, _| {}).await
 }

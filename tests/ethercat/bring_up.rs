@@ -1,148 +1,13 @@
-//! The master against the virtual cell: bring-up, motion, faults on the wire, lost slaves and their repair.
-//!
-//! Everything runs in virtual time: one millisecond is one input telegram, one output telegram, one poll of the
-//! supervisor.
+//! Bring-up, motion, faults on the wire, lost slaves and their repair.
 
-use core::future::Future;
-use core::pin::Pin;
-use core::task::{Context, Waker};
-use etherpen::config::Config;
+use crate::rig::rig;
 use etherpen::drives::cia402::{DriveState, DriveTarget};
-use etherpen::ethercat::cyclic::{BusCounters, Ignored};
+use etherpen::ethercat::cyclic::Ignored;
 use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
-use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
-use etherpen::io::{AxisCommand, AxisInput, Demand};
+use etherpen::ethercat::supervisor::BusEvent;
+use etherpen::io::{AxisCommand, Demand};
 use etherpen::robot::AXES;
-use heapless::spsc::{Consumer, Producer};
-use host_tools::cell::{Cell, CellOptions, Fault};
-
-const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
-const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
-
-/// A master, a cell, and a clock.
-struct Rig<'a> {
-    cell: Cell,
-    exchange: RobotExchange<'a>,
-    supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
-    commands: Producer<'a, BusCommand>,
-    events: Consumer<'a, BusEvent>,
-    robot: EtherCatRobot,
-    inputs: [Option<AxisInput>; AXES],
-    command: AxisCommand,
-    log: Vec<BusEvent>,
-    now_ms: u64,
-}
-
-/// A rig with this script of faults, told to start; it lives as long as the program.
-fn rig(script: &str) -> Rig<'static> {
-    let config = Config::default();
-    let options = CellOptions {
-        faults: script.parse().expect("the script"),
-        ..CellOptions::default()
-    };
-    let queues = Box::leak(Box::new(RobotBusQueues::new()));
-    let (exchange_end, supervisor_end, mut application) = queues.split();
-    let setup = BusSetup {
-        bus: config.bus.clone(),
-        axes: config.axes,
-    };
-    assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
-    Rig {
-        cell: Cell::new(&config, options),
-        exchange: RobotExchange::new(exchange_end, MAC),
-        supervisor: Box::pin(async move {
-            let mut supervisor = Supervisor::new(supervisor_end);
-            supervisor.run().await
-        }),
-        commands: application.commands,
-        events: application.events,
-        robot: EtherCatRobot::new(&config.axes),
-        inputs: NO_INPUTS,
-        command: AxisCommand::default(),
-        log: Vec::new(),
-        now_ms: 0,
-    }
-}
-
-impl Rig<'_> {
-    fn transfer(&mut self, frame: &[u8], time_us: u64) {
-        if !frame.is_empty() {
-            for reply in self.cell.frame(time_us, frame) {
-                self.exchange.receive(&reply);
-            }
-        }
-    }
-
-    /// One millisecond; gives the events that came.
-    fn millisecond(&mut self) -> &[BusEvent] {
-        let time_us = self.now_ms * 1000;
-        let frame = self.exchange.input_telegram().to_vec();
-        self.transfer(&frame, time_us);
-        self.inputs = self.robot.read(&self.exchange);
-        self.robot.write(&mut self.exchange, &[self.command; AXES]);
-        let frame = self.exchange.output_telegram().to_vec();
-        self.transfer(&frame, time_us + 200);
-        let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
-        assert!(poll.is_pending());
-        self.now_ms += 1;
-        let before = self.log.len();
-        while let Some(event) = self.events.dequeue() {
-            self.log.push(event);
-        }
-        &self.log[before..]
-    }
-
-    fn run_ms(&mut self, duration_ms: u32) {
-        for _ in 0..duration_ms {
-            self.millisecond();
-        }
-    }
-
-    /// Runs until an event is `wanted`; gives how long it took, ms.
-    fn wait_for(&mut self, limit_ms: u64, wanted: impl Fn(&BusEvent) -> bool) -> u64 {
-        for waited_ms in 1..=limit_ms {
-            if self.millisecond().iter().any(&wanted) {
-                return waited_ms;
-            }
-        }
-        panic!("not within {limit_ms} ms, at {} ms: {:#?}", self.now_ms, self.log);
-    }
-
-    fn operational(&mut self) -> u64 {
-        self.wait_for(10_000, |event| *event == BusEvent::Operational)
-    }
-
-    fn recover(&mut self) {
-        assert!(self.commands.enqueue(BusCommand::Recover).is_ok());
-    }
-
-    fn drive_states(&self) -> Vec<Option<DriveState>> {
-        self.inputs
-            .iter()
-            .map(|input| input.map(|input| input.status.state()))
-            .collect()
-    }
-
-    /// Leads the drives to `target` at rest and waits until all are in `state`.
-    fn lead(&mut self, target: DriveTarget, state: DriveState) {
-        self.command = AxisCommand {
-            target,
-            demand: Demand::Velocity(0.0),
-        };
-        for _ in 0..3_000 {
-            self.millisecond();
-            if self.drive_states() == [Some(state); AXES] {
-                return;
-            }
-        }
-        panic!("{target:?} ended in {:?}", self.drive_states());
-    }
-
-    fn counters(&self) -> BusCounters {
-        self.exchange.counters()
-    }
-}
+use host_tools::cell::Fault;
 
 #[test]
 fn four_drives_come_to_op_take_power_and_turn_as_told() {
@@ -217,18 +82,6 @@ fn a_drive_fault_is_seen_in_the_status_word_and_reset_by_an_edge() {
     assert_eq!(rig.drive_states()[2], Some(DriveState::Fault));
     rig.lead_one_fault_away();
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
-}
-
-impl Rig<'_> {
-    /// Off for a moment, then fault reset, as the application does.
-    fn lead_one_fault_away(&mut self) {
-        self.command = AxisCommand {
-            target: DriveTarget::Off,
-            demand: Demand::Velocity(0.0),
-        };
-        self.run_ms(20);
-        self.lead(DriveTarget::FaultReset, DriveState::SwitchOnDisabled);
-    }
 }
 
 #[test]

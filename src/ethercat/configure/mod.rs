@@ -1,0 +1,15 @@
+//! Finding slaves and preparing them: addresses, SII, sync managers, FMMUs, watchdog, objects.
+//!
+//! Each function is one step of the way from an unknown chain to a slave in SAFEOP. Most slaves need a step only once,
+//! but every step may be repeated, so that a repair uses the same code as the first bring-up.
+//!
+//! Invariant: steps for one slave touch no other slave, except [`discovery::reset_all`].
+
+pub mod discovery;
+pub mod information;
+mod process_data;
+
+pub use process_data::{LOGICAL_START, ask_device_type, cyclic_slave, objects, process_data};
+
+use discovery::{mailbox_managers, write_managers};
+use information::read_sii;

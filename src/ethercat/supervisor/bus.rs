@@ -1,0 +1,292 @@
+//! The slaves as the supervisor knows them, and its ways to them.
+//!
+//! Invariant: whatever changes a slave's condition sends the plan that follows from it; a slave that is being worked on
+//! may show any AL state without disturbing the critical side.
+
+use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
+use super::super::clock::BusClocks;
+use super::super::configure;
+use super::super::cyclic::{CyclicPlan, CyclicSlave, ReferenceClock};
+use super::super::event::{BusEvent, BusSetup};
+use super::super::factory;
+use super::super::slave::{Condition, Slave};
+use super::super::state::{AlReport, AlState};
+use super::super::wire::{Address, Command, register};
+use super::desk::{Expectation, STATUS_MASK};
+use super::{Failure, LookList};
+use core::ops::Range;
+use heapless::Vec;
+use heapless::spsc::Producer;
+
+/// Longest wait for the application to take an event, ms.
+const EVENT_TIMEOUT_MS: u32 = 50;
+/// Slaves that are looked at in one frame.
+pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
+
+/// The slaves, and the ways to them.
+pub(super) struct Bus<'a, const SLAVES: usize, const MESSAGE: usize> {
+    pub(super) port: AcyclicPort<'a, MESSAGE>,
+    plans: Producer<'a, CyclicPlan<SLAVES>>,
+    events: Producer<'a, BusEvent>,
+    pub(super) setup: BusSetup,
+    pub(super) slaves: Vec<Slave, SLAVES>,
+    pub(super) clocks: BusClocks<SLAVES>,
+    /// How many of the slaves were in the chain when the bus was brought up, in its order.
+    pub(super) ordered: usize,
+    pub(super) generation: u8,
+    worked_on: Option<usize>,
+    pub(super) cable_next: usize,
+    pub(super) events_dropped: u32,
+    /// A long value between two pieces of it.
+    pub(super) value: Vec<u8, MESSAGE>,
+}
+
+impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
+    pub(super) fn new(
+        port: AcyclicPort<'a, MESSAGE>,
+        plans: Producer<'a, CyclicPlan<SLAVES>>,
+        events: Producer<'a, BusEvent>,
+    ) -> Self {
+        Self {
+            port,
+            plans,
+            events,
+            setup: BusSetup::default(),
+            slaves: Vec::new(),
+            clocks: BusClocks::default(),
+            ordered: 0,
+            generation: 0,
+            worked_on: None,
+            cable_next: 0,
+            events_dropped: 0,
+            value: Vec::new(),
+        }
+    }
+
+    pub(super) async fn emit(&mut self, event: BusEvent) {
+        for _ in 0..EVENT_TIMEOUT_MS {
+            if self.events.enqueue(event).is_ok() {
+                return;
+            }
+            self.port.wait_ms(1).await;
+        }
+        self.events_dropped = self.events_dropped.saturating_add(1);
+    }
+
+    pub(super) async fn refuse(&mut self, failure: Failure) {
+        let Failure { position, step, error } = failure;
+        let position = position.map(|position| position as u8);
+        self.emit(BusEvent::Refused { position, step, error }).await;
+    }
+
+    /// Reports a slave with its state as it is known.
+    pub(super) async fn introduce(&mut self, number: usize) {
+        let Some(slave) = self.slaves.get(number) else { return };
+        let identity = slave.identity();
+        let event = BusEvent::Slave {
+            position: slave.position as u8,
+            identity,
+            name: factory::name(slave.kind),
+            axis: slave.axis,
+            report: slave.report,
+        };
+        self.emit(event).await;
+    }
+
+    /// Reports all slaves with their present states.
+    pub(super) async fn introduce_all(&mut self) {
+        for first in (0..self.slaves.len()).step_by(LOOK_MAX) {
+            let reports = self.reports(first..first + LOOK_MAX).await;
+            for (number, report) in (first..).zip(reports) {
+                if let Some(slave) = self.slaves.get_mut(number) {
+                    slave.report = report.unwrap_or_default();
+                }
+                self.introduce(number).await;
+            }
+        }
+    }
+
+    /// AL status and code of at most [`LOOK_MAX`] slaves, read in one frame; `None` for those that do not answer.
+    pub(super) async fn reports(&mut self, numbers: Range<usize>) -> LookList<Option<AlReport>> {
+        let mut reports = LookList::new();
+        let mut requests: LookList<Request> = LookList::new();
+        for slave in self.slaves.iter().skip(numbers.start).take(numbers.len().min(LOOK_MAX)) {
+            let address = Address::station(slave.station(), register::AL_STATUS);
+            // Both lists have room for one look.
+            let _ = requests.push(Request::read(Command::Fprd, address, AlReport::LEN));
+            let _ = reports.push(None);
+        }
+        // Who does not answer has no report, whatever the reason.
+        let _ = self
+            .port
+            .insist_all(&requests, 1, |number, bytes| {
+                if let Some(report) = reports.get_mut(number) {
+                    *report = Some(AlReport::parse(bytes));
+                }
+            })
+            .await;
+        reports
+    }
+
+    /// Sends the plan that follows from the slaves' conditions.
+    pub(super) async fn send_plan(&mut self) {
+        let worked_on = self.worked_on;
+        let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
+            watched: slave.condition == Condition::Operational && worked_on != Some(number),
+            ..share(slave)
+        });
+        let ignored = (0..).zip(&self.slaves).map(|(number, slave)| {
+            let idle = slave.axis.is_none() || slave.condition == Condition::Parked;
+            match (worked_on == Some(number), idle) {
+                (true, _) => STATUS_MASK,
+                (false, true) => u16::from(slave.report.status),
+                (false, false) => 0,
+            }
+        });
+        let mut plan = CyclicPlan {
+            // The bit of OP is the one that tells of the slaves in use.
+            al_bits_ignored: ignored.fold(0, |bits, slave| bits | slave) & !(AlState::Operational as u16),
+            slaves: slaves.collect(),
+            exchange: self.setup.bus.exchange,
+            clock: self.reference_clock(),
+        };
+        while let Err(back) = self.plans.enqueue(plan) {
+            plan = back;
+            self.port.wait_ms(1).await;
+        }
+    }
+
+    /// Sends a plan in which no axis has a drive: the outputs become 0.
+    pub(super) async fn send_safe_plan(&mut self) {
+        let slaves = self.slaves.iter().map(|slave| CyclicSlave {
+            role: None,
+            watched: false,
+            ..configure::cyclic_slave(slave)
+        });
+        let mut plan = CyclicPlan {
+            slaves: slaves.collect(),
+            exchange: self.setup.bus.exchange,
+            al_bits_ignored: STATUS_MASK,
+            clock: self.reference_clock(),
+        };
+        while let Err(back) = self.plans.enqueue(plan) {
+            plan = back;
+            self.port.wait_ms(1).await;
+        }
+    }
+
+    /// The clock that is spread in each cycle, if the clocks were set up.
+    fn reference_clock(&self) -> Option<ReferenceClock> {
+        let answers = |position: usize| {
+            let slave = self.slaves.get(position);
+            slave.is_some_and(|slave| slave.condition != Condition::Lost)
+        };
+        self.clocks.reference_clock(&self.stations(), answers)
+    }
+
+    /// The station addresses of all slaves.
+    pub(super) fn stations(&self) -> Vec<u16, SLAVES> {
+        self.slaves.iter().map(Slave::station).collect()
+    }
+
+    /// Begins or ends work on a slave: whatever its state does meanwhile is no disturbance.
+    pub(super) async fn work_on(&mut self, number: Option<usize>) {
+        if let (Some(before), None) = (self.worked_on, number) {
+            self.inspect(before..before + 1).await;
+        }
+        self.worked_on = number;
+        self.send_plan().await;
+    }
+
+    /// Whether a slave is being worked on.
+    pub(super) const fn is_worked_on(&self) -> bool {
+        self.worked_on.is_some()
+    }
+
+    /// Slaves that should answer.
+    pub(super) fn present(&self) -> u16 {
+        let present = |slave: &&Slave| slave.condition != Condition::Lost;
+        self.slaves.iter().filter(present).count() as u16
+    }
+
+    /// Whether all used slaves are in OP.
+    pub(super) fn is_operational(&self) -> bool {
+        let mut used = self.slaves.iter().filter(|slave| slave.axis.is_some());
+        used.all(|slave| slave.condition == Condition::Operational)
+    }
+
+    /// What the critical side should see; while a slave is worked on, everything but that slave.
+    pub(super) fn expectation(&self, worked_on: Option<usize>) -> Expectation {
+        let (mut status, mut answering) = (0, 0);
+        for (number, slave) in self.slaves.iter().enumerate() {
+            if slave.condition == Condition::Lost {
+                continue;
+            }
+            status |= u16::from(slave.report.status);
+            if slave.condition == Condition::Operational && worked_on != Some(number) {
+                answering |= 1 << (number & 31);
+            }
+        }
+        let (required, allowed) = match worked_on {
+            None => (status, status),
+            Some(_) => (0, register::AL_STATE_MASK | status & register::AL_ERROR_BIT),
+        };
+        Expectation {
+            slaves: Some(self.present()),
+            required,
+            allowed,
+            answering,
+        }
+    }
+
+    /// Asks slaves for their state, and reports what has changed.
+    pub(super) async fn inspect(&mut self, numbers: Range<usize>) {
+        let mut changed = false;
+        let last = numbers.end.min(self.slaves.len());
+        for first in (numbers.start..last).step_by(LOOK_MAX) {
+            let reports = self.reports(first..last.min(first + LOOK_MAX)).await;
+            for (number, report) in (first..).zip(reports) {
+                changed |= self.judge(number, report).await;
+            }
+        }
+        if changed {
+            self.send_plan().await;
+        }
+    }
+
+    /// Takes a slave's report or its silence; whether that is a change.
+    async fn judge(&mut self, number: usize, answer: Option<AlReport>) -> bool {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return false;
+        };
+        let (condition, report) = match answer {
+            None => (Condition::Lost, AlReport::default()),
+            Some(report) if slave.axis.is_none() => (Condition::Unused, report),
+            Some(report) => match slave.condition {
+                // Only a repair brings a slave back into use.
+                Condition::Operational if report.is(AlState::Operational) => (Condition::Operational, report),
+                left_alone @ (Condition::Parked | Condition::Unused) => (left_alone, report),
+                _ => (Condition::LeftOperational, report),
+            },
+        };
+        if (condition, report) == (slave.condition, slave.report) {
+            return false;
+        }
+        (slave.condition, slave.report) = (condition, report);
+        let position = slave.position as u8;
+        match condition {
+            Condition::Lost => self.emit(BusEvent::SlaveLost { position }).await,
+            Condition::LeftOperational => self.emit(BusEvent::SlaveLeft { position, report }).await,
+            _ => self.introduce(number).await,
+        }
+        true
+    }
+}
+
+/// A slave's share of the logical memory; nothing before its process data are set up.
+fn share(slave: &Slave) -> CyclicSlave {
+    match slave.condition {
+        Condition::Unused => CyclicSlave::default(),
+        _ => configure::cyclic_slave(slave),
+    }
+}

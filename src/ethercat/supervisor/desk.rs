@@ -1,0 +1,134 @@
+//! What comes in while the supervisor works: observations, commands, requests.
+//!
+//! A piece of work on one slave may take seconds. [`Desk::guard`] polls it and looks at the bus between two polls: when
+//! another slave looks wrong for [`WORK_SUSPICION_MS`], or a command comes that makes the work pointless, the work is
+//! dropped. The acyclic port skips the replies that it leaves behind.
+//!
+//! Invariant: no work keeps a change of the bus or a command waiting for more than a few milliseconds.
+
+use super::super::cyclic::Observation;
+use super::super::event::BusCommand;
+use super::super::service::{ServiceError, ServiceRequest, ServiceResult};
+use super::super::wire::register;
+use core::future::{Future, poll_fn};
+use core::pin::Pin;
+use core::task::Poll;
+use heapless::spsc::{Consumer, Producer};
+
+/// How long something has to look wrong before the slaves are asked, ms.
+pub(super) const SUSPICION_MS: u32 = 3;
+/// The same while work is under way, ms: what the work itself shows for a moment is none of it.
+pub(super) const WORK_SUSPICION_MS: u32 = 20;
+
+/// State and error flag of an AL status register.
+pub(super) const STATUS_MASK: u16 = register::AL_STATE_MASK | register::AL_ERROR_BIT;
+
+/// What the critical side should see.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Expectation {
+    /// Slaves that answer; `None` when any number will do.
+    pub(super) slaves: Option<u16>,
+    /// Bits of the AL status that have to be there.
+    pub(super) required: u16,
+    /// Bits that may be there.
+    pub(super) allowed: u16,
+    /// Slaves whose inputs have to come, one bit each.
+    pub(super) answering: u32,
+}
+
+impl Expectation {
+    /// Anything goes.
+    pub(super) const ANYTHING: Self = Self {
+        slaves: None,
+        required: 0,
+        allowed: u16::MAX,
+        answering: 0,
+    };
+
+    /// Whether what was seen is anything else.
+    fn differs(&self, seen: &Observation) -> bool {
+        let Some(slaves) = self.slaves else { return false };
+        let status = seen.al.status & STATUS_MASK;
+        seen.silent && slaves > 0
+            || seen.al.slaves != slaves
+            || self.required & !status != 0
+            || status & !self.allowed != 0
+            || seen.answered & self.answering != self.answering
+    }
+}
+
+/// Why work was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Interruption {
+    /// Another slave looks wrong.
+    Bus,
+    /// A command came.
+    Command,
+}
+
+/// The incoming ends of the supervisor's queues.
+pub(super) struct Desk<'a> {
+    pub(super) observations: Consumer<'a, Observation>,
+    pub(super) commands: Consumer<'a, BusCommand>,
+    pub(super) services: Consumer<'a, ServiceRequest>,
+    pub(super) answers: Producer<'a, ServiceResult>,
+    pub(super) seen: Option<Observation>,
+    pub(super) suspicion_ms: u32,
+}
+
+impl Desk<'_> {
+    /// Takes what the critical side has seen since; to be called once a millisecond.
+    pub(super) fn observe(&mut self, expected: &Expectation) {
+        while let Some(observation) = self.observations.dequeue() {
+            self.seen = Some(observation);
+        }
+        self.suspicion_ms = if self.seen.is_some_and(|seen| expected.differs(&seen)) {
+            self.suspicion_ms.saturating_add(1)
+        } else {
+            0
+        };
+    }
+
+    /// Slaves that answered last.
+    pub(super) fn slaves(&self) -> u16 {
+        self.seen.map_or(0, |seen| seen.al.slaves)
+    }
+
+    /// Lets `work` go on as long as the bus is as `expected` and no command makes it pointless.
+    ///
+    /// With `refuse`, requests that come meanwhile are answered by [`ServiceError::Busy`].
+    pub(super) async fn guard<T>(
+        &mut self,
+        mut expected: Expectation,
+        refuse: bool,
+        mut work: Pin<&mut impl Future<Output = T>>,
+    ) -> Result<T, Interruption> {
+        self.suspicion_ms = 0;
+        poll_fn(|context| {
+            if let Poll::Ready(value) = work.as_mut().poll(context) {
+                return Poll::Ready(Ok(value));
+            }
+            self.observe(&expected);
+            // An error flag that was there at the start may go; one that comes is somebody else's.
+            if self
+                .seen
+                .is_some_and(|seen| seen.al.status & register::AL_ERROR_BIT == 0)
+                && expected.slaves.is_some()
+            {
+                expected.allowed &= !register::AL_ERROR_BIT;
+            }
+            if refuse && self.answers.ready() && self.services.dequeue().is_some() {
+                // There is room, as was just asked.
+                let _ = self.answers.enqueue(Err(ServiceError::Busy));
+            }
+            if self.suspicion_ms >= WORK_SUSPICION_MS {
+                return Poll::Ready(Err(Interruption::Bus));
+            }
+            if matches!(self.commands.peek(), Some(BusCommand::Start(_) | BusCommand::Stop)) {
+                return Poll::Ready(Err(Interruption::Command));
+            }
+            Poll::Pending
+        })
+        .await
+    }
+}

@@ -1,0 +1,139 @@
+//! Ports, cables and what the error counters tell of them.
+//!
+//! A damaged frame is counted by the slave that received it first, at the port it came in by: the cable in that port is
+//! the bad one. The counters (0x0300 to 0x0313, IEC 61158-4-12) start at 0 when the bus is brought up.
+//!
+//! Invariant: one slave's counters are read at a time, and a cable is reported when its counters have grown.
+
+use super::super::acyclic::Request;
+use super::super::error::BusError;
+use super::super::event::BusEvent;
+use super::super::service::{ClockInfo, PORTS, PortErrors, PortInfo, SlaveErrors};
+use super::super::topology::{self, Parents};
+use super::super::wire::register::ErrorCounters;
+use super::super::wire::{Address, Command, read_u8, read_u16, read_u32, register};
+use super::LookList;
+use super::bus::{Bus, LOOK_MAX};
+use heapless::Vec;
+
+impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
+    /// Reads which ports of the slaves are in use.
+    pub(super) async fn read_ports(&mut self) {
+        let Self { port, slaves, .. } = self;
+        for chunk in slaves.chunks_mut(LOOK_MAX) {
+            let mut requests: LookList<Request> = LookList::new();
+            for slave in chunk.iter() {
+                let address = Address::station(slave.station(), register::DL_STATUS);
+                // The list has room for one chunk.
+                let _ = requests.push(Request::read(Command::Fprd, address, 2));
+            }
+            // The ports of a slave that does not answer stay as they were.
+            let _ = port
+                .insist_all(&requests, 1, |number, bytes| {
+                    if let Some(slave) = chunk.get_mut(number) {
+                        slave.dl_status = read_u16(bytes, 0);
+                    }
+                })
+                .await;
+        }
+    }
+
+    fn parents(&self) -> Parents<SLAVES> {
+        let dl_status: Vec<u16, SLAVES> = self.slaves.iter().map(|slave| slave.dl_status).collect();
+        topology::parents(&dl_status)
+    }
+
+    /// The slaves at the other ends of a slave's cables.
+    pub(super) fn partners(&self, number: usize) -> [Option<u8>; PORTS] {
+        let dl_status = self.slaves.get(number).map_or(0, |slave| slave.dl_status);
+        topology::partners(&self.parents(), number, dl_status)
+    }
+
+    /// A slave's ports with their partners.
+    pub(super) fn ports(&self, number: usize) -> [PortInfo; PORTS] {
+        let dl_status = self.slaves.get(number).map_or(0, |slave| slave.dl_status);
+        let mut ports = topology::ports(dl_status);
+        for (port, partner) in ports.iter_mut().zip(self.partners(number)) {
+            port.partner = partner;
+        }
+        ports
+    }
+
+    /// Reads a slave's error counters.
+    pub(super) async fn errors(&mut self, number: usize) -> Result<SlaveErrors, BusError> {
+        let station = self.slaves.get(number).map_or(0, super::super::slave::Slave::station);
+        let length = register::ERROR_COUNTERS_LEN;
+        let bytes = self.port.read(station, register::RECEIVE_ERRORS, length).await?;
+        // As many bytes as were asked for came back.
+        let counters = ErrorCounters::parse(&bytes).unwrap_or_default();
+        let watchdog = self.port.read(station, register::WATCHDOG_COUNTER, 1).await?;
+        Ok(SlaveErrors {
+            ports: counters.ports.map(|port| PortErrors {
+                invalid_frames: port.invalid_frames,
+                receive_errors: port.receive_errors,
+                forwarded: port.forwarded_errors,
+                lost_links: port.lost_links,
+            }),
+            partners: self.partners(number),
+            processing_unit: counters.processing_errors,
+            processor_interface: counters.pdi_errors,
+            watchdog: read_u8(&watchdog, 0),
+        })
+    }
+
+    /// Forgets what the cables' counters were.
+    pub(super) fn forget_errors(&mut self) {
+        for slave in &mut self.slaves {
+            slave.port_errors = [0; PORTS];
+        }
+    }
+
+    /// Reads the next slave's counters and reports the cables whose errors have become more.
+    pub(super) async fn look_at_cables(&mut self) {
+        let number = self.cable_next % self.slaves.len().max(1);
+        self.cable_next = number + 1;
+        let Some(slave) = self.slaves.get(number) else { return };
+        let (station, before) = (slave.station(), slave.port_errors);
+        let length = register::ERROR_COUNTERS_LEN;
+        let Ok(bytes) = self.port.read(station, register::RECEIVE_ERRORS, length).await else {
+            return;
+        };
+        let counters = ErrorCounters::parse(&bytes).unwrap_or_default();
+        let now = counters
+            .ports
+            .map(|port| u16::from(port.invalid_frames) + u16::from(port.receive_errors) + u16::from(port.lost_links));
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.port_errors = now;
+        }
+        if now.iter().zip(before).all(|(now, before)| *now <= before) {
+            return;
+        }
+        let partners = self.partners(number);
+        for (port, ((now, before), partner)) in (0..).zip(now.into_iter().zip(before).zip(partners)) {
+            if now > before {
+                let event = BusEvent::CableErrors {
+                    position: number as u8,
+                    port,
+                    partner,
+                    count: now - before,
+                };
+                self.emit(event).await;
+            }
+        }
+    }
+
+    /// A slave's clock, if it has one.
+    pub(super) async fn clock(&mut self, station: u16) -> Result<Option<ClockInfo>, BusError> {
+        let features = self.port.read_u16(station, register::FEATURES).await?;
+        if features & register::FEATURE_CLOCKS == 0 {
+            return Ok(None);
+        }
+        let delay = self.port.read(station, register::DC_DELAY, 4).await?;
+        let difference = self.port.read(station, register::DC_TIME_DIFFERENCE, 4).await?;
+        Ok(Some(ClockInfo {
+            is_64_bit: features & register::FEATURE_CLOCKS_64 != 0,
+            delay_ns: read_u32(&delay, 0),
+            difference_ns: register::time_difference_ns(read_u32(&difference, 0)),
+        }))
+    }
+}

@@ -1,0 +1,384 @@
+//! Brings the bus up, watches it, repairs it, and answers questions about it.
+//!
+//! One `async` function runs for ever, polled once a millisecond at low priority. It configures the slaves of the chain,
+//! hands the critical side its plan, takes the drives to OP while cyclic data already run, and then looks for slaves
+//! that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a slave back
+//! while the others go on. Between all this it carries out requests ([`service`](super::service)), with or without a
+//! bus that was brought up. Every step's failure is reported with slave, step and reason.
+//!
+//! Invariants: nothing in use is repaired without a command; a slave is only taken back if it is the product that was
+//! there before; all waiting ends; whatever is being done to one slave, a change of another is noticed within 100 ms.
+
+mod bring_up;
+mod bus;
+mod census;
+mod desk;
+mod diagnosis;
+mod objects;
+mod repair;
+mod requests;
+mod state_request;
+
+use super::acyclic::AcyclicPort;
+use super::cyclic::{CyclicPlan, Observation};
+use super::error::BusError;
+pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
+use super::service::{ServiceError, ServiceRequest, ServiceResult};
+use super::slave::Condition;
+pub use bring_up::DISCOVERY_TIMEOUT_MS;
+use bus::Bus;
+use core::pin::pin;
+use desk::{Desk, Expectation, Interruption, SUSPICION_MS, WORK_SUSPICION_MS};
+use heapless::Vec;
+use heapless::spsc::{Consumer, Producer};
+
+/// Pause between two inspections of the same suspicion, ms.
+const INSPECTION_PAUSE_MS: u32 = 50;
+/// Period of the supervisor's own look at some slaves after the others, ms.
+const LOOK_PERIOD_MS: u32 = 20;
+/// How often a repair is begun again after another slave has interrupted it.
+const REPAIR_TRIES_MAX: u8 = 3;
+
+const _: () = {
+    assert!(
+        SUSPICION_MS + INSPECTION_PAUSE_MS < 100 && WORK_SUSPICION_MS + INSPECTION_PAUSE_MS < 100,
+        "changes are noticed within 100 ms"
+    );
+    assert!(
+        LOOK_PERIOD_MS as usize * 32_usize.div_ceil(bus::LOOK_MAX) < 100,
+        "each slave is looked at within 100 ms"
+    );
+};
+
+/// The supervisor's ends of the queues.
+pub struct SupervisorEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
+    /// Plans for the critical side.
+    pub plans: Producer<'a, CyclicPlan<SLAVES>>,
+    /// Acyclic requests and their replies.
+    pub port: AcyclicPort<'a, MESSAGE>,
+    /// What the critical side sees.
+    pub observations: Consumer<'a, Observation>,
+    /// Orders of the application.
+    pub commands: Consumer<'a, BusCommand>,
+    /// Reports to the application.
+    pub events: Producer<'a, BusEvent>,
+    /// Requests beside the robot's work.
+    pub services: Consumer<'a, ServiceRequest>,
+    /// Their answers, one each, in order.
+    pub answers: Producer<'a, ServiceResult>,
+}
+
+/// A failed step.
+#[derive(Clone, Copy, Debug)]
+struct Failure {
+    position: Option<u16>,
+    step: Step,
+    error: BusError,
+}
+
+impl Failure {
+    fn of(position: u16, step: Step) -> impl Fn(BusError) -> Self {
+        move |error| Self {
+            position: Some(position),
+            step,
+            error,
+        }
+    }
+
+    fn bus(step: Step) -> impl Fn(BusError) -> Self {
+        move |error| Self {
+            position: None,
+            step,
+            error,
+        }
+    }
+}
+
+/// How far the bus is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Nothing was asked for, or the bus was stopped.
+    Stopped,
+    /// It was to be brought up, and that failed.
+    Failed,
+    /// All used slaves were brought to OP.
+    Running,
+}
+
+/// Brings the bus up, watches it and repairs it.
+pub struct Supervisor<'a, const SLAVES: usize, const MESSAGE: usize> {
+    bus: Bus<'a, SLAVES, MESSAGE>,
+    desk: Desk<'a>,
+    phase: Phase,
+    /// Slaves there were when the chain was last looked through.
+    slaves_sorted: u16,
+    inspected_ms: u32,
+    looked_ms: u32,
+    look_next: usize,
+}
+
+impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSAGE> {
+    /// A supervisor that waits for [`BusCommand::Start`].
+    pub fn new(end: SupervisorEnd<'a, SLAVES, MESSAGE>) -> Self {
+        let SupervisorEnd {
+            plans,
+            port,
+            observations,
+            commands,
+            events,
+            services,
+            answers,
+        } = end;
+        Self {
+            bus: Bus::new(port, plans, events),
+            desk: Desk {
+                observations,
+                commands,
+                services,
+                answers,
+                seen: None,
+                suspicion_ms: 0,
+            },
+            phase: Phase::Stopped,
+            slaves_sorted: 0,
+            inspected_ms: 0,
+            looked_ms: 0,
+            look_next: 0,
+        }
+    }
+
+    /// Events that the application did not take in time.
+    pub const fn events_dropped(&self) -> u32 {
+        self.bus.events_dropped
+    }
+
+    /// The supervisor's whole life; to be polled once a millisecond.
+    pub async fn run(&mut self) -> ! {
+        loop {
+            match (self.desk.commands.dequeue(), self.phase) {
+                (Some(BusCommand::Start(setup)), _) => {
+                    self.stop().await;
+                    self.bus.setup = setup;
+                    self.start().await;
+                }
+                (Some(BusCommand::Recover), Phase::Running) => self.recover().await,
+                (Some(BusCommand::Recover), Phase::Failed) => self.start().await,
+                (Some(BusCommand::Recover), Phase::Stopped) => {}
+                (Some(BusCommand::Stop), _) => {
+                    self.stop().await;
+                    self.bus.emit(BusEvent::Stopped).await;
+                }
+                (None, phase) => match self.desk.services.dequeue() {
+                    Some(request) => self.serve(request).await,
+                    None if phase == Phase::Running => self.watch().await,
+                    None => {
+                        self.bus.port.wait_ms(1).await;
+                        self.desk.observe(&Expectation::ANYTHING);
+                    }
+                },
+            }
+        }
+    }
+
+    /// Brings the whole bus up.
+    async fn start(&mut self) {
+        self.phase = Phase::Failed;
+        let result = self.bring_up().await;
+        match result {
+            Ok(Ok(())) => {
+                self.phase = Phase::Running;
+                self.slaves_sorted = self.bus.slaves.len() as u16;
+                self.bus.emit(BusEvent::Operational).await;
+            }
+            Ok(Err(failure)) => self.bus.refuse(failure).await,
+            Err(Interruption::Command) => {}
+            Err(Interruption::Bus) => {
+                self.bus.inspect(0..SLAVES).await;
+                let error = BusError::SlaveCount {
+                    expected: self.bus.slaves.len() as u16,
+                    actual: self.desk.slaves(),
+                };
+                self.bus.refuse(Failure::bus(Step::Watch)(error)).await;
+            }
+        }
+    }
+
+    /// The steps of a bring-up, each of them guarded.
+    async fn bring_up(&mut self) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, desk, .. } = self;
+        {
+            let work = pin!(bus.find_all());
+            if let Err(failure) = desk.guard(Expectation::ANYTHING, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        {
+            let expected = bus.expectation(Some(SLAVES));
+            let work = pin!(bus.set_up_clocks());
+            if let Err(failure) = desk.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        for number in 0..bus.slaves.len() {
+            let expected = bus.expectation(Some(number));
+            let work = pin!(bus.reach_safe_operational(number));
+            if let Err(failure) = desk.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        bus.send_plan().await;
+        for number in 0..bus.slaves.len() {
+            let expected = bus.expectation(Some(number));
+            let work = pin!(bus.reach_operational(number));
+            if let Err(failure) = desk.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        bus.send_plan().await;
+        bus.introduce_all().await;
+        Ok(Ok(()))
+    }
+
+    /// One millisecond of watching.
+    async fn watch(&mut self) {
+        self.bus.port.wait_ms(1).await;
+        let expected = self.bus.expectation(None);
+        self.desk.observe(&expected);
+        let now_ms = self.bus.port.now_ms();
+        let paused = now_ms.wrapping_sub(self.inspected_ms) < INSPECTION_PAUSE_MS;
+        if self.desk.suspicion_ms >= SUSPICION_MS && !paused {
+            self.inspect_all().await;
+        } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
+            self.looked_ms = now_ms;
+            self.look().await;
+        }
+    }
+
+    /// Asks all slaves for their state, and looks through the chain if their number has changed.
+    async fn inspect_all(&mut self) {
+        self.bus.inspect(0..SLAVES).await;
+        let there = self.desk.slaves();
+        if there > self.bus.present() && there != self.slaves_sorted {
+            let Self { bus, desk, .. } = self;
+            let expected = Expectation {
+                slaves: Some(there),
+                ..bus.expectation(None)
+            };
+            let expected = Expectation {
+                required: 0,
+                allowed: desk::STATUS_MASK,
+                ..expected
+            };
+            let work = pin!(bus.take_census());
+            // Interrupted, it is taken again at the next suspicion.
+            if desk.guard(expected, false, work).await.is_ok() {
+                self.slaves_sorted = there;
+            }
+        } else if there <= self.bus.present() {
+            self.slaves_sorted = there;
+        }
+        self.inspected_ms = self.bus.port.now_ms();
+    }
+
+    /// Looks at some slaves' states and at the error counters of one of them.
+    async fn look(&mut self) {
+        let slaves = self.bus.slaves.len().max(1);
+        let first = self.look_next % slaves;
+        let last = (first + bus::LOOK_MAX).min(slaves);
+        self.look_next = last;
+        self.bus.inspect(first..last).await;
+        self.bus.look_at_cables().await;
+    }
+
+    /// Brings every used slave that is not in OP back there.
+    async fn recover(&mut self) {
+        self.inspect_all().await;
+        for number in 0..self.bus.slaves.len() {
+            let Some(slave) = self.bus.slaves.get(number).copied() else {
+                continue;
+            };
+            let left_alone = matches!(slave.condition, Condition::Operational | Condition::Parked);
+            if slave.axis.is_none() || left_alone {
+                continue;
+            }
+            match self.repair_guarded(number).await {
+                Ok(()) => {
+                    self.bus.send_plan().await;
+                    let position = slave.position as u8;
+                    self.bus.emit(BusEvent::Repaired { position }).await;
+                    self.bus.introduce(number).await;
+                }
+                Err(failure) => self.bus.refuse(failure).await,
+            }
+        }
+        if self.bus.is_operational() {
+            self.bus.emit(BusEvent::Operational).await;
+        }
+    }
+
+    /// Repairs a slave; begins again when another one demands attention.
+    async fn repair_guarded(&mut self, number: usize) -> Result<(), Failure> {
+        for _ in 0..REPAIR_TRIES_MAX {
+            let Self { bus, desk, .. } = self;
+            bus.work_on(Some(number)).await;
+            let expected = Expectation {
+                slaves: Some(desk.slaves()),
+                ..bus.expectation(Some(number))
+            };
+            let result = {
+                let work = pin!(bus.repair(number));
+                desk.guard(expected, true, work).await
+            };
+            bus.work_on(None).await;
+            match result {
+                Ok(result) => return result,
+                Err(Interruption::Bus) => self.inspect_all().await,
+                Err(Interruption::Command) => break,
+            }
+        }
+        let error = BusError::SlaveCount {
+            expected: self.bus.slaves.len() as u16,
+            actual: self.desk.slaves(),
+        };
+        Err(Failure::of(number as u16, Step::Watch)(error))
+    }
+
+    /// Takes the slaves out of OP: outputs become safe, are sent, and only then do the states follow.
+    async fn stop(&mut self) {
+        if self.phase == Phase::Running {
+            self.bus.shut_down().await;
+        }
+        self.phase = Phase::Stopped;
+    }
+
+    /// Carries out a request and answers it.
+    async fn serve(&mut self, request: ServiceRequest) {
+        let running = self.phase == Phase::Running;
+        let Self { bus, desk, .. } = self;
+        let slave = request.slave().map(usize::from);
+        let expected = if running {
+            bus.expectation(slave)
+        } else {
+            Expectation::ANYTHING
+        };
+        let seen = desk.seen;
+        let result = {
+            let work = pin!(bus.carry_out(&request, seen, running));
+            desk.guard(expected, false, work).await
+        };
+        if bus.is_worked_on() {
+            bus.work_on(None).await;
+        }
+        if result == Err(Interruption::Bus) {
+            self.inspect_all().await;
+        }
+        let mut answer = result.unwrap_or(Err(ServiceError::Interrupted));
+        while let Err(back) = self.desk.answers.enqueue(answer) {
+            answer = back;
+            self.bus.port.wait_ms(1).await;
+        }
+    }
+}
+
+/// A list with a place for each slave of one look.
+type LookList<T> = Vec<T, { bus::LOOK_MAX }>;

@@ -1,0 +1,215 @@
+//! Bringing one slave back into use while the others go on.
+//!
+//! A slave may still have its address and only have left OP; it may have been switched off and stand in INIT without an
+//! address, at its old place or, when something was plugged in or is still missing before it, at another one. The order
+//! of the slaves that kept their addresses tells between which of them it has to be.
+//!
+//! Invariant: a slave is only taken back at its place in the order, if it is the same product, and if its serial number
+//! is not that of another slave of this bus.
+
+use super::super::clock;
+use super::super::configure::{discovery, information};
+use super::super::error::BusError;
+use super::super::event::Step;
+use super::super::slave::{STATION_BASE, STATION_TEMPORARY, Slave};
+use super::super::state::{self, AlState};
+use super::super::wire::sii::{FixedPart, Identity};
+use super::Failure;
+use super::bus::Bus;
+use heapless::Vec;
+
+/// Most places of a chain that are looked through.
+pub(super) const PLACES_MAX: usize = 64;
+
+/// The station addresses along the chain, 0 where there is none.
+pub(super) type Places = Vec<u16, PLACES_MAX>;
+
+impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
+    /// Brings a used slave back to OP.
+    pub(super) async fn repair(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let (station, at) = (slave.station(), |step| Failure::of(slave.position, step));
+        let places = self.places().await.map_err(at(Step::Locate))?;
+        match places.iter().position(|there| *there == station) {
+            Some(place) => {
+                self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
+                if self.resume(number).await.is_ok() {
+                    return Ok(());
+                }
+            }
+            None => self.take_back(number, &places).await?,
+        }
+        if let Some(slave) = self.slaves.get_mut(number) {
+            // Whatever it shows, it goes through INIT.
+            slave.report = Default::default();
+        }
+        let stations = self.stations();
+        clock::restore(&mut self.port, &stations, &mut self.clocks, number)
+            .await
+            .map_err(at(Step::Clocks))?;
+        self.reach_safe_operational(number).await?;
+        self.send_plan().await;
+        self.reach_operational(number).await
+    }
+
+    /// The station addresses along the chain.
+    pub(super) async fn places(&mut self) -> Result<Places, BusError> {
+        let mut places = Places::new();
+        let found = discovery::count(&mut self.port).await?;
+        if usize::from(found) > PLACES_MAX {
+            return Err(BusError::TooManySlaves {
+                expected: PLACES_MAX as u16,
+                actual: found,
+            });
+        }
+        discovery::stations(&mut self.port, found, &mut places).await?;
+        Ok(places)
+    }
+
+    /// The number of the slave with a station address, if it is one of this bus.
+    pub(super) fn number_of(&self, station: u16) -> Option<usize> {
+        let number = usize::from(station.checked_sub(STATION_BASE)?);
+        (number < self.slaves.len()).then_some(number)
+    }
+
+    /// Finds a slave without an address, makes sure that it is the one, and gives it its address.
+    async fn take_back(&mut self, number: usize, places: &Places) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let at = |step| Failure::of(slave.position, step);
+        let strangers = self.strangers_between(number, places);
+        let missing = self.missing_between(number, places);
+        // As many as are missing: the order tells. Otherwise only who they are.
+        let by_order = (strangers.len() == missing.len())
+            .then(|| missing.iter().position(|missing| usize::from(*missing) == number))
+            .flatten();
+        let mut other = None;
+        for (rank, place) in strangers.iter().enumerate() {
+            if by_order.is_some_and(|wanted| wanted != rank) {
+                continue;
+            }
+            let fixed = self.fixed_at(*place).await.map_err(at(Step::Identify))?;
+            match self.is_same(&slave, &fixed.identity) {
+                Ok(()) => {
+                    return discovery::assign_station(&mut self.port, *place, slave.station())
+                        .await
+                        .map_err(at(Step::Address));
+                }
+                Err(error) => other = Some(error),
+            }
+        }
+        match other {
+            Some(error) => Err(at(Step::Identify)(error)),
+            None => Err(at(Step::Locate)(BusError::SlaveCount {
+                expected: self.slaves.len() as u16,
+                actual: places.len() as u16,
+            })),
+        }
+    }
+
+    /// The same for the slaves whose order in the chain is known; extra ones may stand anywhere.
+    fn rank_of(&self, station: u16) -> Option<usize> {
+        self.number_of(station).filter(|number| *number < self.ordered)
+    }
+
+    /// Places without an address of ours between a slave's neighbours; anywhere for an extra one.
+    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+        let (mut first, mut last) = (0, places.len());
+        if number < self.ordered {
+            let rank = |station: &u16| self.rank_of(*station);
+            let before = places
+                .iter()
+                .rposition(|there| rank(there).is_some_and(|there| there < number));
+            let after = places
+                .iter()
+                .position(|there| rank(there).is_some_and(|there| there > number));
+            first = before.map_or(first, |place| place + 1);
+            last = after.unwrap_or(last);
+        }
+        let between = (0_u16..).zip(places).take(last).skip(first);
+        between
+            .filter(|(_, there)| self.number_of(**there).is_none())
+            .map(|(place, _)| place)
+            .collect()
+    }
+
+    /// Slaves that are not in the chain and belong between the same neighbours as this one.
+    fn missing_between(&self, number: usize, places: &Places) -> Vec<u8, PLACES_MAX> {
+        let there = |number: &usize| places.contains(&STATION_BASE.wrapping_add(*number as u16));
+        let first = (0..number).rev().find(there).map_or(0, |number| number + 1);
+        let last = (number..self.ordered).find(there).unwrap_or(self.ordered);
+        (first..last).map(|number| number as u8).collect()
+    }
+
+    /// Reads who stands at a place without an address; it keeps none.
+    pub(super) async fn fixed_at(&mut self, place: u16) -> Result<FixedPart, BusError> {
+        discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
+        let fixed = information::fixed_part(&mut self.port, STATION_TEMPORARY).await;
+        let forgotten = discovery::assign_station(&mut self.port, place, 0).await;
+        forgotten?;
+        fixed
+    }
+
+    /// Whether someone may take a slave's place.
+    pub(super) fn is_same(&self, slave: &Slave, identity: &Identity) -> Result<(), BusError> {
+        let (old, new) = (slave.identity(), identity);
+        if (old.vendor, old.product) != (new.vendor, new.product) {
+            return Err(BusError::Identity {
+                expected: old.product,
+                actual: new.product,
+            });
+        }
+        let mut others = self.slaves.iter().filter(|other| other.position != slave.position);
+        let elsewhere = others.any(|other| {
+            let other = other.identity();
+            (other.vendor, other.product, other.serial) == (new.vendor, new.product, new.serial)
+        });
+        if new.serial != 0 && new.serial != old.serial && elsewhere {
+            return Err(BusError::Serial {
+                expected: old.serial,
+                actual: new.serial,
+            });
+        }
+        Ok(())
+    }
+
+    /// The short way back of a slave that only left OP: acknowledge and ask again.
+    async fn resume(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let at = |step| Failure::of(slave.position, step);
+        let report = state::acknowledge(&mut self.port, slave.station())
+            .await
+            .map_err(at(Step::Operational))?;
+        if report.is(AlState::Operational) || report.is(AlState::SafeOperational) {
+            return self.reach_operational(number).await;
+        }
+        let error = BusError::State {
+            expected: AlState::SafeOperational as u8,
+            actual: report.status,
+            code: report.code,
+        };
+        Err(at(Step::Operational)(error))
+    }
+
+    /// Whether the slave at a place stands between those that it stood between before.
+    fn is_in_order(&self, places: &Places, place: usize, number: usize) -> Result<(), BusError> {
+        let rank = |there: &u16| self.rank_of(*there);
+        let mut before = places.iter().take(place).filter_map(rank);
+        let mut after = places.iter().skip(place + 1).filter_map(rank);
+        let wrong = before
+            .find(|there| *there > number)
+            .or_else(|| after.find(|there| *there < number));
+        match wrong.filter(|_| number < self.ordered) {
+            Some(other) => Err(BusError::Station {
+                expected: STATION_BASE.wrapping_add(number as u16),
+                actual: STATION_BASE.wrapping_add(other as u16),
+            }),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Bringing one slave to a state because someone asked for it.
+//!
+//! Invariant: up one state at a time, with everything that a state needs set up before; a slave in use that was brought
+//! below OP is left there until it is asked up again or the bus is started anew.
+
+use super::super::error::BusError;
+use super::super::event::BusEvent;
+use super::super::mailbox::Mailbox;
+use super::super::service::ServiceError;
+use super::super::slave::Condition;
+use super::super::state::{self, AlReport, AlState};
+use super::super::wire::sii::PROTOCOL_COE;
+use super::Failure;
+use super::bus::Bus;
+
+impl From<Failure> for ServiceError {
+    fn from(failure: Failure) -> Self {
+        Self::Bus(failure.error)
+    }
+}
+
+impl From<BusError> for ServiceError {
+    fn from(error: BusError) -> Self {
+        Self::Bus(error)
+    }
+}
+
+impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
+    /// Brings a slave to a state, and tells which one it is in then.
+    pub(super) async fn set_state(&mut self, number: usize, target: AlState) -> Result<AlReport, ServiceError> {
+        self.work_on(Some(number)).await;
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Err(ServiceError::Interrupted);
+        };
+        let station = slave.station();
+        let before = match state::acknowledge(&mut self.port, station).await {
+            Ok(report) => report,
+            // A flag that stays is cleared by INIT only.
+            Err(BusError::State { .. }) => AlReport::default(),
+            Err(error) => return Err(error.into()),
+        };
+        if slave.axis.is_some() && target != AlState::Operational {
+            self.set_condition(number, Condition::Parked);
+        }
+        let present = before.state().unwrap_or(AlState::Init);
+        if target as u8 > present as u8 && target != AlState::Bootstrap {
+            self.climb(number, before.state(), target).await?;
+        } else if !before.is(target) {
+            state::change(&mut self.port, station, target).await?;
+        }
+        let report = state::report(&mut self.port, station).await?;
+        if target == AlState::Operational && slave.axis.is_some() && report.is(target) {
+            self.set_condition(number, Condition::Operational);
+            if let Some(slave) = self.slaves.get_mut(number) {
+                slave.report = report;
+            }
+            if self.is_operational() {
+                self.emit(BusEvent::Operational).await;
+            }
+        }
+        Ok(report)
+    }
+
+    fn set_condition(&mut self, number: usize, condition: Condition) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.condition = condition;
+        }
+    }
+
+    /// Goes up from a state, one after the other.
+    async fn climb(&mut self, number: usize, from: Option<AlState>, target: AlState) -> Result<(), ServiceError> {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Err(ServiceError::Interrupted);
+        };
+        let (station, used) = (slave.station(), slave.axis.is_some());
+        if !matches!(from, Some(AlState::PreOperational | AlState::SafeOperational)) {
+            self.generation = self.generation.wrapping_add(1);
+            slave.generation = self.generation;
+            slave.report = AlReport::default();
+            self.reach_pre_operational(number).await?;
+        }
+        if target == AlState::PreOperational {
+            return Ok(());
+        }
+        if from != Some(AlState::SafeOperational) {
+            self.ready_mailbox(number)?;
+            self.configure(number).await?;
+        }
+        if target == AlState::SafeOperational {
+            return Ok(());
+        }
+        self.send_plan().await;
+        if used {
+            self.reach_operational(number).await?;
+        } else {
+            state::change(&mut self.port, station, AlState::Operational).await?;
+        }
+        Ok(())
+    }
+
+    /// Makes use of a mailbox that is set up already, maybe by someone else.
+    fn ready_mailbox(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
+        if slave.mailbox == Mailbox::default() && out.length > 0 {
+            slave.mailbox = Mailbox::new::<MESSAGE>(slave.station(), out, input)?;
+        }
+        Ok(())
+    }
+
+    /// Makes sure that a slave's CoE mailbox can be used: in INIT, it is brought to PREOP.
+    pub(super) async fn open_mailbox(&mut self, number: usize) -> Result<(), ServiceError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Err(ServiceError::Interrupted);
+        };
+        if slave.fixed.protocols & PROTOCOL_COE == 0 || slave.fixed.mailbox_out.length == 0 {
+            return Err(ServiceError::NoCoe);
+        }
+        let report = state::report(&mut self.port, slave.station()).await?;
+        if report.state() == Some(AlState::Init) {
+            self.work_on(Some(number)).await;
+            if let Some(slave) = self.slaves.get_mut(number) {
+                slave.report = AlReport::default();
+            }
+            self.reach_pre_operational(number).await?;
+        } else {
+            self.ready_mailbox(number)?;
+        }
+        Ok(())
+    }
+}

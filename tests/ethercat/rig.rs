@@ -1,0 +1,208 @@
+//! A master, a virtual cell and a clock.
+//!
+//! Everything runs in virtual time: one millisecond is one input telegram, one output telegram, one poll of the
+//! supervisor.
+
+use core::future::Future;
+use core::pin::Pin;
+use core::task::{Context, Waker};
+use etherpen::config::Config;
+use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::ethercat::cyclic::BusCounters;
+use etherpen::ethercat::service::{ServiceReply, ServiceRequest, ServiceResult};
+use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
+use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
+use etherpen::io::{AxisCommand, AxisInput, Demand};
+use etherpen::robot::AXES;
+use heapless::spsc::{Consumer, Producer};
+use host_tools::cell::{Cell, CellOptions};
+
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
+
+/// A master, a cell, and a clock.
+pub(crate) struct Rig<'a> {
+    pub(crate) cell: Cell,
+    pub(crate) exchange: RobotExchange<'a>,
+    pub(crate) supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
+    pub(crate) commands: Producer<'a, BusCommand>,
+    pub(crate) events: Consumer<'a, BusEvent>,
+    pub(crate) services: Producer<'a, ServiceRequest>,
+    pub(crate) answers: Consumer<'a, ServiceResult>,
+    pub(crate) setup: BusSetup,
+    pub(crate) robot: EtherCatRobot,
+    pub(crate) inputs: [Option<AxisInput>; AXES],
+    pub(crate) command: AxisCommand,
+    pub(crate) log: Vec<BusEvent>,
+    pub(crate) now_ms: u64,
+}
+
+/// A rig with this script of faults, told to start; it lives as long as the program.
+pub(crate) fn rig(script: &str) -> Rig<'static> {
+    let mut rig = idle_rig(script);
+    rig.start();
+    rig
+}
+
+/// The same, without an order to the supervisor.
+pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
+    let config = Config::default();
+    let options = CellOptions {
+        faults: script.parse().expect("the script"),
+        ..CellOptions::default()
+    };
+    let queues = Box::leak(Box::new(RobotBusQueues::new()));
+    let (exchange_end, supervisor_end, application) = queues.split();
+    let setup = BusSetup {
+        bus: config.bus.clone(),
+        axes: config.axes,
+    };
+    Rig {
+        cell: Cell::new(&config, options),
+        exchange: RobotExchange::new(exchange_end, MAC),
+        supervisor: Box::pin(async move {
+            let mut supervisor = Supervisor::new(supervisor_end);
+            supervisor.run().await
+        }),
+        commands: application.commands,
+        events: application.events,
+        services: application.services,
+        answers: application.answers,
+        setup,
+        robot: EtherCatRobot::new(&config.axes),
+        inputs: NO_INPUTS,
+        command: AxisCommand::default(),
+        log: Vec::new(),
+        now_ms: 0,
+    }
+}
+
+impl Rig<'_> {
+    /// Tells the supervisor to bring the bus up.
+    pub(crate) fn start(&mut self) {
+        let setup = self.setup.clone();
+        assert!(self.commands.enqueue(BusCommand::Start(setup)).is_ok());
+    }
+
+    /// Asks something of the bus and runs until the answer comes; the inputs of the axes in `running` never fail.
+    pub(crate) fn ask_while(&mut self, request: ServiceRequest, running: &[usize]) -> ServiceResult {
+        assert!(self.services.enqueue(request.clone()).is_ok());
+        for _ in 0..10_000 {
+            self.millisecond();
+            for axis in running {
+                assert!(
+                    self.inputs[*axis].is_some(),
+                    "axis {axis} lost an input at {} ms",
+                    self.now_ms
+                );
+            }
+            if let Some(answer) = self.answers.dequeue() {
+                return answer;
+            }
+        }
+        panic!("no answer to {request:?}");
+    }
+
+    /// Asks something of the bus.
+    pub(crate) fn ask(&mut self, request: ServiceRequest) -> ServiceResult {
+        self.ask_while(request, &[])
+    }
+
+    /// Reads a value that is one piece long.
+    pub(crate) fn value(&mut self, request: ServiceRequest) -> Vec<u8> {
+        match self.ask(request) {
+            Ok(ServiceReply::Piece { total, piece }) => {
+                assert_eq!(usize::from(total), piece.len());
+                piece.to_vec()
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub(crate) fn transfer(&mut self, frame: &[u8], time_us: u64) {
+        if !frame.is_empty() {
+            for reply in self.cell.frame(time_us, frame) {
+                self.exchange.receive(&reply);
+            }
+        }
+    }
+
+    /// One millisecond; gives the events that came.
+    pub(crate) fn millisecond(&mut self) -> &[BusEvent] {
+        let time_us = self.now_ms * 1000;
+        let frame = self.exchange.input_telegram().to_vec();
+        self.transfer(&frame, time_us);
+        self.inputs = self.robot.read(&self.exchange);
+        self.robot.write(&mut self.exchange, &[self.command; AXES]);
+        let frame = self.exchange.output_telegram().to_vec();
+        self.transfer(&frame, time_us + 200);
+        let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(poll.is_pending());
+        self.now_ms += 1;
+        let before = self.log.len();
+        while let Some(event) = self.events.dequeue() {
+            self.log.push(event);
+        }
+        &self.log[before..]
+    }
+
+    pub(crate) fn run_ms(&mut self, duration_ms: u32) {
+        for _ in 0..duration_ms {
+            self.millisecond();
+        }
+    }
+
+    /// Runs until an event is `wanted`; gives how long it took, ms.
+    pub(crate) fn wait_for(&mut self, limit_ms: u64, wanted: impl Fn(&BusEvent) -> bool) -> u64 {
+        for waited_ms in 1..=limit_ms {
+            if self.millisecond().iter().any(&wanted) {
+                return waited_ms;
+            }
+        }
+        panic!("not within {limit_ms} ms, at {} ms: {:#?}", self.now_ms, self.log);
+    }
+
+    pub(crate) fn operational(&mut self) -> u64 {
+        self.wait_for(10_000, |event| *event == BusEvent::Operational)
+    }
+
+    pub(crate) fn recover(&mut self) {
+        assert!(self.commands.enqueue(BusCommand::Recover).is_ok());
+    }
+
+    pub(crate) fn drive_states(&self) -> Vec<Option<DriveState>> {
+        self.inputs
+            .iter()
+            .map(|input| input.map(|input| input.status.state()))
+            .collect()
+    }
+
+    /// Leads the drives to `target` at rest and waits until all are in `state`.
+    pub(crate) fn lead(&mut self, target: DriveTarget, state: DriveState) {
+        self.command = AxisCommand {
+            target,
+            demand: Demand::Velocity(0.0),
+        };
+        for _ in 0..3_000 {
+            self.millisecond();
+            if self.drive_states() == [Some(state); AXES] {
+                return;
+            }
+        }
+        panic!("{target:?} ended in {:?}", self.drive_states());
+    }
+
+    pub(crate) fn counters(&self) -> BusCounters {
+        self.exchange.counters()
+    }
+
+    /// Off for a moment, then fault reset, as the application does.
+    pub(crate) fn lead_one_fault_away(&mut self) {
+        self.command = AxisCommand {
+            target: DriveTarget::Off,
+            demand: Demand::Velocity(0.0),
+        };
+        self.run_ms(20);
+        self.lead(DriveTarget::FaultReset, DriveState::SwitchOnDisabled);
+    }
+}

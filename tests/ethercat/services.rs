@@ -1,0 +1,239 @@
+//! What may be asked of the bus, with and without a bus that was brought up.
+
+use crate::rig::{Rig, idle_rig, rig};
+use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
+use etherpen::ethercat::state::{AlReport, AlState};
+use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
+use etherpen::ethercat::wire::coe::Object;
+use etherpen::ethercat::wire::register;
+use etherpen::robot::AXES;
+use host_tools::cell::{self, Fault};
+
+/// Device name, a visible string.
+const DEVICE_NAME: Object = Object::new(0x1008, 0);
+/// CiA 402 status word.
+const STATUS_WORD: Object = Object::new(0x6041, 0);
+
+fn upload(slave: u8, object: Object) -> ServiceRequest {
+    ServiceRequest::Upload {
+        slave,
+        object,
+        complete: false,
+        offset: 0,
+    }
+}
+
+fn set_state(slave: u8, state: AlState) -> ServiceRequest {
+    ServiceRequest::SetState { slave, state }
+}
+
+fn in_state(state: AlState) -> AlReport {
+    AlReport {
+        status: state as u8,
+        code: 0,
+    }
+}
+
+fn info(rig: &mut Rig<'_>, slave: u8) -> SlaveInfo {
+    match rig.ask(ServiceRequest::Slave { slave }) {
+        Ok(ServiceReply::Slave(info)) => info,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn al_states(rig: &Rig<'_>) -> Vec<cell::AlState> {
+    rig.cell.state().slaves.iter().map(|slave| slave.al_state).collect()
+}
+
+#[test]
+fn without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured() {
+    let mut rig = idle_rig("");
+    let Ok(ServiceReply::Bus(bus)) = rig.ask(ServiceRequest::Bus) else {
+        panic!("no answer");
+    };
+    assert_eq!((bus.slaves, bus.operational), (4, false));
+    for slave in 0..4 {
+        let info = info(&mut rig, slave);
+        println!("{info:?}");
+        assert_eq!((info.identity.vendor, info.identity.product), (2, 0x07D0_6014));
+        assert_eq!(info.identity.serial, u32::from(slave) + 1);
+        assert_eq!(info.driver, "AX2000-B110");
+        assert!(info.name.starts_with("AX2000"), "{}", info.name);
+        assert_eq!((info.axis, info.report), (None, in_state(AlState::Init)));
+        let before = slave.checked_sub(1);
+        let behind = (slave < 3).then_some(slave + 1);
+        assert_eq!(info.ports.map(|port| port.partner), [before, behind, None, None]);
+    }
+    assert_eq!(al_states(&rig), [cell::AlState::Init; 4]);
+    assert_eq!(
+        rig.ask(ServiceRequest::Slave { slave: 4 }),
+        Err(ServiceError::NoSlave { slaves: 4 })
+    );
+}
+
+#[test]
+fn without_a_bus_an_sdo_brings_its_slave_to_preop_and_no_other() {
+    let mut rig = idle_rig("");
+    let name = rig.value(upload(2, DEVICE_NAME));
+    assert!(name.starts_with(b"AX2000"), "{name:?}");
+    use cell::AlState::{Init, PreOperational};
+    assert_eq!(al_states(&rig), [Init, Init, PreOperational, Init]);
+}
+
+#[test]
+fn registers_and_information_are_read_in_pieces() {
+    let mut rig = idle_rig("");
+    let address = register::TYPE;
+    let length = 200;
+    let bytes = rig.value(ServiceRequest::Registers {
+        slave: 0,
+        address,
+        length,
+    });
+    assert_eq!(bytes.len(), 200);
+    let request = |word, length| ServiceRequest::Information { slave: 1, word, length };
+    let identity = rig.value(request(8, 16));
+    assert_eq!(identity[..8], [2, 0, 0, 0, 0x14, 0x60, 0xD0, 0x07]);
+    assert!(rig.value(request(0, 256)).len() > 128);
+}
+
+#[test]
+fn an_sdo_in_operation_disturbs_no_cyclic_data() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(20);
+    for slave in 0..4 {
+        let answer = rig.ask_while(upload(slave, STATUS_WORD), &[0, 1, 2, 3]);
+        assert!(matches!(answer, Ok(ServiceReply::Piece { total: 2, .. })), "{answer:?}");
+    }
+    let info = info(&mut rig, 3);
+    assert_eq!((info.axis, info.report), (Some(3), in_state(AlState::Operational)));
+    assert!(info.status_word.is_some());
+    assert_eq!((info.output_bytes, info.input_bytes), (6, 6));
+}
+
+#[test]
+fn an_abort_reaches_the_asker_with_object_and_code() {
+    let mut rig = rig("");
+    rig.operational();
+    let object = Object::new(0x5123, 4);
+    let answer = rig.ask(upload(1, object));
+    let Err(ServiceError::Bus(BusError::SdoAbort { object: theirs, code })) = answer else {
+        panic!("{answer:?}");
+    };
+    assert_eq!((theirs, code), (object, 0x0602_0000));
+}
+
+#[test]
+fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(20);
+    let others = [0, 2, 3];
+    let answer = rig.ask_while(set_state(1, AlState::PreOperational), &others);
+    assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::PreOperational))));
+    rig.recover();
+    for _ in 0..500 {
+        for event in rig.millisecond() {
+            let noise = matches!(
+                event,
+                BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. } | BusEvent::Repaired { .. }
+            );
+            assert!(!noise, "{event:?}");
+        }
+        for other in others {
+            assert!(rig.inputs[other].is_some());
+        }
+    }
+    assert_eq!(al_states(&rig)[1], cell::AlState::PreOperational);
+    let answer = rig.ask_while(set_state(1, AlState::Operational), &others);
+    assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::Operational))));
+    rig.run_ms(10);
+    assert!(rig.inputs.iter().all(Option::is_some));
+    assert!(rig.log.ends_with(&[BusEvent::Operational]) || rig.log.contains(&BusEvent::Operational));
+}
+
+#[test]
+fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(50);
+    rig.cell.inject(Fault::Silence(2, 5_000));
+    rig.run_ms(5);
+    assert!(rig.services.enqueue(upload(1, STATUS_WORD)).is_ok());
+    rig.run_ms(100);
+    rig.cell.inject(Fault::Retreat(4, 0x001D));
+    let took_ms = rig.wait_for(100, |event| matches!(event, BusEvent::SlaveLeft { position: 3, .. }));
+    println!("noticed after {took_ms} ms");
+    rig.run_ms(5);
+    assert_eq!(rig.answers.dequeue(), Some(Err(ServiceError::Interrupted)));
+    // The reply that was owed to the dropped request belongs to nobody.
+    rig.run_ms(5_000);
+    let answer = rig.ask(upload(1, STATUS_WORD));
+    assert!(matches!(answer, Ok(ServiceReply::Piece { total: 2, .. })), "{answer:?}");
+}
+
+#[test]
+fn a_slave_lost_during_the_repair_of_another_is_noticed_within_100_ms_and_both_come_back() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(50);
+    rig.cell.inject(Fault::Retreat(2, 0x001D));
+    rig.wait_for(100, |event| matches!(event, BusEvent::SlaveLeft { position: 1, .. }));
+    // The repair goes through INIT and hangs at a silent mailbox.
+    assert!(rig.ask(set_state(1, AlState::Init)).is_ok());
+    rig.run_ms(20);
+    rig.cell.inject(Fault::Retreat(3, 0x001D));
+    rig.wait_for(100, |event| matches!(event, BusEvent::SlaveLeft { position: 2, .. }));
+    rig.cell.inject(Fault::Silence(3, 400));
+    rig.recover();
+    rig.run_ms(5);
+    rig.cell.inject(Fault::Remove(4));
+    let took_ms = rig.wait_for(100, |event| *event == BusEvent::SlaveLost { position: 3 });
+    println!("noticed after {took_ms} ms");
+    rig.cell.inject(Fault::Insert(4));
+    rig.run_ms(3_000);
+    rig.recover();
+    rig.run_ms(2_000);
+    let answer = rig.ask(set_state(1, AlState::Operational));
+    assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::Operational))));
+    rig.run_ms(20);
+    assert!(rig.inputs.iter().all(Option::is_some), "{:#?}", rig.log);
+}
+
+#[test]
+fn a_stop_sends_safe_outputs_first_and_ends_in_init() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(50);
+    assert!(rig.commands.enqueue(BusCommand::Stop).is_ok());
+    rig.wait_for(1_000, |event| *event == BusEvent::Stopped);
+    rig.run_ms(20);
+    assert_eq!(al_states(&rig), [cell::AlState::Init; 4]);
+    assert!(rig.cell.state().slaves.iter().all(|slave| slave.al_status_code == 0));
+    rig.start();
+    rig.operational();
+    rig.run_ms(10);
+    assert_eq!(rig.inputs.iter().flatten().count(), AXES);
+}
+
+#[test]
+fn requests_while_the_bus_is_brought_up_are_answered_by_busy() {
+    let mut rig = rig("");
+    rig.run_ms(30);
+    assert_eq!(rig.ask(ServiceRequest::Bus), Err(ServiceError::Busy));
+    rig.operational();
+    assert!(rig.ask(ServiceRequest::Bus).is_ok());
+}
+
+#[test]
+fn error_counters_name_the_slaves_at_both_ends_of_a_cable() {
+    let mut rig = rig("");
+    rig.operational();
+    let Ok(ServiceReply::Errors(errors)) = rig.ask(ServiceRequest::Errors { slave: 2 }) else {
+        panic!("no answer");
+    };
+    assert_eq!(errors.partners, [Some(1), Some(3), None, None]);
+    assert_eq!(rig.ask(ServiceRequest::ClearErrors), Ok(ServiceReply::Done));
+}
