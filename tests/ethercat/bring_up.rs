@@ -1,8 +1,8 @@
 //! Bring-up, motion, faults on the wire, lost slaves and their repair.
 
-use crate::rig::rig;
+use crate::rig::{idle_rig, rig};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
-use etherpen::ethercat::cyclic::Ignored;
+use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::io::{AxisCommand, Demand};
@@ -11,9 +11,23 @@ use host_tools::cell::Fault;
 
 #[test]
 fn four_drives_come_to_op_take_power_and_turn_as_told() {
-    let mut rig = rig("");
+    turn_as_told(ExchangeKind::Split);
+}
+
+#[test]
+fn four_drives_do_the_same_when_inputs_and_outputs_are_exchanged_together() {
+    turn_as_told(ExchangeKind::Combined);
+}
+
+fn turn_as_told(exchange: ExchangeKind) {
+    let mut rig = idle_rig("");
+    rig.setup.bus.exchange = exchange;
+    rig.start();
     let took_ms = rig.operational();
-    println!("OP after {took_ms} ms and {} frames", rig.cell.state().frames);
+    println!(
+        "{exchange:?}: OP after {took_ms} ms and {} frames",
+        rig.cell.state().frames
+    );
     assert!(rig.cell.state().slaves.iter().all(|slave| slave.al_status_code == 0));
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
     rig.run_ms(50);

@@ -117,31 +117,12 @@ impl<'a> FrameBuilder<'a> {
         })
     }
 
-    /// Goes on with a frame that holds datagrams already: `end` is where its chain ends, `last` where the last datagram
-    /// starts, both from the beginning of the frame.
-    ///
-    /// # Errors
-    /// [`Error::Room`] when `frame` is shorter than that or than [`FRAME_LEN_MIN`].
-    pub fn resume(frame: &'a mut [u8], end: usize, last: usize) -> Result<Self, Error> {
-        check_room(frame, end.max(last + DATAGRAM_HEADER_LEN).max(FRAME_LEN_MIN))?;
-        Ok(Self {
-            frame,
-            end,
-            last: Some(last),
-        })
-    }
-
     /// Bytes of data that one more datagram could carry, if any.
     pub fn room(&self) -> Option<usize> {
         self.frame
             .len()
             .min(FRAME_LEN_MAX)
             .checked_sub(self.end + DATAGRAM_HEADER_LEN + 2)
-    }
-
-    /// Where the next datagram would start, from the beginning of the frame.
-    pub fn position(&self) -> usize {
-        self.end
     }
 
     /// Adds a datagram with zeroed data and gives its data to be filled in.
@@ -169,11 +150,6 @@ impl<'a> FrameBuilder<'a> {
         self.end = start + repr.len();
         let data = start + DATAGRAM_HEADER_LEN;
         Ok(self.frame.get_mut(data..data + length).unwrap_or(&mut []))
-    }
-
-    /// Where the last datagram starts, if there is one.
-    pub fn last(&self) -> Option<usize> {
-        self.last
     }
 
     /// Closes the frame: writes the EtherCAT header and pads. Gives the frame's length in bytes.
