@@ -16,16 +16,21 @@ const PERIOD_NS: u64 = 1_000_000;
 const SLAVES: u16 = 4;
 const STATION_BASE: u16 = 0x1001;
 
-/// Difference of a slave's clock from the reference as its own register shows it, ns.
-fn difference_ns(cell: &mut Cell, time_ns: u64, station: u16) -> i32 {
+/// A register of a slave, read beside the master.
+fn read<const LENGTH: usize>(cell: &mut Cell, time_ns: u64, station: u16, register: u16) -> [u8; LENGTH] {
     let mut frame = [0; FRAME_LEN_MAX];
     let mut builder = FrameBuilder::new(&mut frame, MAC).expect("room");
-    let address = Address::station(station, register::DC_TIME_DIFFERENCE);
-    builder.push(Command::Fprd, 0xEE, address, 4).expect("room");
+    let address = Address::station(station, register);
+    builder.push(Command::Fprd, 0xEE, address, LENGTH).expect("room");
     let length = builder.finish();
     let replies = cell.frame_at_ns(time_ns, &frame[..length]);
     let view = FrameView::new_checked(&replies[0]).expect("a reply");
-    let bytes: [u8; 4] = view.payload()[10..14].try_into().expect("four bytes");
+    view.payload()[10..10 + LENGTH].try_into().expect("as many bytes")
+}
+
+/// Difference of a slave's clock from the reference as its own register shows it, ns.
+fn difference_ns(cell: &mut Cell, time_ns: u64, station: u16) -> i32 {
+    let bytes = read(cell, time_ns, station, register::DC_TIME_DIFFERENCE);
     register::time_difference_ns(u32::from_le_bytes(bytes))
 }
 
@@ -95,6 +100,15 @@ fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() 
         let differences: Vec<i32> = (1..SLAVES)
             .map(|slave| difference_ns(&mut cell, release_ns + 400_000, STATION_BASE + slave))
             .collect();
+        for slave in 0..SLAVES {
+            let active: [u8; 2] = read(
+                &mut cell,
+                release_ns + 450_000,
+                STATION_BASE + slave,
+                register::DC_CYCLIC_CONTROL,
+            );
+            assert_eq!(active, 0x0300_u16.to_le_bytes(), "SYNC0 of slave {slave} is on");
+        }
         println!(
             "seed {seed}: OP after {operational_ms:?} ms and the phase error was at most {error_max_ns} ns, after a second \
              {settled_max_ns} ns; differences of the slaves {differences:?} ns"

@@ -306,12 +306,14 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Builds the telegrams of a plan; outputs of shares that stay where they were are kept.
+    /// Builds the telegrams of a plan; outputs of shares that stay where they were and keep their role are kept.
     fn adopt(&mut self, plan: CyclicPlan<SLAVES>) {
         let mut kept = [[0; PROCESS_BYTES_MAX]; SLAVES];
         for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
             let old = self.plan.slaves.get(number).copied().unwrap_or_default();
-            if (old.output_address, old.output_length) == (new.output_address, new.output_length) {
+            let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
+            // Outputs that nobody writes any more go back to zero.
+            if same && old.role == new.role {
                 super::wire::write_bytes(kept, 0, self.output(number));
             }
         }

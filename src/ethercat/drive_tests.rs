@@ -225,7 +225,8 @@ fn categories() -> Vec<u8> {
     {
         record.emit(place).unwrap();
     }
-    let pdos = |list: &[(u16, u8, &[(u16, u8)])]| {
+    type Entries<'a> = &'a [(u16, u8)];
+    let pdos = |list: &[(u16, u8, Entries<'_>)]| {
         let mut bytes = Vec::new();
         for (index, sync_manager, entries) in list {
             let pdo = PdoRecord {

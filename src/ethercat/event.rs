@@ -4,6 +4,7 @@
 
 use super::error::BusError;
 use super::state::AlReport;
+use super::wire::coe::Emergency;
 use super::wire::sii::Identity;
 use crate::application::{BusCondition, Fault};
 use crate::config::{Axis, Bus};
@@ -108,6 +109,13 @@ pub enum BusEvent {
     },
     /// All used slaves were taken out of OP.
     Stopped,
+    /// A slave has sent an emergency.
+    Emergency {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// What it says.
+        emergency: Emergency,
+    },
     /// A cable has damaged frames or lost its link.
     CableErrors {
         /// The slave at whose port it was counted: place in the chain, from 0.
@@ -165,6 +173,7 @@ impl BusEvent {
             | Self::Slave { .. }
             | Self::Repaired { .. }
             | Self::Stopped
+            | Self::Emergency { .. }
             | Self::CableErrors { .. } => return None,
         };
         Some(BusCondition::Failed(fault))

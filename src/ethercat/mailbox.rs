@@ -67,6 +67,8 @@ pub struct Mailbox {
     input: MailboxWindow,
     counter: u8,
     unexpected: u16,
+    /// The last exchange ended with its answer: nothing from before can be taken for the next one.
+    settled: bool,
     emergencies: Emergencies,
 }
 
@@ -143,9 +145,14 @@ impl Mailbox {
         emit: impl Fn(&mut [u8]),
         accept: impl Fn(&[u8]) -> bool,
     ) -> Result<Bytes<MESSAGE>, BusError> {
-        self.drain(port).await?;
+        if !self.settled {
+            self.drain(port).await?;
+        }
+        self.settled = false;
         self.send(port, protocol, length, emit).await?;
-        self.receive(port, protocol, accept).await
+        let answer = self.receive(port, protocol, accept).await?;
+        self.settled = true;
+        Ok(answer)
     }
 
     /// Waits for a message of `protocol` that `accept` recognises by its service data, which are given; messages of

@@ -9,7 +9,7 @@
 
 use super::error::BusError;
 use super::state::{AlReport, AlState};
-use super::wire::coe::Object;
+use super::wire::coe::{Emergency, Object};
 use super::wire::sii::{Identity, MailboxWindow};
 use crate::application::Mode;
 use heapless::{String, Vec};
@@ -221,6 +221,8 @@ pub struct SlaveInfo {
     pub ports: [PortInfo; PORTS],
     /// Its clock, if it has one.
     pub clock: Option<ClockInfo>,
+    /// Its last emergency since it was configured.
+    pub emergency: Option<Emergency>,
 }
 
 /// Error counters of one port; each stops at 255.

@@ -5,6 +5,7 @@
 use super::mailbox::Mailbox;
 use super::service::PORTS;
 use super::state::AlReport;
+use super::wire::coe::Emergency;
 use super::wire::sii::{FixedPart, Identity};
 use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveKind, Windows};
@@ -62,6 +63,8 @@ pub struct Slave {
     pub dl_status: u16,
     /// Damaged frames and lost links of each port when they were last read.
     pub port_errors: [u16; PORTS],
+    /// Its last emergency since it was configured.
+    pub emergency: Option<Emergency>,
     /// Its AL status when it was last asked.
     pub report: AlReport,
     /// Number of its last configuration from INIT among all on this bus, wrapping.

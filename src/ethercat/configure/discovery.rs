@@ -38,6 +38,7 @@ pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>
     port.broadcast_write(register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
     port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
         .await?;
+    port.broadcast_write(register::DC_CYCLIC_CONTROL, &[0; 2]).await?;
     port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
         .await?;
     Ok(())

@@ -159,6 +159,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         slave.condition = Condition::Configuring;
         self.generation = self.generation.wrapping_add(1);
         slave.generation = self.generation;
+        slave.emergency = None;
         self.reach_pre_operational(number).await?;
         self.configure(number).await
     }
@@ -217,6 +218,13 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         configure::process_data(port, slave, watchdog_ms)
             .await
             .map_err(at(Step::ProcessData))?;
+        let activate = slave.kind.map_or(0, |kind| kind.clocks.assign_activate);
+        if activate != 0 && self.clocks.has_clock(usize::from(position)) {
+            let shift_ns = u32::from(self.setup.bus.sync_shift_us) * 1_000;
+            clock::start_sync(port, station, &self.clocks, activate, shift_ns)
+                .await
+                .map_err(at(Step::Clocks))?;
+        }
         state::change(port, station, AlState::SafeOperational)
             .await
             .map_err(at(Step::SafeOperational))

@@ -9,7 +9,9 @@ use super::super::acyclic::Request;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
 use super::super::service::{ClockInfo, PORTS, PortErrors, PortInfo, SlaveErrors};
+use super::super::slave::Condition;
 use super::super::topology::{self, Parents};
+use super::super::wire::coe::Emergency;
 use super::super::wire::register::ErrorCounters;
 use super::super::wire::{Address, Command, read_u8, read_u16, read_u32, register};
 use super::LookList;
@@ -101,7 +103,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let counters = ErrorCounters::parse(&bytes).unwrap_or_default();
         let now = counters
             .ports
-            .map(|port| u16::from(port.invalid_frames) + u16::from(port.receive_errors) + u16::from(port.lost_links));
+            .map(|port| u16::from(port.invalid_frames.max(port.receive_errors)) + u16::from(port.lost_links));
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.port_errors = now;
         }
@@ -120,6 +122,31 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
                 self.emit(event).await;
             }
         }
+    }
+
+    /// Fetches what the slave whose cables were looked at last has in its mailbox unasked, and reports its emergencies.
+    pub(super) async fn look_at_mailbox(&mut self) {
+        let number = self.cable_next.saturating_sub(1);
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return;
+        };
+        if slave.condition != Condition::Operational || slave.fixed.mailbox_in.length == 0 {
+            return;
+        }
+        // A slave that does not answer is noticed elsewhere.
+        let _ = slave.mailbox.drain(&mut self.port).await;
+        while let Some(emergency) = self.take_emergency(number) {
+            let position = number as u8;
+            self.emit(BusEvent::Emergency { position, emergency }).await;
+        }
+    }
+
+    /// The next emergency of a slave, kept as its last one.
+    fn take_emergency(&mut self, number: usize) -> Option<Emergency> {
+        let slave = self.slaves.get_mut(number)?;
+        let emergency = slave.mailbox.take_emergency()?;
+        slave.emergency = Some(emergency);
+        Some(emergency)
     }
 
     /// A slave's clock, if it has one.

@@ -162,6 +162,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             input_bytes: share.input_length,
             ports: self.ports(number),
             clock: self.clock(station).await?,
+            emergency: slave.emergency,
         })
     }
 

@@ -86,7 +86,7 @@ impl Object {
 }
 
 /// An emergency message (CiA 301).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Emergency {
     /// Error code of the device profile.
     pub code: u16,
