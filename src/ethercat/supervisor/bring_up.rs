@@ -214,7 +214,12 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
                 .await
                 .map_err(at(Step::Objects))?;
         }
+        self.check_plan().map_err(Failure::of(position, Step::ProcessData))?;
         let watchdog_ms = self.setup.bus.watchdog_ms;
+        let Self { port, slaves, .. } = self;
+        let Some(slave) = slaves.get_mut(number) else {
+            return Ok(());
+        };
         configure::process_data(port, slave, watchdog_ms)
             .await
             .map_err(at(Step::ProcessData))?;

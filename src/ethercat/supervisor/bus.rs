@@ -6,7 +6,8 @@
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::BusClocks;
 use super::super::configure;
-use super::super::cyclic::{CyclicPlan, CyclicSlave, ReferenceClock};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
+use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
 use super::super::factory;
 use super::super::slave::{Condition, Slave};
@@ -128,8 +129,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         reports
     }
 
-    /// Sends the plan that follows from the slaves' conditions.
-    pub(super) async fn send_plan(&mut self) {
+    /// The plan that follows from the slaves' conditions.
+    fn plan(&self) -> CyclicPlan<SLAVES> {
         let worked_on = self.worked_on;
         let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
             watched: slave.condition == Condition::Operational && worked_on != Some(number),
@@ -143,13 +144,38 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
                 (false, false) => 0,
             }
         });
-        let mut plan = CyclicPlan {
+        CyclicPlan {
             // The bit of OP is the one that tells of the slaves in use.
             al_bits_ignored: ignored.fold(0, |bits, slave| bits | slave) & !(AlState::Operational as u16),
             slaves: slaves.collect(),
             exchange: self.setup.bus.exchange,
             clock: self.reference_clock(),
-        };
+        }
+    }
+
+    /// Fails when the slaves' process data leave no room in a frame for the longest mailbox among them.
+    pub(super) fn check_plan(&self) -> Result<(), BusError> {
+        let windows = self.slaves.iter().map(|slave| {
+            let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
+            out.max(input)
+        });
+        let longest = windows.max().unwrap_or(0);
+        self.plan().check(longest.into()).map_err(|error| match error {
+            PlanError::ProcessData { expected, actual, .. } => BusError::ProcessLength { expected, actual },
+            PlanError::Span { expected, actual, .. } => BusError::ProcessLength {
+                expected: expected as u16,
+                actual: u16::try_from(actual).unwrap_or(u16::MAX),
+            },
+            PlanError::Room { expected, actual } => BusError::NoRoom {
+                expected: longest,
+                actual: longest.saturating_sub(actual.saturating_sub(expected) as u16),
+            },
+        })
+    }
+
+    /// Sends the plan that follows from the slaves' conditions.
+    pub(super) async fn send_plan(&mut self) {
+        let mut plan = self.plan();
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
             self.port.wait_ms(1).await;
