@@ -155,6 +155,23 @@ fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again() {
 }
 
 #[test]
+fn a_slave_without_an_axis_gets_process_data_with_which_it_stays_in_op() {
+    let mut rig = idle_rig("");
+    for target in [AlState::Operational, AlState::PreOperational, AlState::Operational] {
+        let answer = rig.ask(set_state(3, target));
+        assert_eq!(answer, Ok(ServiceReply::State(in_state(target))));
+        // Longer than any watchdog.
+        rig.run_ms(500);
+        assert_eq!(info(&mut rig, 3).report, in_state(target));
+    }
+    let exchanged = info(&mut rig, 3);
+    assert_eq!((exchanged.output_bytes > 0, exchanged.input_bytes > 0), (true, true));
+    assert_eq!(al_states(&rig)[..3], [cell::AlState::Init; 3]);
+    let answer = rig.ask(set_state(3, AlState::Init));
+    assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::Init))));
+}
+
+#[test]
 fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
     let mut rig = rig("");
     rig.operational();

@@ -129,7 +129,7 @@ impl Link for TcpLine {
 /// A tool is missing, the port is taken, or the emulator ended by itself.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let faults = read_faults(arguments.faults.as_deref())?;
+    let faults = read_faults(arguments.faults.as_deref(), config.bus.drives.into())?;
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
     let cell = Cell::new(
@@ -193,13 +193,15 @@ fn free_run(running: FreeRunning) -> Result<(), CommandError> {
     running.stop().map_err(|error| emulator_error(&error))
 }
 
-/// Reads a script of faults; without a file nothing goes wrong.
-pub(super) fn read_faults(path: Option<&Path>) -> Result<Script, CommandError> {
+/// Reads a script of faults for a chain of so many slaves; without a file nothing goes wrong.
+pub(super) fn read_faults(path: Option<&Path>, slaves: usize) -> Result<Script, CommandError> {
     let Some(path) = path else {
         return Ok(Script::default());
     };
+    let wrong = |cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display()));
     let text = std::fs::read_to_string(path)
         .map_err(|cause| CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
-    text.parse()
-        .map_err(|cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display())))
+    let script: Script = text.parse().map_err(wrong)?;
+    script.check(slaves).map_err(wrong)?;
+    Ok(script)
 }

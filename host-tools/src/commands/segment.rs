@@ -148,14 +148,11 @@ impl SlaveSummary {
 /// The way for frames cannot be opened or was lost, or a file cannot be read or written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let faults = read_faults(arguments.faults.as_deref())?;
     let slaves = match &arguments.slaves {
         Some(SlaveList(slaves)) => slaves.clone(),
         None => vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
     };
-    faults
-        .check(slaves.len())
-        .map_err(|cause| CommandError::new(code::INPUT, format!("faults: {cause}")))?;
+    let faults = read_faults(arguments.faults.as_deref(), slaves.len())?;
     let options = CellOptions {
         faults,
         slaves: slaves.clone(),

@@ -9,7 +9,7 @@ pub mod discovery;
 pub mod information;
 mod process_data;
 
-pub use process_data::{LOGICAL_START, ask_device_type, cyclic_slave, objects, process_data};
+pub use process_data::{LOGICAL_START, ask_device_type, cyclic_slave, objects, process_data, unused_objects};
 
 use discovery::{mailbox_managers, write_managers};
 use information::read_sii;

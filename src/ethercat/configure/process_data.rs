@@ -9,10 +9,11 @@
 //! exceeds [`PROCESS_BYTES_MAX`](crate::ethercat::cyclic::PROCESS_BYTES_MAX); a wrong mode is never left unnoticed.
 
 use super::{mailbox_managers, read_sii, write_managers};
-use crate::config::Axis;
+use crate::config::{Axis, AxisMode};
 use crate::drives::layout::LayoutBuilder;
 use crate::drives::{
-    DriveKind, Entry, OPERATION_MODE, OPERATION_MODE_DISPLAY, PdoChoice, QUICK_STOP_DECELERATION, Setting, Windows,
+    DriveKind, Entry, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY, PdoChoice, QUICK_STOP_DECELERATION,
+    Setting, Windows,
 };
 use crate::ethercat::acyclic::{AcyclicPort, Request};
 use crate::ethercat::coe::ObjectDictionary;
@@ -143,23 +144,53 @@ pub async fn objects<const MESSAGE: usize>(
     let taken = outputs_taken && inputs_taken;
     slave.process_data = match twin {
         Some(twin) if taken && twin.layout.mode == axis.mode => Some(twin),
-        _ => {
-            let mut builder = LayoutBuilder::new(axis.mode, mode);
-            read_lists(port, slave, Direction::Outputs, &mode.outputs, |entry| {
-                builder.output(entry)
-            })
-            .await?;
-            read_lists(port, slave, Direction::Inputs, &mode.inputs, |entry| {
-                builder.input(entry)
-            })
-            .await?;
-            Some(ProcessData {
-                windows: windows(port, slave.station(), kind.windows).await?,
-                layout: builder.finish()?,
-            })
-        }
+        _ => Some(lay_out(port, slave, kind, axis.mode, mode).await?),
     };
     Ok(())
+}
+
+/// Chooses the process data of a drive that no axis uses, in its first mode, and lays them out, in PREOP. Its mode and
+/// its settings stay as they are; what no description knows has no process data.
+///
+/// # Errors
+/// As [`objects`], but for those of mode and settings.
+pub async fn unused_objects<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &mut Slave,
+) -> Result<(), BusError> {
+    let Some(kind) = slave.kind else { return Ok(()) };
+    let mut modes = [AxisMode::Velocity, AxisMode::Torque].into_iter();
+    let Some((axis_mode, mode)) = modes.find_map(|mode| Some((mode, kind.mode(mode)?))) else {
+        return Ok(());
+    };
+    let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
+    choose(&mut dictionary, Direction::Outputs, &mode.outputs).await?;
+    choose(&mut dictionary, Direction::Inputs, &mode.inputs).await?;
+    slave.process_data = Some(lay_out(port, slave, kind, axis_mode, mode).await?);
+    Ok(())
+}
+
+/// Lays a drive's process data out as it really has them.
+async fn lay_out<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &mut Slave,
+    kind: DriveKind,
+    axis_mode: AxisMode,
+    mode: &ModeDescription,
+) -> Result<ProcessData, BusError> {
+    let mut builder = LayoutBuilder::new(axis_mode, mode);
+    let outputs = read_lists(port, slave, Direction::Outputs, &mode.outputs, |entry| {
+        builder.output(entry)
+    });
+    outputs.await?;
+    let inputs = read_lists(port, slave, Direction::Inputs, &mode.inputs, |entry| {
+        builder.input(entry)
+    });
+    inputs.await?;
+    Ok(ProcessData {
+        windows: windows(port, slave.station(), kind.windows).await?,
+        layout: builder.finish()?,
+    })
 }
 
 /// Writes a value; false when the drive refuses it.
@@ -400,10 +431,10 @@ async fn windows<const MESSAGE: usize>(
     Ok(windows)
 }
 
-/// A slave's share of the logical memory; without process data for slaves that are not used or not configured yet.
+/// A slave's share of the logical memory; without process data for slaves that are not configured yet, without a role
+/// for those that no axis uses: their outputs stay 0.
 pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
-    let (Some(kind), Some(axis), Some(ProcessData { layout, .. })) = (slave.kind, slave.axis, slave.process_data)
-    else {
+    let (Some(kind), Some(ProcessData { layout, .. })) = (slave.kind, slave.process_data) else {
         return CyclicSlave::default();
     };
     let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
@@ -413,7 +444,7 @@ pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
         output_address: start,
         output_length: layout.output_length.into(),
         watched: false,
-        role: Some(DriveRole { axis, kind, layout }),
+        role: slave.axis.map(|axis| DriveRole { axis, kind, layout }),
         generation: slave.generation,
     }
 }

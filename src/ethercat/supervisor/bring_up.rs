@@ -27,6 +27,8 @@ const STABLE_MS: u32 = 10;
 const INPUTS_TIMEOUT_MS: u32 = 1_000;
 /// How long outputs are sent before a drive is asked for OP, ms.
 const OUTPUTS_BEFORE_OPERATIONAL_MS: u32 = 10;
+/// Watchdog of slaves that no axis uses, ms: the slave controllers' default, as they move nothing.
+const UNUSED_WATCHDOG_MS: u16 = 100;
 /// How long safe outputs are sent before the slaves leave OP, ms.
 const SAFE_OUTPUTS_MS: u32 = 3;
 
@@ -209,13 +211,16 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         };
         let (port, station, position) = (&mut self.port, slave.station(), slave.position);
         let at = |step| Failure::of(position, step);
-        if let Some(axis) = slave.axis.and_then(|axis| self.setup.axes.get(usize::from(axis))) {
-            configure::objects(port, slave, axis, twin)
-                .await
-                .map_err(at(Step::Objects))?;
-        }
+        let axis = slave.axis.and_then(|axis| self.setup.axes.get(usize::from(axis)));
+        let (result, watchdog_ms) = match axis {
+            Some(axis) => {
+                let result = configure::objects(port, slave, axis, twin).await;
+                (result, self.setup.bus.watchdog_ms)
+            }
+            None => (configure::unused_objects(port, slave).await, UNUSED_WATCHDOG_MS),
+        };
+        result.map_err(at(Step::Objects))?;
         self.check_plan().map_err(Failure::of(position, Step::ProcessData))?;
-        let watchdog_ms = self.setup.bus.watchdog_ms;
         let Self { port, slaves, .. } = self;
         let Some(slave) = slaves.get_mut(number) else {
             return Ok(());
@@ -261,7 +266,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
     }
 
     /// Waits until a slave answers to its logical addresses and outputs have been sent for a while.
-    async fn inputs_come(&mut self, slave: &Slave) -> Result<(), BusError> {
+    pub(super) async fn inputs_come(&mut self, slave: &Slave) -> Result<(), BusError> {
         let share = configure::cyclic_slave(slave);
         let started_ms = self.port.now_ms();
         let request = Request::read(
@@ -305,7 +310,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             }
         }
         for slave in &mut self.slaves {
-            slave.axis = None;
+            (slave.axis, slave.process_data) = (None, None);
             slave.condition = match slave.condition {
                 Condition::Lost => Condition::Lost,
                 _ => Condition::Unused,

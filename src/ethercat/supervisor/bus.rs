@@ -134,7 +134,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         let worked_on = self.worked_on;
         let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
             watched: slave.condition == Condition::Operational && worked_on != Some(number),
-            ..share(slave)
+            ..configure::cyclic_slave(slave)
         });
         let ignored = (0..).zip(&self.slaves).map(|(number, slave)| {
             let idle = slave.axis.is_none() || slave.condition == Condition::Parked;
@@ -306,13 +306,5 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
             _ => self.introduce(number).await,
         }
         true
-    }
-}
-
-/// A slave's share of the logical memory; nothing before its process data are set up.
-fn share(slave: &Slave) -> CyclicSlave {
-    match slave.condition {
-        Condition::Unused => CyclicSlave::default(),
-        _ => configure::cyclic_slave(slave),
     }
 }

@@ -25,6 +25,11 @@ impl From<BusError> for ServiceError {
     }
 }
 
+/// Whether process data are exchanged in a state.
+const fn is_exchanging(state: AlState) -> bool {
+    matches!(state, AlState::SafeOperational | AlState::Operational)
+}
+
 impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
     /// Brings a slave to a state, and tells which one it is in then.
     pub(super) async fn set_state(&mut self, number: usize, target: AlState) -> Result<AlReport, ServiceError> {
@@ -41,6 +46,9 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         };
         if slave.axis.is_some() && target != AlState::Operational {
             self.set_condition(number, Condition::Parked);
+        }
+        if slave.axis.is_none() && !is_exchanging(target) {
+            self.forget_process_data(number);
         }
         let present = before.state().unwrap_or(AlState::Init);
         if target as u8 > present as u8 && target != AlState::Bootstrap {
@@ -67,12 +75,26 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
+    fn forget_process_data(&mut self, number: usize) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.process_data = None;
+        }
+    }
+
     /// Goes up from a state, one after the other.
     async fn climb(&mut self, number: usize, from: Option<AlState>, target: AlState) -> Result<(), ServiceError> {
         let Some(slave) = self.slaves.get_mut(number) else {
             return Err(ServiceError::Interrupted);
         };
-        let (station, used) = (slave.station(), slave.axis.is_some());
+        let station = slave.station();
+        // Another master's process data are not known.
+        let from = match from {
+            Some(AlState::SafeOperational) if slave.kind.is_some() && slave.process_data.is_none() => {
+                state::change(&mut self.port, station, AlState::PreOperational).await?;
+                Some(AlState::PreOperational)
+            }
+            from => from,
+        };
         if !matches!(from, Some(AlState::PreOperational | AlState::SafeOperational)) {
             self.generation = self.generation.wrapping_add(1);
             slave.generation = self.generation;
@@ -90,10 +112,14 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             return Ok(());
         }
         self.send_plan().await;
-        if used {
-            self.reach_operational(number).await?;
-        } else {
-            state::change(&mut self.port, station, AlState::Operational).await?;
+        match self.slaves.get(number).copied() {
+            Some(slave) if slave.axis.is_none() => {
+                if slave.process_data.is_some() {
+                    self.inputs_come(&slave).await?;
+                }
+                state::change(&mut self.port, station, AlState::Operational).await?;
+            }
+            _ => self.reach_operational(number).await?,
         }
         Ok(())
     }

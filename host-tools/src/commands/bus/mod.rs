@@ -65,7 +65,8 @@ enum Action {
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: Option<u8>,
     },
-    /// Bring a slave to a state, step by step.
+    /// Bring a slave to a state, step by step. One that no axis uses gets outputs of 0; OP lasts while they are sent:
+    /// until this program ends, with --port beyond that.
     State {
         /// The slave, from 1.
         #[arg(value_name = "N", value_parser = slave_number)]

@@ -150,7 +150,56 @@ pub fn bus_error(error: &BusError) -> String {
         BusError::Sii { status } => {
             format!("the slave information memory reports an error (status {status:#06x}); it may be damaged")
         }
-        other => format!("the bus answered otherwise than expected: {other:?}; try again"),
+        BusError::DriveCount { expected, actual } => {
+            format!("{actual} drives are there, {expected} are needed; check cables and supplies, and bus.drives")
+        }
+        BusError::Identity { expected, actual } => {
+            format!("there is product {actual:08x} where {expected:08x} was; put the slave back or start the bus anew")
+        }
+        BusError::Serial { expected, actual } => format!(
+            "there is serial number {actual} where {expected} was: two slaves were swapped; put them back or start the \
+             bus anew"
+        ),
+        BusError::Station { expected, actual } => format!(
+            "there is the slave with address {actual:#06x} where {expected:#06x} was: the cables were changed; put them \
+             back or start the bus anew"
+        ),
+        BusError::SdoAnswer { object: at } => {
+            format!(
+                "the slave's answer to the access to {} is no answer to it; try again",
+                object(at)
+            )
+        }
+        BusError::SdoToggle { object: at } => {
+            format!("a part of {} was lost or came twice; try again", object(at))
+        }
+        BusError::ReadBack {
+            object: at,
+            expected,
+            actual,
+        } => format!(
+            "{expected:#x} was written, but {} reads {actual:#x}; the slave does not take this value in this state",
+            object(at)
+        ),
+        BusError::Range { object: at } => {
+            format!("the value asked for does not fit {} of this slave", object(at))
+        }
+        BusError::NoRoom { expected, actual } => {
+            format!(
+                "{expected} bytes were to be sent, a frame has room for {actual} beside the process data; ask for less"
+            )
+        }
+        BusError::NoInputs { waited_ms } => {
+            format!("no inputs came from the slave within {waited_ms} ms; look at what 0x1c12 and 0x1c13 assign")
+        }
+        BusError::ClockDifference {
+            expected_ns,
+            actual_ns,
+            waited_ms,
+        } => format!(
+            "the slave's clock is {actual_ns} ns from the reference after {waited_ms} ms, more than {expected_ns} ns; \
+             without clocks (bus.clocks) it can be used all the same"
+        ),
     }
 }
 
