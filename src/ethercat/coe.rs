@@ -11,7 +11,7 @@
 
 use super::acyclic::{AcyclicPort, Bytes};
 use super::error::BusError;
-use super::mailbox::Mailbox;
+use super::mailbox::{MAILBOX_TIMEOUT_MS, Mailbox};
 use super::wire::coe::{
     EntryDescription, Information, InformationRepr, Object, ObjectDescription, ObjectList, SDO_LEN, SEGMENT_DATA_MIN,
     SEGMENT_HEADER_LEN, Sdo, Service, VALUE_INFO_ACCESS,
@@ -23,6 +23,11 @@ use super::wire::{read_u16, read_u32};
 const FRAGMENTS_MAX: usize = 1_024;
 /// Longest value of an expedited transfer, bytes.
 const EXPEDITED_MAX: usize = 4;
+
+/// Device type (CiA 301), which every slave with a dictionary has.
+pub const DEVICE_TYPE: Object = Object::new(0x1000, 0);
+/// How long a slave is given to answer to a counter that it may have had last, ms. A slower one is asked twice.
+const JOIN_WAIT_MS: u32 = 100;
 
 const ABORT_TOGGLE: u32 = 0x0503_0000;
 const ABORT_COMMAND: u32 = 0x0504_0001;
@@ -39,6 +44,39 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     /// The dictionary behind `mailbox`.
     pub fn new(port: &'c mut AcyclicPort<'q, MESSAGE>, mailbox: &'c mut Mailbox) -> Self {
         Self { port, mailbox }
+    }
+
+    /// Makes the mailbox of a slave usable that someone else may have talked to.
+    ///
+    /// The slave takes a message with the counter of the last one it got for a repetition and stays silent, and which
+    /// counter that was cannot be read. So it is asked for its device type, which it may well be asked twice: of two
+    /// counters one at least differs from the last.
+    ///
+    /// # Errors
+    /// Those of the mailbox, but for a mailbox error, which is an answer too.
+    pub async fn join(&mut self) -> Result<(), BusError> {
+        let request = Sdo::Upload {
+            object: DEVICE_TYPE,
+            complete: false,
+        };
+        let emit = |data: &mut [u8]| {
+            // The data are as long as the request says.
+            let _ = request.emit(data);
+        };
+        let mut silence = BusError::MailboxTimeout { waited_ms: 0 };
+        self.mailbox.drain(self.port).await?;
+        for limit_ms in [JOIN_WAIT_MS, MAILBOX_TIMEOUT_MS] {
+            self.mailbox.send(self.port, Protocol::Coe, request.len(), emit).await?;
+            let answer = self
+                .mailbox
+                .receive_within(self.port, Protocol::Coe, limit_ms, |_| true);
+            match answer.await {
+                Ok(_) | Err(BusError::Mailbox { .. }) => return Ok(()),
+                Err(error @ BusError::MailboxTimeout { .. }) => silence = error,
+                Err(error) => return Err(error),
+            }
+        }
+        Err(silence)
     }
 
     /// Reads an object of at most `MESSAGE` bytes.

@@ -166,6 +166,20 @@ impl Mailbox {
         protocol: Protocol,
         accept: impl Fn(&[u8]) -> bool,
     ) -> Result<Bytes<MESSAGE>, BusError> {
+        self.receive_within(port, protocol, MAILBOX_TIMEOUT_MS, accept).await
+    }
+
+    /// The same with another limit, ms.
+    ///
+    /// # Errors
+    /// As [`Self::receive`].
+    pub async fn receive_within<const MESSAGE: usize>(
+        &mut self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+        protocol: Protocol,
+        limit_ms: u32,
+        accept: impl Fn(&[u8]) -> bool,
+    ) -> Result<Bytes<MESSAGE>, BusError> {
         let started_ms = port.now_ms();
         loop {
             if self.is_full(port, 1).await? {
@@ -181,7 +195,7 @@ impl Mailbox {
                 }
             }
             let waited_ms = port.now_ms().wrapping_sub(started_ms);
-            if waited_ms > MAILBOX_TIMEOUT_MS {
+            if waited_ms > limit_ms {
                 return Err(BusError::MailboxTimeout { waited_ms });
             }
         }

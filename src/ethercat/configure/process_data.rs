@@ -16,7 +16,7 @@ use crate::drives::{
     Setting, Windows,
 };
 use crate::ethercat::acyclic::{AcyclicPort, Request};
-use crate::ethercat::coe::ObjectDictionary;
+use crate::ethercat::coe::{DEVICE_TYPE, ObjectDictionary};
 use crate::ethercat::cyclic::{CyclicSlave, DriveRole, SPAN_BYTES_MAX};
 use crate::ethercat::error::BusError;
 use crate::ethercat::factory;
@@ -35,8 +35,6 @@ use heapless::Vec;
 /// its inputs right behind them, so that one datagram may carry both.
 pub const LOGICAL_START: u32 = 0x0001_0000;
 
-/// Device type, 32 bits.
-const DEVICE_TYPE: Object = Object::new(0x1000, 0);
 /// Object that lists the process data objects of the outputs.
 const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
 /// Object that lists the process data objects of the inputs.

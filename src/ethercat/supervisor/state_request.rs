@@ -3,6 +3,7 @@
 //! Invariant: up one state at a time, with everything that a state needs set up before; a slave in use that was brought
 //! below OP is left there until it is asked up again or the bus is started anew.
 
+use super::super::coe::ObjectDictionary;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
 use super::super::mailbox::Mailbox;
@@ -52,7 +53,11 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
         let present = before.state().unwrap_or(AlState::Init);
         if target as u8 > present as u8 && target != AlState::Bootstrap {
-            self.climb(number, before.state(), target).await?;
+            let result = self.climb(number, before.state(), target).await;
+            if slave.axis.is_none() && result.is_err() {
+                self.forget_process_data(number);
+            }
+            result?;
         } else if !before.is(target) {
             state::change(&mut self.port, station, target).await?;
         }
@@ -105,7 +110,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             return Ok(());
         }
         if from != Some(AlState::SafeOperational) {
-            self.ready_mailbox(number)?;
+            self.ready_mailbox(number).await?;
             self.configure(number).await?;
         }
         if target == AlState::SafeOperational {
@@ -125,13 +130,17 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
     }
 
     /// Makes use of a mailbox that is set up already, maybe by someone else.
-    fn ready_mailbox(&mut self, number: usize) -> Result<(), BusError> {
+    async fn ready_mailbox(&mut self, number: usize) -> Result<(), BusError> {
         let Some(slave) = self.slaves.get_mut(number) else {
             return Ok(());
         };
         let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
         if slave.mailbox == Mailbox::default() && out.length > 0 {
-            slave.mailbox = Mailbox::new::<MESSAGE>(slave.station(), out, input)?;
+            let mut mailbox = Mailbox::new::<MESSAGE>(slave.station(), out, input)?;
+            if slave.fixed.protocols & PROTOCOL_COE != 0 {
+                ObjectDictionary::new(&mut self.port, &mut mailbox).join().await?;
+            }
+            slave.mailbox = mailbox;
         }
         Ok(())
     }
@@ -152,7 +161,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             }
             self.reach_pre_operational(number).await?;
         } else {
-            self.ready_mailbox(number)?;
+            self.ready_mailbox(number).await?;
         }
         Ok(())
     }
