@@ -3,6 +3,7 @@
 //! The commands that need no emulator are tried here, those that do in `emulator`.
 
 mod bus;
+mod bus_end_to_end;
 // The tests there look at processes by way of /proc.
 mod bench;
 #[cfg(target_os = "linux")]
