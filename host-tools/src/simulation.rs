@@ -6,6 +6,7 @@
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use etherpen::controller::{Channels, Parts};
+use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::transport::raw::RawTransport;
 use std::collections::VecDeque;
 use std::future::Future;
@@ -24,6 +25,9 @@ const DEADLINE_US: u64 = 300;
 pub trait Host {
     /// One millisecond: takes what the firmware sent and appends what it is to receive, at most `room` bytes.
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize);
+
+    /// What the exchange with the bus has counted by the end of a millisecond, the last telegrams not yet settled.
+    fn counted(&mut self, _counters: &BusCounters) {}
 
     /// Whether the run is over.
     fn is_over(&self) -> bool;
@@ -126,6 +130,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         transport.driver_mut().time_ns = release_ns + DEADLINE_US * 1_000;
         sampler.bus_deadline(&mut transport, (DEADLINE_US * 1_000) as u32);
         sampler.bus_frame(&mut transport, ((DEADLINE_US + ROUND_TRIP_US) * 1_000) as u32);
+        host.counted(&sampler.bus_counters());
 
         let sent = host_bytes.to_send(&mut from_firmware);
         host.exchange(ms, &from_firmware[..sent], &mut to_firmware, LINE_BYTES_PER_MS);

@@ -276,6 +276,11 @@ impl<'a> Sampler<'a> {
         }
     }
 
+    /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
+    pub fn bus_counters(&self) -> BusCounters {
+        self.exchange.counters()
+    }
+
     fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
         self.phase = Phase::Done;
         self.inputs = self.robot.read(&self.exchange);
