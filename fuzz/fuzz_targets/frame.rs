@@ -1,32 +1,88 @@
 //! Any bytes as a received frame, and any change to the answer that the master waits for.
+//!
+//! The first bytes choose envelope, kind of exchange, clock and the slaves' shares; the rest is the frame, or the
+//! changes.
 #![no_main]
 
+use core::net::Ipv4Addr;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
 use etherpen::ethercat::BusQueues;
-use etherpen::ethercat::cyclic::{CyclicPlan, CyclicSlave, Exchange};
-use etherpen::ethercat::wire::{Datagram, FrameView};
+use etherpen::ethercat::acyclic::{Outcome, Request};
+use etherpen::ethercat::cyclic::{
+    Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, PROCESS_BYTES_MAX, ReferenceClock,
+};
+use etherpen::ethercat::envelope::Envelope;
+use etherpen::ethercat::wire::{Address, Command, Datagram, FrameView, UdpRepr};
 use libfuzzer_sys::fuzz_target;
 
 const SLAVES: usize = 4;
 const MESSAGE: usize = 128;
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const UDP: UdpRepr = UdpRepr::request(MAC, Ipv4Addr::new(10, 0, 2, 15), Ipv4Addr::new(10, 0, 2, 2));
 
-fn plan() -> CyclicPlan<SLAVES> {
-    let slaves = (0..3).map(|number| CyclicSlave {
-        input_address: 0x2_0000 + 32 * number,
-        input_length: 6,
-        output_address: 0x1_0000 + 32 * number,
-        output_length: 6,
-        watched: true,
-        ..CyclicSlave::default()
-    });
-    CyclicPlan {
-        slaves: slaves.collect(),
-        ..CyclicPlan::default()
+/// What is exchanged: flags, and for each slave two lengths and the distance of its inputs from its outputs.
+struct Choice {
+    flags: u8,
+    shares: [[u8; 3]; SLAVES],
+}
+
+impl Choice {
+    fn new(bytes: &[u8]) -> Option<(Self, &[u8])> {
+        let (&flags, rest) = bytes.split_first()?;
+        let (shares, rest) = rest.split_first_chunk::<{ 3 * SLAVES }>()?;
+        let shares = core::array::from_fn(|slave| core::array::from_fn(|byte| shares[3 * slave + byte]));
+        Some((Self { flags, shares }, rest))
+    }
+
+    fn envelope(&self) -> Envelope {
+        match self.flags & 3 {
+            0 | 1 => Envelope::Raw,
+            2 => Envelope::Udp(UDP),
+            _ => Envelope::Bare,
+        }
+    }
+
+    fn plan(&self) -> CyclicPlan<SLAVES> {
+        // One length in four is too long, and the share is left out.
+        let length = |byte: u8| u16::from(byte) % (PROCESS_BYTES_MAX as u16 * 4 / 3);
+        let slaves = (0..)
+            .zip(self.shares)
+            .map(|(number, [input, output, distance])| CyclicSlave {
+                input_address: 0x1_0000_u32.wrapping_mul(number).wrapping_add(distance.into()),
+                input_length: length(input),
+                output_address: 0x1_0000_u32.wrapping_mul(number).wrapping_add(32),
+                output_length: length(output),
+                watched: number != 3,
+                ..CyclicSlave::default()
+            });
+        CyclicPlan {
+            slaves: slaves.collect(),
+            exchange: if self.flags & 4 == 0 {
+                ExchangeKind::Split
+            } else {
+                ExchangeKind::Combined
+            },
+            clock: (self.flags & 8 != 0).then_some(ReferenceClock {
+                station: 0x1001,
+                slaves: 4,
+                wide: self.flags & 16 != 0,
+            }),
+            al_bits_ignored: 0,
+        }
+    }
+
+    fn asks_acyclic(&self) -> bool {
+        self.flags & 32 != 0
     }
 }
 
 /// Opens a frame to its last byte.
 fn open(frame: &[u8]) {
-    let Ok(view) = FrameView::new_checked(frame) else { return };
+    let _ = UdpRepr::parse(frame).map(|(_, payload)| assert!(frame.get(payload).is_some()));
+    let Ok(view) = FrameView::new_checked(frame) else {
+        return;
+    };
     for datagram in view.datagrams() {
         let Ok(datagram) = datagram else { break };
         let data = Datagram::new_checked(datagram.data());
@@ -35,30 +91,81 @@ fn open(frame: &[u8]) {
     }
 }
 
+/// Changes a frame: pairs of place and value; what is left over cuts it.
+fn change(frame: &mut Vec<u8>, changes: &[u8]) {
+    let changes = changes.chunks_exact(3);
+    let cut = usize::from(changes.remainder().first().copied().unwrap_or(0));
+    for change in changes.take(64) {
+        let place = usize::from(u16::from_le_bytes([change[0], change[1]])) % frame.len();
+        frame[place] = change[2];
+    }
+    frame.truncate(frame.len().saturating_sub(cut));
+}
+
+/// Receives a frame twice: it is used once at most, and counted each time that it is not.
+fn receive(exchange: &mut Exchange<'_, SLAVES, MESSAGE>, frame: &[u8]) -> Arrival {
+    let before = exchange.counters().frames_ignored();
+    let arrival = exchange.receive(frame);
+    let again = exchange.receive(frame);
+    let ignored = match arrival {
+        Arrival::Ignored(kind) => {
+            assert_eq!(again, Arrival::Ignored(kind));
+            2
+        }
+        Arrival::Input | Arrival::Output => {
+            assert_eq!(again, Arrival::Ignored(Ignored::Duplicate));
+            1
+        }
+    };
+    assert_eq!(exchange.counters().frames_ignored(), before + ignored);
+    arrival
+}
+
 fuzz_target!(|bytes: &[u8]| {
     open(bytes);
+    let Some((choice, bytes)) = Choice::new(bytes) else {
+        return;
+    };
     let mut queues = BusQueues::<SLAVES, MESSAGE>::new();
     let (exchange_end, mut supervisor_end, _) = queues.split();
-    assert!(supervisor_end.plans.enqueue(plan()).is_ok());
-    let mut exchange = Exchange::new(exchange_end, [0x10, 0, 0, 0, 0, 1]);
+    let plan = choice.plan();
+    assert!(supervisor_end.plans.enqueue(plan.clone()).is_ok());
+    let mut exchange = Exchange::new(exchange_end, MAC);
+    exchange.set_envelope(choice.envelope());
+
+    let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0130), 2);
+    let mut reply = pin!(supervisor_end.port.transact(&request));
+    let mut context = Context::from_waker(Waker::noop());
+    if choice.asks_acyclic() {
+        assert!(reply.as_mut().poll(&mut context).is_pending());
+    }
+
     let mut answer = exchange.input_telegram().to_vec();
-    let _ = exchange.receive(bytes);
-    // Pairs of place and value change the answer; what is left over cuts it.
-    let changes = bytes.chunks_exact(3);
-    let cut = changes.remainder().first().copied().unwrap_or(0);
-    for change in changes.take(64) {
-        let place = usize::from(u16::from_le_bytes([change[0], change[1]])) % answer.len();
-        answer[place] = change[2];
-    }
+    let unasked = receive(&mut exchange, bytes);
+    change(&mut answer, bytes);
     open(&answer);
-    let length = answer.len().saturating_sub(usize::from(cut));
-    let _ = exchange.receive(&answer[..length]);
-    let _ = exchange.receive(&answer[..length]);
-    for slave in 0..=SLAVES {
-        let _ = exchange.input(slave).map(<[u8]>::len);
-        exchange.output(slave).fill(cut);
+    let came = receive(&mut exchange, &answer);
+    for (slave, share) in plan.slaves.iter().enumerate() {
+        let input = exchange.input(slave).map(<[u8]>::len);
+        assert!(input.is_none_or(|length| length == usize::from(share.input_length)));
+        let output = exchange.output(slave);
+        assert!(output.is_empty() || output.len() == usize::from(share.output_length));
+        output.fill(0xA5);
     }
-    let _ = exchange.output_telegram().len();
-    let _ = exchange.receive(&answer);
-    let _ = (exchange.al_status(), exchange.clock_ns(), exchange.counters());
+    assert!(exchange.input(SLAVES).is_none() && exchange.output(SLAVES).is_empty());
+
+    let mut answer = exchange.output_telegram().to_vec();
+    if !answer.is_empty() {
+        change(&mut answer, bytes);
+        receive(&mut exchange, &answer);
+    }
+    let _ = (exchange.al_status(), exchange.clock_ns());
+    exchange.input_telegram();
+    if choice.asks_acyclic() {
+        let Poll::Ready(reply) = reply.as_mut().poll(&mut context) else {
+            panic!("a request without a reply");
+        };
+        let back = [unasked, came].contains(&Arrival::Input);
+        assert_eq!(matches!(reply.outcome, Outcome::Processed { .. }), back);
+    }
 });

@@ -7,7 +7,9 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|image: &[u8]| {
     let word = |address: u16| {
         let at = usize::from(address) * 2;
-        image.get(at..at + 2).map_or(0, |word| u16::from_le_bytes([word[0], word[1]]))
+        image
+            .get(at..at + 2)
+            .map_or(0, |word| u16::from_le_bytes([word[0], word[1]]))
     };
     let mut walker = CategoryWalker::new(u16::try_from(image.len() / 2).unwrap_or(u16::MAX));
     let mut found = vec![];
