@@ -57,4 +57,5 @@ pub mod io;
 pub mod link;
 pub mod motion;
 pub mod network;
+mod queue;
 pub mod robot;

@@ -18,6 +18,7 @@ pub use super::plan::{
 pub use super::telegram::{IGNORED_KINDS, Ignored};
 use super::telegram::{Image, SlotState, Taken, Telegram};
 use super::wire::{MacAddress, read_u8};
+use crate::queue::front;
 use crate::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
 
@@ -364,7 +365,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         let no_room = Outcome::NoRoom { room: room as u16 };
         let mut owed = 0;
         for _ in 0..IN_FLIGHT_MAX {
-            let Some(request) = self.end.requests.peek() else { break };
+            let Some(request) = front(&self.end.requests) else {
+                break;
+            };
             // One reply is owed for each request that is taken.
             if self.end.replies.len() + owed >= self.end.replies.capacity() {
                 break;
@@ -386,7 +389,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             }
             let _ = self.end.requests.dequeue();
         }
-        if let Some(message) = self.end.messages.peek()
+        if let Some(message) = front(&self.end.messages)
             && self.end.message_replies.ready()
         {
             let taken = if message.data.len() > room {

@@ -20,6 +20,7 @@ pub use task::{NetworkTask, PATH_LIFE_MS, PROBE_PERIOD_MS};
 
 use crate::config::HostAddress;
 use crate::ethercat::wire::{UDP_PORT, UdpRepr, read_u8};
+use crate::queue::front;
 use core::net::Ipv4Addr;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -116,7 +117,7 @@ impl NetworkEnd<'_> {
 
     /// Hands the next frame of the stack to `send`.
     pub fn send_next(&mut self, send: impl FnOnce(&[u8])) {
-        if let Some(frame) = self.sent.peek() {
+        if let Some(frame) = front(&self.sent) {
             send(frame);
             let _ = self.sent.dequeue();
         }

@@ -10,6 +10,7 @@ use super::super::cyclic::Observation;
 use super::super::event::BusCommand;
 use super::super::service::{ServiceError, ServiceRequest, ServiceResult};
 use super::super::wire::register;
+use crate::queue::front;
 use core::future::{Future, poll_fn};
 use core::pin::Pin;
 use core::task::Poll;
@@ -124,7 +125,7 @@ impl Desk<'_> {
             if self.suspicion_ms >= WORK_SUSPICION_MS {
                 return Poll::Ready(Err(Interruption::Bus));
             }
-            if matches!(self.commands.peek(), Some(BusCommand::Start(_) | BusCommand::Stop)) {
+            if matches!(front(&self.commands), Some(BusCommand::Start(_) | BusCommand::Stop)) {
                 return Poll::Ready(Err(Interruption::Command));
             }
             Poll::Pending
