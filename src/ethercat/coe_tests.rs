@@ -78,8 +78,12 @@ struct Slave {
 
 impl Slave {
     fn register(&self, request: &Request) -> Reply {
-        assert_eq!(request.command, Command::Fprd);
-        let input_status = register::sync_manager(1) + register::SYNC_MANAGER_STATUS_OFFSET;
+        let manager = register::sync_manager(1);
+        let input_status = manager + register::SYNC_MANAGER_STATUS_OFFSET;
+        let activate = manager + register::SYNC_MANAGER_ACTIVATE_OFFSET;
+        // It has nothing to repeat when it is asked for that.
+        let asks = (Command::Fpwr, activate) == (request.command, request.address.register());
+        assert!(request.command == Command::Fprd || asks, "{request:?}");
         let full = request.address.register() == input_status && !self.waiting.is_empty();
         let mut data = request.data.clone();
         data[0] = if full { register::MAILBOX_FULL_BIT } else { 0 };

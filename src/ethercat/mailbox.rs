@@ -22,6 +22,10 @@ pub const MAILBOX_TIMEOUT_MS: u32 = 1_000;
 pub const EMERGENCIES_MAX: usize = 4;
 /// How long an answer is waited for when the fate of the request is unknown, ms.
 const UNKNOWN_FATE_MS: u32 = 20;
+/// How long an answer is waited for before the slave is asked for a repeat of its last message, ms.
+const REPEAT_AFTER_MS: u32 = 500;
+/// How long a repeat is waited for in that case, ms.
+const REPEAT_WAIT_MS: u32 = 100;
 /// Most messages thrown away before a request.
 const DRAIN_MAX: usize = 8;
 
@@ -66,6 +70,8 @@ pub struct Mailbox {
     out: MailboxWindow,
     input: MailboxWindow,
     counter: u8,
+    /// Counter of the slave's last message, 0 if it does not count.
+    received: Option<u8>,
     unexpected: u16,
     /// The last exchange ended with its answer: nothing from before can be taken for the next one.
     settled: bool,
@@ -181,22 +187,40 @@ impl Mailbox {
         accept: impl Fn(&[u8]) -> bool,
     ) -> Result<Bytes<MESSAGE>, BusError> {
         let started_ms = port.now_ms();
+        let mut repeated = false;
         loop {
             if self.is_full(port, 1).await? {
+                let before = self.received;
                 let mut message = self.fetch(port).await?;
-                match self.dispatch(protocol, &message)? {
+                // A repeat may bring the message that came before the request.
+                let is_stale = repeated && self.received == before;
+                let answer = if is_stale {
+                    None
+                } else {
+                    self.dispatch(protocol, &message)?
+                };
+                match answer {
                     Some(data) if accept(data) => {
                         let length = data.len();
                         strip_header(&mut message, length);
                         return Ok(message);
                     }
                     Some(_) => self.unexpected = self.unexpected.saturating_add(1),
-                    None => {}
+                    None => self.unexpected = self.unexpected.saturating_add(u16::from(is_stale)),
                 }
             }
             let waited_ms = port.now_ms().wrapping_sub(started_ms);
             if waited_ms > limit_ms {
                 return Err(BusError::MailboxTimeout { waited_ms });
+            }
+            // A message of a slave that does not count could not be told from the one before.
+            if !repeated && waited_ms > REPEAT_AFTER_MS && self.received != Some(0) {
+                repeated = true;
+                match self.ask_again(port, REPEAT_WAIT_MS).await {
+                    // Nothing to be repeated: the answer may still come.
+                    Ok(()) | Err(BusError::MailboxTimeout { .. }) => {}
+                    Err(error) => return Err(error),
+                }
             }
         }
     }
@@ -283,7 +307,7 @@ impl Mailbox {
 
     /// Reads a full mailbox. A lost answer is fetched again.
     async fn fetch<const MESSAGE: usize>(
-        &self,
+        &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
     ) -> Result<Bytes<MESSAGE>, BusError> {
         let window = Address::station(self.station, self.input.start);
@@ -294,7 +318,10 @@ impl Mailbox {
                 Reply {
                     data,
                     outcome: Outcome::Processed { working_counter: 1 },
-                } => return Ok(data),
+                } => {
+                    self.received = MailboxRepr::parse(&data).ok().map(|header| header.counter);
+                    return Ok(data);
+                }
                 Reply {
                     outcome: Outcome::NoRoom { room },
                     ..
@@ -303,7 +330,7 @@ impl Mailbox {
             }
             // The message may have left the mailbox on a frame that was lost or damaged.
             if !self.is_full(port, 1).await? {
-                self.ask_again(port).await?;
+                self.ask_again(port, MAILBOX_TIMEOUT_MS).await?;
             }
         }
         Err(BusError::Lost {
@@ -312,7 +339,11 @@ impl Mailbox {
     }
 
     /// Toggles the repeat bit and waits until the slave has put its last message into the mailbox again.
-    async fn ask_again<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
+    async fn ask_again<const MESSAGE: usize>(
+        &self,
+        port: &mut AcyclicPort<'_, MESSAGE>,
+        limit_ms: u32,
+    ) -> Result<(), BusError> {
         let manager = register::sync_manager(1);
         let activate = manager + register::SYNC_MANAGER_ACTIVATE_OFFSET;
         let wanted = read_u8(&port.read(self.station, activate, 1).await?, 0) ^ register::SYNC_MANAGER_REPEAT;
@@ -326,7 +357,7 @@ impl Mailbox {
                 return Ok(());
             }
             let waited_ms = port.now_ms().wrapping_sub(started_ms);
-            if waited_ms > MAILBOX_TIMEOUT_MS {
+            if waited_ms > limit_ms {
                 return Err(BusError::MailboxTimeout { waited_ms });
             }
         }

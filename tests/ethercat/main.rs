@@ -2,5 +2,7 @@
 
 mod bring_up;
 mod diagnosis;
+mod frame_faults;
 mod rig;
 mod services;
+mod slave_faults;

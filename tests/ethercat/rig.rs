@@ -15,7 +15,7 @@ use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
 use etherpen::io::{AxisCommand, AxisInput, Demand};
 use etherpen::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
-use host_tools::cell::{Cell, CellOptions};
+use host_tools::cell::{Cell, CellOptions, Fault};
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
@@ -33,6 +33,8 @@ pub(crate) struct Rig<'a> {
     pub(crate) robot: EtherCatRobot,
     pub(crate) inputs: [Option<AxisInput>; AXES],
     pub(crate) command: AxisCommand,
+    /// Happens to the next output telegram.
+    pub(crate) output_fault: Option<Fault>,
     pub(crate) log: Vec<BusEvent>,
     pub(crate) now_ms: u64,
 }
@@ -46,11 +48,15 @@ pub(crate) fn rig(script: &str) -> Rig<'static> {
 
 /// The same, without an order to the supervisor.
 pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
-    let config = Config::default();
-    let options = CellOptions {
+    idle_rig_of(CellOptions {
         faults: script.parse().expect("the script"),
         ..CellOptions::default()
-    };
+    })
+}
+
+/// The same with another cell.
+pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
+    let config = Config::default();
     let queues = Box::leak(Box::new(RobotBusQueues::new()));
     let (exchange_end, supervisor_end, application) = queues.split();
     let setup = BusSetup {
@@ -72,6 +78,7 @@ pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
         robot: EtherCatRobot::new(&config.axes),
         inputs: NO_INPUTS,
         command: AxisCommand::default(),
+        output_fault: None,
         log: Vec::new(),
         now_ms: 0,
     }
@@ -135,6 +142,9 @@ impl Rig<'_> {
         self.inputs = self.robot.read(&self.exchange);
         self.robot.write(&mut self.exchange, &[self.command; AXES]);
         let frame = self.exchange.output_telegram().to_vec();
+        if let Some(fault) = self.output_fault.take() {
+            self.cell.inject(fault);
+        }
         self.transfer(&frame, time_us + 200);
         let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         assert!(poll.is_pending());
