@@ -373,7 +373,8 @@ impl Mailbox {
                 return Ok(None);
             }
         };
-        if header.protocol == Protocol::Error {
+        // A slave without a last message repeats an empty one, which is no error.
+        if header.protocol == Protocol::Error && !data.is_empty() {
             return Err(BusError::Mailbox {
                 detail: mailbox::ErrorReply::parse(data).map_or(0, |reply| reply.detail),
             });

@@ -1,5 +1,5 @@
 use super::*;
-use etherpen::ethercat::wire::{Address, Command, FrameBuilder, FrameView};
+use etherpen::ethercat::wire::{Address, Command, FrameBuilder, FrameView, UdpRepr};
 use std::os::unix::net::UnixListener;
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -133,8 +133,9 @@ fn udp_carries_what_follows_the_ethernet_header_and_shows_whole_frames() {
     let (seen, reply) = there_and_back(&mut *port, &frame);
     assert!(seen[12..14] == [0x08, 0x00] && seen[23] == 17);
     assert_eq!(seen[36..38], UDP_PORT.to_be_bytes(), "to the standard's port");
+    let (_, payload) = UdpRepr::parse(&seen).expect("EtherCAT in UDP");
     assert_eq!(
-        seen[42..],
+        seen[payload],
         *ethercat_part(&request()).expect("EtherCAT"),
         "without padding"
     );
