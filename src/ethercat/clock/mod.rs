@@ -105,7 +105,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         Some(system_ns.wrapping_add(later_ns).wrapping_sub(slave.local_ns))
     }
 
-    /// When SYNC0 is to start: the first moment at least [`START_AHEAD_NS`] after `now_ns` that lies `shift_ns` behind
+    /// When SYNC0 is to start: the first moment at least `START_AHEAD_NS` after `now_ns` that lies `shift_ns` behind
     /// the phase of the frames.
     pub fn start_time_ns(&self, now_ns: u64, shift_ns: u32) -> u64 {
         let earliest_ns = now_ns.wrapping_add(START_AHEAD_NS);
