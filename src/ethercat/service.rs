@@ -10,6 +10,7 @@
 use super::error::BusError;
 use super::state::{AlReport, AlState};
 use super::wire::coe::{Emergency, Object};
+use super::wire::register::{PORTS, PortErrors};
 use super::wire::sii::{Identity, MailboxWindow};
 use crate::application::Mode;
 use heapless::{String, Vec};
@@ -21,8 +22,6 @@ pub const PIECE_BYTES_MAX: usize = 256;
 pub const INDICES_MAX: usize = 100;
 /// Longest name in an answer, bytes.
 pub const NAME_BYTES_MAX: usize = 64;
-/// Ports of a slave controller.
-pub const PORTS: usize = 4;
 
 /// A part of a value.
 pub type Piece = Vec<u8, PIECE_BYTES_MAX>;
@@ -223,19 +222,6 @@ pub struct SlaveInfo {
     pub clock: Option<ClockInfo>,
     /// Its last emergency since it was configured.
     pub emergency: Option<Emergency>,
-}
-
-/// Error counters of one port; each stops at 255.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PortErrors {
-    /// Frames with a wrong check sequence that came in here first.
-    pub invalid_frames: u8,
-    /// Symbols that were no data (physical layer).
-    pub receive_errors: u8,
-    /// Frames that a slave before had already marked as damaged.
-    pub forwarded: u8,
-    /// Times the link went down.
-    pub lost_links: u8,
 }
 
 /// Error counters of one slave.

@@ -3,9 +3,9 @@
 //! Invariant: plain data; the supervisor is the only one to change it.
 
 use super::mailbox::Mailbox;
-use super::service::PORTS;
 use super::state::AlReport;
 use super::wire::coe::Emergency;
+use super::wire::register::PORTS;
 use super::wire::sii::{FixedPart, Identity};
 use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveKind, Windows};

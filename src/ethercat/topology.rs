@@ -6,12 +6,12 @@
 //!
 //! Invariant: partners are mutual; where the ports contradict the number of slaves, a port has no partner.
 
-use super::service::{PORTS, PortInfo};
-use super::wire::register::{DlStatus, PortStatus};
+use super::service::PortInfo;
+use super::wire::register::{DlStatus, PORTS, PortStatus};
 use heapless::Vec;
 
 /// The order in which frames pass the ports.
-const PORT_ORDER: [u8; PORTS] = [0, 3, 1, 2];
+pub const PORT_ORDER: [u8; PORTS] = [0, 3, 1, 2];
 
 /// One end of a cable: a slave and its port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,18 +56,25 @@ pub type Parents<const SLAVES: usize> = Vec<Option<CableEnd>, SLAVES>;
 
 /// The parent of each slave, out of the slaves' DL status registers in the order in which frames pass.
 pub fn parents<const SLAVES: usize>(dl_status: &[u16]) -> Parents<SLAVES> {
+    tree(dl_status.len(), |slave| {
+        exits(dl_status.get(slave).copied().unwrap_or(0)).collect()
+    })
+}
+
+/// The parent of each of `count` slaves in the order in which frames pass; `exits` gives the ports through which frames
+/// leave a slave for others, in their order.
+pub(super) fn tree<const SLAVES: usize>(count: usize, exits: impl Fn(usize) -> Vec<u8, PORTS>) -> Parents<SLAVES> {
     let mut parents = Parents::new();
     // The slaves on the way back to the master, and how many of their exits have been followed.
-    let mut way: Vec<(u8, u8), SLAVES> = Vec::new();
-    for (slave, status) in (0..).zip(dl_status).take(SLAVES) {
+    let mut way: Vec<(usize, usize), SLAVES> = Vec::new();
+    for slave in 0..count.min(SLAVES) {
         let mut parent = None;
         while let Some((candidate, followed)) = way.last_mut() {
-            let ports = dl_status.get(usize::from(*candidate)).copied().unwrap_or(0);
-            if let Some(port) = exits(ports).nth(usize::from(*followed)) {
+            if let Some(port) = exits(*candidate).get(*followed) {
                 *followed += 1;
                 parent = Some(CableEnd {
-                    slave: *candidate,
-                    port,
+                    slave: *candidate as u8,
+                    port: *port,
                 });
                 break;
             }
@@ -75,7 +82,7 @@ pub fn parents<const SLAVES: usize>(dl_status: &[u16]) -> Parents<SLAVES> {
         }
         // Both lists have room for every slave.
         let _ = parents.push(parent);
-        if exits(*status).next().is_some() {
+        if !exits(slave).is_empty() {
             let _ = way.push((slave, 0));
         }
     }

@@ -3,11 +3,12 @@
 use crate::program::{Folder, etherpen, run};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::service::{
-    BusInfo, EntryInfo, ObjectInfo, Piece, PortErrors, ServiceError, ServiceReply, ServiceRequest, ServiceResult,
-    SlaveErrors, SlaveInfo,
+    BusInfo, EntryInfo, ObjectInfo, Piece, ServiceError, ServiceReply, ServiceRequest, ServiceResult, SlaveErrors,
+    SlaveInfo,
 };
 use etherpen::ethercat::state::{AlReport, AlState};
 use etherpen::ethercat::wire::coe::Object;
+use etherpen::ethercat::wire::register::PortErrors;
 use etherpen::ethercat::wire::sii::Identity;
 use etherpen::link::device::{self, DeviceEndpoint, DeviceEvent};
 use host_tools::commands::code;
@@ -141,7 +142,7 @@ fn errors(slave: u8) -> SlaveErrors {
         errors.ports[0] = PortErrors {
             invalid_frames: 7,
             receive_errors: 3,
-            forwarded: 0,
+            forwarded_errors: 0,
             lost_links: 1,
         };
     }

@@ -7,11 +7,9 @@
 //!
 //! Invariant: whatever the times are, every slave gets a delay and no arithmetic overflows; times may wrap.
 
+use crate::ethercat::topology::{self, CableEnd, PORT_ORDER, Parents};
 use crate::ethercat::wire::register::PORTS;
 use heapless::Vec;
-
-/// The order in which a frame visits the ports, seen from port 0.
-const VISIT: [usize; PORTS] = [0, 3, 1, 2];
 
 /// What one slave latched when the frame for the delay measurement passed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,16 +23,16 @@ pub struct PortTimes {
 }
 
 impl PortTimes {
-    fn is_open(&self, port: usize) -> bool {
+    fn is_open(&self, port: u8) -> bool {
         self.open & 1 << port != 0
     }
 
     /// The port through which the frame came in: the open one with the earliest time; port 0 without a clock.
-    fn entry(&self) -> usize {
+    fn entry(&self) -> u8 {
         let mut entry = 0;
         if self.has_clock {
             let mut earliest: Option<u32> = None;
-            for (port, time_ns) in self.received_ns.iter().enumerate() {
+            for (port, time_ns) in (0..).zip(&self.received_ns) {
                 // Within half the range of the clock, the sign of the difference tells the order across a wrap.
                 let is_earlier = earliest.is_none_or(|first| (time_ns.wrapping_sub(first) as i32) < 0);
                 if self.is_open(port) && is_earlier {
@@ -46,9 +44,9 @@ impl PortTimes {
     }
 
     /// The open ports in the order of the frame, the entry first.
-    fn visited(&self) -> Vec<usize, PORTS> {
-        let start = VISIT.iter().position(|port| *port == self.entry()).unwrap_or(0);
-        let ports = (0..PORTS).filter_map(|step| VISIT.get((start + step) % PORTS).copied());
+    fn visited(&self) -> Vec<u8, PORTS> {
+        let start = PORT_ORDER.iter().position(|port| *port == self.entry()).unwrap_or(0);
+        let ports = PORT_ORDER.into_iter().cycle().skip(start).take(PORTS);
         ports
             .enumerate()
             .filter(|(step, port)| *step == 0 || self.is_open(*port))
@@ -57,32 +55,29 @@ impl PortTimes {
     }
 
     /// Time from the entry until the frame was back from everything behind `ports`' last one, ns.
-    fn since_entry_ns(&self, port: usize) -> u32 {
-        let time_ns = |port: usize| self.received_ns.get(port).copied().unwrap_or(0);
+    fn since_entry_ns(&self, port: u8) -> u32 {
+        let time_ns = |port: u8| self.received_ns.get(usize::from(port)).copied().unwrap_or(0);
         time_ns(port).wrapping_sub(time_ns(self.entry()))
     }
-}
-
-/// Where a slave hangs: the slave before it and how many of that one's ports the frame had visited before.
-#[derive(Clone, Copy, Debug, Default)]
-struct Node {
-    parent: Option<usize>,
-    branch: usize,
-    branches_used: usize,
 }
 
 /// The delay from the first slave with a clock to each slave, ns, in chain order; 0 for slaves without a clock.
 ///
 /// Slaves beyond `SLAVES` are left out. A slave without a clock counts as a part of the cable.
 pub fn propagation_delays_ns<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<u32, SLAVES> {
-    let nodes: Vec<Node, SLAVES> = tree(slaves);
+    let parents: Parents<SLAVES> = topology::tree(slaves.len(), |slave| {
+        slaves
+            .get(slave)
+            .map_or_else(Vec::new, |slave| slave.visited().into_iter().skip(1).collect())
+    });
     let mut delays = Vec::new();
     for (number, slave) in slaves.iter().enumerate().take(SLAVES) {
-        let delay_ns = measured_from(slaves, &nodes, number)
+        let delay_ns = measured_from(slaves, &parents, number)
             .filter(|_| slave.has_clock)
-            .and_then(|(parent, branch)| {
+            .and_then(|end| {
+                let parent = usize::from(end.slave);
                 let parent_delay_ns: u32 = delays.get(parent).copied()?;
-                Some(parent_delay_ns.saturating_add(step_ns(slaves.get(parent)?, branch, slave)))
+                Some(parent_delay_ns.saturating_add(step_ns(slaves.get(parent)?, end.port, slave)))
             })
             .unwrap_or(0);
         // The loop ends at the capacity.
@@ -91,48 +86,32 @@ pub fn propagation_delays_ns<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<u
     delays
 }
 
-/// Who hangs on whom: each slave on the nearest one before it that has an open port left.
-fn tree<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<Node, SLAVES> {
-    let mut nodes: Vec<Node, SLAVES> = Vec::new();
-    for number in 0..slaves.len().min(SLAVES) {
-        let has_room = |candidate: &usize| {
-            let used = nodes.get(*candidate).map_or(0, |node| node.branches_used);
-            slaves
-                .get(*candidate)
-                .is_some_and(|slave| slave.visited().len() > used + 1)
-        };
-        let parent = (0..number).rev().find(has_room);
-        let branch = parent.and_then(|parent| nodes.get_mut(parent)).map_or(0, |node| {
-            node.branches_used += 1;
-            node.branches_used
-        });
-        let _ = nodes.push(Node {
-            parent,
-            branch,
-            branches_used: 0,
-        });
-    }
-    nodes
-}
-
-/// The nearest slave with a clock on the way to the master, and the branch of it that leads to the slave.
-fn measured_from(slaves: &[PortTimes], nodes: &[Node], number: usize) -> Option<(usize, usize)> {
-    let mut node = nodes.get(number)?;
+/// The end of the cable to the nearest slave with a clock on the way to the master.
+fn measured_from<const SLAVES: usize>(
+    slaves: &[PortTimes],
+    parents: &Parents<SLAVES>,
+    number: usize,
+) -> Option<CableEnd> {
+    let mut end = (*parents.get(number)?)?;
     // The way up is at most as long as the chain.
-    for _ in 0..nodes.len() {
-        let parent = node.parent?;
+    for _ in 0..parents.len() {
+        let parent = usize::from(end.slave);
         if slaves.get(parent)?.has_clock {
-            return Some((parent, node.branch));
+            return Some(end);
         }
-        node = nodes.get(parent)?;
+        end = (*parents.get(parent)?)?;
     }
     None
 }
 
-/// Time from the parent's entry to the entry of the slave that hangs on its given branch (from 1), ns.
-fn step_ns(parent: &PortTimes, branch: usize, slave: &PortTimes) -> u32 {
+/// Time from the parent's entry to the entry of the slave at the end of the cable in one of its ports, ns.
+fn step_ns(parent: &PortTimes, port: u8, slave: &PortTimes) -> u32 {
     let visited = parent.visited();
-    let (Some(before), Some(port)) = (visited.get(branch.saturating_sub(1)), visited.get(branch)) else {
+    let Some((before, port)) = visited
+        .iter()
+        .zip(visited.iter().skip(1))
+        .find(|(_, next)| **next == port)
+    else {
         return 0;
     };
     let earlier_ns = parent.since_entry_ns(*before);

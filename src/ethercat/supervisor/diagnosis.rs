@@ -8,11 +8,11 @@
 use super::super::acyclic::Request;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
-use super::super::service::{ClockInfo, PORTS, PortErrors, PortInfo, SlaveErrors};
+use super::super::service::{ClockInfo, PortInfo, SlaveErrors};
 use super::super::slave::Condition;
 use super::super::topology::{self, Parents};
 use super::super::wire::coe::Emergency;
-use super::super::wire::register::ErrorCounters;
+use super::super::wire::register::{ErrorCounters, PORTS};
 use super::super::wire::{Address, Command, read_u8, read_u16, read_u32, register};
 use super::LookList;
 use super::bus::{Bus, LOOK_MAX};
@@ -70,12 +70,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let counters = ErrorCounters::parse(&bytes).unwrap_or_default();
         let watchdog = self.port.read(station, register::WATCHDOG_COUNTER, 1).await?;
         Ok(SlaveErrors {
-            ports: counters.ports.map(|port| PortErrors {
-                invalid_frames: port.invalid_frames,
-                receive_errors: port.receive_errors,
-                forwarded: port.forwarded_errors,
-                lost_links: port.lost_links,
-            }),
+            ports: counters.ports,
             partners: self.partners(number),
             processing_unit: counters.processing_errors,
             processor_interface: counters.pdi_errors,

@@ -4,8 +4,9 @@ use super::access::{self, BusAccess};
 use super::table;
 use super::value::hex;
 use crate::commands::{CommandError, print_json};
-use etherpen::ethercat::service::{PortErrors, SlaveErrors};
+use etherpen::ethercat::service::SlaveErrors;
 use etherpen::ethercat::wire::register;
+use etherpen::ethercat::wire::register::PortErrors;
 use serde::Serialize;
 
 /// Bytes of a line of a dump.
@@ -167,7 +168,7 @@ impl SlaveView {
                     cable: cable(slave, port, partner),
                     invalid_frames: counted.invalid_frames,
                     receive_errors: counted.receive_errors,
-                    forwarded: counted.forwarded,
+                    forwarded: counted.forwarded_errors,
                     lost_links: counted.lost_links,
                 })
                 .collect(),
@@ -277,7 +278,7 @@ mod tests {
         assert_eq!(
             verdict(
                 &PortErrors {
-                    forwarded: 9,
+                    forwarded_errors: 9,
                     ..PortErrors::default()
                 },
                 ""

@@ -7,6 +7,7 @@
 
 use super::ERROR_COUNTERS_LEN;
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
+use serde::{Deserialize, Serialize};
 
 /// Ports of a slave controller.
 pub const PORTS: usize = 4;
@@ -115,7 +116,7 @@ impl DlStatus {
 }
 
 /// Error counters of one port; each stops at 255.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortErrors {
     /// Frames with a wrong check sequence or length: damaged on the cable of this port or before it.
     pub invalid_frames: u8,

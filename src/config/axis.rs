@@ -1,0 +1,93 @@
+//! One axis: what its drive is told, where it is at its mark, how it is controlled and supervised.
+
+use serde::{Deserialize, Serialize};
+
+/// How an axis is commanded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AxisMode {
+    /// The drive closes the velocity loop.
+    #[default]
+    Velocity,
+    /// The firmware closes the velocity loop, the drive follows a torque.
+    Torque,
+}
+
+/// One axis: its drive's scaling, its reference, its controllers and its supervision.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Axis {
+    /// What the drive is told: a velocity or a torque.
+    pub mode: AxisMode,
+    /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
+    pub gear: f64,
+    /// Encoder increments for one motor revolution.
+    pub increments_per_revolution: u32,
+    /// Velocity command digits for one motor revolution per minute.
+    pub digits_per_rpm: f64,
+    /// Joint angle at the synchronisation mark, radians.
+    pub sync_angle_rad: f64,
+    /// What the single-turn resolver shows at the synchronisation mark, increments.
+    pub sync_increments: u32,
+    /// Feedback gain Kfb, 1/s.
+    pub feedback_gain_per_s: f64,
+    /// Feed-forward gain Kff.
+    pub feed_forward_gain: f64,
+    /// How far the velocity feed-forward is read ahead, ms.
+    pub feed_forward_lead_ms: f64,
+    /// Age of the measured position when the controller sees it, ms.
+    pub measurement_age_ms: f64,
+    /// Following error that ends in a fault, radians.
+    pub following_error_max_rad: f64,
+    /// Largest velocity command, rad/s at the joint.
+    pub output_max_rad_s: f64,
+    /// Quick-stop deceleration at the joint, rad/s2.
+    pub quick_stop_rad_s2: f64,
+    /// Torque of the motor for a current, N m/A.
+    pub torque_constant_nm_a: f64,
+    /// Peak current of the drive, A.
+    pub peak_current_a: f64,
+    /// Rated torque of the motor, N m.
+    pub rated_torque_nm: f64,
+    /// Largest torque command, N m at the joint.
+    pub torque_max_nm: f64,
+    /// Inertia of motor and load, kg m2 at the joint; what the torque feed-forward is made from.
+    pub inertia_kg_m2: f64,
+    /// How far the torque feed-forward is read ahead, ms.
+    pub torque_lead_ms: f64,
+    /// Gain of the velocity controller in torque mode, N m for 1 rad/s at the joint.
+    pub velocity_gain_nm_s: f64,
+    /// Integral gain of the velocity controller for its gain, 1/s.
+    pub velocity_integral_per_s: f64,
+    /// Time constant of the low-pass on the velocity controller's error, ms; 0 switches it off.
+    pub velocity_filter_ms: f64,
+}
+
+impl Default for Axis {
+    fn default() -> Self {
+        Self {
+            mode: AxisMode::Velocity,
+            gear: 12.0,
+            increments_per_revolution: 1 << 20,
+            digits_per_rpm: 262_144.0 / 1_875.0,
+            sync_angle_rad: 0.0,
+            sync_increments: 0,
+            feedback_gain_per_s: 80.0,
+            feed_forward_gain: 1.0,
+            feed_forward_lead_ms: 3.1,
+            measurement_age_ms: 1.0,
+            following_error_max_rad: 0.05,
+            output_max_rad_s: 27.0,
+            quick_stop_rad_s2: 100.0,
+            torque_constant_nm_a: 0.7,
+            peak_current_a: 12.0,
+            rated_torque_nm: 2.8,
+            torque_max_nm: 100.0,
+            inertia_kg_m2: 0.3,
+            torque_lead_ms: 1.5,
+            velocity_gain_nm_s: 36.0,
+            velocity_integral_per_s: 40.0,
+            velocity_filter_ms: 0.25,
+        }
+    }
+}

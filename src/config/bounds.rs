@@ -1,0 +1,279 @@
+//! Hard bounds: the table of every value with the lowest and the highest that any configuration may hold.
+//!
+//! A bound that depends on another value states a relation between the two. A refusal names the value by its row.
+
+use super::{Axis, Config, Transport};
+use crate::robot::AXES;
+use serde::{Deserialize, Serialize};
+
+/// Names a value of the configuration: an index into the table of bounds, and the axis where there are several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Field {
+    /// Row of the table of bounds.
+    pub row: u8,
+    /// Which axis, from 0, for values of [`Axis`].
+    pub axis: Option<u8>,
+}
+
+impl Field {
+    /// The value's name as it stands in `etherpen.toml`.
+    pub fn name(&self) -> &'static str {
+        let config = Config::default();
+        let scalars = config.scalars();
+        let axis = config.axes[0].scalars();
+        let row = usize::from(self.row);
+        match self.axis {
+            None => scalars.get(row).map_or("unknown", |bound| bound.name),
+            Some(_) => axis.get(row).map_or("unknown", |bound| bound.name),
+        }
+    }
+}
+
+/// A value that was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ConfigError {
+    /// Which value.
+    pub field: Field,
+    /// What it is.
+    pub value: f64,
+    /// The lowest value allowed.
+    pub low: f64,
+    /// The highest value allowed.
+    pub high: f64,
+}
+
+/// Longest motion without a measurement that any configuration may allow, ms: half a motor turn takes 10 ms.
+const BLIND_MAX_MS: f64 = 8.0;
+
+struct Bound {
+    name: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+}
+
+const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
+    Bound { name, value, low, high }
+}
+
+impl Axis {
+    fn scalars(&self) -> [Bound; 21] {
+        [
+            bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
+            bound(
+                "axes.increments_per_revolution",
+                f64::from(self.increments_per_revolution),
+                256.0,
+                16_777_216.0,
+            ),
+            bound("axes.digits_per_rpm", self.digits_per_rpm, 0.001, 1.0e6),
+            bound("axes.sync_angle_rad", self.sync_angle_rad, -6300.0, 6300.0),
+            bound(
+                "axes.sync_increments",
+                f64::from(self.sync_increments),
+                0.0,
+                f64::from(self.increments_per_revolution) - 1.0,
+            ),
+            bound("axes.feedback_gain_per_s", self.feedback_gain_per_s, 0.0, 500.0),
+            bound("axes.feed_forward_gain", self.feed_forward_gain, 0.0, 2.0),
+            bound("axes.feed_forward_lead_ms", self.feed_forward_lead_ms, 0.0, 10.0),
+            bound("axes.measurement_age_ms", self.measurement_age_ms, 0.0, 10.0),
+            bound(
+                "axes.following_error_max_rad",
+                self.following_error_max_rad,
+                1.0e-4,
+                1.0,
+            ),
+            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
+            bound("axes.quick_stop_rad_s2", self.quick_stop_rad_s2, 1.0, 2000.0),
+            bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
+            bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),
+            bound("axes.rated_torque_nm", self.rated_torque_nm, 0.001, 1000.0),
+            bound("axes.torque_max_nm", self.torque_max_nm, 0.001, 5000.0),
+            bound("axes.inertia_kg_m2", self.inertia_kg_m2, 0.0, 100.0),
+            bound("axes.torque_lead_ms", self.torque_lead_ms, 0.0, 10.0),
+            bound("axes.velocity_gain_nm_s", self.velocity_gain_nm_s, 0.0, 10_000.0),
+            bound(
+                "axes.velocity_integral_per_s",
+                self.velocity_integral_per_s,
+                0.0,
+                1000.0,
+            ),
+            bound("axes.velocity_filter_ms", self.velocity_filter_ms, 0.0, 10.0),
+        ]
+    }
+}
+
+impl Config {
+    /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
+    fn scalars(&self) -> [Bound; 39] {
+        let (geometry, area, paper, motion, bus) =
+            (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
+        let reach = geometry.upper_arm_mm + geometry.forearm_mm;
+        [
+            bound("geometry.base_radius_mm", geometry.base_radius_mm, 10.0, 2000.0),
+            bound("geometry.upper_arm_mm", geometry.upper_arm_mm, 10.0, 2000.0),
+            bound(
+                "geometry.forearm_mm",
+                geometry.forearm_mm,
+                geometry.upper_arm_mm,
+                4000.0,
+            ),
+            bound(
+                "geometry.platform_radius_mm",
+                geometry.platform_radius_mm,
+                0.0,
+                geometry.base_radius_mm,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[0]",
+                geometry.arm_azimuths_deg[0],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[1]",
+                geometry.arm_azimuths_deg[1],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[2]",
+                geometry.arm_azimuths_deg[2],
+                -360.0,
+                360.0,
+            ),
+            bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
+            bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
+            bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
+            bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
+            bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
+            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
+            bound(
+                "paper.centre_mm[0]",
+                paper.centre_mm[0],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound(
+                "paper.centre_mm[1]",
+                paper.centre_mm[1],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound("paper.size_mm[0]", paper.size_mm[0], 1.0, 2.0 * area.radius_mm),
+            bound("paper.size_mm[1]", paper.size_mm[1], 1.0, 2.0 * area.radius_mm),
+            bound(
+                "paper.pen_down_z_mm",
+                paper.pen_down_z_mm,
+                area.z_low_mm,
+                area.z_high_mm,
+            ),
+            bound(
+                "paper.pen_lift_mm",
+                paper.pen_lift_mm,
+                0.5,
+                area.z_high_mm - paper.pen_down_z_mm,
+            ),
+            bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
+            bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
+            bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),
+            bound(
+                "motion.joint_speed_rad_s",
+                largest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_speed_rad_s",
+                smallest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                largest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                smallest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
+            bound(
+                "motion.travel_tolerance_mm",
+                motion.travel_tolerance_mm,
+                motion.tolerance_mm,
+                10.0,
+            ),
+            bound("motion.jerk_window_ms", f64::from(motion.jerk_window_ms), 0.0, 32.0),
+            bound(
+                "motion.starve_dwell_ms",
+                f64::from(motion.starve_dwell_ms),
+                0.0,
+                60_000.0,
+            ),
+            bound("bus.drives", f64::from(bus.drives), AXES as f64, AXES as f64),
+            bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
+            bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
+            bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),
+            bound("bus.dead_man_ms", f64::from(bus.dead_man_ms), 20.0, 500.0),
+            bound(
+                "bus.segment",
+                f64::from(u32::from(bus.segment)),
+                // UDP needs a peer; addresses from 224.0.0.0 on are no hosts'.
+                f64::from(u8::from(bus.transport == Transport::Udp)),
+                f64::from(0xDFFF_FFFF_u32),
+            ),
+            bound("bus.sync_shift_us", f64::from(bus.sync_shift_us), 0.0, 999.0),
+            bound("bus.clock_error_max_us", f64::from(bus.clock_error_max_us), 10.0, 500.0),
+            bound(
+                "bus.watchdog_ms",
+                f64::from(bus.watchdog_ms),
+                f64::from(bus.blind_max_ms) + 1.0,
+                1000.0,
+            ),
+        ]
+    }
+
+    /// Checks every value against its hard bounds.
+    ///
+    /// # Errors
+    /// The first value that is not finite or outside its bounds, with the bounds.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        check_rows(&self.scalars(), None)?;
+        for (axis, values) in (0u8..).zip(&self.axes) {
+            check_rows(&values.scalars(), Some(axis))?;
+        }
+        Ok(())
+    }
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::NEG_INFINITY, |a, b| if b.is_nan() || *b > a { *b } else { a })
+}
+
+fn smallest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::INFINITY, |a, b| if b.is_nan() || *b < a { *b } else { a })
+}
+
+fn check_rows(rows: &[Bound], axis: Option<u8>) -> Result<(), ConfigError> {
+    for (row, bound) in (0u8..).zip(rows) {
+        if !(bound.value.is_finite() && bound.value >= bound.low && bound.value <= bound.high) {
+            return Err(ConfigError {
+                field: Field { row, axis },
+                value: bound.value,
+                low: bound.low,
+                high: bound.high,
+            });
+        }
+    }
+    Ok(())
+}
