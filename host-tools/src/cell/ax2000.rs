@@ -6,12 +6,13 @@
 //! 0x6085 counts position increments per second squared.
 
 use super::abort::Abort;
-use super::device::{Device, Emergency, Windows};
-use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
-use super::drive::{MODE_DIGITAL_CURRENT, MODE_DIGITAL_SPEED};
+use super::device::Windows;
+use super::dictionary::{DataType, ObjectRow, Value, access, record, variable};
+use super::drive::{MODE_DIGITAL_CURRENT, MODE_DIGITAL_SPEED, Profile};
 use super::process_data::{Pdo, PdoEntry, ProcessData};
 use super::servo::Servo;
-use super::sii::{self, Description};
+use super::servo_device::Model;
+use super::sii;
 use DataType::{Integer8, Integer16, Integer32, OctetString, Unsigned8, Unsigned16, Unsigned32, VisibleString};
 use Value::{Bytes, Live, Number, Stored, Text};
 use access::{READ, READ_WRITE, RX, TX};
@@ -162,144 +163,79 @@ const OBJECTS: &[ObjectRow] = &[
     ),
 ];
 
-/// The device behind one slave controller.
-#[derive(Clone, Debug)]
-pub(super) struct Ax2000 {
-    servo: Servo,
-    serial: u32,
+/// The drive as data.
+pub(super) static MODEL: Model = Model {
+    name: NAME,
+    order: ORDER,
+    identity: IDENTITY,
+    windows: WINDOWS,
+    details: sii::DETAILS_FIXED_PDO,
+    objects: OBJECTS,
+    profile: Profile::Ax2000,
+    process_data,
+    get,
+    set,
+    set_output,
+};
+
+fn process_data() -> ProcessData {
+    let [control, status] = [0x6040, 0x6041].map(|index| PdoEntry::new(index, 16));
+    let [velocity, position] = [0x606B, 0x6064].map(|index| PdoEntry::new(index, 32));
+    let [demand, torque] = [0x6074, 0x6077].map(|index| PdoEntry::new(index, 16));
+    let pdos = vec![
+        Pdo::new(0x1702, "Digital speed", true, &[velocity, control]),
+        Pdo::new(0x1703, "Digital current", true, &[demand, control]),
+        Pdo::new(0x1B01, "Position and status", true, &[position, status]),
+        Pdo::new(
+            0x1B03,
+            "Position, current and status",
+            true,
+            &[position, torque, status],
+        ),
+    ];
+    ProcessData::new(pdos, &[0x1702], &[0x1B01], 1)
 }
 
-impl Ax2000 {
-    /// A drive with this serial number.
-    pub(super) fn new(servo: Servo, serial: u32) -> Self {
-        Self { servo, serial }
-    }
-
-    fn identity(&self) -> Identity {
-        Identity {
-            serial: self.serial,
-            ..IDENTITY
-        }
-    }
+fn get(servo: &Servo, index: u16) -> Option<i64> {
+    let drive = &servo.drive;
+    let shown = servo.shown();
+    Some(match index {
+        0x1001 => servo.error_register().into(),
+        0x603F => drive.error_code().into(),
+        0x6040 => drive.control().into(),
+        0x6041 => shown.status.into(),
+        0x6060 => drive.mode.into(),
+        0x6061 => drive.mode_display.into(),
+        0x6064 => shown.position.into(),
+        0x606B => drive.velocity_digits().into(),
+        0x6074 => servo.demand.torque_digits.into(),
+        0x6077 => shown.torque.into(),
+        0x6085 => drive.quick_stop_increments_s2.into(),
+        _ => return None,
+    })
 }
 
-impl Device for Ax2000 {
-    fn image(&self) -> Vec<u8> {
-        let process_data = self.process_data();
-        sii::image(&Description {
-            identity: self.identity(),
-            name: NAME,
-            order: ORDER,
-            windows: WINDOWS,
-            details: sii::DETAILS_FIXED_PDO,
-            process_data: &process_data,
-            ports: self.silicon().ports,
-        })
+fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+    let drive = &mut servo.drive;
+    match (index, value) {
+        (0x6060, MODE_POSITION) => drive.mode = MODE_POSITION as i8,
+        (0x6060, mode) => match i8::try_from(mode) {
+            Ok(mode @ (MODE_DIGITAL_SPEED | MODE_DIGITAL_CURRENT)) => drive.mode = mode,
+            _ => return Err(Abort::VALUE),
+        },
+        (0x6085, 1..) => drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?,
+        (0x6085, _) => return Err(Abort::VALUE),
+        _ => return Err(Abort::READ_ONLY),
     }
+    Ok(())
+}
 
-    fn windows(&self) -> Windows {
-        WINDOWS
-    }
-
-    fn process_data(&self) -> ProcessData {
-        let [control, status] = [0x6040, 0x6041].map(|index| PdoEntry::new(index, 16));
-        let [velocity, position] = [0x606B, 0x6064].map(|index| PdoEntry::new(index, 32));
-        let [demand, torque] = [0x6074, 0x6077].map(|index| PdoEntry::new(index, 16));
-        let pdos = vec![
-            Pdo::new(0x1702, "Digital speed", true, &[velocity, control]),
-            Pdo::new(0x1703, "Digital current", true, &[demand, control]),
-            Pdo::new(0x1B01, "Position and status", true, &[position, status]),
-            Pdo::new(
-                0x1B03,
-                "Position, current and status",
-                true,
-                &[position, torque, status],
-            ),
-        ];
-        ProcessData::new(pdos, &[0x1702], &[0x1B01], 1)
-    }
-
-    fn dictionary(&self) -> Dictionary {
-        let mut dictionary = Dictionary::default();
-        dictionary.add_table(OBJECTS);
-        dictionary.add_identity(&self.identity());
-        dictionary.add_process_data(&self.process_data());
-        dictionary
-    }
-
-    fn power_up(&mut self) {
-        self.servo.power_up();
-    }
-
-    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
-        let drive = &self.servo.drive;
-        let shown = self.servo.shown();
-        Some(match index {
-            0x1001 => self.servo.error_register().into(),
-            0x603F => drive.error_code().into(),
-            0x6040 => drive.control().into(),
-            0x6041 => shown.status.into(),
-            0x6060 => drive.mode.into(),
-            0x6061 => drive.mode_display.into(),
-            0x6064 => shown.position.into(),
-            0x606B => drive.velocity_digits().into(),
-            0x6074 => self.servo.demand.torque_digits.into(),
-            0x6077 => shown.torque.into(),
-            0x6085 => drive.quick_stop_increments_s2.into(),
-            _ => return None,
-        })
-    }
-
-    fn set(&mut self, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
-        let drive = &mut self.servo.drive;
-        match (index, value) {
-            (0x6060, MODE_POSITION) => drive.mode = MODE_POSITION as i8,
-            (0x6060, mode) => match i8::try_from(mode) {
-                Ok(mode @ (MODE_DIGITAL_SPEED | MODE_DIGITAL_CURRENT)) => drive.mode = mode,
-                _ => return Err(Abort::VALUE),
-            },
-            (0x6085, 1..) => drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?,
-            (0x6085, _) => return Err(Abort::VALUE),
-            _ => return Err(Abort::READ_ONLY),
-        }
-        Ok(())
-    }
-
-    fn set_output(&mut self, index: u16, _sub: u8, value: i64) {
-        let demand = &mut self.servo.demand;
-        match index {
-            0x6040 => demand.control = value as u16,
-            0x606B => demand.velocity_digits = value as i32,
-            0x6074 => demand.torque_digits = value as i16,
-            _ => {}
-        }
-    }
-
-    fn step(&mut self, operational: bool) {
-        self.servo.step(operational);
-    }
-
-    fn sample(&mut self) {
-        self.servo.sample();
-    }
-
-    fn cyclic_data_lost(&mut self) {
-        self.servo.drive.cyclic_data_lost();
-    }
-
-    fn take_emergency(&mut self) -> Option<Emergency> {
-        self.servo.take_emergency()
-    }
-
-    fn servo(&self) -> Option<&Servo> {
-        Some(&self.servo)
-    }
-
-    fn servo_mut(&mut self) -> Option<&mut Servo> {
-        Some(&mut self.servo)
-    }
-
-    fn boxed_clone(&self) -> Box<dyn Device> {
-        Box::new(self.clone())
+fn set_output(servo: &mut Servo, index: u16, value: i64) {
+    let demand = &mut servo.demand;
+    match index {
+        0x6040 => demand.control = value as u16,
+        0x606B => demand.velocity_digits = value as i32,
+        0x6074 => demand.torque_digits = value as i16,
+        _ => {}
     }
 }

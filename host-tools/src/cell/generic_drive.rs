@@ -5,12 +5,13 @@
 //! all turns. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
 use super::abort::Abort;
-use super::device::{Device, Emergency, Windows};
-use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
-use super::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, RATED_TORQUE_MNM};
+use super::device::Windows;
+use super::dictionary::{DataType, ObjectRow, Value, access, record, variable};
+use super::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, Profile, RATED_TORQUE_MNM};
 use super::process_data::{Pdo, PdoEntry, ProcessData};
 use super::servo::Servo;
-use super::sii::{self, Description};
+use super::servo_device::Model;
+use super::sii;
 use DataType::{Integer8, Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32, VisibleString};
 use Value::{Live, Number, Stored, Text};
 use access::{READ, READ_WRITE, RX, TX};
@@ -192,167 +193,102 @@ const OBJECTS: &[ObjectRow] = &[
     ),
 ];
 
-/// The device behind one slave controller.
-#[derive(Clone, Debug)]
-pub(super) struct GenericDrive {
-    servo: Servo,
-    serial: u32,
+/// The drive as data.
+pub(super) static MODEL: Model = Model {
+    name: NAME,
+    order: ORDER,
+    identity: IDENTITY,
+    windows: WINDOWS,
+    details: sii::DETAILS_MAPPABLE_PDO,
+    objects: OBJECTS,
+    profile: Profile::Cia402,
+    process_data,
+    get,
+    set,
+    set_output,
+};
+
+fn process_data() -> ProcessData {
+    let word = |index| PdoEntry::new(index, 16);
+    let long = |index| PdoEntry::new(index, 32);
+    let byte = |index| PdoEntry::new(index, 8);
+    let (control, status) = (word(0x6040), word(0x6041));
+    let pdos = vec![
+        Pdo::new(0x1600, "Velocity", false, &[control, long(0x60FF)]),
+        Pdo::new(0x1601, "Torque", false, &[control, word(0x6071)]),
+        Pdo::new(
+            0x1602,
+            "All",
+            false,
+            &[control, long(0x607A), long(0x60FF), byte(0x6060)],
+        ),
+        Pdo::new(0x1A00, "Position", false, &[status, long(0x6064)]),
+        Pdo::new(
+            0x1A01,
+            "Position and torque",
+            false,
+            &[status, long(0x6064), word(0x6077)],
+        ),
+        Pdo::new(
+            0x1A02,
+            "All",
+            false,
+            &[status, long(0x6064), long(0x606C), byte(0x6061)],
+        ),
+    ];
+    ProcessData::new(pdos, &[0x1600], &[0x1A00], 3)
 }
 
-impl GenericDrive {
-    /// A drive with this serial number.
-    pub(super) fn new(servo: Servo, serial: u32) -> Self {
-        Self { servo, serial }
-    }
-
-    fn identity(&self) -> Identity {
-        Identity {
-            serial: self.serial,
-            ..IDENTITY
-        }
-    }
+fn get(servo: &Servo, index: u16) -> Option<i64> {
+    let drive = &servo.drive;
+    let demand = &servo.demand;
+    let shown = servo.shown();
+    Some(match index {
+        0x1001 => servo.error_register().into(),
+        0x603F => drive.error_code().into(),
+        0x6040 => demand.control.into(),
+        0x6041 => shown.status.into(),
+        0x6060 => drive.mode.into(),
+        0x6061 => drive.mode_display.into(),
+        0x6064 => shown.position.into(),
+        0x606C => shown.velocity.into(),
+        0x6071 => demand.torque_digits.into(),
+        0x6077 => shown.torque.into(),
+        0x607A => demand.position.unwrap_or(shown.position).into(),
+        0x6085 => drive.quick_stop_increments_s2.into(),
+        0x60FF => demand.velocity_digits.into(),
+        _ => return None,
+    })
 }
 
-impl Device for GenericDrive {
-    fn image(&self) -> Vec<u8> {
-        let process_data = self.process_data();
-        sii::image(&Description {
-            identity: self.identity(),
-            name: NAME,
-            order: ORDER,
-            windows: WINDOWS,
-            details: sii::DETAILS_MAPPABLE_PDO,
-            process_data: &process_data,
-            ports: self.silicon().ports,
-        })
-    }
-
-    fn windows(&self) -> Windows {
-        WINDOWS
-    }
-
-    fn process_data(&self) -> ProcessData {
-        let word = |index| PdoEntry::new(index, 16);
-        let long = |index| PdoEntry::new(index, 32);
-        let byte = |index| PdoEntry::new(index, 8);
-        let (control, status) = (word(0x6040), word(0x6041));
-        let pdos = vec![
-            Pdo::new(0x1600, "Velocity", false, &[control, long(0x60FF)]),
-            Pdo::new(0x1601, "Torque", false, &[control, word(0x6071)]),
-            Pdo::new(
-                0x1602,
-                "All",
-                false,
-                &[control, long(0x607A), long(0x60FF), byte(0x6060)],
-            ),
-            Pdo::new(0x1A00, "Position", false, &[status, long(0x6064)]),
-            Pdo::new(
-                0x1A01,
-                "Position and torque",
-                false,
-                &[status, long(0x6064), word(0x6077)],
-            ),
-            Pdo::new(
-                0x1A02,
-                "All",
-                false,
-                &[status, long(0x6064), long(0x606C), byte(0x6061)],
-            ),
-        ];
-        ProcessData::new(pdos, &[0x1600], &[0x1A00], 3)
-    }
-
-    fn dictionary(&self) -> Dictionary {
-        let mut dictionary = Dictionary::default();
-        dictionary.add_table(OBJECTS);
-        dictionary.add_identity(&self.identity());
-        dictionary.add_process_data(&self.process_data());
-        dictionary
-    }
-
-    fn power_up(&mut self) {
-        self.servo.power_up();
-    }
-
-    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
-        let drive = &self.servo.drive;
-        let demand = &self.servo.demand;
-        let shown = self.servo.shown();
-        Some(match index {
-            0x1001 => self.servo.error_register().into(),
-            0x603F => drive.error_code().into(),
-            0x6040 => demand.control.into(),
-            0x6041 => shown.status.into(),
-            0x6060 => drive.mode.into(),
-            0x6061 => drive.mode_display.into(),
-            0x6064 => shown.position.into(),
-            0x606C => shown.velocity.into(),
-            0x6071 => demand.torque_digits.into(),
-            0x6077 => shown.torque.into(),
-            0x607A => demand.position.unwrap_or(shown.position).into(),
-            0x6085 => drive.quick_stop_increments_s2.into(),
-            0x60FF => demand.velocity_digits.into(),
-            _ => return None,
-        })
-    }
-
-    fn set(&mut self, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
-        match (index, value) {
-            (0x6060, mode) => match i8::try_from(mode) {
-                Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
-                    self.servo.drive.mode = mode;
-                }
-                _ => return Err(Abort::VALUE),
-            },
-            (0x6085, 1..) => {
-                self.servo.drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?;
+fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+    match (index, value) {
+        (0x6060, mode) => match i8::try_from(mode) {
+            Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
+                servo.drive.mode = mode;
             }
-            (0x6085, _) => return Err(Abort::VALUE),
-            _ => self.set_output(index, sub, value),
+            _ => return Err(Abort::VALUE),
+        },
+        (0x6085, 1..) => {
+            servo.drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?;
         }
-        Ok(())
+        (0x6085, _) => return Err(Abort::VALUE),
+        _ => set_output(servo, index, value),
     }
+    Ok(())
+}
 
-    fn set_output(&mut self, index: u16, sub: u8, value: i64) {
-        let demand = &mut self.servo.demand;
-        match index {
-            0x6040 => demand.control = value as u16,
-            0x6060 => {
-                // A mode in the process data that the drive does not have leaves the present one.
-                let _ = self.set(index, sub, value);
-            }
-            0x6071 => demand.torque_digits = value as i16,
-            0x607A => demand.position = Some(value as i32),
-            0x60FF => demand.velocity_digits = value as i32,
-            _ => {}
+fn set_output(servo: &mut Servo, index: u16, value: i64) {
+    let demand = &mut servo.demand;
+    match index {
+        0x6040 => demand.control = value as u16,
+        0x6060 => {
+            // A mode in the process data that the drive does not have leaves the present one.
+            let _ = set(servo, index, value);
         }
-    }
-
-    fn step(&mut self, operational: bool) {
-        self.servo.step(operational);
-    }
-
-    fn sample(&mut self) {
-        self.servo.sample();
-    }
-
-    fn cyclic_data_lost(&mut self) {
-        self.servo.drive.cyclic_data_lost();
-    }
-
-    fn take_emergency(&mut self) -> Option<Emergency> {
-        self.servo.take_emergency()
-    }
-
-    fn servo(&self) -> Option<&Servo> {
-        Some(&self.servo)
-    }
-
-    fn servo_mut(&mut self) -> Option<&mut Servo> {
-        Some(&mut self.servo)
-    }
-
-    fn boxed_clone(&self) -> Box<dyn Device> {
-        Box::new(self.clone())
+        0x6071 => demand.torque_digits = value as i16,
+        0x607A => demand.position = Some(value as i32),
+        0x60FF => demand.velocity_digits = value as i32,
+        _ => {}
     }
 }

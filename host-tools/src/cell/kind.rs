@@ -2,13 +2,13 @@
 //!
 //! `ax2000,ax2000,cia402,ek1100,sii:FILE,ax2000*4`: kinds in the order of the chain, `*N` repeats one.
 
-use super::ax2000::Ax2000;
+use super::ax2000;
 use super::coupler::Coupler;
 use super::device::Device;
-use super::drive::Profile;
-use super::generic_drive::GenericDrive;
+use super::generic_drive;
 use super::image_device::ImageDevice;
 use super::servo::Servo;
+use super::servo_device::ServoDevice;
 use std::fmt;
 use std::sync::Arc;
 
@@ -101,14 +101,8 @@ impl SlaveKind {
     /// The device; a drive goes into the kinds that have one.
     pub(super) fn device(&self, servo: Option<Servo>, serial: u32) -> Box<dyn Device> {
         match (self, servo) {
-            (Self::Ax2000, Some(mut servo)) => {
-                servo.drive = servo.drive.with_profile(Profile::Ax2000);
-                Box::new(Ax2000::new(servo, serial))
-            }
-            (Self::Cia402, Some(mut servo)) => {
-                servo.drive = servo.drive.with_profile(Profile::Cia402);
-                Box::new(GenericDrive::new(servo, serial))
-            }
+            (Self::Ax2000, Some(servo)) => Box::new(ServoDevice::new(&ax2000::MODEL, servo, serial)),
+            (Self::Cia402, Some(servo)) => Box::new(ServoDevice::new(&generic_drive::MODEL, servo, serial)),
             (Self::Sii(image), _) => Box::new(ImageDevice::new(image.to_vec())),
             (_, servo) => Box::new(Coupler::new(servo)),
         }

@@ -42,6 +42,7 @@ mod robot;
 mod sdo_information;
 mod segment;
 mod servo;
+mod servo_device;
 mod sii;
 mod slave;
 mod sync_manager;

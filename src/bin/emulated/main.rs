@@ -18,6 +18,7 @@ mod metronome;
 mod panic;
 mod semihosting;
 mod serial;
+#[path = "../shared/time.rs"]
 mod time;
 mod timer;
 mod uart;

@@ -39,6 +39,7 @@ mod pins;
 mod release;
 mod serial;
 mod start_up;
+#[path = "../shared/time.rs"]
 mod time;
 mod timer;
 

@@ -1,0 +1,133 @@
+//! A servo drive behind a slave controller: what all drives have in common.
+//!
+//! A drive type is a [`Model`]: its identity, its objects, its process data, and what its objects show and do. Another
+//! type is another file with a `MODEL`, and a line in `kind.rs`.
+
+use super::abort::Abort;
+use super::device::{Device, Emergency, Windows};
+use super::dictionary::{Dictionary, ObjectRow};
+use super::drive::Profile;
+use super::process_data::ProcessData;
+use super::servo::Servo;
+use super::sii::{self, Description};
+use etherpen::ethercat::wire::sii::Identity;
+
+/// What distinguishes a type of drive.
+#[derive(Debug)]
+pub(super) struct Model {
+    /// Name in the information image.
+    pub(super) name: &'static str,
+    /// Order number in the information image.
+    pub(super) order: &'static str,
+    /// Identity; the serial number is each drive's own.
+    pub(super) identity: Identity,
+    pub(super) windows: Windows,
+    /// Details of the mailbox protocol in the information image.
+    pub(super) details: u8,
+    pub(super) objects: &'static [ObjectRow],
+    pub(super) profile: Profile,
+    pub(super) process_data: fn() -> ProcessData,
+    /// What a live object shows.
+    pub(super) get: fn(&Servo, u16) -> Option<i64>,
+    /// Writes an object through the mailbox.
+    pub(super) set: fn(&mut Servo, u16, i64) -> Result<(), Abort>,
+    /// Takes an object from the outputs.
+    pub(super) set_output: fn(&mut Servo, u16, i64),
+}
+
+/// The device behind one slave controller.
+#[derive(Clone, Debug)]
+pub(super) struct ServoDevice {
+    model: &'static Model,
+    servo: Servo,
+    serial: u32,
+}
+
+impl ServoDevice {
+    /// A drive of this type with this serial number.
+    pub(super) fn new(model: &'static Model, mut servo: Servo, serial: u32) -> Self {
+        servo.drive = servo.drive.with_profile(model.profile);
+        Self { model, servo, serial }
+    }
+
+    fn identity(&self) -> Identity {
+        Identity {
+            serial: self.serial,
+            ..self.model.identity
+        }
+    }
+}
+
+impl Device for ServoDevice {
+    fn image(&self) -> Vec<u8> {
+        sii::image(&Description {
+            identity: self.identity(),
+            name: self.model.name,
+            order: self.model.order,
+            windows: self.model.windows,
+            details: self.model.details,
+            process_data: &self.process_data(),
+            ports: self.silicon().ports,
+        })
+    }
+
+    fn windows(&self) -> Windows {
+        self.model.windows
+    }
+
+    fn process_data(&self) -> ProcessData {
+        (self.model.process_data)()
+    }
+
+    fn dictionary(&self) -> Dictionary {
+        let mut dictionary = Dictionary::default();
+        dictionary.add_table(self.model.objects);
+        dictionary.add_identity(&self.identity());
+        dictionary.add_process_data(&self.process_data());
+        dictionary
+    }
+
+    fn power_up(&mut self) {
+        self.servo.power_up();
+    }
+
+    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
+        (self.model.get)(&self.servo, index)
+    }
+
+    fn set(&mut self, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
+        (self.model.set)(&mut self.servo, index, value)
+    }
+
+    fn set_output(&mut self, index: u16, _sub: u8, value: i64) {
+        (self.model.set_output)(&mut self.servo, index, value);
+    }
+
+    fn step(&mut self, operational: bool) {
+        self.servo.step(operational);
+    }
+
+    fn sample(&mut self) {
+        self.servo.sample();
+    }
+
+    fn cyclic_data_lost(&mut self) {
+        self.servo.drive.cyclic_data_lost();
+    }
+
+    fn take_emergency(&mut self) -> Option<Emergency> {
+        self.servo.take_emergency()
+    }
+
+    fn servo(&self) -> Option<&Servo> {
+        Some(&self.servo)
+    }
+
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
+        Some(&mut self.servo)
+    }
+
+    fn boxed_clone(&self) -> Box<dyn Device> {
+        Box::new(self.clone())
+    }
+}
