@@ -2,7 +2,9 @@
 #![forbid(unsafe_code)]
 
 use clap::Parser;
-use host_tools::commands::{self, CommandError, bench, bus, demo, draw, emulate, segment, simulate, verify};
+use host_tools::commands::{
+    self, CommandError, bench, bus, demo, draw, emulate, kinematics, segment, simulate, verify,
+};
 use std::process::ExitCode;
 
 /// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
@@ -30,6 +32,8 @@ enum Subcommand {
     Draw(draw::Arguments),
     /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
     Emulate(emulate::Arguments),
+    /// Turn positions into arm angles and back.
+    Kinematics(kinematics::Arguments),
     /// Run the virtual EtherCAT segment alone, for any master to talk to.
     Segment(segment::Arguments),
     /// Draw a file in virtual time in this process, with the same tasks and the same cell.
@@ -45,6 +49,7 @@ fn main() -> ExitCode {
         Subcommand::Demo(arguments) => demo::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
+        Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Segment(arguments) => segment::run(&arguments),
         Subcommand::Simulate(arguments) => simulate::run(&arguments),
         Subcommand::Verify(arguments) => verify::run(&arguments),

@@ -9,6 +9,7 @@ mod display;
 pub mod draw;
 pub mod emulate;
 pub mod endpoint;
+pub mod kinematics;
 mod outputs;
 pub mod prepare;
 pub mod run;
