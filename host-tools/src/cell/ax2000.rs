@@ -13,9 +13,9 @@ use super::process_data::{Pdo, PdoEntry, ProcessData};
 use super::servo::Servo;
 use super::servo_device::Model;
 use super::sii;
-use DataType::{Integer8, Integer16, Integer32, OctetString, Unsigned8, Unsigned16, Unsigned32, VisibleString};
-use Value::{Bytes, Live, Number, Stored, Text};
-use access::{READ, READ_WRITE, RX, TX};
+use DataType::{Integer8, Integer16, Integer32, OctetString, Unsigned8, Unsigned16, VisibleString};
+use Value::{Bytes, Live, Stored, Text};
+use access::{READ, READ_WRITE, RX};
 use etherpen::ethercat::wire::sii::{Identity, MailboxWindow};
 
 /// Name in the information image and in object 0x1008.
@@ -45,16 +45,6 @@ const COMMENT_BYTES_MAX: usize = 4096;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
-        0x1000,
-        "Device type",
-        &[(0, "Device type", Unsigned32, READ, Number(0x0002_0192))],
-    ),
-    variable(
-        0x1001,
-        "Error register",
-        &[(0, "Error register", Unsigned8, READ, Live)],
-    ),
-    variable(
         0x1008,
         "Device name",
         &[(0, "Device name", VisibleString, READ, Text(NAME))],
@@ -63,16 +53,6 @@ const OBJECTS: &[ObjectRow] = &[
         0x100A,
         "Software version",
         &[(0, "Software version", VisibleString, READ, Text("cell 1"))],
-    ),
-    record(
-        0x1C00,
-        "Sync manager types",
-        &[
-            (1, "Sync manager 0", Unsigned8, READ, Number(1)),
-            (2, "Sync manager 1", Unsigned8, READ, Number(2)),
-            (3, "Sync manager 2", Unsigned8, READ, Number(3)),
-            (4, "Sync manager 3", Unsigned8, READ, Number(4)),
-        ],
     ),
     variable(
         0x2FFE,
@@ -94,11 +74,6 @@ const OBJECTS: &[ObjectRow] = &[
         &[(0, "Control word", Unsigned16, READ | RX, Live)],
     ),
     variable(
-        0x6041,
-        "Status word",
-        &[(0, "Status word", Unsigned16, READ | TX, Live)],
-    ),
-    variable(
         0x6060,
         "Modes of operation",
         &[(0, "Modes of operation", Integer8, READ_WRITE, Live)],
@@ -109,11 +84,6 @@ const OBJECTS: &[ObjectRow] = &[
         &[(0, "Modes of operation display", Integer8, READ, Live)],
     ),
     variable(
-        0x6064,
-        "Position actual value",
-        &[(0, "Position actual value", Integer32, READ | TX, Live)],
-    ),
-    variable(
         0x606B,
         "Velocity demand value",
         &[(0, "Velocity demand value", Integer32, READ | RX, Live)],
@@ -122,16 +92,6 @@ const OBJECTS: &[ObjectRow] = &[
         0x6074,
         "Torque demand value",
         &[(0, "Torque demand value", Integer16, READ | RX, Live)],
-    ),
-    variable(
-        0x6077,
-        "Torque actual value",
-        &[(0, "Torque actual value", Integer16, READ | TX, Live)],
-    ),
-    variable(
-        0x6085,
-        "Quick stop deceleration",
-        &[(0, "Quick stop deceleration", Unsigned32, READ_WRITE, Live)],
     ),
     record(
         0x60C2,

@@ -42,16 +42,6 @@ const SUPPORTED_MODES: i64 = 0x0380;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
-        0x1000,
-        "Device type",
-        &[(0, "Device type", Unsigned32, READ, Number(0x0002_0192))],
-    ),
-    variable(
-        0x1001,
-        "Error register",
-        &[(0, "Error register", Unsigned8, READ, Live)],
-    ),
-    variable(
         0x1008,
         "Device name",
         &[(0, "Device name", VisibleString, READ, Text(NAME))],
@@ -66,26 +56,11 @@ const OBJECTS: &[ObjectRow] = &[
         "Software version",
         &[(0, "Software version", VisibleString, READ, Text("1"))],
     ),
-    record(
-        0x1C00,
-        "Sync manager types",
-        &[
-            (1, "Sync manager 0", Unsigned8, READ, Number(1)),
-            (2, "Sync manager 1", Unsigned8, READ, Number(2)),
-            (3, "Sync manager 2", Unsigned8, READ, Number(3)),
-            (4, "Sync manager 3", Unsigned8, READ, Number(4)),
-        ],
-    ),
     variable(0x603F, "Error code", &[(0, "Error code", Unsigned16, READ | TX, Live)]),
     variable(
         0x6040,
         "Control word",
         &[(0, "Control word", Unsigned16, READ_WRITE | RX, Live)],
-    ),
-    variable(
-        0x6041,
-        "Status word",
-        &[(0, "Status word", Unsigned16, READ | TX, Live)],
     ),
     variable(
         0x605A,
@@ -113,11 +88,6 @@ const OBJECTS: &[ObjectRow] = &[
         &[(0, "Modes of operation display", Integer8, READ | TX, Live)],
     ),
     variable(
-        0x6064,
-        "Position actual value",
-        &[(0, "Position actual value", Integer32, READ | TX, Live)],
-    ),
-    variable(
         0x606C,
         "Velocity actual value",
         &[(0, "Velocity actual value", Integer32, READ | TX, Live)],
@@ -139,19 +109,9 @@ const OBJECTS: &[ObjectRow] = &[
         )],
     ),
     variable(
-        0x6077,
-        "Torque actual value",
-        &[(0, "Torque actual value", Integer16, READ | TX, Live)],
-    ),
-    variable(
         0x607A,
         "Target position",
         &[(0, "Target position", Integer32, READ_WRITE | RX, Live)],
-    ),
-    variable(
-        0x6085,
-        "Quick stop deceleration",
-        &[(0, "Quick stop deceleration", Unsigned32, READ_WRITE, Live)],
     ),
     record(
         0x60C2,

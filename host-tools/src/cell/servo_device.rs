@@ -5,12 +5,59 @@
 
 use super::abort::Abort;
 use super::device::{Device, Emergency, Windows};
-use super::dictionary::{Dictionary, ObjectRow};
+use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
 use super::drive::Profile;
 use super::process_data::ProcessData;
 use super::servo::Servo;
 use super::sii::{self, Description};
+use DataType::{Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32};
+use Value::{Live, Number};
+use access::{READ, READ_WRITE, TX};
 use etherpen::ethercat::wire::sii::Identity;
+
+/// Objects of every drive.
+const COMMON_OBJECTS: &[ObjectRow] = &[
+    variable(
+        0x1000,
+        "Device type",
+        &[(0, "Device type", Unsigned32, READ, Number(0x0002_0192))],
+    ),
+    variable(
+        0x1001,
+        "Error register",
+        &[(0, "Error register", Unsigned8, READ, Live)],
+    ),
+    record(
+        0x1C00,
+        "Sync manager types",
+        &[
+            (1, "Sync manager 0", Unsigned8, READ, Number(1)),
+            (2, "Sync manager 1", Unsigned8, READ, Number(2)),
+            (3, "Sync manager 2", Unsigned8, READ, Number(3)),
+            (4, "Sync manager 3", Unsigned8, READ, Number(4)),
+        ],
+    ),
+    variable(
+        0x6041,
+        "Status word",
+        &[(0, "Status word", Unsigned16, READ | TX, Live)],
+    ),
+    variable(
+        0x6064,
+        "Position actual value",
+        &[(0, "Position actual value", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x6077,
+        "Torque actual value",
+        &[(0, "Torque actual value", Integer16, READ | TX, Live)],
+    ),
+    variable(
+        0x6085,
+        "Quick stop deceleration",
+        &[(0, "Quick stop deceleration", Unsigned32, READ_WRITE, Live)],
+    ),
+];
 
 /// What distinguishes a type of drive.
 #[derive(Debug)]
@@ -24,6 +71,7 @@ pub(super) struct Model {
     pub(super) windows: Windows,
     /// Details of the mailbox protocol in the information image.
     pub(super) details: u8,
+    /// Objects beside those of every drive.
     pub(super) objects: &'static [ObjectRow],
     pub(super) profile: Profile,
     pub(super) process_data: fn() -> ProcessData,
@@ -81,6 +129,7 @@ impl Device for ServoDevice {
 
     fn dictionary(&self) -> Dictionary {
         let mut dictionary = Dictionary::default();
+        dictionary.add_table(COMMON_OBJECTS);
         dictionary.add_table(self.model.objects);
         dictionary.add_identity(&self.identity());
         dictionary.add_process_data(&self.process_data());

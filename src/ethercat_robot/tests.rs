@@ -1,0 +1,259 @@
+//! Requirements on the robot on the bus: scaling, turns, sharing of slaves, and what a lost drive does.
+
+use super::*;
+use crate::drives::layout::LayoutBuilder;
+use crate::drives::{akd, ax2000, generic};
+
+const TURN: i32 = 1 << 20;
+
+fn axis() -> AxisState {
+    let axis = Axis {
+        sync_angle_rad: -0.5,
+        sync_increments: 1000,
+        ..Axis::default()
+    };
+    AxisState::new(&axis)
+}
+
+fn at(position: i32) -> Option<DriveInput> {
+    Some(DriveInput {
+        position,
+        status: StatusWord(0x0637),
+        mode_in_effect: true,
+    })
+}
+
+/// A slave in OP that drives axis 0.
+fn share(kind: DriveKind, mode: AxisMode) -> CyclicSlave {
+    let description = kind.mode(mode).unwrap();
+    let mut builder = LayoutBuilder::new(mode, description);
+    for (outputs, inputs) in description.outputs.entries.iter().zip(description.inputs.entries) {
+        builder.output(*outputs).unwrap();
+        builder.input(*inputs).unwrap();
+    }
+    for entry in description
+        .inputs
+        .entries
+        .iter()
+        .skip(description.outputs.entries.len())
+    {
+        builder.input(*entry).unwrap();
+    }
+    CyclicSlave {
+        watched: true,
+        role: Some(DriveRole {
+            axis: 0,
+            kind,
+            layout: builder.finish().unwrap(),
+        }),
+        ..CyclicSlave::default()
+    }
+}
+
+fn enabled(demand: Demand) -> AxisCommand {
+    AxisCommand {
+        target: DriveTarget::Enabled,
+        demand,
+    }
+}
+
+fn robot(positions: [i32; AXES]) -> EtherCatRobot {
+    let mut robot = EtherCatRobot::new(
+        &[Axis {
+            sync_increments: 1000,
+            ..Axis::default()
+        }; AXES],
+    );
+    for (axis, position) in robot.axes.iter_mut().zip(positions) {
+        axis.step(at(position), 0);
+    }
+    robot
+}
+
+#[test]
+fn turns_are_counted_both_ways_for_single_turn_and_for_counting_encoders() {
+    let (mut wrapping, mut counting) = (axis(), axis());
+    let mut truth = 5_i64;
+    for cycle in 0..400_i64 {
+        truth += if cycle < 150 { 90_000 } else { -110_000 };
+        wrapping.step(at(truth.rem_euclid(i64::from(TURN)) as i32), 0);
+        counting.step(at((truth + i64::from(i32::MAX)) as i32), 0);
+        if cycle == 0 {
+            assert_eq!(wrapping.position, truth);
+        }
+    }
+    assert_eq!(wrapping.position, truth);
+    assert_eq!(counting.position, truth + i64::from(i32::MAX) - (1 << 32));
+}
+
+#[test]
+fn the_resolver_gives_the_angle_nearest_to_the_mark() {
+    // A quarter turn of the motor beyond the mark, seen across the end of the turn and four turns up.
+    for position in [1000 + TURN / 4, 1000 + TURN / 4 + 4 * TURN, 1000 + TURN / 4 - TURN] {
+        let mut robot = robot([position; AXES]);
+        assert!(!robot.is_referenced());
+        assert_eq!(robot.reference(), Ok(()));
+        let angle_rad = robot.axes[0].axis_input().unwrap().angle_rad.unwrap();
+        let expected_rad = Axis::default().sync_angle_rad + TAU / 4.0 / 12.0;
+        assert!((angle_rad - expected_rad).abs() < 1e-9, "{angle_rad}");
+    }
+    let mut robot = robot([1000 - TURN / 4; AXES]);
+    assert_eq!(robot.reference(), Ok(()));
+    assert!(robot.axes[3].axis_input().unwrap().angle_rad.unwrap() < Axis::default().sync_angle_rad);
+}
+
+#[test]
+fn a_moving_or_silent_axis_is_not_referenced() {
+    let mut moving = robot([0; AXES]);
+    moving.axes[2].step(at(5_000), 0);
+    assert_eq!(moving.reference(), Err(ReferenceError::Moving { axis: 2 }));
+    let mut silent = robot([0; AXES]);
+    silent.axes[1].step(None, 0);
+    assert_eq!(silent.reference(), Err(ReferenceError::NoPosition { axis: 1 }));
+    assert!(!silent.is_referenced());
+}
+
+#[test]
+fn a_gap_in_motion_costs_the_reference_after_8_ms_and_at_rest_after_half_a_second() {
+    for (speed, survived_ms) in [(50_000, GAP_IN_MOTION_MAX_MS), (0, GAP_AT_REST_MAX_MS)] {
+        for (gap_ms, kept) in [(survived_ms, true), (survived_ms + 1, false)] {
+            let mut robot = robot([0; AXES]);
+            robot.reference().unwrap();
+            robot.axes[1].step(at(speed), 0);
+            (0..gap_ms).for_each(|_| robot.axes[1].step(None, 0));
+            assert_eq!(robot.axes[1].axis_input(), None);
+            robot.axes[1].step(at(speed), 0);
+            assert_eq!(robot.is_referenced(), kept, "{speed} increments/ms, {gap_ms} ms");
+            assert_eq!(robot.references_lost(), [false, !kept, false, false]);
+        }
+    }
+}
+
+#[test]
+fn a_drive_that_was_configured_anew_is_not_referenced() {
+    let mut robot = robot([0; AXES]);
+    robot.reference().unwrap();
+    robot.axes[0].step(at(0), 1);
+    assert_eq!(robot.references_lost(), [true, false, false, false]);
+    assert!(robot.axes[0].axis_input().unwrap().angle_rad.is_none());
+}
+
+#[test]
+fn velocities_are_scaled_clamped_and_zero_unless_in_operation() {
+    let mut axis = axis();
+    let velocity = |rad_s| enabled(Demand::Velocity(rad_s));
+    axis.adopt(Some(&share(&ax2000::AX2000, AxisMode::Velocity)));
+    assert_eq!(axis.output(&velocity(1.0)).demand_digits, 0);
+    axis.step(at(0), 0);
+    // 1 rad/s at the joint is 12 rad/s, 114.59 rpm, at the motor.
+    assert_eq!(axis.output(&velocity(1.0)).demand_digits, 16_021);
+    assert_eq!(axis.output(&velocity(-1.0)).demand_digits, -16_021);
+    let clamped = axis.output(&velocity(1.0e9)).demand_digits;
+    let limit = velocity(Axis::default().output_max_rad_s);
+    assert_eq!(clamped, axis.output(&limit).demand_digits);
+    assert_eq!(axis.output(&velocity(f64::NAN)).demand_digits, 0);
+    assert_eq!(axis.output(&enabled(Demand::Torque(1.0))).demand_digits, 0);
+    let stop = AxisCommand {
+        target: DriveTarget::QuickStop,
+        ..velocity(1.0)
+    };
+    let output = axis.output(&stop);
+    assert_eq!(
+        (output.demand_digits, output.control),
+        (0, cia402::ControlWord::QUICK_STOP)
+    );
+}
+
+#[test]
+fn torques_are_scaled_by_current_or_rated_torque_and_clamped() {
+    let torque = |nm| enabled(Demand::Torque(nm));
+    for (kind, digits, limit_digits) in [
+        // 12 N m at the joint are 1 N m at the motor: 1 / 8.4 of 3280 digits, or 1000 / 2.8 digits.
+        (&ax2000::AX2000, 390, 3_254),
+        (&generic::GENERIC, 357, 2_976),
+    ] {
+        let mut axis = axis();
+        axis.adopt(Some(&share(kind, AxisMode::Torque)));
+        axis.step(at(0), 0);
+        assert_eq!(axis.output(&torque(12.0)).demand_digits, digits);
+        assert_eq!(axis.output(&torque(-12.0)).demand_digits, -digits);
+        assert_eq!(axis.output(&torque(1.0e9)).demand_digits, limit_digits);
+        assert_eq!(axis.output(&torque(f64::INFINITY)).demand_digits, 0);
+        assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
+    }
+}
+
+#[test]
+fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
+    let mut axis = axis();
+    let drive = share(&akd::AKD, AxisMode::Velocity);
+    let quick_stop = DriveOutput {
+        control: cia402::ControlWord::QUICK_STOP,
+        ..DriveOutput::default()
+    };
+    axis.step(at(0), 0);
+    let left = CyclicSlave {
+        watched: false,
+        ..drive
+    };
+    for share in [None, Some(&left)] {
+        axis.adopt(share);
+        assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), quick_stop);
+    }
+    axis.adopt(Some(&drive));
+    assert_ne!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
+    let mut other_mode = at(0).unwrap();
+    other_mode.mode_in_effect = false;
+    axis.step(Some(other_mode), 0);
+    assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), quick_stop);
+    other_mode.status = StatusWord(0x0250);
+    axis.step(Some(other_mode), 0);
+    let output = axis.output(&enabled(Demand::Velocity(1.0)));
+    assert_eq!(output.control, cia402::ControlWord::DISABLE_VOLTAGE);
+}
+
+#[test]
+fn while_a_drive_is_not_in_operation_its_set_points_are_where_it_is() {
+    let mut axis = axis();
+    axis.adopt(Some(&share(&generic::GENERIC, AxisMode::Velocity)));
+    for status in [0x0250, 0x0231, 0x0233] {
+        let input = DriveInput {
+            status: StatusWord(status),
+            ..at(1_234).unwrap()
+        };
+        axis.step(Some(input), 0);
+        let output = axis.output(&enabled(Demand::Velocity(1.0)));
+        assert_eq!((output.demand_digits, output.position), (0, 1_234));
+    }
+}
+
+#[test]
+fn a_motor_that_turns_the_other_way_is_turned_back() {
+    let mut axis = AxisState::new(&Axis {
+        gear: -12.0,
+        ..Axis::default()
+    });
+    axis.step(at(0), 0);
+    axis.zero = Some(0.0);
+    for (mode, demand) in [
+        (AxisMode::Velocity, Demand::Velocity(1.0)),
+        (AxisMode::Torque, Demand::Torque(10.0)),
+    ] {
+        axis.adopt(Some(&share(&ax2000::AX2000, mode)));
+        assert!(axis.output(&enabled(demand)).demand_digits < 0);
+    }
+    axis.step(at(-1000), 0);
+    assert!(axis.axis_input().unwrap().angle_rad.unwrap() > 0.0);
+}
+
+#[test]
+fn an_axis_takes_commands_through_velocity_io_and_torque_io() {
+    let mut robot = robot([0; AXES]);
+    let mut io = robot.io(2).unwrap();
+    assert!(VelocityIo::input(&io).is_some());
+    io.set_velocity(DriveTarget::Enabled, 0.5);
+    io.set_torque(DriveTarget::Enabled, 7.0);
+    assert_eq!(robot.commands[2], enabled(Demand::Torque(7.0)));
+    assert_eq!(robot.commands[1], AxisCommand::default());
+    assert!(robot.io(AXES).is_none());
+}
