@@ -12,6 +12,8 @@ use std::path::Path;
 
 /// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's default bandwidth.
 const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
+/// Farthest the pen may be from its line where the drives close the velocity loop, mm.
+const DEVIATION_MAX_MM: f64 = 0.1;
 /// Farthest the pen may be from its line in torque mode, mm: gravity, friction and coupling are left to the feedback.
 const TORQUE_DEVIATION_MAX_MM: f64 = 1.0;
 /// Most of the line that may be missing, as a share: in torque mode the pen's spring does not always reach the paper.
@@ -59,13 +61,13 @@ fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
 #[test]
 fn four_ax2000_draw_in_digital_speed() {
     let report = draw(SlaveKind::Ax2000, AxisMode::Velocity);
-    assert!(report.path_deviation_max_mm <= 0.2);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
 }
 
 #[test]
 fn four_generic_drives_draw_in_cyclic_synchronous_velocity() {
     let report = draw(SlaveKind::Cia402, AxisMode::Velocity);
-    assert!(report.path_deviation_max_mm <= 0.2);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
 }
 
 #[test]

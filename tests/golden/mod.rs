@@ -16,8 +16,8 @@ use host_tools::run::{Drawn, Task};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Farthest a pen may be from its line, mm.
-const DEVIATION_MAX_MM: f64 = 0.5;
+/// Farthest the pen, and its ink, may be from their line, mm.
+const DEVIATION_MAX_MM: f64 = 0.1;
 /// How much a value may differ from its golden one, in the value's own unit.
 const TOLERANCE: f64 = 0.005;
 /// Milliseconds between two positions of the table.
@@ -54,6 +54,11 @@ pub(crate) fn assert_clean(prepared: &Prepared, task: &Task, drawn: &Drawn) -> R
     assert!(report.cycles > 0);
     assert_eq!(report.ink_missing_mm, 0.0);
     assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM, "{report:?}");
+    assert!(report.ink_deviation_max_mm <= DEVIATION_MAX_MM, "{report:?}");
+    assert!(
+        report.shaping_deviation_max_mm <= report.shaping_tolerance_mm,
+        "{report:?}"
+    );
     for axis in &report.limits {
         assert!(axis.speed_rad_s <= axis.speed_limit_rad_s, "{axis:?}");
         assert!(axis.acceleration_rad_s2 <= axis.acceleration_limit_rad_s2, "{axis:?}");

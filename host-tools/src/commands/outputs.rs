@@ -13,6 +13,8 @@ use std::path::Path;
 
 /// Width of the pen's line in the pictures, mm.
 const PEN_WIDTH_MM: f64 = 0.5;
+/// Largest distance from the intended line that counts as good, mm.
+const DEVIATION_GOOD_MM: f64 = 0.1;
 /// Resolution of `drawn.png`, pixels a millimetre.
 const PIXELS_PER_MM: f64 = 8.0;
 
@@ -133,33 +135,16 @@ fn strokes(ink: &[InkStroke]) -> Vec<Stroke> {
         .collect()
 }
 
-fn ink_in_robot_frame(config: &Config, ink: &[InkStroke]) -> Vec<[f64; 2]> {
+fn ink_in_robot_frame(config: &Config, ink: &[InkStroke]) -> Vec<Vec<[f64; 2]>> {
     let paper = &config.paper;
-    let place = |[x, y]: [f64; 2]| {
+    let place = |[x, y]: &[f64; 2]| {
         [
             paper.centre_mm[0] + x - 0.5 * paper.size_mm[0],
             paper.centre_mm[1] - y + 0.5 * paper.size_mm[1],
         ]
     };
-    ink.iter()
-        .flat_map(|stroke| densified(&stroke.points_mm))
-        .map(place)
-        .collect()
-}
-
-/// Points of a line at most 0.25 mm apart, so that fast ink counts as a line and not as its samples.
-fn densified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    const STEP_MM: f64 = 0.25;
-    let mut dense: Vec<[f64; 2]> = points.first().copied().into_iter().collect();
-    for pair in points.windows(2) {
-        let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        let steps = ((x1 - x0).hypot(y1 - y0) / STEP_MM).ceil().max(1.0);
-        dense.extend((1..=steps as usize).map(|k| {
-            let t = k as f64 / steps;
-            [x0 + t * (x1 - x0), y0 + t * (y1 - y0)]
-        }));
-    }
-    dense
+    let line = |stroke: &InkStroke| stroke.points_mm.iter().map(place).collect();
+    ink.iter().map(line).collect()
 }
 
 /// Prints what the drawing came to.
@@ -180,14 +165,26 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
     eprintln!(
         "The pen stayed within {} of the intended lines ({:.3} mm rms).",
         good(
-            report.path_deviation_max_mm <= 0.5,
+            report.path_deviation_max_mm <= DEVIATION_GOOD_MM,
             format!("{:.3} mm", report.path_deviation_max_mm)
         ),
         report.path_deviation_rms_mm
     );
+    eprintln!(
+        "Of that the shaping takes {:.3} of its {:.3} mm; the axes follow the shaped path within {:.3} mm ({:.3} mm rms).",
+        report.shaping_deviation_max_mm,
+        report.shaping_tolerance_mm,
+        report.tracking_error_max_mm,
+        report.tracking_error_rms_mm
+    );
     if report.drives.is_some() {
         eprintln!(
-            "Ink missing: {}.",
+            "The ink lies within {} of the lines ({:.3} mm rms); missing: {}.",
+            good(
+                report.ink_deviation_max_mm <= DEVIATION_GOOD_MM,
+                format!("{:.3} mm", report.ink_deviation_max_mm)
+            ),
+            report.ink_deviation_rms_mm,
             good(report.ink_missing_mm == 0.0, format!("{:.1} mm", report.ink_missing_mm))
         );
     }

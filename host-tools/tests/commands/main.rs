@@ -31,7 +31,7 @@ const FILES: [&str; 6] = [
     "intended.csv",
     "bus.pcapng",
 ];
-const KEYS: [&str; 17] = [
+const KEYS: [&str; 24] = [
     "strokes",
     "pen_down_mm",
     "pen_up_mm",
@@ -39,9 +39,16 @@ const KEYS: [&str; 17] = [
     "drawn_s",
     "path_deviation_max_mm",
     "path_deviation_rms_mm",
+    "ink_deviation_max_mm",
+    "ink_deviation_rms_mm",
+    "shaping_deviation_max_mm",
+    "shaping_tolerance_mm",
+    "tracking_error_max_mm",
+    "tracking_error_rms_mm",
     "ink_missing_mm",
     "following_error_max_rad",
     "limits",
+    "platform",
     "cycles",
     "cycles_late",
     "frames_lost",

@@ -3,21 +3,18 @@
 //! Everything is computed from what the firmware measured every millisecond, from the path that was intended and from
 //! the ink on the virtual paper; nothing is taken from the planner's own word.
 
+mod deviation;
+mod tables;
+
+pub use deviation::NumberedStroke;
+pub use tables::{write_intended, write_telemetry};
+
+use deviation::{Distances, deviation, distance, ink_deviation, ink_missing};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::{AXES, Delta, JointAngles, Position};
 use serde::Serialize;
-use std::io::{self, Write};
-
-/// Intended ink counts as missing where no ink is within this distance, mm.
-const INK_REACH_MM: f64 = 0.5;
-/// Distance of the points at which intended ink is looked for, mm.
-const INK_STEP_MM: f64 = 0.1;
-/// How far ahead along its stroke the pen may have come since the last millisecond, mm: 2 m/s.
-const AHEAD_MM: f64 = 2.0;
-/// How far back along its stroke the nearest point may lie, mm: noise, not motion.
-const BACK_MM: f64 = 0.5;
 
 /// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -34,6 +31,21 @@ pub struct AxisLimits {
     pub jerk_rad_s3: f64,
     /// Its limit, rad/s3: 2 A / T with the jerk window T; `null` without a window.
     pub jerk_limit_rad_s3: Option<f64>,
+}
+
+/// Peak speed and acceleration of the platform from the 1 ms references, and their limits.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct PlatformLimits {
+    /// Highest speed, mm/s.
+    pub speed_mm_s: f64,
+    /// Limit of the speed with the pen down, mm/s.
+    pub speed_limit_mm_s: f64,
+    /// Limit of the speed with the pen up, mm/s.
+    pub travel_speed_limit_mm_s: f64,
+    /// Highest acceleration, mm/s2.
+    pub acceleration_mm_s2: f64,
+    /// Its limit, mm/s2.
+    pub acceleration_limit_mm_s2: f64,
 }
 
 /// The virtual drives.
@@ -64,16 +76,33 @@ pub struct Report {
     pub planned_s: f64,
     /// Duration of the drawing on the machine, s.
     pub drawn_s: f64,
-    /// Largest distance of a measured pen-down position from its stroke, mm; `null` without any.
+    /// Largest distance of a measured position from its stroke in space, mm, while the reference it answers to has the
+    /// pen down; `null` without any.
     pub path_deviation_max_mm: f64,
     /// Root of the mean square of that distance, mm.
     pub path_deviation_rms_mm: f64,
+    /// Largest distance of ink from its stroke on the paper, mm, wherever the pen touched, on its way up and down too;
+    /// `null` where the paper cannot be read.
+    pub ink_deviation_max_mm: f64,
+    /// Root of the mean square of that distance, mm.
+    pub ink_deviation_rms_mm: f64,
+    /// Share of the shaping: largest distance of the pen-down references from their strokes, mm.
+    pub shaping_deviation_max_mm: f64,
+    /// What the shaping may take of the deviation, mm.
+    pub shaping_tolerance_mm: f64,
+    /// Share of the tracking: largest distance in space between a measured position and the pen-down reference it
+    /// answers to, mm, along the path and across it.
+    pub tracking_error_max_mm: f64,
+    /// Root of the mean square of that distance, mm.
+    pub tracking_error_rms_mm: f64,
     /// Intended length without ink near it, mm; `null` where the paper cannot be read.
     pub ink_missing_mm: f64,
     /// Largest following error per axis, rad.
     pub following_error_max_rad: [f64; AXES],
     /// Peaks and limits per axis.
     pub limits: [AxisLimits; AXES],
+    /// Peaks and limits of the platform.
+    pub platform: PlatformLimits,
     /// Milliseconds the firmware ran.
     pub cycles: u32,
     /// Output telegrams that were late.
@@ -104,8 +133,8 @@ pub struct Evidence<'a> {
     pub path: &'a [Vertex],
     /// What the firmware measured.
     pub samples: &'a [Sample],
-    /// Ink in the robot's frame, mm; absent where the paper cannot be read.
-    pub ink_mm: Option<&'a [[f64; 2]]>,
+    /// Lines of ink in the robot's frame, mm, in the order they were drawn; absent where the paper cannot be read.
+    pub ink_mm: Option<&'a [Vec<[f64; 2]>]>,
     /// What the firmware counted.
     pub counters: Counters,
     /// Whether the whole path was executed.
@@ -125,27 +154,33 @@ pub struct Row {
     pub sample: Sample,
     /// Measured position of the platform, mm.
     pub position: Position,
+    /// Where the reference that the measured position answers to puts the platform, mm.
+    pub reference: Position,
     /// Stroke the measured position belongs to.
     pub stroke: u32,
     /// Pen as the path had it for the measured position.
     pub pen: Pen,
 }
 
-/// Puts the measured positions into the robot's frame. A drive acts on a reference some milliseconds later and its
-/// position takes another to come back; stroke and pen are those of the reference the position answers to.
+/// Puts the measured positions into the robot's frame. The controller compares a measurement with the reference of its
+/// age, and reads the feed-forward ahead so that the two agree; stroke and pen are those of that reference.
 pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
     let Ok(delta) = Delta::new(&config.geometry) else {
         return Vec::new();
     };
-    let axis = &config.axes[0];
-    let lag = (axis.feed_forward_lead_ms + axis.measurement_age_ms).round() as usize;
-    let with_lag = |index: usize| samples.get(index.saturating_sub(lag)).unwrap_or(&samples[0]);
+    let platform = |angles_rad: [f32; AXES]| {
+        delta
+            .forward(&JointAngles(angles_rad.map(f64::from)))
+            .unwrap_or_default()
+    };
+    let age = config.axes[0].measurement_age_ms.round() as usize;
+    let at_age = |index: usize| samples.get(index.saturating_sub(age)).unwrap_or(&samples[0]);
     let row = |(index, sample): (usize, &Sample)| {
-        let angles = JointAngles(sample.measured_rad.map(f64::from));
-        let (position, cause) = (delta.forward(&angles).unwrap_or_default(), with_lag(index));
+        let cause = at_age(index);
         Row {
             sample: *sample,
-            position,
+            position: platform(sample.measured_rad),
+            reference: platform(cause.reference_rad),
             stroke: cause.stroke,
             pen: cause.pen,
         }
@@ -159,14 +194,16 @@ impl Report {
         let drawing: Vec<Sample> = drawn_part(evidence.samples).copied().collect();
         let rows = rows(evidence.config, &drawing);
         let strokes = strokes(evidence.path);
-        let (path_deviation_max_mm, path_deviation_rms_mm) = deviation(&rows, &strokes);
+        let drawn_rows = || rows.iter().filter(|row| row.pen == Pen::Down);
+        let path = deviation(drawn_rows().map(|row| (row.stroke, row.position)), &strokes);
+        let shaping = deviation(drawn_rows().map(|row| (row.stroke, row.reference)), &strokes);
+        let mut tracking = Distances::default();
+        drawn_rows().for_each(|row| tracking.add(distance(&row.position, &row.reference)));
+        let tracking = tracking.result();
+        let ink = ink_deviation(evidence.ink_mm.unwrap_or_default(), &strokes);
         let (pen_down_mm, pen_up_mm) = lengths(evidence.path);
         let ink_missing_mm = evidence.ink_mm.map_or(f64::NAN, |ink| ink_missing(&strokes, ink));
-        let mut drawn: Vec<u32> = rows
-            .iter()
-            .filter(|row| row.pen == Pen::Down)
-            .map(|row| row.stroke)
-            .collect();
+        let mut drawn: Vec<u32> = drawn_rows().map(|row| row.stroke).collect();
         drawn.dedup();
         let counters = &evidence.counters;
         Self {
@@ -177,11 +214,18 @@ impl Report {
             pen_up_mm,
             planned_s: evidence.planned_s,
             drawn_s: f64::from(span_ms(&drawing)) / 1_000.0,
-            path_deviation_max_mm,
-            path_deviation_rms_mm,
+            path_deviation_max_mm: path.max_mm,
+            path_deviation_rms_mm: path.rms_mm,
+            ink_deviation_max_mm: ink.max_mm,
+            ink_deviation_rms_mm: ink.rms_mm,
+            shaping_deviation_max_mm: shaping.max_mm,
+            shaping_tolerance_mm: evidence.config.motion.tolerance_mm,
+            tracking_error_max_mm: tracking.max_mm,
+            tracking_error_rms_mm: tracking.rms_mm,
             ink_missing_mm,
             following_error_max_rad: following_error(evidence.config, &drawing),
             limits: limits(evidence.config, &drawing),
+            platform: platform_limits(evidence.config, &rows),
             cycles: counters.cycles,
             cycles_late: counters.cycles_late,
             frames_lost: counters.frames_lost,
@@ -214,8 +258,8 @@ fn drawn_part(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
 }
 
 /// The drawn polylines of a path with their stroke numbers, each from the vertex where the pen came down.
-pub fn strokes(path: &[Vertex]) -> Vec<(u32, Vec<Position>)> {
-    let mut strokes: Vec<(u32, Vec<Position>)> = Vec::new();
+pub fn strokes(path: &[Vertex]) -> Vec<NumberedStroke> {
+    let mut strokes: Vec<NumberedStroke> = Vec::new();
     for pair in path.windows(2) {
         if pair[1].pen == Pen::Up {
             continue;
@@ -240,123 +284,6 @@ fn lengths(path: &[Vertex]) -> (f64, f64) {
         }
     }
     sums
-}
-
-fn distance(a: &Position, b: &Position) -> f64 {
-    ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
-}
-
-/// Distance from `p` to the segment from `a` to `b`, and how far along it the nearest point lies, mm.
-fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
-    let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
-    let length2 = dx * dx + dy * dy + dz * dz;
-    let along = (p.x_mm - a.x_mm) * dx + (p.y_mm - a.y_mm) * dy + (p.z_mm - a.z_mm) * dz;
-    let t = if length2 > 0.0 {
-        (along / length2).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    let foot = Position {
-        x_mm: a.x_mm + t * dx,
-        y_mm: a.y_mm + t * dy,
-        z_mm: a.z_mm + t * dz,
-    };
-    (distance(p, &foot), t * length2.sqrt())
-}
-
-/// Follows one stroke in order: the nearest point is looked for close to the last one only, never on a neighbour.
-struct Follower<'a> {
-    points: &'a [Position],
-    /// Segment of the last nearest point, and how far along the stroke that segment begins, mm.
-    segment: usize,
-    begin_mm: f64,
-    /// How far along the stroke the last nearest point lies, mm.
-    foot_mm: f64,
-}
-
-impl<'a> Follower<'a> {
-    fn new(points: &'a [Position]) -> Self {
-        Self {
-            points,
-            segment: 0,
-            begin_mm: 0.0,
-            foot_mm: 0.0,
-        }
-    }
-
-    fn segment_mm(&self, segment: usize) -> f64 {
-        distance(&self.points[segment], &self.points[segment + 1])
-    }
-
-    /// Distance of the next measured position, mm.
-    fn step(&mut self, position: &Position) -> f64 {
-        let (mut segment, mut begin_mm) = (self.segment, self.begin_mm);
-        while segment > 0 && begin_mm > self.foot_mm - BACK_MM {
-            segment -= 1;
-            begin_mm -= self.segment_mm(segment);
-        }
-        let (mut nearest_mm, ahead_mm) = (f64::INFINITY, self.foot_mm + AHEAD_MM);
-        while segment + 1 < self.points.len() && begin_mm <= ahead_mm {
-            let (away_mm, along_mm) = to_segment(position, &self.points[segment], &self.points[segment + 1]);
-            if away_mm < nearest_mm {
-                nearest_mm = away_mm;
-                (self.segment, self.begin_mm, self.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
-            }
-            begin_mm += self.segment_mm(segment);
-            segment += 1;
-        }
-        nearest_mm
-    }
-}
-
-/// Largest distance of the pen-down positions from their strokes, and the root of the mean square, mm.
-fn deviation(rows: &[Row], strokes: &[(u32, Vec<Position>)]) -> (f64, f64) {
-    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0u64);
-    let mut current: Option<(u32, Follower)> = None;
-    for row in rows.iter().filter(|row| row.pen == Pen::Down) {
-        if current.as_ref().is_none_or(|(stroke, _)| *stroke != row.stroke) {
-            let points = strokes.iter().find(|(stroke, _)| *stroke == row.stroke);
-            current = points.map(|(stroke, points)| (*stroke, Follower::new(points)));
-        }
-        let Some((_, follower)) = &mut current else { continue };
-        let away_mm = follower.step(&row.position);
-        largest = largest.max(away_mm);
-        squares += away_mm * away_mm;
-        count += 1;
-    }
-    if count == 0 {
-        return (f64::NAN, f64::NAN);
-    }
-    (largest, (squares / count as f64).sqrt())
-}
-
-fn ink_missing(strokes: &[(u32, Vec<Position>)], ink_mm: &[[f64; 2]]) -> f64 {
-    let cell = |v: f64| (v / INK_REACH_MM).floor() as i64;
-    let mut cells: std::collections::HashMap<(i64, i64), Vec<[f64; 2]>> = std::collections::HashMap::new();
-    for point in ink_mm {
-        cells.entry((cell(point[0]), cell(point[1]))).or_default().push(*point);
-    }
-    let near = |x: f64, y: f64| {
-        let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j)));
-        let mut points = around
-            .filter_map(|(i, j)| cells.get(&(cell(x) + i, cell(y) + j)))
-            .flatten();
-        points.any(|p| (p[0] - x).hypot(p[1] - y) <= INK_REACH_MM)
-    };
-    let mut missing_mm = 0.0;
-    for pair in strokes.iter().flat_map(|(_, points)| points.windows(2)) {
-        let length_mm = distance(&pair[0], &pair[1]);
-        let steps = (length_mm / INK_STEP_MM).ceil().max(1.0) as usize;
-        let lost = (0..steps).filter(|k| {
-            let t = (*k as f64 + 0.5) / steps as f64;
-            !near(
-                pair[0].x_mm + t * (pair[1].x_mm - pair[0].x_mm),
-                pair[0].y_mm + t * (pair[1].y_mm - pair[0].y_mm),
-            )
-        });
-        missing_mm += lost.count() as f64 * length_mm / steps as f64;
-    }
-    missing_mm
 }
 
 fn following_error(config: &Config, samples: &[Sample]) -> [f64; AXES] {
@@ -390,52 +317,27 @@ fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
     })
 }
 
-/// Writes `telemetry.csv`.
-///
-/// # Errors
-/// Those of the writer.
-pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
-    write!(out, "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm")?;
-    for k in 1..=AXES {
-        write!(out, ",q{k}_ref_rad,q{k}_rad,v{k}_ref_rad_s,v{k}_rad_s")?;
+fn platform_limits(config: &Config, rows: &[Row]) -> PlatformLimits {
+    let change = |from: &[f64; 3], to: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| (to[k] - from[k]) * 1_000.0) };
+    let largest = |vectors: &[[f64; 3]]| {
+        let lengths = vectors
+            .iter()
+            .map(|vector| vector.iter().map(|v| v * v).sum::<f64>().sqrt());
+        lengths.fold(0.0, f64::max)
+    };
+    let places = rows
+        .iter()
+        .map(|row| [row.reference.x_mm, row.reference.y_mm, row.reference.z_mm]);
+    let places: Vec<[f64; 3]> = places.collect();
+    let speeds: Vec<[f64; 3]> = places.windows(2).map(|pair| change(&pair[0], &pair[1])).collect();
+    let accelerations: Vec<[f64; 3]> = speeds.windows(2).map(|pair| change(&pair[0], &pair[1])).collect();
+    PlatformLimits {
+        speed_mm_s: largest(&speeds),
+        speed_limit_mm_s: config.motion.speed_mm_s,
+        travel_speed_limit_mm_s: config.motion.travel_speed_mm_s,
+        acceleration_mm_s2: largest(&accelerations),
+        acceleration_limit_mm_s2: config.motion.acceleration_mm_s2,
     }
-    writeln!(out)?;
-    for Row {
-        sample,
-        position,
-        stroke,
-        pen,
-    } in rows
-    {
-        let pen = u8::from(*pen == Pen::Down);
-        let Position { x_mm, y_mm, z_mm } = position;
-        write!(
-            out,
-            "{},{:?},{stroke},{pen},{x_mm:.4},{y_mm:.4},{z_mm:.4}",
-            sample.t_ms, sample.mode
-        )?;
-        for k in 0..AXES {
-            let (q_ref, q) = (sample.reference_rad[k], sample.measured_rad[k]);
-            let (v_ref, v) = (sample.reference_rad_s[k], sample.measured_rad_s[k]);
-            write!(out, ",{q_ref:.7},{q:.7},{v_ref:.5},{v:.5}")?;
-        }
-        writeln!(out)?;
-    }
-    out.flush()
-}
-
-/// Writes `intended.csv`: the drawn polylines.
-///
-/// # Errors
-/// Those of the writer.
-pub fn write_intended(path: &[Vertex], mut out: impl Write) -> io::Result<()> {
-    writeln!(out, "stroke,x_mm,y_mm,z_mm")?;
-    for (stroke, points) in strokes(path) {
-        for Position { x_mm, y_mm, z_mm } in points {
-            writeln!(out, "{stroke},{x_mm:.4},{y_mm:.4},{z_mm:.4}")?;
-        }
-    }
-    out.flush()
 }
 
 #[cfg(test)]
@@ -448,40 +350,6 @@ mod tests {
             y_mm,
             z_mm: -850.0,
         }
-    }
-
-    /// Two legs of 20 mm, 1 mm apart, joined at the far end.
-    fn hairpin() -> Vec<Position> {
-        vec![at(0.0, 0.0), at(20.0, 0.0), at(20.0, 1.0), at(0.0, 1.0)]
-    }
-
-    #[test]
-    fn a_position_is_compared_with_its_own_leg_and_not_with_the_neighbour() {
-        let points = hairpin();
-        let mut follower = Follower::new(&points);
-        let largest = (0..20)
-            .map(|x| follower.step(&at(f64::from(x), 0.8)))
-            .fold(0.0, f64::max);
-        assert!((largest - 0.8).abs() < 1e-9, "{largest}");
-    }
-
-    #[test]
-    fn a_stroke_followed_to_its_end_has_no_deviation() {
-        let points = hairpin();
-        let mut follower = Follower::new(&points);
-        let there = (0..=40).map(|k| at(f64::from(k) * 0.5, 0.0));
-        let back = (0..=40).map(|k| at(20.0 - f64::from(k) * 0.5, 1.0));
-        for position in there.chain([at(20.0, 0.5)]).chain(back) {
-            assert!(follower.step(&position) < 1e-9, "{position:?}");
-        }
-    }
-
-    #[test]
-    fn ink_is_missing_where_none_is_near() {
-        let strokes = vec![(0, vec![at(0.0, 0.0), at(10.0, 0.0)])];
-        let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
-        let missing_mm = ink_missing(&strokes, &ink);
-        assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
     }
 
     #[test]

@@ -1,0 +1,354 @@
+//! How far points lie from the strokes they were meant to draw, and where ink is missing.
+//!
+//! A point is compared with its own stroke, in order along it: a drawing whose lines lie close together would otherwise
+//! find a neighbour near every point.
+//!
+//! Invariant: no distance is taken to a stroke other than the point's own.
+
+use etherpen::robot::Position;
+use std::collections::HashMap;
+
+/// Intended ink counts as missing where no ink is within this distance, mm.
+const INK_REACH_MM: f64 = 0.5;
+/// Distance of the points at which intended ink is looked for, mm.
+const INK_STEP_MM: f64 = 0.1;
+/// Points of a line of ink are at most this far apart where ink is looked for, mm.
+const INK_DENSE_MM: f64 = 0.25;
+/// How far along its stroke the pen may have come for a millimetre of its own way, mm: it cuts corners. A stroke that
+/// crosses itself would be left for its other part if more were allowed.
+const AHEAD: f64 = 1.5;
+/// How far it may have come besides, mm: the longest detour of a polyline around the tip of a rounded corner.
+const AHEAD_MM: f64 = 0.2;
+/// How far back along its stroke the nearest point may lie, mm: noise, not motion.
+const BACK_MM: f64 = 0.5;
+/// A line of ink whose first point is this much closer to another part of its stroke than to the stroke's begin did not
+/// begin there, mm: it goes on where a hold had interrupted it.
+const BEGIN_MM: f64 = 0.5;
+
+/// A drawn polyline with its stroke's number.
+pub type NumberedStroke = (u32, Vec<Position>);
+
+/// Largest distance and root of the mean square, mm; not a number where there was no point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Deviation {
+    pub(super) max_mm: f64,
+    pub(super) rms_mm: f64,
+}
+
+/// Gathers distances.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Distances {
+    largest_mm: f64,
+    squares: f64,
+    count: u64,
+}
+
+impl Distances {
+    pub(super) fn add(&mut self, away_mm: f64) {
+        self.largest_mm = self.largest_mm.max(away_mm);
+        self.squares += away_mm * away_mm;
+        self.count += 1;
+    }
+
+    pub(super) fn result(&self) -> Deviation {
+        if self.count == 0 {
+            return Deviation {
+                max_mm: f64::NAN,
+                rms_mm: f64::NAN,
+            };
+        }
+        Deviation {
+            max_mm: self.largest_mm,
+            rms_mm: (self.squares / self.count as f64).sqrt(),
+        }
+    }
+}
+
+/// Distance of positions with their strokes' numbers from those strokes.
+pub(super) fn deviation(positions: impl Iterator<Item = (u32, Position)>, strokes: &[NumberedStroke]) -> Deviation {
+    let mut distances = Distances::default();
+    let mut current: Option<(u32, Follower)> = None;
+    for (number, position) in positions {
+        if current.as_ref().is_none_or(|(stroke, _)| *stroke != number) {
+            let points = strokes.iter().find(|(stroke, _)| *stroke == number);
+            current = points.map(|(stroke, points)| (*stroke, Follower::new(points)));
+        }
+        if let Some((_, follower)) = &mut current {
+            distances.add(follower.step(&position));
+        }
+    }
+    distances.result()
+}
+
+/// Distance of every point of ink from the stroke it belongs to, on the paper. Lines of ink come in the strokes' order; a
+/// stroke that was held is drawn in several lines.
+pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]) -> Deviation {
+    let mut distances = Distances::default();
+    let mut stroke = 0;
+    for line in ink_mm {
+        let Some(begin) = line.first() else { continue };
+        let away_mm = |index: usize| {
+            let on = strokes.get(index)?;
+            Some(Follower::beginning_near(&on.1, &on_paper(begin, on)).1)
+        };
+        // The line goes on with the last stroke, or begins the next one.
+        if let (Some(same_mm), Some(next_mm)) = (away_mm(stroke), away_mm(stroke + 1))
+            && next_mm < same_mm
+        {
+            stroke += 1;
+        }
+        let Some(on) = strokes.get(stroke) else { break };
+        let (mut follower, _) = Follower::beginning_near(&on.1, &on_paper(begin, on));
+        for point in line {
+            distances.add(follower.step(&on_paper(point, on)));
+        }
+    }
+    distances.result()
+}
+
+/// A point of ink at the height of a stroke's paper.
+fn on_paper([x_mm, y_mm]: &[f64; 2], (_, points): &NumberedStroke) -> Position {
+    Position {
+        x_mm: *x_mm,
+        y_mm: *y_mm,
+        z_mm: points.first().map_or(0.0, |point| point.z_mm),
+    }
+}
+
+pub(super) fn distance(a: &Position, b: &Position) -> f64 {
+    ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
+}
+
+/// Distance from `p` to the segment from `a` to `b`, and how far along it the nearest point lies, mm.
+fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
+    let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
+    let length2 = dx * dx + dy * dy + dz * dz;
+    let along = (p.x_mm - a.x_mm) * dx + (p.y_mm - a.y_mm) * dy + (p.z_mm - a.z_mm) * dz;
+    let t = if length2 > 0.0 {
+        (along / length2).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let foot = Position {
+        x_mm: a.x_mm + t * dx,
+        y_mm: a.y_mm + t * dy,
+        z_mm: a.z_mm + t * dz,
+    };
+    (distance(p, &foot), t * length2.sqrt())
+}
+
+/// Follows one stroke in order: the nearest point is looked for close to the last one only, never on a neighbour.
+struct Follower<'a> {
+    points: &'a [Position],
+    /// Segment of the last nearest point, and how far along the stroke that segment begins, mm.
+    segment: usize,
+    begin_mm: f64,
+    /// How far along the stroke the last nearest point lies, mm.
+    foot_mm: f64,
+    /// The last position.
+    last: Option<Position>,
+}
+
+impl<'a> Follower<'a> {
+    fn new(points: &'a [Position]) -> Self {
+        Self {
+            points,
+            segment: 0,
+            begin_mm: 0.0,
+            foot_mm: 0.0,
+            last: None,
+        }
+    }
+
+    /// A follower for a line that begins at `position`: at the stroke's begin, unless another part is clearly closer. Also
+    /// gives the distance of the place where it begins.
+    fn beginning_near(points: &'a [Position], position: &Position) -> (Self, f64) {
+        let mut follower = Self::new(points);
+        let mut nearest_mm = points.first().map_or(f64::INFINITY, |first| distance(first, position));
+        let (mut begin_mm, mut closer_by_mm) = (0.0, BEGIN_MM);
+        for (segment, pair) in points.windows(2).enumerate() {
+            let (away_mm, along_mm) = to_segment(position, &pair[0], &pair[1]);
+            if away_mm < nearest_mm - closer_by_mm {
+                (nearest_mm, closer_by_mm) = (away_mm, 0.0);
+                (follower.segment, follower.begin_mm, follower.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
+            }
+            begin_mm += distance(&pair[0], &pair[1]);
+        }
+        (follower, nearest_mm)
+    }
+
+    fn segment_mm(&self, segment: usize) -> f64 {
+        distance(&self.points[segment], &self.points[segment + 1])
+    }
+
+    /// Distance from `position` to the part of a segment that lies at most `ahead_mm` along the stroke, and how far along
+    /// the segment the nearest point lies, mm.
+    fn within(&self, position: &Position, segment: usize, begin_mm: f64, ahead_mm: f64) -> (f64, f64) {
+        let (a, b) = (&self.points[segment], &self.points[segment + 1]);
+        let (length_mm, reach_mm) = (distance(a, b), ahead_mm - begin_mm);
+        if reach_mm >= length_mm {
+            return to_segment(position, a, b);
+        }
+        let t = (reach_mm / length_mm).max(0.0);
+        let end = Position {
+            x_mm: a.x_mm + t * (b.x_mm - a.x_mm),
+            y_mm: a.y_mm + t * (b.y_mm - a.y_mm),
+            z_mm: a.z_mm + t * (b.z_mm - a.z_mm),
+        };
+        to_segment(position, a, &end)
+    }
+
+    /// Distance of the next measured position, mm.
+    fn step(&mut self, position: &Position) -> f64 {
+        let (mut segment, mut begin_mm) = (self.segment, self.begin_mm);
+        while segment > 0 && begin_mm > self.foot_mm - BACK_MM {
+            segment -= 1;
+            begin_mm -= self.segment_mm(segment);
+        }
+        let way_mm = self
+            .last
+            .replace(*position)
+            .map_or(0.0, |last| distance(&last, position));
+        let (mut nearest_mm, ahead_mm) = (f64::INFINITY, self.foot_mm + AHEAD * way_mm + AHEAD_MM);
+        while segment + 1 < self.points.len() && begin_mm <= ahead_mm {
+            let (away_mm, along_mm) = self.within(position, segment, begin_mm, ahead_mm);
+            if away_mm < nearest_mm {
+                nearest_mm = away_mm;
+                (self.segment, self.begin_mm, self.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
+            }
+            begin_mm += self.segment_mm(segment);
+            segment += 1;
+        }
+        nearest_mm
+    }
+}
+
+/// Intended length without ink near it, mm.
+pub(super) fn ink_missing(strokes: &[NumberedStroke], ink_mm: &[Vec<[f64; 2]>]) -> f64 {
+    let cell = |v: f64| (v / INK_REACH_MM).floor() as i64;
+    let mut cells: HashMap<(i64, i64), Vec<[f64; 2]>> = HashMap::new();
+    for point in ink_mm.iter().flat_map(|line| densified(line)) {
+        cells.entry((cell(point[0]), cell(point[1]))).or_default().push(point);
+    }
+    let near = |x: f64, y: f64| {
+        let around = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j)));
+        let mut points = around
+            .filter_map(|(i, j)| cells.get(&(cell(x) + i, cell(y) + j)))
+            .flatten();
+        points.any(|p| (p[0] - x).hypot(p[1] - y) <= INK_REACH_MM)
+    };
+    let mut missing_mm = 0.0;
+    for pair in strokes.iter().flat_map(|(_, points)| points.windows(2)) {
+        let length_mm = distance(&pair[0], &pair[1]);
+        let steps = (length_mm / INK_STEP_MM).ceil().max(1.0) as usize;
+        let lost = (0..steps).filter(|k| {
+            let t = (*k as f64 + 0.5) / steps as f64;
+            !near(
+                pair[0].x_mm + t * (pair[1].x_mm - pair[0].x_mm),
+                pair[0].y_mm + t * (pair[1].y_mm - pair[0].y_mm),
+            )
+        });
+        missing_mm += lost.count() as f64 * length_mm / steps as f64;
+    }
+    missing_mm
+}
+
+/// Points of a line close together, so that fast ink counts as a line and not as its samples.
+fn densified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut dense: Vec<[f64; 2]> = points.first().copied().into_iter().collect();
+    for pair in points.windows(2) {
+        let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
+        let steps = ((x1 - x0).hypot(y1 - y0) / INK_DENSE_MM).ceil().max(1.0);
+        dense.extend((1..=steps as usize).map(|k| {
+            let t = k as f64 / steps;
+            [x0 + t * (x1 - x0), y0 + t * (y1 - y0)]
+        }));
+    }
+    dense
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x_mm: f64, y_mm: f64) -> Position {
+        Position {
+            x_mm,
+            y_mm,
+            z_mm: -850.0,
+        }
+    }
+
+    /// Two legs of 20 mm, 1 mm apart, joined at the far end.
+    fn hairpin() -> Vec<Position> {
+        vec![at(0.0, 0.0), at(20.0, 0.0), at(20.0, 1.0), at(0.0, 1.0)]
+    }
+
+    #[test]
+    fn a_position_is_compared_with_its_own_leg_and_not_with_the_neighbour() {
+        let points = hairpin();
+        let mut follower = Follower::new(&points);
+        let largest = (0..20)
+            .map(|x| follower.step(&at(f64::from(x), 0.8)))
+            .fold(0.0, f64::max);
+        assert!((largest - 0.8).abs() < 1e-9, "{largest}");
+    }
+
+    #[test]
+    fn a_stroke_followed_to_its_end_has_no_deviation() {
+        let points = hairpin();
+        let mut follower = Follower::new(&points);
+        let there = (0..=40).map(|k| at(f64::from(k) * 0.5, 0.0));
+        let back = (0..=40).map(|k| at(20.0 - f64::from(k) * 0.5, 1.0));
+        for position in there.chain([at(20.0, 0.5)]).chain(back) {
+            assert!(follower.step(&position) < 1e-9, "{position:?}");
+        }
+    }
+
+    #[test]
+    fn a_stroke_that_crosses_itself_is_not_left_for_its_other_part() {
+        // Around a small square and across its first side.
+        let corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (2.0, 1.0), (2.0, -3.0)];
+        let points: Vec<Position> = corners.iter().map(|(x, y)| at(*x, *y)).collect();
+        let mut follower = Follower::new(&points);
+        let first = (0..=40).map(|k| follower.step(&at(f64::from(k) * 0.1, if k < 20 { 0.0 } else { -0.3 })));
+        let largest = first.fold(0.0, f64::max);
+        assert!((largest - 0.3).abs() < 1e-9, "{largest}");
+        assert!((follower.foot_mm - 4.0).abs() < 1e-9, "{}", follower.foot_mm);
+    }
+
+    #[test]
+    fn ink_is_missing_where_none_is_near() {
+        let strokes = vec![(0, vec![at(0.0, 0.0), at(10.0, 0.0)])];
+        let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
+        let missing_mm = ink_missing(&strokes, &[ink]);
+        assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
+    }
+
+    #[test]
+    fn ink_is_compared_with_the_strokes_in_their_order() {
+        let strokes = vec![(0, hairpin()), (1, vec![at(0.0, 1.5), at(20.0, 1.5)])];
+        let line = |y: f64, from: i32, to: i32| (from..=to).map(|x| [f64::from(x), y]).collect::<Vec<_>>();
+        let first = [
+            line(0.1, 0, 19),
+            vec![[20.0, 0.5]],
+            line(1.0, 0, 20).into_iter().rev().collect(),
+        ]
+        .concat();
+        let second = line(1.3, 0, 20);
+        // 1.3 is nearer to the last leg of the first stroke than 0.2 mm only when the order is not kept.
+        let found = ink_deviation(&[first.clone(), second.clone()], &strokes);
+        assert!((found.max_mm - 0.2).abs() < 1e-9, "{found:?}");
+        let (before, after) = first.split_at(10);
+        let held = ink_deviation(&[before.to_vec(), after.to_vec(), second], &strokes);
+        assert!((held.max_mm - 0.2).abs() < 1e-9, "a hold in the first stroke: {held:?}");
+    }
+
+    #[test]
+    fn a_closed_stroke_is_followed_from_its_begin() {
+        let square = vec![at(0.0, 0.0), at(10.0, 0.0), at(10.0, 10.0), at(0.0, 10.0), at(0.0, 0.0)];
+        let (follower, away_mm) = Follower::beginning_near(&square, &at(-0.1, 0.3));
+        assert_eq!((follower.segment, follower.foot_mm), (0, 0.0));
+        assert!(away_mm < 0.4);
+    }
+}
