@@ -106,7 +106,7 @@ impl Axis {
 
 impl Config {
     /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
-    fn scalars(&self) -> [Bound; 39] {
+    fn scalars(&self) -> [Bound; 43] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
         let reach = geometry.upper_arm_mm + geometry.forearm_mm;
@@ -175,9 +175,23 @@ impl Config {
                 0.5,
                 area.z_high_mm - paper.pen_down_z_mm,
             ),
+            bound(
+                "paper.pressing_depth_mm",
+                paper.pressing_depth_mm,
+                0.0,
+                paper.pen_down_z_mm - area.z_low_mm,
+            ),
             bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
             bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
             bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),
+            bound("motion.pen_speed_mm_s", motion.pen_speed_mm_s, 0.0, 10_000.0),
+            bound(
+                "motion.pen_acceleration_mm_s2",
+                motion.pen_acceleration_mm_s2,
+                0.0,
+                150_000.0,
+            ),
+            bound("motion.pen_dwell_ms", f64::from(motion.pen_dwell_ms), 0.0, 10_000.0),
             bound(
                 "motion.joint_speed_rad_s",
                 largest(&motion.joint_speed_rad_s),

@@ -83,6 +83,8 @@ pub struct Paper {
     pub pen_down_z_mm: f64,
     /// How far the pen is lifted between strokes, mm.
     pub pen_lift_mm: f64,
+    /// How far below the height at which the pen draws the platform may go, mm.
+    pub pressing_depth_mm: f64,
 }
 
 impl Default for Paper {
@@ -92,8 +94,20 @@ impl Default for Paper {
             size_mm: [200.0, 200.0],
             pen_down_z_mm: -850.0,
             pen_lift_mm: 3.0,
+            pressing_depth_mm: 1.0,
         }
     }
+}
+
+/// What the fourth axis does on a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Orientation {
+    /// It keeps its angle.
+    #[default]
+    Constant,
+    /// It follows the direction of the path, seen from above.
+    Path,
 }
 
 /// Limits and tolerances of motion.
@@ -106,6 +120,14 @@ pub struct Motion {
     pub travel_speed_mm_s: f64,
     /// Cartesian acceleration, mm/s2.
     pub acceleration_mm_s2: f64,
+    /// Vertical speed where the pen is lifted or lowered, mm/s; 0: the limits of all motion are enough.
+    pub pen_speed_mm_s: f64,
+    /// Vertical acceleration where the pen is lifted or lowered, mm/s2; 0: the limits of all motion are enough.
+    pub pen_acceleration_mm_s2: f64,
+    /// Time at rest where the pen meets the paper and where it leaves it, ms; without it there is no stop.
+    pub pen_dwell_ms: u16,
+    /// What the fourth axis does on a path.
+    pub orientation: Orientation,
     /// Joint speed, rad/s, per axis.
     pub joint_speed_rad_s: [f64; AXES],
     /// Joint acceleration, rad/s2, per axis.
@@ -126,6 +148,10 @@ impl Default for Motion {
             speed_mm_s: 400.0,
             travel_speed_mm_s: 1000.0,
             acceleration_mm_s2: 10_000.0,
+            pen_speed_mm_s: 0.0,
+            pen_acceleration_mm_s2: 0.0,
+            pen_dwell_ms: 0,
+            orientation: Orientation::Constant,
             joint_speed_rad_s: [25.0; AXES],
             joint_acceleration_rad_s2: [250.0; AXES],
             tolerance_mm: 0.05,

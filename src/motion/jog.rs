@@ -6,6 +6,7 @@
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
+use super::scan::Row;
 use super::shaping::Label;
 use crate::robot::WorkArea;
 use crate::robot::vector::{Vector, add_scaled, length, scale, subtract};
@@ -28,6 +29,7 @@ pub(crate) struct Jog {
     velocity: Vector,
     wanted: Vector,
     silent_ms: u16,
+    heading: f64,
     label: Label,
 }
 
@@ -38,6 +40,7 @@ impl Jog {
             velocity: [0.0; 3],
             wanted: [0.0; 3],
             silent_ms: 0,
+            heading: at.heading,
             label: at.label,
         }
     }
@@ -85,6 +88,7 @@ impl Jog {
         self.point = add_scaled(&self.point, &self.velocity, TICK_S);
         let sample = PathSample {
             point: self.point,
+            heading: self.heading,
             label: self.label,
         };
         (sample, self.velocity == [0.0; 3] && self.wanted == [0.0; 3])
@@ -95,11 +99,19 @@ impl Jog {
         let mut speed = SPEED_MAX_MM_S * SPEED_MAX_MM_S;
         let mut acceleration = ACCELERATION_MAX_MM_S2.min(LIMIT_PART * limits.acceleration);
         speed = speed.min(limits.path_speed_squared(false));
+        if limits.pen_limited {
+            speed = speed.min(limits.pen_speed_squared);
+            acceleration = acceleration.min(limits.pen_acceleration);
+        }
         for axis in 0..3 {
             let mut direction = [0.0; 3];
             direction[axis] = 1.0;
             let rows = area.delta().rows(&self.point, &direction, &[0.0; 3]);
-            speed = speed.min(LIMIT_PART * limits.cap(&rows, 0.0));
+            let row = Row {
+                joints: rows,
+                ..Row::NONE
+            };
+            speed = speed.min(LIMIT_PART * limits.cap(&row));
             let joints = rows.slope.iter().zip(&rows.bend).zip(&limits.joint_acceleration);
             for ((slope, bend), limit) in joints {
                 if slope.abs() * acceleration > LIMIT_PART * limit {

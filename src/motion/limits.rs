@@ -4,8 +4,9 @@
 //! takes a polygon inside it. What the scan may use lies a little under the configured limits, because the limits
 //! hold exactly only at the points of the grid.
 
+use super::scan::Row;
 use crate::config::Motion;
-use crate::robot::{ARMS, JointRows};
+use crate::robot::ARMS;
 
 /// Directions of the polygon in a quarter of the circle, both ends included.
 pub(crate) const DIRECTIONS: usize = 5;
@@ -23,6 +24,8 @@ const POLYGON: f64 = 0.980_785_280_403_230_4;
 const ACCELERATION_PART: f64 = 0.998;
 /// Part of the speed limits that the scan uses.
 const SPEED_PART: f64 = 0.999;
+/// The same of the pen's vertical limits, which hold at the points of the grid only, and blends bend much between them.
+const PEN_PART: f64 = 0.92;
 
 /// Limits of the scan.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +37,13 @@ pub(crate) struct Limits {
     pub(crate) acceleration: f64,
     drawing_squared: f64,
     travel_squared: f64,
+    /// Of the fourth axis, rad2/s2 and rad/s2.
+    pub(crate) turn_speed_squared: f64,
+    pub(crate) turn_acceleration: f64,
+    /// The pen's vertical limits are tighter than those of all motion.
+    pub(crate) pen_limited: bool,
+    pub(crate) pen_speed_squared: f64,
+    pub(crate) pen_acceleration: f64,
 }
 
 impl Limits {
@@ -44,18 +54,28 @@ impl Limits {
         acceleration: 0.0,
         drawing_squared: 0.0,
         travel_squared: 0.0,
+        turn_speed_squared: 0.0,
+        turn_acceleration: 0.0,
+        pen_limited: false,
+        pen_speed_squared: 0.0,
+        pen_acceleration: 0.0,
     };
 
     pub(crate) fn new(motion: &Motion) -> Self {
         let speed_squared = |speed: f64| speed * speed * SPEED_PART * SPEED_PART;
-        let [a, b, c, _] = motion.joint_speed_rad_s;
-        let [d, e, f, _] = motion.joint_acceleration_rad_s2;
+        let [a, b, c, fourth_speed] = motion.joint_speed_rad_s;
+        let [d, e, f, fourth_acceleration] = motion.joint_acceleration_rad_s2;
         Self {
             joint_speed_squared: [a, b, c].map(speed_squared),
             joint_acceleration: [d, e, f].map(|limit| limit * ACCELERATION_PART),
             acceleration: motion.acceleration_mm_s2 * ACCELERATION_PART * POLYGON,
             drawing_squared: speed_squared(motion.speed_mm_s),
             travel_squared: speed_squared(motion.travel_speed_mm_s),
+            turn_speed_squared: speed_squared(fourth_speed),
+            turn_acceleration: fourth_acceleration * ACCELERATION_PART,
+            pen_limited: motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0,
+            pen_speed_squared: speed_squared(or_none(motion.pen_speed_mm_s) * PEN_PART),
+            pen_acceleration: or_none(motion.pen_acceleration_mm_s2) * PEN_PART,
         }
     }
 
@@ -68,13 +88,14 @@ impl Limits {
         }
     }
 
-    /// Largest squared path speed that joint speeds and centripetal acceleration allow at a point, mm2/s2.
-    pub(crate) fn cap(&self, rows: &JointRows, curvature: f64) -> f64 {
+    /// Largest squared path speed that the arms' speeds and centripetal acceleration allow at a point, mm2/s2.
+    pub(crate) fn cap(&self, row: &Row) -> f64 {
+        let (joints, curvature) = (&row.joints, row.curvature);
         let mut cap = f64::MAX;
-        for ((slope, bend), (speed_squared, acceleration)) in rows
+        for ((slope, bend), (speed_squared, acceleration)) in joints
             .slope
             .iter()
-            .zip(&rows.bend)
+            .zip(&joints.bend)
             .zip(self.joint_speed_squared.iter().zip(&self.joint_acceleration))
         {
             let slope_squared = slope * slope;
@@ -91,7 +112,44 @@ impl Limits {
         }
         cap
     }
+
+    /// Lowers a cap for the fourth axis: the largest slope of the two ends of an interval bounds the speed all along.
+    pub(crate) fn cap_turning(&self, cap: f64, slopes: [f64; 2], change: f64) -> f64 {
+        let [start, end] = slopes.map(f64::abs);
+        let (slope, change) = (start.max(end), change.abs());
+        let mut cap = cap;
+        if slope * slope * cap > self.turn_speed_squared {
+            cap = self.turn_speed_squared / (slope * slope);
+        }
+        // Where the coefficient of the path acceleration vanishes the change alone bounds the speed.
+        let vanishing = start.min((3.0 * slopes[1] - 2.0 * slopes[0]).abs());
+        if change * cap > self.turn_acceleration && vanishing < SLOPE_SMALL {
+            cap = self.turn_acceleration / change;
+        }
+        cap
+    }
+
+    /// Lowers a cap for the pen's vertical speed and acceleration.
+    pub(crate) fn cap_pen(&self, cap: f64, row: &Row) -> f64 {
+        let squared = row.rise * row.rise;
+        let mut cap = cap;
+        if squared * cap > self.pen_speed_squared {
+            cap = self.pen_speed_squared / squared;
+        }
+        if row.rise_change.abs() * cap > self.pen_acceleration && row.rise.abs() < SLOPE_SMALL {
+            cap = self.pen_acceleration / row.rise_change.abs();
+        }
+        cap
+    }
 }
+
+/// A limit of 0 is none.
+fn or_none(limit: f64) -> f64 {
+    if limit > 0.0 { limit } else { LIMIT_NONE }
+}
+
+/// A limit that no motion reaches, mm/s and mm/s2.
+const LIMIT_NONE: f64 = 1.0e9;
 
 /// Slope under which a joint's acceleration does not depend on the path acceleration in effect, rad/mm.
 const SLOPE_SMALL: f64 = 1.0e-9;

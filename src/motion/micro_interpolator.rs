@@ -28,12 +28,15 @@ const _: () = assert!(ANGLE_MAX_RAD * PARTS_PER_RAD * (WINDOW_MAX as f64) < i64:
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct PathSample {
     pub(crate) point: Vector,
+    /// Angle of the fourth axis, rad.
+    pub(crate) heading: f64,
     pub(crate) label: Label,
 }
 
 impl PathSample {
     pub(crate) const NONE: Self = Self {
         point: [0.0; 3],
+        heading: 0.0,
         label: Label::NONE,
     };
 }
@@ -121,7 +124,6 @@ pub(crate) struct MicroInterpolator {
     sums: [i64; AXES],
     /// Milliseconds since the angles last changed.
     still_ms: usize,
-    fourth_axis_rad: f64,
 }
 
 impl MicroInterpolator {
@@ -134,7 +136,6 @@ impl MicroInterpolator {
             newest: 0,
             sums: [0; AXES],
             still_ms: WINDOW_MAX,
-            fourth_axis_rad: 0.0,
         }
     }
 
@@ -151,7 +152,6 @@ impl MicroInterpolator {
         self.window = [(parts, Label::NONE); WINDOW_MAX];
         self.sums = parts.map(|value| value * self.length as i64);
         self.still_ms = WINDOW_MAX;
-        self.fourth_axis_rad = pose.0[AXES - 1];
     }
 
     /// Whether the references rest.
@@ -180,7 +180,7 @@ impl MicroInterpolator {
     }
 
     fn reference(&mut self, sample: &PathSample) -> Reference {
-        let mut angles = [self.fourth_axis_rad; AXES];
+        let mut angles = [sample.heading; AXES];
         let arms: [f64; ARMS] = self.delta.angles(&sample.point);
         for (angle, arm) in angles.iter_mut().zip(arms) {
             *angle = arm;
@@ -244,6 +244,7 @@ mod tests {
             }
             PathSample {
                 point: [x_mm, 0.0, -850.0],
+                heading: 0.25,
                 label: Label::default(),
             }
         }

@@ -9,6 +9,7 @@ mod admission;
 #[cfg(test)]
 mod checks;
 mod curve;
+mod heading;
 mod jog;
 mod limits;
 mod micro_interpolator;

@@ -8,13 +8,15 @@
 //! Between two points of the grid the path acceleration is constant; it is chosen when the first of them is reached.
 
 use super::Pen;
+use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, Stretch};
 use super::ring::Ring;
 use super::scan::{Interval, Row};
-use super::shaping::{Label, PIECES_PER_LEG, Piece};
-use crate::robot::vector::{Vector, length};
-use crate::robot::{Delta, JointRows};
+use super::shaping::{PIECES_PER_LEG, Piece};
+use crate::config::{Motion, Orientation};
+use crate::robot::Delta;
+use crate::robot::vector::length;
 
 /// Points of the grid: the look-ahead.
 pub(crate) const POINTS: usize = 256;
@@ -26,6 +28,8 @@ pub(crate) const GROWTH: usize = 96;
 const UNCHANGED: f64 = 1.0e-12;
 /// Newton steps from arc length to parameter.
 const ARC_STEPS: usize = 2;
+/// Points that begin the grid or continue it from a stop, beside the next interval's end.
+const STOP_POINTS: usize = 2;
 /// Remainder of an interval that counts as its end, mm.
 const ARRIVED_MM: f64 = 1.0e-9;
 
@@ -39,6 +43,11 @@ struct Span {
     parameter: [f64; 2],
     /// Arc length for a unit of the parameter at both ends, mm.
     stretch: [f64; 2],
+    /// The fourth axis at its beginning, rad, and the change of its slope, rad/mm2.
+    heading: f64,
+    turn_change: f64,
+    /// The pen is lifted or lowered.
+    lifts: bool,
 }
 
 impl Span {
@@ -47,6 +56,9 @@ impl Span {
         piece: 0,
         parameter: [0.0; 2],
         stretch: [0.0; 2],
+        heading: 0.0,
+        turn_change: 0.0,
+        lifts: false,
     };
 }
 
@@ -61,20 +73,37 @@ struct GridPoint {
     reach: f64,
     span: Span,
     stop: bool,
+    dwell: bool,
 }
 
 impl GridPoint {
     const NONE: Self = Self {
-        row: Row {
-            joints: JointRows::NONE,
-            curvature: 0.0,
-        },
+        row: Row::NONE,
         cap: 0.0,
         nominal: 0.0,
         reach: 0.0,
         span: Span::NONE,
         stop: false,
+        dwell: false,
     };
+
+    /// The interval that begins here, or `offset_mm` later.
+    fn interval<'a>(&self, limits: &'a Limits, start: &'a Row, next: &'a Self, offset_mm: f64) -> Interval<'a> {
+        Interval {
+            limits,
+            start,
+            end: &next.row,
+            length_mm: self.span.length_mm - offset_mm,
+            end_squared: next.reach,
+            turn_change: self.span.turn_change,
+            lifts: self.span.lifts,
+        }
+    }
+
+    /// Angle of the fourth axis on the interval, rad.
+    fn heading_at(&self, offset_mm: f64) -> f64 {
+        self.span.heading + offset_mm * (self.row.turn + 0.5 * self.span.turn_change * offset_mm)
+    }
 }
 
 /// How the motion goes on at the next point of the grid.
@@ -96,6 +125,8 @@ pub(crate) struct Plan {
     /// Next interval of the next piece for the grid.
     next_piece: u32,
     next_interval: u16,
+    course: Course,
+    dwell_s: f64,
     /// Points from here on have been appended since the last look back.
     settled: u32,
     /// Speed asked for and speed planned for, as factors of the path's.
@@ -106,6 +137,7 @@ pub(crate) struct Plan {
     offset_mm: f64,
     squared: f64,
     stretch: Option<Stretch>,
+    pause: Option<Pause>,
     rest: PathSample,
 }
 
@@ -119,6 +151,8 @@ impl Plan {
             points: Ring::new(GridPoint::NONE),
             next_piece: 0,
             next_interval: 0,
+            course: Course::new(),
+            dwell_s: 0.0,
             settled: 0,
             wanted: 1.0,
             planned: 1.0,
@@ -126,20 +160,23 @@ impl Plan {
             offset_mm: 0.0,
             squared: 0.0,
             stretch: None,
+            pause: None,
             rest: PathSample::NONE,
         }
     }
 
     /// Plans for another robot or with other limits from now on, at the speed of the path; drops what was pushed.
-    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits) {
+    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits, motion: &Motion) {
         self.delta = delta;
         self.limits = limits;
+        self.course.follows = motion.orientation == Orientation::Path;
+        self.dwell_s = f64::from(motion.pen_dwell_ms) * 1.0e-3;
         self.wanted = 1.0;
-        self.rest_at([0.0; 3], Label::NONE);
+        self.rest_at(PathSample::NONE);
     }
 
-    /// Drops everything and rests at a point.
-    pub(crate) fn rest_at(&mut self, point: Vector, label: Label) {
+    /// Drops everything and rests at a place.
+    pub(crate) fn rest_at(&mut self, place: PathSample) {
         self.pieces.clear();
         self.points.clear();
         self.next_piece = self.pieces.end();
@@ -149,8 +186,10 @@ impl Plan {
         self.offset_mm = 0.0;
         self.squared = 0.0;
         self.stretch = None;
+        self.pause = None;
         self.planned = self.wanted;
-        self.rest = PathSample { point, label };
+        self.course.angle = place.heading;
+        self.rest = place;
     }
 
     /// Whether another leg's pieces fit.
@@ -169,7 +208,7 @@ impl Plan {
 
     /// Whether the motion rests.
     pub(crate) fn resting(&self) -> bool {
-        self.stretch.is_none() && self.squared <= 0.0
+        self.stretch.is_none() && self.pause.is_none() && self.squared <= 0.0
     }
 
     /// Whether the motion rests at the end of all that has been pushed.
@@ -179,20 +218,21 @@ impl Plan {
 
     /// Whether motion is possible from the present place at rest.
     pub(crate) fn can_go(&self) -> bool {
-        match self.points.length() {
-            0 | 1 => false,
-            2 => self
-                .points
-                .get(self.place.wrapping_add(1))
-                .is_some_and(|next| next.stop),
-            _ => true,
+        // A point of arrival lies where the motion departs from.
+        let arrived = |point: &GridPoint| point.stop && point.span.length_mm <= 0.0;
+        let from = self
+            .place
+            .wrapping_add(u32::from(self.points.get(self.place).is_some_and(arrived)));
+        match self.points.end().wrapping_sub(from) {
+            2 => self.points.get(from.wrapping_add(1)).is_some_and(|next| next.stop),
+            ahead => (3..=POINTS as u32).contains(&ahead),
         }
     }
 
     /// Grows the grid over the pieces by at most [`GROWTH`] intervals; returns by how many.
     pub(crate) fn grow(&mut self) -> usize {
         let mut grown = 0;
-        while grown < GROWTH && self.points.room() >= 2 {
+        while grown < GROWTH && self.points.room() > STOP_POINTS {
             let Some(piece) = self.pieces.get(self.next_piece).copied() else {
                 break;
             };
@@ -206,30 +246,44 @@ impl Plan {
         let drawn = piece.entry.pen == Pen::Down || piece.exit.pen == Pen::Down;
         let nominal = self.limits.path_speed_squared(drawn);
         if self.points.last_mut().is_none_or(|last| last.stop) {
-            let stop = self.points.length() > 0;
-            if let Some(last) = self.points.last_mut() {
-                last.span.piece = self.next_piece;
-            }
-            let start = self.point_at(piece, 0.0, nominal, stop);
-            self.points.push(start);
+            self.depart(piece, nominal);
         }
-        let intervals = f64::from(piece.intervals.max(1));
-        let from = f64::from(self.next_interval) / intervals;
+        let count = self.course.intervals(piece);
+        let intervals = f64::from(count);
+        let index = self.next_interval;
+        let from = f64::from(index) / intervals;
         self.next_interval += 1;
-        let complete = self.next_interval >= piece.intervals;
+        let complete = self.next_interval >= count;
         let to = if complete {
             1.0
         } else {
             f64::from(self.next_interval) / intervals
         };
-        let end = self.point_at(piece, to, nominal, complete && piece.stop_after);
-        let span = Span {
+        let mut end = self.point_at(piece, to, nominal, complete && piece.stop_after);
+        end.dwell = end.stop && piece.dwell_after;
+        let mut span = Span {
             length_mm: piece.curve.arc(from, to),
             piece: self.next_piece,
             parameter: [from, to],
             stretch: [piece.curve.stretch(from), piece.curve.stretch(to)],
+            heading: self.course.angle,
+            turn_change: 0.0,
+            lifts: self.limits.pen_limited && !(piece.entry.pen == Pen::Down && piece.exit.pen == Pen::Down),
         };
+        let (limits, course) = (&self.limits, &mut self.course);
         if let Some(last) = self.points.last_mut() {
+            if course.follows {
+                let start_slope = last.row.turn;
+                let Turning { end_slope, change } = course.advance(piece, index, start_slope);
+                span.turn_change = change;
+                end.row.turn = end_slope;
+                last.cap = limits.cap_turning(last.cap, [start_slope, end_slope], change);
+                end.cap = limits.cap_turning(end.cap, [start_slope, end_slope], change);
+            }
+            if span.lifts {
+                last.cap = limits.cap_pen(last.cap, &last.row);
+                end.cap = limits.cap_pen(end.cap, &end.row);
+            }
             last.span = span;
             last.nominal = last.nominal.min(nominal);
         }
@@ -240,17 +294,47 @@ impl Plan {
         }
     }
 
+    /// Begins the grid, or goes on with it from a stop, where a pause may be needed.
+    fn depart(&mut self, piece: &Piece, nominal: f64) {
+        let mut start = self.point_at(piece, 0.0, nominal, true);
+        let arrival = self.course.angle;
+        self.course.depart(piece);
+        let turns = (self.course.angle - arrival).abs() > 0.0;
+        match self.points.last_mut() {
+            Some(last) => {
+                last.span.piece = self.next_piece;
+                last.span.heading = arrival;
+            }
+            None if turns => {
+                let mut first = start;
+                first.span.piece = self.next_piece;
+                first.span.heading = arrival;
+                self.points.push(first);
+            }
+            None => start.stop = false,
+        }
+        start.span.heading = self.course.angle;
+        self.points.push(start);
+    }
+
     fn point_at(&self, piece: &Piece, parameter: f64, nominal: f64, stop: bool) -> GridPoint {
         let frame = piece.curve.frame(parameter);
         let joints = self.delta.rows(&frame.point, &frame.tangent, &frame.bend);
-        let curvature = length(&frame.bend);
+        let row = Row {
+            joints,
+            curvature: length(&frame.bend),
+            turn: 0.0,
+            rise: frame.tangent[2],
+            rise_change: frame.bend[2],
+        };
         GridPoint {
-            row: Row { joints, curvature },
-            cap: self.limits.cap(&joints, curvature),
+            row,
+            cap: self.limits.cap(&row),
             nominal,
             reach: 0.0,
             span: Span::NONE,
             stop,
+            dwell: false,
         }
     }
 
@@ -269,14 +353,7 @@ impl Plan {
                 0.0
             } else {
                 let cap = here.cap.min(here.nominal * self.planned * self.planned);
-                Interval {
-                    limits: &self.limits,
-                    start: &here.row,
-                    end: &next.row,
-                    length_mm: here.span.length_mm,
-                    end_squared: next.reach,
-                }
-                .entry_max(cap)
+                here.interval(&self.limits, &here.row, next, 0.0).entry_max(cap)
             };
             computed += 1;
             let old = self.settled.wrapping_sub(1).wrapping_sub(number).wrapping_sub(1) < POINTS as u32;
@@ -314,6 +391,19 @@ impl Plan {
     pub(crate) fn advance(&mut self, dt_s: f64, pace: Pace) -> PathSample {
         let mut left_s = dt_s;
         for _ in 0..2 * POINTS {
+            if let Some(pause) = self.pause.as_mut() {
+                if pace == Pace::Brake {
+                    pause.cut();
+                }
+                left_s = pause.run(left_s);
+                self.rest.heading = pause.angle();
+                if !pause.complete() {
+                    break;
+                }
+                self.pause = None;
+                self.place = self.place.wrapping_add(1);
+                continue;
+            }
             let Some(stretch) = self.stretch.as_mut() else {
                 if !self.begin(pace) {
                     break;
@@ -354,6 +444,7 @@ impl Plan {
             }
             self.rest = PathSample {
                 point: piece.curve.at(to),
+                heading: point.heading_at(point.span.length_mm),
                 label,
             };
         }
@@ -370,18 +461,21 @@ impl Plan {
         };
         let left_mm = here.span.length_mm - self.offset_mm;
         if left_mm <= ARRIVED_MM {
+            if let Some(pause) = self.pause_between(here, next) {
+                self.squared = 0.0;
+                self.pause = (pace == Pace::Go).then_some(pause);
+                return self.pause.is_some();
+            }
             self.offset_mm = here.span.length_mm;
             self.arrive();
             return true;
         }
         let x = self.squared;
-        let interval = Interval {
-            limits: &self.limits,
-            start: &here.row,
-            end: &next.row,
-            length_mm: left_mm,
-            end_squared: next.reach,
+        let start = Row {
+            turn: here.row.turn + here.span.turn_change * self.offset_mm,
+            ..here.row
         };
+        let interval = here.interval(&self.limits, &start, next, self.offset_mm);
         let stretch = match pace {
             Pace::Brake if x <= 0.0 => return false,
             Pace::Brake => {
@@ -417,6 +511,17 @@ impl Plan {
         true
     }
 
+    /// The pause between arriving at a stop and departing from it, where there is one.
+    fn pause_between(&self, arrival: &GridPoint, departure: &GridPoint) -> Option<Pause> {
+        let (from, to) = (arrival.span.heading, departure.span.heading);
+        let waits = arrival.stop && arrival.span.length_mm <= 0.0;
+        if !waits || !arrival.dwell && (to - from).abs() <= NONE_RAD {
+            return None;
+        }
+        let dwell_s = if arrival.dwell { self.dwell_s } else { 0.0 };
+        Some(Pause::new(&self.limits, from, to, dwell_s)).filter(|pause| !pause.is_none())
+    }
+
     fn forget_passed(&mut self) {
         self.points.forget_before(self.place);
         let piece = match self.points.get(self.place) {
@@ -441,6 +546,7 @@ impl Plan {
         let parameter = span.parameter_at(piece, self.offset_mm);
         PathSample {
             point: piece.curve.at(parameter),
+            heading: point.heading_at(self.offset_mm),
             label: if parameter > 0.5 { piece.exit } else { piece.entry },
         }
     }
@@ -455,7 +561,14 @@ fn interval_to_middle(interval: &Interval<'_>, half_mm: f64) -> f64 {
     }
     .range(0.0);
     let braking = -interval.braking(0.0);
-    range.high.min(braking)
+    // In the middle the fourth axis' slope and its change add up to less than three times the larger slope.
+    let slope = interval.start.turn.abs().max(interval.end.turn.abs());
+    let turning = if slope > 0.0 {
+        interval.limits.turn_acceleration / (3.0 * slope)
+    } else {
+        f64::MAX
+    };
+    range.high.min(braking).min(turning)
 }
 
 impl Span {

@@ -27,6 +27,22 @@ pub(crate) struct Row {
     pub(crate) joints: JointRows,
     /// 1/mm.
     pub(crate) curvature: f64,
+    /// Slope of the fourth axis, rad/mm.
+    pub(crate) turn: f64,
+    /// Vertical part of the tangent, and its change with arc length, 1/mm.
+    pub(crate) rise: f64,
+    pub(crate) rise_change: f64,
+}
+
+impl Row {
+    /// Nothing moves.
+    pub(crate) const NONE: Self = Self {
+        joints: JointRows::NONE,
+        curvature: 0.0,
+        turn: 0.0,
+        rise: 0.0,
+        rise_change: 0.0,
+    };
 }
 
 /// Accelerations that an interval allows at one speed, mm/s2.
@@ -55,6 +71,12 @@ impl Range {
         }
     }
 
+    /// Tightens the range by |a u + b x| <= c.
+    fn restrict_both(&mut self, a: f64, b: f64, c: f64, x: f64) {
+        self.restrict(a, b, c, x);
+        self.restrict(-a, -b, c, x);
+    }
+
     /// High less low, where rounding does not make an exact meeting of both a negative width.
     fn width(&self) -> f64 {
         self.high - self.low + ROUNDING * (self.high.abs() + self.low.abs())
@@ -69,9 +91,18 @@ pub(crate) struct Interval<'a> {
     pub(crate) end: &'a Row,
     pub(crate) length_mm: f64,
     pub(crate) end_squared: f64,
+    /// Change of the fourth axis' slope all along the interval, rad/mm2.
+    pub(crate) turn_change: f64,
+    /// The pen's vertical limits hold.
+    pub(crate) lifts: bool,
 }
 
 impl Interval<'_> {
+    /// Whether the fourth axis moves.
+    pub(crate) fn turns(&self) -> bool {
+        self.turn_change != 0.0 || self.start.turn != 0.0
+    }
+
     /// Accelerations allowed when the interval is entered with the squared speed `x`; empty (low above high) when x
     /// is too large.
     pub(crate) fn range(&self, x: f64) -> Range {
@@ -87,12 +118,21 @@ impl Interval<'_> {
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
             let (a, b) = (self.start.joints.slope[arm], self.start.joints.bend[arm]);
-            range.restrict(a, b, limit, x);
-            range.restrict(-a, -b, limit, x);
+            range.restrict_both(a, b, limit, x);
             let b = self.end.joints.bend[arm];
             let a = self.end.joints.slope[arm] + b * double;
-            range.restrict(a, b, limit, x);
-            range.restrict(-a, -b, limit, x);
+            range.restrict_both(a, b, limit, x);
+        }
+        if self.turns() {
+            let (b, limit) = (self.turn_change, limits.turn_acceleration);
+            range.restrict_both(self.start.turn, b, limit, x);
+            range.restrict_both(self.end.turn + b * double, b, limit, x);
+        }
+        if self.lifts {
+            let limit = limits.pen_acceleration;
+            range.restrict_both(self.start.rise, self.start.rise_change, limit, x);
+            let b = self.end.rise_change;
+            range.restrict_both(self.end.rise + b * double, b, limit, x);
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
             let b = sine * self.start.curvature;
@@ -133,7 +173,7 @@ impl Interval<'_> {
     }
 
     /// Strongest deceleration that the limits allow at `x` when the motion may come to rest inside the interval;
-    /// negative or 0.
+    /// negative or 0. The speed falls from `x` to 0 while the coefficients go from the start's to the end's.
     pub(crate) fn braking(&self, x: f64) -> f64 {
         let limits = self.limits;
         let mut range = Range {
@@ -146,8 +186,18 @@ impl Interval<'_> {
             let limit = limits.joint_acceleration[arm];
             for row in [self.start, self.end] {
                 let (a, b) = (row.joints.slope[arm], row.joints.bend[arm]);
-                range.restrict(a, b, limit, x);
-                range.restrict(-a, -b, limit, x);
+                range.restrict_both(a, b, limit, x);
+                range.restrict_both(a, b, limit, 0.0);
+            }
+        }
+        for row in [self.start, self.end] {
+            if self.turns() {
+                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, x);
+                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, 0.0);
+            }
+            if self.lifts {
+                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, x);
+                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, 0.0);
             }
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
@@ -185,6 +235,9 @@ mod tests {
                     bend: [(); ARMS].map(|()| 2.0e-3 * number()),
                 },
                 curvature: 0.2 * number().abs(),
+                turn: 0.5 * number(),
+                rise: number(),
+                rise_change: 0.2 * number(),
             };
             let (start, end) = (row(), row());
             let interval = Interval {
@@ -193,6 +246,8 @@ mod tests {
                 end: &end,
                 length_mm: 0.05 + number().abs(),
                 end_squared: 1.0e5 * number().abs(),
+                turn_change: 0.05 * number(),
+                lifts: number() > 0.0,
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);
@@ -220,6 +275,8 @@ mod tests {
             end: &row,
             length_mm: 2.0,
             end_squared: 0.0,
+            turn_change: 0.0,
+            lifts: false,
         };
         let expected = 2.0 * 2.0 * limits.acceleration;
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);

@@ -9,6 +9,7 @@
 
 use super::Pen;
 use super::curve::{BlendShape, Curve};
+use super::heading;
 use super::ring::Ring;
 use crate::robot::vector::{Vector, add, dot, length, scale, subtract};
 use heapless::Vec;
@@ -96,6 +97,10 @@ pub(crate) struct Piece {
     pub(crate) vertex_after: u32,
     /// The path rests at its end.
     pub(crate) stop_after: bool,
+    /// The pen dwells there.
+    pub(crate) dwell_after: bool,
+    /// Direction that the fourth axis, where it follows the path, turns to on this piece: a vertical line has none.
+    pub(crate) turn_to: Option<f64>,
 }
 
 impl Piece {
@@ -106,6 +111,8 @@ impl Piece {
         exit: Label::NONE,
         vertex_after: 0,
         stop_after: false,
+        dwell_after: false,
+        turn_to: None,
     };
 }
 
@@ -142,6 +149,8 @@ enum Start {
 #[derive(Clone, Debug)]
 pub(crate) struct Shaper {
     tolerances: Tolerances,
+    /// The pen dwells where it meets the paper and where it leaves it.
+    dwells: bool,
     node: Node,
     start: Start,
 }
@@ -154,13 +163,15 @@ impl Shaper {
                 drawing_mm: 0.0,
                 travel_mm: 0.0,
             },
+            dwells: false,
             node: Node::NONE,
             start: Start::Straight { trim: 0.0 },
         }
     }
 
-    pub(crate) fn configure(&mut self, tolerances: Tolerances) {
+    pub(crate) fn configure(&mut self, tolerances: Tolerances, dwells: bool) {
         self.tolerances = tolerances;
+        self.dwells = dwells;
     }
 
     /// Begins anew from a point at rest.
@@ -231,7 +242,7 @@ impl Shaper {
         let (length_in, length_out) = (length(&incoming), length(&outgoing));
         let (unit_in, unit_out) = (unit(&incoming, length_in), unit(&outgoing, length_out));
         let cosine = dot(&unit_in, &unit_out);
-        if cosine.is_nan() || cosine < STOP_TURN_COSINE {
+        if cosine.is_nan() || cosine < STOP_TURN_COSINE || self.dwells && node.pen != after.pen {
             return Passage::Stop;
         }
         let difference = length(&subtract(&unit_out, &unit_in));
@@ -296,9 +307,20 @@ impl Shaper {
             };
             Some(piece(curve, curve_intervals(leg_length, at_least), label))
         };
+        let direction_after = after.map(|after| {
+            let leg = subtract(&after.point, &end.point);
+            unit(&leg, length(&leg))
+        });
+        let turn_to = match heading::direction(&direction) {
+            None => direction_after.as_ref().and_then(heading::direction),
+            Some(_) => None,
+        };
         let line = |from: Vector, to: Vector| {
             let line_length = length(&subtract(&to, &from));
-            (line_length > LINE_MIN_MM).then(|| piece(Curve::line(&from, &to), line_intervals(line_length), label))
+            (line_length > LINE_MIN_MM).then(|| Piece {
+                turn_to,
+                ..piece(Curve::line(&from, &to), line_intervals(line_length), label)
+            })
         };
         let (first, second) = match (self.start, control) {
             (Start::Straight { trim }, None) => (line(begin(trim), close(trim_after)), None),
@@ -306,10 +328,8 @@ impl Shaper {
             (Start::Spline { before }, Some(next)) => (span([before, *from, end.point, next]), None),
             (Start::Spline { before }, None) => (span([before, *from, half, end.point]), line(half, close(trim_after))),
         };
-        let third = match (passage, after) {
-            (Passage::Corner { trim, shape }, Some(after)) if trim > 0.0 => {
-                let leg_after = subtract(&after.point, &end.point);
-                let direction_after = unit(&leg_after, length(&leg_after));
+        let third = match (passage, after, direction_after) {
+            (Passage::Corner { trim, shape }, Some(after), Some(direction_after)) if trim > 0.0 => {
                 let curve = Curve::blend(&end.point, &direction, &direction_after, trim, shape);
                 let at_least = if trim < LONG_BLEND_MM {
                     BLEND_INTERVALS
@@ -333,6 +353,7 @@ impl Shaper {
         if let Some(last) = pieces.last_mut() {
             last.vertex_after = end.count;
             last.stop_after = matches!(passage, Passage::Stop);
+            last.dwell_after = last.stop_after && self.dwells && after.is_some_and(|after| after.pen != end.pen);
         }
         pieces
     }
@@ -346,6 +367,8 @@ fn piece(curve: Curve, intervals: u16, label: Label) -> Piece {
         exit: label,
         vertex_after: label.vertex,
         stop_after: false,
+        dwell_after: false,
+        turn_to: None,
     }
 }
 

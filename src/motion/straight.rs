@@ -6,6 +6,7 @@
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
+use super::scan::Row;
 use super::shaping::Label;
 use crate::robot::Delta;
 use crate::robot::vector::{Vector, add_scaled, length, root, scale, subtract};
@@ -22,6 +23,7 @@ const LENGTH_MIN_MM: f64 = 1.0e-6;
 pub(crate) struct Straight {
     from: Vector,
     direction: Vector,
+    heading: f64,
     length_mm: f64,
     speed: f64,
     acceleration: f64,
@@ -33,8 +35,9 @@ pub(crate) struct Straight {
 }
 
 impl Straight {
-    /// Move from `from` to `to`.
-    pub(crate) fn new(delta: &Delta, limits: &Limits, from: &Vector, to: &Vector, label: Label) -> Self {
+    /// Move from a place to `to`; the fourth axis keeps its angle.
+    pub(crate) fn new(delta: &Delta, limits: &Limits, here: &PathSample, to: &Vector, label: Label) -> Self {
+        let from = &here.point;
         let line = subtract(to, from);
         let length_mm = length(&line);
         let direction = scale(
@@ -45,12 +48,23 @@ impl Straight {
                 0.0
             },
         );
+        let mut row = Row {
+            rise: direction[2],
+            ..Row::NONE
+        };
         let mut speed_squared = limits.path_speed_squared(false);
         let mut acceleration = limits.acceleration;
+        if limits.pen_limited {
+            speed_squared = limits.cap_pen(speed_squared, &row);
+            if row.rise.abs() * acceleration > limits.pen_acceleration {
+                acceleration = limits.pen_acceleration / row.rise.abs();
+            }
+        }
         for check in 0..CHECKS {
             let place = length_mm * f64::from(check) / f64::from(CHECKS - 1);
             let rows = delta.rows(&add_scaled(from, &direction, place), &direction, &[0.0; 3]);
-            speed_squared = speed_squared.min(limits.cap(&rows, 0.0));
+            row.joints = rows;
+            speed_squared = speed_squared.min(limits.cap(&row));
             let joints = rows.slope.iter().zip(&rows.bend).zip(&limits.joint_acceleration);
             for ((slope, bend), limit) in joints {
                 if slope.abs() * acceleration > SHARE * limit {
@@ -65,6 +79,7 @@ impl Straight {
         Self {
             from: *from,
             direction,
+            heading: here.heading,
             length_mm: if length_mm > LENGTH_MIN_MM { length_mm } else { 0.0 },
             speed,
             acceleration,
@@ -131,6 +146,7 @@ impl Straight {
         };
         let sample = PathSample {
             point: add_scaled(&self.from, &self.direction, place),
+            heading: self.heading,
             label: self.label,
         };
         (sample, done)

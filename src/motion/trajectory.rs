@@ -139,11 +139,12 @@ impl Trajectory {
         motion.pen_lift_mm = config.paper.pen_lift_mm;
         motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
         motion.dead_man_ms = config.bus.dead_man_ms;
-        motion.shaper.configure(Tolerances {
+        let tolerances = Tolerances {
             drawing_mm: config.motion.tolerance_mm - average_mm,
             travel_mm: config.motion.travel_tolerance_mm - average_mm,
-        });
-        motion.plan.reconfigure(*area.delta(), limits);
+        };
+        motion.shaper.configure(tolerances, config.motion.pen_dwell_ms > 0);
+        motion.plan.reconfigure(*area.delta(), limits, &config.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;
         motion.begun = false;
@@ -162,6 +163,7 @@ impl Trajectory {
     pub fn place(&mut self, pose: JointAngles) -> bool {
         self.pose = None;
         self.motion.drop_path();
+        let [_, _, _, fourth_rad] = pose.0;
         if !pose.0.iter().all(|angle| angle.is_finite()) {
             return false;
         }
@@ -171,6 +173,7 @@ impl Trajectory {
         };
         self.motion.here = PathSample {
             point: position.into(),
+            heading: fourth_rad,
             label: Label::NONE,
         };
         self.motion.drop_path();
@@ -419,7 +422,7 @@ impl Motion {
     }
 
     fn straight(&self, to: &Vector, label: Label) -> Straight {
-        Straight::new(self.area.delta(), &self.limits, &self.here.point, to, label)
+        Straight::new(self.area.delta(), &self.limits, &self.here, to, label)
     }
 
     /// Ends what moves; `None` where there is nothing to end.
@@ -473,7 +476,7 @@ impl Motion {
     /// Lets the next path begin where the motion rests.
     fn settle(&mut self) {
         self.fresh = true;
-        self.plan.rest_at(self.here.point, self.here.label);
+        self.plan.rest_at(self.here);
         self.shaper.place(Node {
             point: self.here.point,
             count: self.here.label.vertex,

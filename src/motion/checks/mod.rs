@@ -4,7 +4,9 @@
 //! their requirements in files of their own.
 
 mod commands;
+mod orientation;
 mod paths;
+mod pen;
 
 extern crate std;
 
@@ -210,6 +212,12 @@ impl Run {
             }
         }
         worst
+    }
+
+    /// The same where a hold has lifted the pen off the path.
+    fn check_drawn(&self, name: &str) {
+        let (drawn, limit) = (self.deviation().0, self.config.motion.tolerance_mm);
+        assert!(drawn <= limit * (1.0 + EXCESS), "{name}: {drawn} mm off");
     }
 
     fn check_deviation(&self, name: &str) {

@@ -1,0 +1,88 @@
+//! Requirements on lifting and lowering the pen as parts of the path.
+
+use super::*;
+
+/// Largest vertical speed and acceleration of the references.
+fn vertical(run: &Run) -> (f64, f64) {
+    let delta = Delta::new(&run.config.geometry).unwrap();
+    let heights: Vec<f64> = run
+        .references
+        .iter()
+        .map(|reference| delta.forward(&JointAngles(reference.position_rad)).unwrap().z_mm)
+        .collect();
+    heights.windows(3).fold((0.0_f64, 0.0_f64), |(speed, acceleration), z| {
+        let (first, second) = ((z[1] - z[0]) / TICK_S, (z[2] - z[1]) / TICK_S);
+        (
+            speed.max(second.abs()),
+            acceleration.max((second - first).abs() / TICK_S),
+        )
+    })
+}
+
+#[test]
+fn the_pen_has_limits_of_its_own() {
+    for (speed, acceleration) in [(40.0, 1_000.0), (20.0, 0.0), (0.0, 500.0), (200.0, 4_000.0)] {
+        let mut config = Config::default();
+        config.motion.pen_speed_mm_s = speed;
+        config.motion.pen_acceleration_mm_s2 = acceleration;
+        for seed in 1..=12 {
+            let name = format!("{speed} mm/s, {acceleration} mm/s2, seed {seed}");
+            let (path, _) = portrait(&mut Random::new(seed), 4);
+            let mut run = Run::new(&config, &path);
+            run.command(MotionCommand::Start);
+            for _ in 0..30 {
+                run.feed(usize::MAX);
+                run.step();
+            }
+            run.command(MotionCommand::Hold);
+            run.until(MotionState::Held);
+            run.command(MotionCommand::Resume);
+            run.until(MotionState::Idle);
+            run.check_limits(&name);
+            run.check_drawn(&name);
+            let (fastest, strongest) = vertical(&run);
+            assert!(
+                speed == 0.0 || fastest <= speed * (1.0 + EXCESS),
+                "{name}: {fastest} mm/s"
+            );
+            assert!(
+                acceleration == 0.0 || strongest <= acceleration * (1.0 + EXCESS) + 0.1,
+                "{name}: {strongest} mm/s2"
+            );
+            if seed == 1 {
+                println!("{name}: {fastest:.2} mm/s, {strongest:.1} mm/s2");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_pen_changes_without_a_stop_unless_it_dwells() {
+    let (path, _) = portrait(&mut Random::new(2), 5);
+    let rests = |dwell_ms: u16| {
+        let mut config = Config::default();
+        config.motion.pen_dwell_ms = dwell_ms;
+        let run = Run::new(&config, &path).whole();
+        run.check_limits("dwell");
+        run.check_deviation("dwell");
+        let moving = run.references.iter().skip_while(|r| r.velocity_rad_s == [0.0; AXES]);
+        let (mut longest, mut current, mut rests) = (0, 0, 0);
+        for reference in moving {
+            if reference.velocity_rad_s == [0.0; AXES] {
+                current += 1;
+                continue;
+            }
+            rests += usize::from(current > 0);
+            longest = longest.max(current);
+            current = 0;
+        }
+        (rests, longest, run.duration_s())
+    };
+    let (none, _, without_s) = rests(0);
+    assert_eq!(none, 0);
+    let (ten, longest, with_s) = rests(40);
+    assert_eq!(ten, 10, "each stroke is lowered and lifted once");
+    // The average over 4 ms shortens the rest that is seen.
+    assert!((36..=41).contains(&longest), "{longest} ms");
+    assert!(with_s > without_s + 10.0 * 0.04);
+}
