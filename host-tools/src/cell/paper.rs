@@ -100,6 +100,7 @@ mod tests {
             size_mm: [200.0, 100.0],
             pen_down_z_mm: -850.0,
             pen_lift_mm: 3.0,
+            ..Paper::default()
         })
     }
 
