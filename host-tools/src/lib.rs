@@ -9,6 +9,7 @@ pub mod drawing;
 pub mod emulator;
 pub mod link;
 pub mod master;
+pub mod planning;
 pub mod report;
 pub mod run;
 pub mod setup;

@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, draw, emulate, kinematics, segment, simulate, verify,
+    self, CommandError, bench, bus, demo, draw, emulate, kinematics, plan, segment, simulate, verify,
 };
 use std::process::ExitCode;
 
@@ -34,6 +34,8 @@ enum Subcommand {
     Emulate(emulate::Arguments),
     /// Turn positions into arm angles and back.
     Kinematics(kinematics::Arguments),
+    /// Plan a path with the firmware's planner; nothing moves.
+    Plan(plan::Arguments),
     /// Run the virtual EtherCAT segment alone, for any master to talk to.
     Segment(segment::Arguments),
     /// Draw a file in virtual time in this process, with the same tasks and the same cell.
@@ -50,6 +52,7 @@ fn main() -> ExitCode {
         Subcommand::Draw(arguments) => draw::run(&arguments),
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
+        Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Segment(arguments) => segment::run(&arguments),
         Subcommand::Simulate(arguments) => simulate::run(&arguments),
         Subcommand::Verify(arguments) => verify::run(&arguments),

@@ -146,6 +146,11 @@ impl MicroInterpolator {
         self.still_ms = WINDOW_MAX;
     }
 
+    /// Length of the moving average, ms; 0 without one.
+    pub(crate) fn window_ms(&self) -> u16 {
+        if self.length > 1 { self.length as u16 } else { 0 }
+    }
+
     /// Rests at a pose.
     pub(crate) fn place(&mut self, pose: &JointAngles) {
         let parts = pose.0.map(to_parts);

@@ -13,6 +13,7 @@ mod heading;
 mod jog;
 mod limits;
 mod micro_interpolator;
+mod outline;
 mod plan;
 mod ring;
 mod scan;
@@ -22,6 +23,7 @@ pub mod task;
 mod trajectory;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
+pub use outline::{Outline, Section, Station};
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
 
 use crate::robot::{AXES, Outside, Position};

@@ -131,7 +131,7 @@ impl Trajectory {
     pub fn reconfigure(&mut self, config: &Config) -> Result<(), GeometryError> {
         let area = WorkArea::new(config)?;
         let limits = Limits::new(&config.motion);
-        let (window_ms, average_mm) = averaging(config);
+        let (window_ms, _) = averaging(config);
         let motion = &mut self.motion;
         motion.area = area;
         motion.limits = limits;
@@ -139,11 +139,9 @@ impl Trajectory {
         motion.pen_lift_mm = config.paper.pen_lift_mm;
         motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
         motion.dead_man_ms = config.bus.dead_man_ms;
-        let tolerances = Tolerances {
-            drawing_mm: config.motion.tolerance_mm - average_mm,
-            travel_mm: config.motion.travel_tolerance_mm - average_mm,
-        };
-        motion.shaper.configure(tolerances, config.motion.pen_dwell_ms > 0);
+        motion
+            .shaper
+            .configure(tolerances(config), config.motion.pen_dwell_ms > 0);
         motion.plan.reconfigure(*area.delta(), limits, &config.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;
@@ -257,9 +255,24 @@ impl Trajectory {
         self.motion.underruns
     }
 
+    /// Length of the moving average in force, ms: the configured one, shortened where it would take more than its part
+    /// of the tolerance; 0 where there is none.
+    pub fn jerk_window_ms(&self) -> u16 {
+        self.interpolator.window_ms()
+    }
+
     /// Points of the grid that the last step computed: new ones, and ones whose speed was computed anew.
     pub fn work(&self) -> u32 {
         self.motion.work
+    }
+}
+
+/// Tolerances of the shape: what the moving average leaves of the configured ones.
+pub(super) fn tolerances(config: &Config) -> Tolerances {
+    let (_, average_mm) = averaging(config);
+    Tolerances {
+        drawing_mm: config.motion.tolerance_mm - average_mm,
+        travel_mm: config.motion.travel_tolerance_mm - average_mm,
     }
 }
 

@@ -11,6 +11,7 @@ pub mod emulate;
 pub mod endpoint;
 pub mod kinematics;
 mod outputs;
+pub mod plan;
 pub mod prepare;
 pub mod run;
 pub mod segment;

@@ -41,7 +41,7 @@ pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
         Input::Drawing(drawing) => (None, ordered(drawing, config)),
         Input::Path(path) => (None, path.vertices),
     };
-    if !path.iter().any(|vertex| vertex.pen == Pen::Down) {
+    if !path.iter().skip(1).any(|vertex| vertex.pen == Pen::Down) {
         return Err(refused(&"there is nothing to draw in it"));
     }
     // What travels is what is checked: coordinates as the link carries them, without repetitions.
@@ -83,44 +83,8 @@ fn from_wire(wire: &PathVertex) -> Vertex {
     }
 }
 
-/// Duration the firmware's planner computes for a path, s, from rest above its first vertex to rest at its end; not a
+/// Duration the firmware's planner computes for a path, s, from rest at its first vertex to rest at its end; not a
 /// number where it cannot be planned.
 pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
-    use etherpen::motion::{MotionCommand, MotionState, PERIOD_MS, Trajectory};
-    use etherpen::robot::{Delta, JointAngles};
-    let Some(first) = path.first() else { return f64::NAN };
-    let Ok(delta) = Delta::new(&config.geometry) else {
-        return f64::NAN;
-    };
-    let Ok([a, b, c]) = delta.inverse(&first.position) else {
-        return f64::NAN;
-    };
-    let Ok(mut trajectory) = Trajectory::new(config).map(Box::new) else {
-        return f64::NAN;
-    };
-    trajectory.place(JointAngles([a, b, c, 0.0]));
-    let mut rest = path.iter();
-    let (mut periods, mut started) = (0u32, false);
-    loop {
-        while trajectory.free() > 0 {
-            match rest.next() {
-                // There is room, and the path was admitted.
-                Some(vertex) => drop(trajectory.push(*vertex)),
-                None => {
-                    trajectory.finish();
-                    break;
-                }
-            }
-        }
-        if !started && trajectory.command(MotionCommand::Start).is_err() {
-            return f64::NAN;
-        }
-        started = true;
-        let moved = trajectory.step().len();
-        debug_assert_eq!(moved, PERIOD_MS);
-        periods += 1;
-        if trajectory.state() == MotionState::Idle && rest.len() == 0 {
-            return f64::from(periods) * PERIOD_MS as f64 / 1_000.0;
-        }
-    }
+    crate::planning::plan(config, path, |_, _| ()).map_or(f64::NAN, |run| run.duration_ms as f64 / 1_000.0)
 }

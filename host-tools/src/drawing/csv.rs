@@ -20,9 +20,12 @@ const SHEET_MM: [f64; 2] = [200.0, 200.0];
 pub struct Path3d {
     /// The path's corners in order.
     pub vertices: Vec<Vertex>,
+    /// The line of the file that each of them stands on; the first is 1.
+    pub lines: Vec<usize>,
 }
 
-/// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot).
+/// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot). A path of the robot may
+/// have any number of vertices, and none of them drawn.
 ///
 /// # Errors
 ///
@@ -45,20 +48,16 @@ pub fn read_csv(text: &str) -> Result<Input, DrawingError> {
         }
     }
     if columns == ROBOT_HEADING.len() {
-        let path = Path3d {
+        return Ok(Input::Path(Path3d {
             vertices: vertices(&rows),
-        };
-        let drawn = path.vertices.iter().skip(1).any(|vertex| vertex.pen == Pen::Down);
-        return if drawn {
-            Ok(Input::Path(path))
-        } else {
-            Err(DrawingError::CsvNothingDrawn)
-        };
+            lines: rows.iter().map(|row| row.line).collect(),
+        }));
     }
     strokes(&rows).map(Input::Drawing)
 }
 
 struct Row {
+    line: usize,
     position_mm: [f64; 3],
     pen_down: bool,
 }
@@ -85,7 +84,11 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
         "0" => false,
         _ => return Err(DrawingError::CsvPen { line: number }),
     };
-    Ok(Row { position_mm, pen_down })
+    Ok(Row {
+        line: number,
+        position_mm,
+        pen_down,
+    })
 }
 
 /// A pen raised after a drawn leg ends a stroke.
@@ -165,7 +168,7 @@ mod tests {
         let Ok(Input::Path(path)) = read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n") else {
             panic!("refused")
         };
-        assert_eq!(path.vertices.len(), 3);
+        assert_eq!((path.vertices.len(), path.lines), (3, vec![2, 3, 4]));
         let position = Position {
             x_mm: 9.5,
             y_mm: 0.0,
@@ -212,10 +215,6 @@ mod tests {
         );
         assert_eq!(
             failure("x_mm,y_mm,pen\n1,1,0\n2,2,0\n"),
-            Some(DrawingError::CsvNothingDrawn)
-        );
-        assert_eq!(
-            failure("x_mm,y_mm,z_mm,pen\n1,1,0,1\n"),
             Some(DrawingError::CsvNothingDrawn)
         );
     }

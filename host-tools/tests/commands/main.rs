@@ -10,6 +10,7 @@ mod bench;
 mod emulator;
 mod ethercrab;
 mod network;
+mod plan;
 mod program;
 mod segment;
 

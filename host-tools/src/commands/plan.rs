@@ -1,0 +1,328 @@
+//! `etherpen plan`: a path through the firmware's planner, with its duration, peaks, violations and references.
+
+use super::prepare::prepare;
+use super::{CommandError, ConfigArguments, code, print_json};
+use crate::drawing::{Input, Path3d, load};
+use crate::link::text;
+use crate::planning::{Analysis, Findings, PlanningError, Sample, plan};
+use etherpen::config::{Config, Orientation};
+use etherpen::link::protocol::ConfigRefusal;
+use etherpen::motion::{Admission, Pen, RefusalReason, Vertex};
+use etherpen::robot::AXES;
+use serde::Serialize;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// Longest moving average, ms.
+const JERK_WINDOW_MAX_MS: u16 = 32;
+/// Largest value of a limit: its square is still a number.
+const LIMIT_MAX: f64 = 1.0e12;
+
+/// Options of `etherpen plan`.
+///
+/// A CSV with the heading `x_mm,y_mm,z_mm,pen` is in the robot's frame and planned exactly as it is listed: from rest at
+/// its first vertex to rest at its last, no approach and no motion of the pen added; vertices less than 0.0005 mm apart
+/// are one. Without z_mm, and for a photograph, it is what `draw` would draw: ordered, on the paper, with the pen's lifts.
+///
+/// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and on
+/// every vertex, as its distance from the line through the references (less what a straight line between two of them
+/// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the references;
+/// what exceeds a limit by more than a thousandth is a violation.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// CSV of coordinates, or a photograph (PNG, JPEG).
+    file: PathBuf,
+    /// Print the findings as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    /// Write one row a millisecond: time, position, joint angles, joint speeds, pen.
+    #[arg(long, value_name = "OUT.csv")]
+    samples: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigArguments,
+    #[command(flatten)]
+    limits: LimitArguments,
+}
+
+/// Limits given by hand; they override the configuration, and its bounds too: nothing moves.
+#[derive(clap::Args, Debug, Default)]
+struct LimitArguments {
+    /// Speed of every axis.
+    #[arg(long, value_name = "RAD_S", value_parser = limit)]
+    joint_speed: Option<f64>,
+    /// Acceleration of every axis.
+    #[arg(long, value_name = "RAD_S2", value_parser = limit)]
+    joint_acceleration: Option<f64>,
+    /// Speed of the platform, pen down and up.
+    #[arg(long, value_name = "MM_S", value_parser = limit)]
+    speed: Option<f64>,
+    /// Acceleration of the platform.
+    #[arg(long, value_name = "MM_S2", value_parser = limit)]
+    acceleration: Option<f64>,
+    /// Distance of the references from the path, pen down and up.
+    #[arg(long, value_name = "MM", value_parser = limit)]
+    tolerance: Option<f64>,
+    /// Moving average of the references that bounds the jerk, whole milliseconds; 0 switches it off.
+    #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(0..=i64::from(JERK_WINDOW_MAX_MS)))]
+    jerk_window: Option<u16>,
+    /// What axis 4 does: follow the direction of the path, or keep its angle.
+    #[arg(long, value_name = "WHAT", value_parser = ["path", "constant"])]
+    orientation: Option<String>,
+}
+
+fn limit(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= LIMIT_MAX => Ok(value),
+        _ => Err(format!("a number above 0 and up to {LIMIT_MAX:.0e} is needed")),
+    }
+}
+
+impl LimitArguments {
+    fn apply(&self, config: &mut Config) {
+        let motion = &mut config.motion;
+        let set = |value: &mut f64, given: Option<f64>| *value = given.unwrap_or(*value);
+        for axis in 0..AXES {
+            set(&mut motion.joint_speed_rad_s[axis], self.joint_speed);
+            set(&mut motion.joint_acceleration_rad_s2[axis], self.joint_acceleration);
+        }
+        set(&mut motion.speed_mm_s, self.speed);
+        set(&mut motion.travel_speed_mm_s, self.speed);
+        set(&mut motion.acceleration_mm_s2, self.acceleration);
+        set(&mut motion.tolerance_mm, self.tolerance);
+        set(&mut motion.travel_tolerance_mm, self.tolerance);
+        motion.jerk_window_ms = self.jerk_window.unwrap_or(motion.jerk_window_ms);
+        motion.orientation = match self.orientation.as_deref() {
+            Some("path") => Orientation::Path,
+            Some(_) => Orientation::Constant,
+            None => motion.orientation,
+        };
+    }
+}
+
+/// What the command prints.
+#[derive(Debug, Serialize)]
+struct Answer {
+    /// Vertices of the path.
+    vertices: usize,
+    /// Vertices that were one with the vertex before them.
+    vertices_merged: usize,
+    #[serde(flatten)]
+    findings: Findings,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The file or the configuration cannot be used, or a vertex is refused: its index, its line and why.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let mut config = arguments.config.load()?;
+    arguments.limits.apply(&mut config);
+    let (path, vertices_merged) = read(&arguments.file, &config)?;
+    let mut table = arguments.samples.as_deref().map(Table::new).transpose()?;
+    let mut analysis = None;
+    let mut failed = None;
+    let run = plan(&config, &path, |sample, run| {
+        analysis
+            .get_or_insert_with(|| Analysis::new(&config, &path, run.jerk_window_ms))
+            .observe(sample);
+        if let Some(Err(cause)) = table.as_mut().map(|table| table.step(sample)) {
+            failed.get_or_insert(cause);
+        }
+    })
+    .map_err(|cause| refused(&arguments.file, &cause))?;
+    if let (Some(cause), Some(file)) = (
+        failed.or(table.and_then(|table| table.finish().err())),
+        &arguments.samples,
+    ) {
+        return Err(CommandError::failed(
+            format!("{} cannot be written", file.display()),
+            cause,
+        ));
+    }
+    let analysis = analysis.unwrap_or_else(|| Analysis::new(&config, &path, run.jerk_window_ms));
+    let answer = Answer {
+        vertices: path.len() + vertices_merged,
+        vertices_merged,
+        findings: analysis.finish(&run),
+    };
+    if arguments.json {
+        return print_json(&answer);
+    }
+    io::stdout()
+        .write_all(shown(&answer).as_bytes())
+        .map_err(|cause| CommandError::failed("stdout", cause))
+}
+
+fn refused(file: &Path, cause: &dyn std::fmt::Display) -> CommandError {
+    CommandError::new(code::INPUT, format!("{}: {cause}", file.display()))
+}
+
+/// The path of a file, every vertex admitted, and how many vertices were merged.
+fn read(file: &Path, config: &Config) -> Result<(Vec<Vertex>, usize), CommandError> {
+    match load(file).map_err(|cause| refused(file, &cause))? {
+        Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
+            Refused::Geometry(refusal) => CommandError::new(code::USAGE, text::config_refusal(&refusal)),
+            Refused::Path(cause) => refused(file, &cause),
+        }),
+        Input::Photograph(_) | Input::Drawing(_) => Ok((prepare(file, config)?.path, 0)),
+    }
+}
+
+/// Why a listed path is not planned.
+#[derive(Debug)]
+enum Refused {
+    Geometry(ConfigRefusal),
+    Path(String),
+}
+
+/// Checks the vertices of a listed path; those that repeat the one before them are left out.
+fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused> {
+    let mut admission = Admission::new(config).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
+    let mut admitted = Vec::with_capacity(path.vertices.len());
+    for (index, (vertex, line)) in (0u32..).zip(path.vertices.iter().zip(&path.lines)) {
+        match admission.check(index, vertex) {
+            Ok(()) => admitted.push(*vertex),
+            Err(refusal) if matches!(refusal.reason, RefusalReason::Repeated { .. }) => {}
+            Err(refusal) => return Err(Refused::Path(format!("line {line}: {}", text::vertex(&refusal)))),
+        }
+    }
+    if admitted.len() < 2 {
+        let vertices = admitted.len();
+        return Err(Refused::Path(PlanningError::TooShort { vertices }.to_string()));
+    }
+    let merged = path.vertices.len() - admitted.len();
+    Ok((admitted, merged))
+}
+
+/// The references as a table; those at rest at the end are left out.
+struct Table {
+    out: BufWriter<File>,
+    /// Rows that repeat the last one written.
+    waiting: Vec<Sample>,
+    last: Option<[f64; AXES]>,
+}
+
+impl Table {
+    fn new(file: &Path) -> Result<Self, CommandError> {
+        let failed = |cause| CommandError::failed(format!("{} cannot be written", file.display()), cause);
+        let mut out = BufWriter::new(File::create(file).map_err(failed)?);
+        let names = (1..=AXES).map(|axis| format!("q{axis}_rad,"));
+        let speeds = (1..=AXES).map(|axis| format!("v{axis}_rad_s,"));
+        let heading: String = names.chain(speeds).collect();
+        writeln!(out, "t_ms,x_mm,y_mm,z_mm,{heading}pen").map_err(failed)?;
+        Ok(Self {
+            out,
+            waiting: Vec::new(),
+            last: None,
+        })
+    }
+
+    fn step(&mut self, sample: &Sample) -> io::Result<()> {
+        let position = sample.reference.position_rad;
+        if self.last.replace(position) == Some(position) {
+            self.waiting.push(*sample);
+            return Ok(());
+        }
+        for waiting in self.waiting.drain(..) {
+            row(&mut self.out, &waiting)?;
+        }
+        row(&mut self.out, sample)
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+fn row(out: &mut impl Write, sample: &Sample) -> io::Result<()> {
+    let [x, y, z] = sample.point;
+    write!(out, "{},{x:.9},{y:.9},{z:.9}", sample.t_ms)?;
+    for angle in sample.reference.position_rad {
+        write!(out, ",{angle:.13}")?;
+    }
+    for speed in sample.reference.velocity_rad_s {
+        write!(out, ",{speed:.10}")?;
+    }
+    writeln!(out, ",{}", u8::from(sample.reference.pen == Pen::Down))
+}
+
+/// The findings as a person reads them.
+fn shown(answer: &Answer) -> String {
+    let findings = &answer.findings;
+    let (peaks, limits) = (&findings.peaks, &findings.limits);
+    let mut text = format!(
+        "{:.3} s for {:.1} mm, {} vertices\n\n{:<22} {:>12} {:>12}\n",
+        findings.duration_s, findings.length_mm, answer.vertices, "", "peak", "limit"
+    );
+    let mut line = |name: &str, unit: &str, peak: f64, limit: Option<f64>| {
+        let limit = limit.map_or("-".into(), figure);
+        text.push_str(&format!("{name:<22} {:>12} {limit:>12} {unit}\n", figure(peak)));
+    };
+    for axis in 0..AXES {
+        let jerk = limits.joint_jerk_rad_s3.map(|jerk| jerk[axis]);
+        let number = axis + 1;
+        let (speed, acceleration) = (peaks.joint_speed_rad_s[axis], peaks.joint_acceleration_rad_s2[axis]);
+        line(
+            &format!("axis {number}: speed"),
+            "rad/s",
+            speed,
+            Some(limits.joint_speed_rad_s[axis]),
+        );
+        let limit = Some(limits.joint_acceleration_rad_s2[axis]);
+        line("        acceleration", "rad/s2", acceleration, limit);
+        line("        jerk", "rad/s3", peaks.joint_jerk_rad_s3[axis], jerk);
+    }
+    line("drawing speed", "mm/s", peaks.speed_mm_s, Some(limits.speed_mm_s));
+    line(
+        "travel speed",
+        "mm/s",
+        peaks.travel_speed_mm_s,
+        Some(limits.travel_speed_mm_s),
+    );
+    line(
+        "acceleration",
+        "mm/s2",
+        peaks.acceleration_mm_s2,
+        Some(limits.acceleration_mm_s2),
+    );
+    line("jerk", "mm/s3", peaks.jerk_mm_s3, None);
+    line(
+        "deviation, pen down",
+        "mm",
+        findings.deviation_drawn_max_mm,
+        Some(limits.tolerance_mm),
+    );
+    line(
+        "deviation, all",
+        "mm",
+        findings.deviation_max_mm,
+        Some(limits.travel_tolerance_mm),
+    );
+    text.push_str(&format!("\n{} violations of limits\n", findings.violation_count));
+    for violation in findings.violations.iter().take(20) {
+        let axis = violation.axis.map_or(String::new(), |axis| format!(" axis {axis}"));
+        let at = match (violation.t_ms, violation.vertex) {
+            (Some(t_ms), _) => format!("at {t_ms} ms"),
+            (None, Some(vertex)) => format!("at vertex {vertex}"),
+            (None, None) => String::new(),
+        };
+        text.push_str(&format!(
+            "  {}{axis} {at}: {} over {}\n",
+            violation.limit_of,
+            figure(violation.value),
+            figure(violation.limit)
+        ));
+    }
+    text
+}
+
+/// Four digits that count.
+fn figure(value: f64) -> String {
+    let places = if value == 0.0 || !value.is_finite() {
+        0
+    } else {
+        (3.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize
+    };
+    format!("{value:.places$}")
+}

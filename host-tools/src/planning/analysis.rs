@@ -1,0 +1,360 @@
+//! What a planned path makes of its limits: peaks, violations, deviation.
+//!
+//! Speeds, accelerations and jerks are differences of the 1 ms references, nothing else: what the drives are asked for.
+
+use super::track::Track;
+use super::{Run, Sample};
+use etherpen::config::{Config, Motion};
+use etherpen::motion::{PERIOD_MS, Pen, Vertex};
+use etherpen::robot::AXES;
+use etherpen::robot::vector::{Vector, length, subtract};
+use serde::Serialize;
+
+/// Relative excess over a limit that counts as none.
+const EXCESS: f64 = 1.0e-3;
+/// Violations that are listed; all are counted.
+const LISTED_MAX: usize = 1_000;
+/// One millisecond, s.
+const TICK_S: f64 = 1.0e-3;
+/// Rounding of the forward kinematics in an acceleration, mm/s2.
+const ROUNDING_MM_S2: f64 = 0.1;
+
+const _: () = assert!(
+    PERIOD_MS > 3,
+    "a run ends with enough references at rest for the last differences"
+);
+
+/// The limits that are in force.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Limits {
+    /// Of each axis, rad/s.
+    pub joint_speed_rad_s: [f64; AXES],
+    /// Of each axis, rad/s2.
+    pub joint_acceleration_rad_s2: [f64; AXES],
+    /// Of each axis, rad/s3: twice the acceleration over the moving average's length; absent without an average.
+    pub joint_jerk_rad_s3: Option<[f64; AXES]>,
+    /// With the pen down, mm/s.
+    pub speed_mm_s: f64,
+    /// With the pen up, mm/s.
+    pub travel_speed_mm_s: f64,
+    /// Of the platform, mm/s2.
+    pub acceleration_mm_s2: f64,
+    /// Distance from the path with the pen down, mm.
+    pub tolerance_mm: f64,
+    /// The same with the pen up, mm.
+    pub travel_tolerance_mm: f64,
+    /// Length of the moving average that the planner takes, ms.
+    pub jerk_window_ms: u16,
+}
+
+impl Limits {
+    fn new(motion: &Motion, jerk_window_ms: u16) -> Self {
+        let jerk = |acceleration: f64| 2.0 * acceleration / (f64::from(jerk_window_ms) * TICK_S);
+        Self {
+            joint_speed_rad_s: motion.joint_speed_rad_s,
+            joint_acceleration_rad_s2: motion.joint_acceleration_rad_s2,
+            joint_jerk_rad_s3: (jerk_window_ms > 1).then(|| motion.joint_acceleration_rad_s2.map(jerk)),
+            speed_mm_s: motion.speed_mm_s,
+            travel_speed_mm_s: motion.travel_speed_mm_s,
+            acceleration_mm_s2: motion.acceleration_mm_s2,
+            tolerance_mm: motion.tolerance_mm,
+            travel_tolerance_mm: motion.travel_tolerance_mm,
+            jerk_window_ms,
+        }
+    }
+}
+
+/// The largest values that occurred.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Peaks {
+    /// Of each axis, rad/s.
+    pub joint_speed_rad_s: [f64; AXES],
+    /// Of each axis, rad/s2.
+    pub joint_acceleration_rad_s2: [f64; AXES],
+    /// Of each axis, rad/s3.
+    pub joint_jerk_rad_s3: [f64; AXES],
+    /// Of the platform with the pen down, mm/s.
+    pub speed_mm_s: f64,
+    /// Of the platform with the pen up, mm/s.
+    pub travel_speed_mm_s: f64,
+    /// Of the platform, mm/s2.
+    pub acceleration_mm_s2: f64,
+    /// Of the platform, mm/s3.
+    pub jerk_mm_s3: f64,
+}
+
+/// A value over its limit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Violation {
+    /// When; absent where it is no matter of one millisecond.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub t_ms: Option<u64>,
+    /// Which limit.
+    pub limit_of: &'static str,
+    /// Which axis, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<usize>,
+    /// Which vertex, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vertex: Option<usize>,
+    /// The value.
+    pub value: f64,
+    /// The limit.
+    pub limit: f64,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Findings {
+    /// From rest at the first vertex to rest at the last, s.
+    pub duration_s: f64,
+    /// Length of the path as it is listed, mm.
+    pub length_mm: f64,
+    /// Largest distance of a reference from the path, mm.
+    pub deviation_max_mm: f64,
+    /// The same with the pen down, mm.
+    pub deviation_drawn_max_mm: f64,
+    /// Largest distance of a vertex from the line through the references, mm.
+    pub corner_distance_max_mm: f64,
+    /// The largest values.
+    pub peaks: Peaks,
+    /// Their limits.
+    pub limits: Limits,
+    /// Values over their limits, the first thousand.
+    pub violations: Vec<Violation>,
+    /// How many there are in all.
+    pub violation_count: u64,
+    /// Times that the path did not come in time.
+    pub underruns: u32,
+    /// Most points of the planner's grid computed in one period of 12 ms.
+    pub planner_points_max: u32,
+}
+
+/// Differences of the references up to now.
+#[derive(Clone, Copy)]
+struct Last {
+    pen: Pen,
+    velocity: [f64; AXES],
+    acceleration: [f64; AXES],
+    point: Vector,
+    speed: Vector,
+    change: Vector,
+}
+
+/// Looks at a path's references one after the other.
+pub struct Analysis {
+    limits: Limits,
+    motion: Motion,
+    track: Track,
+    peaks: Peaks,
+    violations: Vec<Violation>,
+    violation_count: u64,
+    deviation: [f64; 2],
+    last: Option<Last>,
+}
+
+impl Analysis {
+    /// For a path under the limits of a configuration; `jerk_window_ms` is the moving average that the planner takes.
+    #[must_use]
+    pub fn new(config: &Config, path: &[Vertex], jerk_window_ms: u16) -> Self {
+        Self {
+            limits: Limits::new(&config.motion, jerk_window_ms),
+            motion: config.motion,
+            track: Track::new(path),
+            peaks: Peaks::default(),
+            violations: Vec::new(),
+            violation_count: 0,
+            deviation: [0.0; 2],
+            last: None,
+        }
+    }
+
+    /// Takes the next reference.
+    pub fn observe(&mut self, sample: &Sample) {
+        let reference = &sample.reference;
+        let rest = Last {
+            pen: reference.pen,
+            velocity: [0.0; AXES],
+            acceleration: [0.0; AXES],
+            point: sample.point,
+            speed: [0.0; 3],
+            change: [0.0; 3],
+        };
+        let last = self.last.unwrap_or(rest);
+        let t_ms = sample.t_ms;
+        let mut here = rest;
+        here.velocity = reference.velocity_rad_s;
+        for axis in 0..AXES {
+            let speed = here.velocity[axis];
+            let acceleration = (speed - last.velocity[axis]) / TICK_S;
+            here.acceleration[axis] = acceleration;
+            let jerk = (acceleration - last.acceleration[axis]).abs() / TICK_S;
+            raise(&mut self.peaks.joint_speed_rad_s[axis], speed.abs());
+            raise(&mut self.peaks.joint_acceleration_rad_s2[axis], acceleration.abs());
+            raise(&mut self.peaks.joint_jerk_rad_s3[axis], jerk);
+            let limits = &self.limits;
+            let checks = [
+                ("joint_speed_rad_s", speed.abs(), limits.joint_speed_rad_s[axis]),
+                (
+                    "joint_acceleration_rad_s2",
+                    acceleration.abs(),
+                    limits.joint_acceleration_rad_s2[axis],
+                ),
+                (
+                    "joint_jerk_rad_s3",
+                    jerk,
+                    limits.joint_jerk_rad_s3.map_or(f64::INFINITY, |limit| limit[axis]),
+                ),
+            ];
+            for (limit_of, value, limit) in checks {
+                self.check(Some(t_ms), limit_of, Some(axis + 1), None, value, limit);
+            }
+        }
+        here.speed = subtract(&here.point, &last.point).map(|way| way / TICK_S);
+        here.change = subtract(&here.speed, &last.speed).map(|change| change / TICK_S);
+        self.cartesian(t_ms, &here, &last);
+        let deviation = self.track.step(&sample.point, reference.vertex as usize);
+        let (index, limit_of, limit) = if here.pen == Pen::Down && last.pen == Pen::Down {
+            (0, "tolerance_mm", self.limits.tolerance_mm)
+        } else {
+            (1, "travel_tolerance_mm", self.limits.travel_tolerance_mm)
+        };
+        raise(&mut self.deviation[index], deviation);
+        self.check(Some(t_ms), limit_of, None, None, deviation, limit);
+        self.last = Some(here);
+    }
+
+    fn cartesian(&mut self, t_ms: u64, here: &Last, last: &Last) {
+        let speed = length(&here.speed);
+        let acceleration = length(&here.change);
+        raise(&mut self.peaks.acceleration_mm_s2, acceleration);
+        raise(
+            &mut self.peaks.jerk_mm_s3,
+            length(&subtract(&here.change, &last.change)) / TICK_S,
+        );
+        // The millisecond in which the pen changes belongs to both.
+        if here.pen == Pen::Down && last.pen == Pen::Down {
+            raise(&mut self.peaks.speed_mm_s, speed);
+            self.check(Some(t_ms), "speed_mm_s", None, None, speed, self.limits.speed_mm_s);
+        } else {
+            raise(&mut self.peaks.travel_speed_mm_s, speed);
+            let limit = self.limits.travel_speed_mm_s.max(self.limits.speed_mm_s);
+            self.check(Some(t_ms), "travel_speed_mm_s", None, None, speed, limit);
+        }
+        let limit = self.limits.acceleration_mm_s2 + ROUNDING_MM_S2;
+        self.check(Some(t_ms), "acceleration_mm_s2", None, None, acceleration, limit);
+    }
+
+    fn check(
+        &mut self,
+        t_ms: Option<u64>,
+        limit_of: &'static str,
+        axis: Option<usize>,
+        vertex: Option<usize>,
+        value: f64,
+        limit: f64,
+    ) {
+        if value <= limit * (1.0 + EXCESS) {
+            return;
+        }
+        self.violation_count += 1;
+        if self.violations.len() < LISTED_MAX {
+            self.violations.push(Violation {
+                t_ms,
+                limit_of,
+                axis,
+                vertex,
+                value,
+                limit,
+            });
+        }
+    }
+
+    /// Ends the looking.
+    #[must_use]
+    pub fn finish(mut self, run: &Run) -> Findings {
+        let corners = self.track.corners();
+        // Between two references the motion is no straight line.
+        let bow_mm = self.peaks.acceleration_mm_s2 * TICK_S * TICK_S / 8.0;
+        let Motion {
+            tolerance_mm,
+            travel_tolerance_mm,
+            ..
+        } = self.motion;
+        for (limit_of, (distance, vertex), limit) in [
+            ("tolerance_mm", corners.drawn, tolerance_mm),
+            ("travel_tolerance_mm", corners.travel, travel_tolerance_mm),
+        ] {
+            self.check(None, limit_of, None, Some(vertex), (distance - bow_mm).max(0.0), limit);
+        }
+        let [drawn, travel] = self.deviation;
+        Findings {
+            duration_s: run.duration_ms as f64 * TICK_S,
+            length_mm: self.track.length_mm(),
+            deviation_max_mm: drawn.max(travel),
+            deviation_drawn_max_mm: drawn,
+            corner_distance_max_mm: corners.drawn.0.max(corners.travel.0),
+            peaks: self.peaks,
+            limits: self.limits,
+            violations: self.violations,
+            violation_count: self.violation_count,
+            underruns: run.underruns,
+            planner_points_max: run.work_max,
+        }
+    }
+}
+
+fn raise(peak: &mut f64, value: f64) {
+    // A value that is no number stays.
+    if value > *peak || value.is_nan() {
+        *peak = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::vertices;
+    use super::super::{Sample, plan};
+    use super::*;
+
+    fn findings(config: &Config, path: &[Vertex], limits: &Config) -> Findings {
+        let mut samples: Vec<Sample> = Vec::new();
+        let run = plan(config, path, |sample, _| samples.push(*sample)).unwrap();
+        let mut analysis = Analysis::new(limits, path, run.jerk_window_ms);
+        samples.iter().for_each(|sample| analysis.observe(sample));
+        analysis.finish(&run)
+    }
+
+    #[test]
+    fn a_planned_path_uses_its_limits_and_violates_none() {
+        let config = Config::default();
+        let path = vertices(&[[-80.0, 0.0, -800.0], [80.0, 0.0, -800.0], [80.0, 60.0, -800.0]]);
+        let findings = findings(&config, &path, &config);
+        assert_eq!((findings.violations.as_slice(), findings.violation_count), (&[][..], 0));
+        assert_eq!(findings.length_mm, 220.0);
+        assert!(findings.peaks.speed_mm_s > 395.0 && findings.peaks.travel_speed_mm_s <= 401.0);
+        assert!(findings.deviation_max_mm > 0.01 && findings.deviation_max_mm <= 0.05);
+        assert!(findings.corner_distance_max_mm > 0.02);
+        assert_eq!(findings.limits.joint_jerk_rad_s3.unwrap()[0], 2.0 * 250.0 / 0.004);
+    }
+
+    #[test]
+    fn what_is_over_a_limit_is_listed_with_time_value_and_limit() {
+        let config = Config::default();
+        let path = vertices(&[[-80.0, 0.0, -800.0], [80.0, 0.0, -800.0], [80.0, 60.0, -800.0]]);
+        let mut tighter = config.clone();
+        tighter.motion.joint_speed_rad_s[2] = 0.5;
+        tighter.motion.tolerance_mm = 0.01;
+        let findings = findings(&config, &path, &tighter);
+        let speed = findings
+            .violations
+            .iter()
+            .find(|v| v.limit_of == "joint_speed_rad_s")
+            .unwrap();
+        assert_eq!((speed.axis, speed.limit), (Some(3), 0.5));
+        assert!(speed.value > 0.5 && speed.t_ms.is_some());
+        let corner = findings.violations.iter().find(|v| v.vertex.is_some()).unwrap();
+        assert_eq!((corner.vertex, corner.limit), (Some(1), 0.01));
+        assert!(findings.violation_count >= findings.violations.len() as u64);
+    }
+}

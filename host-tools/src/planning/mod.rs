@@ -1,0 +1,248 @@
+//! A path through the firmware's planner, millisecond by millisecond, without a robot.
+//!
+//! The trajectory stage is the firmware's own, and it is fed as the firmware feeds it: vertices while there is room, then
+//! twelve references. Nothing is stored, so a path may be as long as its file.
+//!
+//! Invariant: a run ends: at rest at the path's end, with a refusal, or when it has taken a day.
+
+mod analysis;
+mod track;
+
+pub use analysis::{Analysis, Findings, Limits, Peaks, Violation};
+
+use etherpen::config::{Config, Orientation};
+use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Reference, Trajectory, Vertex};
+use etherpen::robot::vector::{Vector, length, subtract};
+use etherpen::robot::{ARMS, Delta, GeometryError, JointAngles, KinematicsError};
+
+/// Longest motion, ms: a day.
+const DURATION_MAX_MS: u64 = 86_400_000;
+/// Horizontal part of a leg from which it has a direction.
+const HORIZONTAL_MIN: f64 = 0.1;
+
+/// One millisecond of a planned path.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Time since the path began, ms.
+    pub t_ms: u64,
+    /// The reference, as the position controllers get it.
+    pub reference: Reference,
+    /// Where it puts the platform, mm.
+    pub point: Vector,
+}
+
+/// How a run went.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Time from rest at the first vertex to rest at the last, ms.
+    pub duration_ms: u64,
+    /// Times that the path did not come in time.
+    pub underruns: u32,
+    /// Most points of the planner's grid computed in one period.
+    pub work_max: u32,
+    /// Length of the moving average that the planner takes, ms; 0 where there is none.
+    pub jerk_window_ms: u16,
+}
+
+/// Why a path was not planned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PlanningError {
+    /// The configured geometry is no delta robot.
+    Geometry(GeometryError),
+    /// A path has two vertices at least.
+    TooShort {
+        /// How many there are.
+        vertices: usize,
+    },
+    /// The robot cannot stand at the first vertex.
+    Start(KinematicsError),
+    /// The planner did not take a vertex.
+    Vertex {
+        /// Its index in the path.
+        index: usize,
+        /// Why.
+        refusal: MotionRefusal,
+    },
+    /// The planner did not take a command.
+    Command(MotionRefusal),
+    /// The motion would take longer than a day.
+    Endless,
+    /// A reference is no pose of the robot.
+    Reference {
+        /// Which millisecond.
+        t_ms: u64,
+        /// Why.
+        cause: KinematicsError,
+    },
+}
+
+impl std::fmt::Display for PlanningError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Geometry(cause) => write!(f, "the configured geometry is no delta robot ({cause:?})"),
+            Self::TooShort { vertices } => write!(f, "a path needs two different vertices, here is {vertices}"),
+            Self::Start(cause) => write!(f, "the robot cannot stand at the first vertex ({cause:?})"),
+            Self::Vertex { index, refusal } => write!(f, "vertex {index}: the planner refuses it ({refusal:?})"),
+            Self::Command(refusal) => write!(f, "the planner does not start ({refusal:?})"),
+            Self::Endless => f.write_str("the motion would take longer than a day; the limits are too small for it"),
+            Self::Reference { t_ms, cause } => {
+                write!(f, "the reference at {t_ms} ms is no pose of the robot ({cause:?})")
+            }
+        }
+    }
+}
+
+impl std::error::Error for PlanningError {}
+
+/// Plans a path from rest at its first vertex to rest at its last; `observe` sees every millisecond with the run so
+/// far, the first at rest at 0 ms, and a few at rest at the end.
+///
+/// # Errors
+/// Why the path was not planned.
+pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &Run)) -> Result<Run, PlanningError> {
+    let [first, _, ..] = path else {
+        return Err(PlanningError::TooShort { vertices: path.len() });
+    };
+    let delta = Delta::new(&config.geometry).map_err(PlanningError::Geometry)?;
+    let mut trajectory = Box::new(Trajectory::new(config).map_err(PlanningError::Geometry)?);
+    let [a, b, c] = delta.inverse(&first.position).map_err(PlanningError::Start)?;
+    let pose = JointAngles([a, b, c, first_angle(config, path)]);
+    trajectory.place(pose);
+    let mut sample = Sample {
+        t_ms: 0,
+        reference: Reference {
+            position_rad: pose.0,
+            pen: first.pen,
+            stroke: first.stroke,
+            ..Reference::default()
+        },
+        point: first.position.into(),
+    };
+    let mut run = Run {
+        duration_ms: 0,
+        underruns: 0,
+        work_max: 0,
+        jerk_window_ms: trajectory.jerk_window_ms(),
+    };
+    observe(&sample, &run);
+    let mut feed = path.iter().enumerate();
+    let mut started = false;
+    while sample.t_ms < DURATION_MAX_MS {
+        fill(&mut trajectory, &mut feed)?;
+        if !started {
+            trajectory
+                .command(MotionCommand::Start)
+                .map_err(PlanningError::Command)?;
+            started = true;
+        }
+        for reference in trajectory.step() {
+            let [a, b, c, _] = reference.position_rad;
+            let t_ms = sample.t_ms + 1;
+            if reference.position_rad[..ARMS] != sample.reference.position_rad[..ARMS] {
+                let position = delta
+                    .forward(&JointAngles([a, b, c, 0.0]))
+                    .map_err(|cause| PlanningError::Reference { t_ms, cause })?;
+                sample.point = position.into();
+            }
+            if reference.position_rad != sample.reference.position_rad {
+                run.duration_ms = t_ms;
+            }
+            (sample.t_ms, sample.reference) = (t_ms, reference);
+            observe(&sample, &run);
+        }
+        run.work_max = run.work_max.max(trajectory.work());
+        if trajectory.state() == MotionState::Idle && feed.len() == 0 {
+            run.underruns = trajectory.underruns();
+            return Ok(run);
+        }
+    }
+    Err(PlanningError::Endless)
+}
+
+/// Angle of axis 4 with which the path begins, rad: its direction where the axis follows it, so that no turn comes first.
+fn first_angle(config: &Config, path: &[Vertex]) -> f64 {
+    if config.motion.orientation == Orientation::Constant {
+        return 0.0;
+    }
+    let angle = path.windows(2).find_map(|ends| match ends {
+        [from, to] => {
+            let leg = subtract(&to.position.into(), &from.position.into());
+            let [x, y, _] = leg;
+            (x.hypot(y) >= HORIZONTAL_MIN * length(&leg) && x.hypot(y) > 0.0).then(|| y.atan2(x))
+        }
+        _ => None,
+    });
+    angle.unwrap_or(0.0)
+}
+
+/// Hands vertices on while there is room.
+fn fill<'p>(
+    trajectory: &mut Trajectory,
+    feed: &mut (impl ExactSizeIterator<Item = (usize, &'p Vertex)> + 'p),
+) -> Result<(), PlanningError> {
+    while trajectory.free() > 0 {
+        let Some((index, vertex)) = feed.next() else {
+            trajectory.finish();
+            break;
+        };
+        trajectory
+            .push(*vertex)
+            .map_err(|refusal| PlanningError::Vertex { index, refusal })?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::motion::Pen;
+    use etherpen::robot::Position;
+
+    pub(super) fn vertices(points: &[[f64; 3]]) -> Vec<Vertex> {
+        let vertex = |point: &[f64; 3]| Vertex {
+            position: Position::from(*point),
+            pen: Pen::Down,
+            stroke: 0,
+        };
+        points.iter().map(vertex).collect()
+    }
+
+    #[test]
+    fn a_run_begins_at_rest_at_the_first_vertex_and_ends_at_rest_at_the_last() {
+        let path = vertices(&[[0.0, 0.0, -800.0], [50.0, 0.0, -800.0], [50.0, 30.0, -800.0]]);
+        let mut samples = Vec::new();
+        let run = plan(&Config::default(), &path, |sample, _| samples.push(*sample)).unwrap();
+        assert_eq!((samples[0].t_ms, samples[0].point), (0, [0.0, 0.0, -800.0]));
+        assert_eq!(samples[0].reference.velocity_rad_s, [0.0; 4]);
+        let end = samples[run.duration_ms as usize];
+        assert_eq!(end.t_ms, run.duration_ms);
+        for (value, expected) in end.point.iter().zip([50.0, 30.0, -800.0]) {
+            assert!((value - expected).abs() < 1.0e-6);
+        }
+        assert_ne!(
+            samples[run.duration_ms as usize - 1].reference.position_rad,
+            end.reference.position_rad
+        );
+        assert!(
+            samples[run.duration_ms as usize..]
+                .iter()
+                .skip(1)
+                .all(|s| s.reference.velocity_rad_s == [0.0; 4])
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_planned_says_why() {
+        let config = Config::default();
+        let one = vertices(&[[0.0, 0.0, -800.0]]);
+        assert_eq!(
+            plan(&config, &one, |_, _| ()).unwrap_err(),
+            PlanningError::TooShort { vertices: 1 }
+        );
+        let far = vertices(&[[0.0, 0.0, -800.0], [900.0, 0.0, -800.0]]);
+        assert!(matches!(
+            plan(&config, &far, |_, _| ()).unwrap_err(),
+            PlanningError::Vertex { index: 1, .. }
+        ));
+    }
+}

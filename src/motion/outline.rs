@@ -1,0 +1,170 @@
+//! The shaped path alone: what the planner will follow, without speeds.
+//!
+//! Tools compare the planner with others on the same curve, so they need the curve itself. It comes from the shaping
+//! that the trajectory stage uses, leg by leg, in bounded memory.
+
+use super::ring::Ring;
+use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
+use super::trajectory::tolerances;
+use super::{Pen, Vertex};
+use crate::config::Config;
+use crate::robot::vector::{Vector, length};
+use crate::robot::{Delta, GeometryError, JointRows};
+use heapless::Vec;
+
+/// Shapes a path and hands out its sections.
+#[derive(Clone, Debug)]
+pub struct Outline {
+    delta: Delta,
+    shaper: Shaper,
+    queue: Ring<Node, QUEUE>,
+    pushed: u32,
+    finished: bool,
+}
+
+/// A smooth section of the shaped path, over a parameter from 0 to 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Section {
+    delta: Delta,
+    piece: Piece,
+}
+
+/// The path at one place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Station {
+    /// Where, mm.
+    pub point: Vector,
+    /// Derivatives of the arm angles by the arc length.
+    pub joints: JointRows,
+    /// Curvature, 1/mm.
+    pub curvature: f64,
+}
+
+impl Outline {
+    /// Shapes within the tolerances of a configuration, from a vertex at rest.
+    ///
+    /// # Errors
+    /// A geometry that is no delta robot.
+    pub fn new(config: &Config, first: &Vertex) -> Result<Self, GeometryError> {
+        let mut shaper = Shaper::new();
+        shaper.configure(tolerances(config), config.motion.pen_dwell_ms > 0);
+        let mut outline = Self {
+            delta: Delta::new(&config.geometry)?,
+            shaper,
+            queue: Ring::new(Node::NONE),
+            pushed: 0,
+            finished: false,
+        };
+        let node = outline.node(first);
+        outline.shaper.place(node);
+        Ok(outline)
+    }
+
+    /// Appends a vertex, which must differ from the one before it; `false` when sections have to be taken first.
+    pub fn push(&mut self, vertex: &Vertex) -> bool {
+        if self.queue.room() == 0 {
+            return false;
+        }
+        let node = self.node(vertex);
+        self.queue.push(node);
+        true
+    }
+
+    /// No more vertices come.
+    pub fn finish(&mut self) {
+        self.finished = true;
+    }
+
+    /// The sections of the next leg, if enough of the path is known.
+    pub fn next_leg(&mut self) -> Option<Vec<Section, PIECES_PER_LEG>> {
+        let pieces = self.shaper.next_leg(&mut self.queue, self.finished)?;
+        let section = |piece| Section {
+            delta: self.delta,
+            piece,
+        };
+        Some(pieces.into_iter().map(section).collect())
+    }
+
+    fn node(&mut self, vertex: &Vertex) -> Node {
+        self.pushed = self.pushed.saturating_add(1);
+        Node {
+            point: vertex.position.into(),
+            pen: vertex.pen,
+            stroke: vertex.stroke,
+            count: self.pushed,
+        }
+    }
+}
+
+impl Section {
+    /// Intervals that the planner's grid divides it into, evenly in the parameter.
+    pub fn intervals(&self) -> u16 {
+        self.piece.intervals.max(1)
+    }
+
+    /// Whether the path rests at its end.
+    pub fn stops(&self) -> bool {
+        self.piece.stop_after
+    }
+
+    /// Whether any part of it is drawn.
+    pub fn is_drawn(&self) -> bool {
+        self.piece.entry.pen == Pen::Down || self.piece.exit.pen == Pen::Down
+    }
+
+    /// The path at a parameter.
+    pub fn station(&self, parameter: f64) -> Station {
+        let frame = self.piece.curve.frame(parameter);
+        Station {
+            point: frame.point,
+            joints: self.delta.rows(&frame.point, &frame.tangent, &frame.bend),
+            curvature: length(&frame.bend),
+        }
+    }
+
+    /// Arc length between two parameters, mm.
+    pub fn arc_mm(&self, from: f64, to: f64) -> f64 {
+        self.piece.curve.arc(from, to)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sections_join_and_end_at_the_last_vertex() {
+        let points = [
+            [0.0, 0.0],
+            [20.0, 0.0],
+            [20.0, 15.0],
+            [21.0, 15.2],
+            [22.0, 15.3],
+            [20.0, 15.3],
+        ];
+        let vertices = points.map(|[x, y]| Vertex {
+            position: [x, y, -800.0].into(),
+            pen: Pen::Down,
+            stroke: 0,
+        });
+        let mut outline = Outline::new(&Config::default(), &vertices[0]).unwrap();
+        for vertex in &vertices[1..] {
+            assert!(outline.push(vertex));
+        }
+        outline.finish();
+        let (mut end, mut arc_mm, mut stops) = ([0.0, 0.0, -800.0], 0.0, 0);
+        while let Some(sections) = outline.next_leg() {
+            for section in sections {
+                let start = section.station(0.0).point;
+                assert!(length(&crate::robot::vector::subtract(&start, &end)) < 1.0e-9);
+                end = section.station(1.0).point;
+                arc_mm += section.arc_mm(0.0, 1.0);
+                stops += u32::from(section.stops());
+                assert!(section.is_drawn() && section.intervals() > 0);
+            }
+        }
+        assert!(length(&crate::robot::vector::subtract(&end, &[20.0, 15.3, -800.0])) < 1.0e-9);
+        assert!(arc_mm > 38.5 && arc_mm < 39.1, "{arc_mm}");
+        assert_eq!(stops, 2, "the reversal and the end");
+    }
+}
