@@ -1,8 +1,10 @@
 //! Admission: every vertex is checked before anything moves.
 //!
 //! A vertex is admitted when it lies in the work area and so does its leg, checked every 5 mm. The same check runs
-//! on the host before a path is sent and in the firmware when it arrives. The shaped path stays inside the hull of
-//! its vertices.
+//! on the host before a path is sent and in the firmware when it arrives.
+//!
+//! The shaped path is inside too: it stays in the hull of its vertices, which is enough for cylinder and planes, and
+//! within the tolerance of its legs, which is the room that the checked points keep from what the arms allow.
 
 use super::{Refusal, RefusalReason, Vertex};
 use crate::config::Config;
@@ -13,6 +15,9 @@ use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
 pub const LEG_CHECK_MM: f64 = 5.0;
 /// Shortest leg, mm: half of the wire's resolution.
 pub const LEG_MIN_MM: f64 = 0.0005;
+/// Room kept from what the arms allow, beside the tolerance, mm: between two checked points of a leg their limits can be
+/// nearer than at both.
+const LEG_ROOM_MM: f64 = 0.05;
 /// Points checked on one leg at most; more than any leg inside a work area needs.
 const LEG_CHECKS_MAX: u32 = 4_000;
 
@@ -20,6 +25,7 @@ const LEG_CHECKS_MAX: u32 = 4_000;
 #[derive(Clone, Debug)]
 pub struct Admission {
     area: WorkArea,
+    room_mm: f64,
     previous: Option<Position>,
     /// Where the robot stands when the path begins.
     start: Option<Position>,
@@ -33,6 +39,7 @@ impl Admission {
     pub fn new(config: &Config) -> Result<Self, GeometryError> {
         Ok(Self {
             area: WorkArea::new(config)?,
+            room_mm: config.motion.travel_tolerance_mm.max(config.motion.tolerance_mm) + LEG_ROOM_MM,
             previous: None,
             start: None,
         })
@@ -68,28 +75,41 @@ impl Admission {
         if !point.iter().all(|value| value.is_finite()) {
             return Err(RefusalReason::NotFinite);
         }
-        self.area.check(position).map_err(RefusalReason::Outside)?;
+        self.area
+            .check_around(position, self.room_mm)
+            .map_err(RefusalReason::Outside)?;
         let leaves = |(at, outside)| RefusalReason::Leg { at, outside };
         let Some(previous) = self.previous else {
             let Some(start) = self.start else { return Ok(()) };
-            return check_leg(&self.area, &start, position).map_err(leaves);
+            // A robot that stands with less room may leave.
+            let room_mm = if self.area.check_around(&start, self.room_mm).is_ok() {
+                self.room_mm
+            } else {
+                0.0
+            };
+            return check_leg(&self.area, room_mm, &start, position).map_err(leaves);
         };
         let distance_mm = length(&subtract(&point, &previous.into()));
         if distance_mm < LEG_MIN_MM {
             return Err(RefusalReason::Repeated { distance_mm });
         }
-        check_leg(&self.area, &previous, position).map_err(leaves)
+        check_leg(&self.area, self.room_mm, &previous, position).map_err(leaves)
     }
 }
 
 /// Checks the points between two positions; gives the first that is outside and why.
-pub(crate) fn check_leg(area: &WorkArea, from: &Position, to: &Position) -> Result<(), (Position, Outside)> {
+pub(crate) fn check_leg(
+    area: &WorkArea,
+    room_mm: f64,
+    from: &Position,
+    to: &Position,
+) -> Result<(), (Position, Outside)> {
     let start = Vector::from(*from);
     let leg = subtract(&(*to).into(), &start);
     let checks = (libm::ceil(length(&leg) / LEG_CHECK_MM) as u32).clamp(1, LEG_CHECKS_MAX);
     for check in 1..checks {
         let at = Position::from(add_scaled(&start, &leg, f64::from(check) / f64::from(checks)));
-        area.check(&at).map_err(|outside| (at, outside))?;
+        area.check_around(&at, room_mm).map_err(|outside| (at, outside))?;
     }
     Ok(())
 }
@@ -126,6 +146,7 @@ mod tests {
         // Below the lowest elbow hangs a sphere of the forearm's length that the platform cannot enter.
         config.geometry.arm_range_rad[0] = 0.0;
         config.geometry.arm_margin_rad = 0.2;
+        config.paper.pressing_depth_mm = 10.0;
         let mut admission = Admission::new(&config).unwrap();
         assert_eq!(admission.check(0, &vertex(400.0, -150.0, -856.0)), Ok(()));
         let refusal = admission.check(1, &vertex(400.0, 150.0, -856.0)).unwrap_err();

@@ -82,6 +82,14 @@ impl Curve {
         curve
     }
 
+    /// Whether it is a line.
+    pub(crate) fn is_straight(&self) -> bool {
+        self.coefficients
+            .iter()
+            .skip(2)
+            .all(|coefficient| *coefficient == [0.0; 3])
+    }
+
     /// One span of a uniform cubic B-spline.
     pub(crate) fn spline(control: &[Vector; 4]) -> Self {
         let mut curve = Self::default();

@@ -12,7 +12,7 @@ use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, Stretch};
 use super::ring::Ring;
-use super::scan::{Interval, Row};
+use super::scan::{Interval, Room, Row};
 use super::shaping::{PIECES_PER_LEG, Piece};
 use crate::config::{Motion, Orientation};
 use crate::robot::Delta;
@@ -48,6 +48,7 @@ struct Span {
     turn_change: f64,
     /// The pen is lifted or lowered.
     lifts: bool,
+    room: Room,
 }
 
 impl Span {
@@ -59,6 +60,7 @@ impl Span {
         heading: 0.0,
         turn_change: 0.0,
         lifts: false,
+        room: Room::NONE,
     };
 }
 
@@ -97,6 +99,7 @@ impl GridPoint {
             end_squared: next.reach,
             turn_change: self.span.turn_change,
             lifts: self.span.lifts,
+            room: self.span.room,
         }
     }
 
@@ -268,10 +271,15 @@ impl Plan {
             stretch: [piece.curve.stretch(from), piece.curve.stretch(to)],
             heading: self.course.angle,
             turn_change: 0.0,
+            room: Room::NONE,
             lifts: self.limits.pen_limited && !(piece.entry.pen == Pen::Down && piece.exit.pen == Pen::Down),
         };
+        let middle = (!piece.curve.is_straight()).then(|| self.row_at(piece, 0.5 * (from + to)));
         let (limits, course) = (&self.limits, &mut self.course);
         if let Some(last) = self.points.last_mut() {
+            if let Some(middle) = middle {
+                span.room = Room::new(limits, &last.row, &middle, &end.row);
+            }
             if course.follows {
                 let start_slope = last.row.turn;
                 let Turning { end_slope, change } = course.advance(piece, index, start_slope);
@@ -317,16 +325,20 @@ impl Plan {
         self.points.push(start);
     }
 
-    fn point_at(&self, piece: &Piece, parameter: f64, nominal: f64, stop: bool) -> GridPoint {
+    fn row_at(&self, piece: &Piece, parameter: f64) -> Row {
         let frame = piece.curve.frame(parameter);
         let joints = self.delta.rows(&frame.point, &frame.tangent, &frame.bend);
-        let row = Row {
+        Row {
             joints,
             curvature: length(&frame.bend),
             turn: 0.0,
             rise: frame.tangent[2],
             rise_change: frame.bend[2],
-        };
+        }
+    }
+
+    fn point_at(&self, piece: &Piece, parameter: f64, nominal: f64, stop: bool) -> GridPoint {
+        let row = self.row_at(piece, parameter);
         GridPoint {
             row,
             cap: self.limits.cap(&row),
@@ -493,8 +505,9 @@ impl Plan {
                 }
                 // From rest to rest within one interval: speed up to its middle.
                 let half = 0.5 * left_mm;
-                let range = interval_to_middle(&interval, half);
-                Stretch::to(self.offset_mm, half, 0.0, range)
+                let cap = here.cap.min(next.cap).min(here.nominal * self.planned * self.planned);
+                let acceleration = interval_to_middle(&interval, half).min(cap / left_mm);
+                Stretch::to(self.offset_mm, half, 0.0, acceleration)
             }
             Pace::Go => {
                 let ratio = self.wanted / self.planned;

@@ -71,10 +71,10 @@ impl Range {
         }
     }
 
-    /// Tightens the range by |a u + b x| <= c.
-    fn restrict_both(&mut self, a: f64, b: f64, c: f64, x: f64) {
-        self.restrict(a, b, c, x);
-        self.restrict(-a, -b, c, x);
+    /// Tightens the range by |a u + b x| + room x <= c.
+    fn restrict_both(&mut self, a: f64, b: f64, room: f64, c: f64, x: f64) {
+        self.restrict(a, room + b, c, x);
+        self.restrict(-a, room - b, c, x);
     }
 
     /// High less low, where rounding does not make an exact meeting of both a negative width.
@@ -95,6 +95,41 @@ pub(crate) struct Interval<'a> {
     pub(crate) turn_change: f64,
     /// The pen's vertical limits hold.
     pub(crate) lifts: bool,
+    /// What the interval has between its ends.
+    pub(crate) room: Room,
+}
+
+/// What is beyond the mean in the middle is multiplied with, because it can be more beside the middle.
+const ROOM_FACTOR: f64 = 1.25;
+
+/// What an interval's middle has beyond the mean of its ends, which the rows at both ends make room for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Room {
+    /// Of the curvature, 1/mm.
+    pub(crate) curvature: f64,
+    /// Of an arm's bend for its acceleration limit, s2/mm2: the largest of the three.
+    pub(crate) arms: f64,
+}
+
+impl Room {
+    pub(crate) const NONE: Self = Self {
+        curvature: 0.0,
+        arms: 0.0,
+    };
+
+    /// Room for the middle between two rows.
+    pub(crate) fn new(limits: &Limits, start: &Row, middle: &Row, end: &Row) -> Self {
+        let beyond = |start: f64, middle: f64, end: f64| middle - 0.5 * (start + end);
+        let mut arms = 0.0_f64;
+        for (arm, limit) in limits.joint_acceleration.iter().enumerate() {
+            let of = |row: &Row| row.joints.bend.get(arm).copied().unwrap_or_default();
+            arms = arms.max(beyond(of(start), of(middle), of(end)).abs() / limit);
+        }
+        Self {
+            curvature: ROOM_FACTOR * beyond(start.curvature, middle.curvature, end.curvature).max(0.0),
+            arms: ROOM_FACTOR * arms,
+        }
+    }
 }
 
 impl Interval<'_> {
@@ -117,28 +152,31 @@ impl Interval<'_> {
         let limits = self.limits;
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
+            let room = self.room.arms * limit;
             let (a, b) = (self.start.joints.slope[arm], self.start.joints.bend[arm]);
-            range.restrict_both(a, b, limit, x);
+            range.restrict_both(a, b, room, limit, x);
             let b = self.end.joints.bend[arm];
-            let a = self.end.joints.slope[arm] + b * double;
-            range.restrict_both(a, b, limit, x);
+            // At the end the speed is x + 2 l u.
+            let a = self.end.joints.slope[arm];
+            range.restrict(a + (b + room) * double, room + b, limit, x);
+            range.restrict((room - b) * double - a, room - b, limit, x);
         }
         if self.turns() {
             let (b, limit) = (self.turn_change, limits.turn_acceleration);
-            range.restrict_both(self.start.turn, b, limit, x);
-            range.restrict_both(self.end.turn + b * double, b, limit, x);
+            range.restrict_both(self.start.turn, b, 0.0, limit, x);
+            range.restrict_both(self.end.turn + b * double, b, 0.0, limit, x);
         }
         if self.lifts {
             let limit = limits.pen_acceleration;
-            range.restrict_both(self.start.rise, self.start.rise_change, limit, x);
+            range.restrict_both(self.start.rise, self.start.rise_change, 0.0, limit, x);
             let b = self.end.rise_change;
-            range.restrict_both(self.end.rise + b * double, b, limit, x);
+            range.restrict_both(self.end.rise + b * double, b, 0.0, limit, x);
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * self.start.curvature;
+            let b = sine * (self.start.curvature + self.room.curvature);
             range.restrict(*cosine, b, limits.acceleration, x);
             range.restrict(-cosine, b, limits.acceleration, x);
-            let b = sine * self.end.curvature;
+            let b = sine * (self.end.curvature + self.room.curvature);
             let turned = b * double;
             range.restrict(cosine + turned, b, limits.acceleration, x);
             range.restrict(turned - cosine, b, limits.acceleration, x);
@@ -184,24 +222,25 @@ impl Interval<'_> {
         };
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
+            let room = self.room.arms * limit;
             for row in [self.start, self.end] {
                 let (a, b) = (row.joints.slope[arm], row.joints.bend[arm]);
-                range.restrict_both(a, b, limit, x);
-                range.restrict_both(a, b, limit, 0.0);
+                range.restrict_both(a, b, room, limit, x);
+                range.restrict_both(a, b, room, limit, 0.0);
             }
         }
         for row in [self.start, self.end] {
             if self.turns() {
-                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, x);
-                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, 0.0);
+                range.restrict_both(row.turn, self.turn_change, 0.0, limits.turn_acceleration, x);
+                range.restrict_both(row.turn, self.turn_change, 0.0, limits.turn_acceleration, 0.0);
             }
             if self.lifts {
-                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, x);
-                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, 0.0);
+                range.restrict_both(row.rise, row.rise_change, 0.0, limits.pen_acceleration, x);
+                range.restrict_both(row.rise, row.rise_change, 0.0, limits.pen_acceleration, 0.0);
             }
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * self.start.curvature.max(self.end.curvature);
+            let b = sine * (self.start.curvature.max(self.end.curvature) + self.room.curvature);
             range.restrict(-cosine, b, limits.acceleration, x);
         }
         range.low.min(0.0)
@@ -248,6 +287,10 @@ mod tests {
                 end_squared: 1.0e5 * number().abs(),
                 turn_change: 0.05 * number(),
                 lifts: number() > 0.0,
+                room: Room {
+                    curvature: 0.02 * number().abs(),
+                    arms: 1.0e-7 * number().abs(),
+                },
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);
@@ -277,6 +320,7 @@ mod tests {
             end_squared: 0.0,
             turn_change: 0.0,
             lifts: false,
+            room: Room::NONE,
         };
         let expected = 2.0 * 2.0 * limits.acceleration;
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);

@@ -36,11 +36,19 @@ const CURVE_STEP_MM: f64 = 2.0;
 const BLEND_INTERVALS: u16 = 8;
 /// The same where the blend is long enough for the joints' derivatives to change on it.
 const LONG_BLEND_INTERVALS: u16 = 14;
+/// The same where the turn is sharp and the curvature has a narrow peak.
+const SHARP_BLEND_INTERVALS: u16 = 16;
+/// Cosine of the turn from which it is sharp: 130 degrees.
+const SHARP_TURN_COSINE: f64 = -0.642_787_609_686_539_3;
 /// Trim from which a blend is long, mm.
 const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
+/// The same of a span whose legs are uneven.
+const UNEVEN_SPAN_INTERVALS: u16 = 5;
 /// Deflection of the curve's direction over a span, as a part of its length, up to which fewer intervals do.
 const SPAN_GENTLE: f64 = 0.1;
+/// Ratio of the longest to the shortest leg of a span's control polygon up to which it is even.
+const SPAN_EVEN: f64 = 1.5;
 /// Intervals of a line at least; even, so that a move from rest to rest can change from speeding up to slowing down in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
@@ -300,10 +308,19 @@ impl Shaper {
                 &subtract(&control[3], &control[2]),
                 &subtract(&control[1], &control[0]),
             ));
-            let at_least = if deflection < SPAN_GENTLE * leg_length {
-                1
-            } else {
-                SPAN_INTERVALS
+            let legs = [
+                length(&subtract(&control[1], &control[0])),
+                leg_length,
+                length(&subtract(&control[3], &control[2])),
+            ];
+            let (short, long) = legs.iter().fold((f64::MAX, 0.0_f64), |(short, long), leg| {
+                (short.min(*leg), long.max(*leg))
+            });
+            let at_least = match (deflection < SPAN_GENTLE * leg_length, long < SPAN_EVEN * short) {
+                (true, true) => 1,
+                (true, false) => 2,
+                (false, true) => SPAN_INTERVALS,
+                (false, false) => UNEVEN_SPAN_INTERVALS,
             };
             Some(piece(curve, curve_intervals(leg_length, at_least), label))
         };
@@ -331,10 +348,13 @@ impl Shaper {
         let third = match (passage, after, direction_after) {
             (Passage::Corner { trim, shape }, Some(after), Some(direction_after)) if trim > 0.0 => {
                 let curve = Curve::blend(&end.point, &direction, &direction_after, trim, shape);
-                let at_least = if trim < LONG_BLEND_MM {
-                    BLEND_INTERVALS
-                } else {
-                    LONG_BLEND_INTERVALS
+                let at_least = match (
+                    trim < LONG_BLEND_MM,
+                    dot(&direction, &direction_after) < SHARP_TURN_COSINE,
+                ) {
+                    (true, false) => BLEND_INTERVALS,
+                    (false, false) => LONG_BLEND_INTERVALS,
+                    (_, true) => SHARP_BLEND_INTERVALS,
                 };
                 let mut blend = piece(curve, curve_intervals(2.0 * trim, at_least), label);
                 blend.exit = Label {

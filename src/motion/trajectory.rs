@@ -277,7 +277,7 @@ pub(super) fn tolerances(config: &Config) -> Tolerances {
 }
 
 /// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24.
-fn averaging(config: &Config) -> (u16, f64) {
+pub(super) fn averaging(config: &Config) -> (u16, f64) {
     let deviation = |window_ms: u16| {
         let window_s = f64::from(window_ms) * TICK_S;
         config.motion.acceleration_mm_s2 * window_s * window_s / 24.0
@@ -426,7 +426,7 @@ impl Motion {
         let here = Position::from(self.here.point);
         // A robot that stands outside may come in.
         if self.area.check(&here).is_ok() {
-            check_leg(&self.area, &here, &position)
+            check_leg(&self.area, 0.0, &here, &position)
                 .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
         }
         let label = Label { pen, ..self.here.label };

@@ -102,6 +102,19 @@ pub struct Conditioning {
     pub ratio: (u8, f64),
     /// Absolute determinant of the forearms' unit vectors.
     pub determinant: f64,
+    /// How much a millimetre in any direction can change them here.
+    pub change: Change,
+}
+
+/// Upper bounds of what a displacement of one millimetre changes, for displacements small against the arms.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Change {
+    /// Of any arm's angle, rad/mm.
+    pub angle: f64,
+    /// Of any arm's D/A, 1/mm.
+    pub ratio: f64,
+    /// Of the determinant, 1/mm.
+    pub determinant: f64,
 }
 
 /// A delta robot of known shape.
@@ -120,6 +133,8 @@ struct ArmPose {
     cosine: f64,
     sine: f64,
     forearm: Vector,
+    /// A squared: from the shoulder to the forearm's lower end in the arm's plane, mm2.
+    distance_squared: f64,
     ratio_squared: f64,
 }
 
@@ -193,6 +208,7 @@ impl Delta {
             cosine,
             sine,
             forearm: [u - upper * cosine, y, w + upper * sine],
+            distance_squared,
             ratio_squared: difference * inverse,
         }
     }
@@ -267,6 +283,7 @@ impl Delta {
         let point = Vector::from(*position);
         let poses = self.azimuths.map(|azimuth| self.arm_pose(azimuth, &point));
         let mut ratio = (0, f64::INFINITY);
+        let mut change = Change::default();
         let mut units = [[0.0; 3]; ARMS];
         for (arm, ((pose, azimuth), unit)) in (0u8..).zip(poses.iter().zip(&self.azimuths).zip(&mut units)) {
             let signed = if pose.ratio_squared < 0.0 {
@@ -277,6 +294,10 @@ impl Delta {
             if signed < ratio.1 {
                 ratio = (arm, signed);
             }
+            let of_arm = self.change(pose, signed);
+            change.angle = change.angle.max(of_arm.angle);
+            change.ratio = change.ratio.max(of_arm.ratio);
+            change.determinant += of_arm.determinant;
             let (cosine, sine) = *azimuth;
             let [u, y, w] = pose.forearm;
             *unit = scale(
@@ -287,6 +308,30 @@ impl Delta {
         Conditioning {
             ratio,
             determinant: dot(&units[0], &cross(&units[1], &units[2])).abs(),
+            change,
+        }
+    }
+
+    /// An arm's bounds. The angle's gradient is f / g with |f| the forearm's length and g = La D; the ratio is the sine
+    /// of the angle whose cosine is K/A, with the gradients (u, y, w) / La of K and 1 of A; and a forearm's unit vector
+    /// turns no faster than its two ends move apart.
+    fn change(&self, pose: &ArmPose, ratio: f64) -> Change {
+        if ratio < RATIO_SINGULAR {
+            return Change {
+                angle: f64::INFINITY,
+                ratio: f64::INFINITY,
+                determinant: f64::INFINITY,
+            };
+        }
+        let across = pose.forearm[1];
+        let distance = root(pose.distance_squared);
+        let height = ratio * distance;
+        let whole = root(pose.distance_squared + across * across);
+        let cosine = root(1.0 - ratio * ratio);
+        Change {
+            angle: self.forearm_mm / (self.upper_arm_mm * height),
+            ratio: cosine / ratio * (whole / self.upper_arm_mm + cosine) / distance,
+            determinant: 1.0 / self.forearm_mm + 1.0 / height,
         }
     }
 

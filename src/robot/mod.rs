@@ -7,7 +7,7 @@ mod kinematics;
 pub mod vector;
 mod work_area;
 
-pub use kinematics::{Conditioning, Delta, GeometryError, JointRows, KinematicsError, RATIO_SINGULAR};
+pub use kinematics::{Change, Conditioning, Delta, GeometryError, JointRows, KinematicsError, RATIO_SINGULAR};
 pub use work_area::{DETERMINANT_MIN, Outside, RATIO_MIN, WorkArea};
 
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,13 @@
 //! The space a robot may use, and the reasons why a position is outside it.
 //!
-//! A position is inside when it lies in the cylinder, every arm keeps its margin from the ends of its range, and the
-//! robot is far enough from both kinds of singularity. The checks need one inverse kinematics each.
+//! A position is inside when it lies in the cylinder and not too far below the plane of the paper, every arm keeps its
+//! margin from the ends of its range, and the robot is far enough from both kinds of singularity. The checks need one
+//! inverse kinematics each. The cylinder ends at the table, a plane as well.
+//!
+//! Cylinder and planes are convex; what the arms allow is not. So that a curve near checked points is inside too, they
+//! are checked with room around them: with what a step of that length can change at most.
 
-use super::kinematics::{Delta, GeometryError, KinematicsError};
+use super::kinematics::{Conditioning, Delta, GeometryError, KinematicsError};
 use super::{ARMS, Position};
 use crate::config::{Config, WorkArea as Cylinder};
 use serde::{Deserialize, Serialize};
@@ -12,6 +16,9 @@ use serde::{Deserialize, Serialize};
 pub const RATIO_MIN: f64 = 0.35;
 /// Smallest absolute determinant of the forearms' unit vectors.
 pub const DETERMINANT_MIN: f64 = 0.2;
+
+/// What the bounds of a change are multiplied with, because they grow on the way.
+const ROOM_FACTOR: f64 = 1.1;
 
 const _: () = assert!(RATIO_MIN > super::kinematics::RATIO_SINGULAR);
 
@@ -63,6 +70,13 @@ pub enum Outside {
         /// The limit.
         limit: f64,
     },
+    /// Below the plane of the paper by more than the pressing depth.
+    Paper {
+        /// The height, mm.
+        z_mm: f64,
+        /// Lowest, mm.
+        low_mm: f64,
+    },
 }
 
 /// The space the platform may use, with the robot it belongs to.
@@ -70,6 +84,7 @@ pub enum Outside {
 pub struct WorkArea {
     delta: Delta,
     cylinder: Cylinder,
+    paper_low_mm: f64,
     range_rad: [f64; 2],
 }
 
@@ -82,6 +97,7 @@ impl WorkArea {
             z_low_mm: 0.0,
             z_high_mm: 0.0,
         },
+        paper_low_mm: 0.0,
         range_rad: [0.0; 2],
     };
 
@@ -100,6 +116,7 @@ impl WorkArea {
         Ok(Self {
             delta,
             cylinder: config.work_area,
+            paper_low_mm: config.paper.pen_down_z_mm - config.paper.pressing_depth_mm,
             range_rad: [low_rad, high_rad],
         })
     }
@@ -114,6 +131,14 @@ impl WorkArea {
     /// # Errors
     /// The first reason why the position is outside.
     pub fn check(&self, position: &Position) -> Result<[f64; ARMS], Outside> {
+        self.check_around(position, 0.0)
+    }
+
+    /// The same, and what the arms allow holds `room_mm` around it too; a few millimetres at most.
+    ///
+    /// # Errors
+    /// The first reason why the position is outside; limits are given with the room taken off.
+    pub fn check_around(&self, position: &Position, room_mm: f64) -> Result<[f64; ARMS], Outside> {
         let Cylinder {
             radius_mm: limit_mm,
             z_low_mm: low_mm,
@@ -130,8 +155,27 @@ impl WorkArea {
         if !(z_mm >= low_mm && z_mm <= high_mm) {
             return Err(Outside::Height { z_mm, low_mm, high_mm });
         }
+        if z_mm < self.paper_low_mm {
+            return Err(Outside::Paper {
+                z_mm,
+                low_mm: self.paper_low_mm,
+            });
+        }
         let angles = self.delta.inverse(position).map_err(Outside::Kinematics)?;
-        let [low_rad, high_rad] = self.range_rad;
+        let Conditioning {
+            ratio: (arm, ratio),
+            determinant,
+            change,
+        } = self.delta.conditioning(position);
+        let room = room_mm * ROOM_FACTOR;
+        let (low_rad, high_rad) = (
+            self.range_rad[0] + room * change.angle,
+            self.range_rad[1] - room * change.angle,
+        );
+        let limit = RATIO_MIN + room * change.ratio;
+        if ratio < limit {
+            return Err(Outside::Stretched { arm, ratio, limit });
+        }
         for (arm, angle_rad) in (0u8..).zip(angles) {
             if !(angle_rad >= low_rad && angle_rad <= high_rad) {
                 return Err(Outside::Margin {
@@ -142,20 +186,9 @@ impl WorkArea {
                 });
             }
         }
-        let conditioning = self.delta.conditioning(position);
-        let (arm, ratio) = conditioning.ratio;
-        if ratio < RATIO_MIN {
-            return Err(Outside::Stretched {
-                arm,
-                ratio,
-                limit: RATIO_MIN,
-            });
-        }
-        if conditioning.determinant < DETERMINANT_MIN {
-            return Err(Outside::Flat {
-                determinant: conditioning.determinant,
-                limit: DETERMINANT_MIN,
-            });
+        let limit = DETERMINANT_MIN + room * change.determinant;
+        if determinant < limit {
+            return Err(Outside::Flat { determinant, limit });
         }
         Ok(angles)
     }
@@ -182,10 +215,42 @@ mod tests {
         assert!(matches!(check(566.0, 0.0, -850.0), Err(Outside::Radius { .. })));
         assert!(matches!(check(0.0, 0.0, -699.0), Err(Outside::Height { .. })));
         assert!(matches!(check(0.0, 0.0, -961.0), Err(Outside::Height { .. })));
+        assert!(check(0.0, 0.0, -851.0).is_ok());
+        assert!(matches!(check(0.0, 0.0, -851.001), Err(Outside::Paper { .. })));
         assert!(matches!(
             check(f64::NAN, 0.0, -850.0),
             Err(Outside::Kinematics(KinematicsError::NotFinite))
         ));
+    }
+
+    #[test]
+    fn a_position_with_room_is_inside_all_around() {
+        let mut config = Config::default();
+        config.paper.pressing_depth_mm = 110.0;
+        let area = WorkArea::new(&config).unwrap();
+        let (room_mm, mut state, mut borders) = (3.0, 7u64, 0);
+        let mut number = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        };
+        for _ in 0..20_000 {
+            let at = [565.0 * number(), 565.0 * number(), -830.0 + 130.0 * number()];
+            if area.check_around(&at.into(), room_mm).is_err() {
+                borders += u32::from(area.check(&at.into()).is_ok());
+                continue;
+            }
+            let step = [number(), number(), number()];
+            let length = crate::robot::vector::length(&step);
+            let near = crate::robot::vector::add_scaled(&at, &step, room_mm / length);
+            let arms_allow = !matches!(
+                area.check(&near.into()),
+                Err(Outside::Kinematics(_) | Outside::Margin { .. } | Outside::Stretched { .. } | Outside::Flat { .. })
+            );
+            assert!(arms_allow, "{at:?} has no room towards {near:?}");
+        }
+        assert!(borders > 100, "only {borders} positions were near a border");
     }
 
     #[test]

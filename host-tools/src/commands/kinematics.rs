@@ -244,7 +244,7 @@ impl Robot {
 
     /// Refuses poses in which the arms do not hold the platform.
     fn check_regular(&self, position: &Position) -> Result<(), CommandError> {
-        let Conditioning { ratio, determinant } = self.delta.conditioning(position);
+        let Conditioning { ratio, determinant, .. } = self.delta.conditioning(position);
         let (arm, ratio) = ratio;
         if ratio.is_nan() || ratio < RATIO_SINGULAR {
             return Err(no_answer(&KinematicsError::Singular { arm, ratio }));

@@ -119,6 +119,9 @@ pub fn outside(outside: &Outside) -> String {
             one(arm)
         ),
         Outside::Flat { .. } => "the forearms would lie in a plane".into(),
+        Outside::Paper { z_mm, low_mm } => {
+            format!("at {z_mm:.1} mm the pen would press too deep into the paper (allowed down to {low_mm:.1} mm)")
+        }
     }
 }
 

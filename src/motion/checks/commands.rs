@@ -160,7 +160,8 @@ fn a_cancel_ends_on_the_path_with_the_pen_up_and_a_new_path_can_follow() {
 
 #[test]
 fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
-    let config = Config::default();
+    let mut config = Config::default();
+    config.paper.pressing_depth_mm = 110.0;
     let start = [vertex([0.0, 0.0, -850.0], Pen::Up, 0)];
     let mut run = Run::new(&config, &start);
     for _ in 0..20 {
@@ -191,7 +192,8 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
 
 #[test]
 fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
-    let config = Config::default();
+    let mut config = Config::default();
+    config.paper.pressing_depth_mm = 60.0;
     let mut run = Run::new(&config, &[vertex([0.0, 0.0, -850.0], Pen::Up, 0)]);
     let at = |x_mm, y_mm, z_mm| Position { x_mm, y_mm, z_mm };
     for target in [at(400.0, 0.0, -900.0), at(-300.0, 300.0, -850.0), at(0.0, 0.0, -847.0)] {

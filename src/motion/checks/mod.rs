@@ -7,6 +7,7 @@ mod commands;
 mod orientation;
 mod paths;
 mod pen;
+mod properties;
 
 extern crate std;
 
@@ -21,6 +22,8 @@ use std::{format, println};
 
 /// Relative excess over a limit that counts as none.
 const EXCESS: f64 = 1.0e-3;
+/// Kinds of limits: joint speed and acceleration, Cartesian speed and acceleration, jerk.
+const KINDS: usize = 5;
 /// Periods after which a run counts as stuck.
 const PERIODS_MAX: usize = 60_000;
 
@@ -148,11 +151,11 @@ impl Run {
     }
 
     /// Speeds and accelerations of every sample, and rest at the end; with what is worst, as parts of the limits.
-    fn check_limits(&self, name: &str) -> [f64; 4] {
+    fn check_limits(&self, name: &str) -> [f64; KINDS] {
         let motion = &self.config.motion;
         let delta = Delta::new(&self.config.geometry).unwrap();
         let point = |r: &Reference| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
-        let mut worst = [0.0_f64; 4];
+        let mut worst = [0.0_f64; KINDS];
         let mut note = |kind: usize, value: f64, limit: f64, at: usize| {
             worst[kind] = worst[kind].max(value / limit);
             assert!(
@@ -160,6 +163,9 @@ impl Run {
                 "{name}: kind {kind} {value} over {limit} at {at} ms"
             );
         };
+        let window_ms = super::trajectory::averaging(&self.config).0;
+        let jerk_s = f64::from(window_ms) * TICK_S;
+        let mut accelerations = [0.0; AXES];
         let mut before: Option<(Vector, Vector, Reference)> = None;
         for (at, reference) in self.references.iter().enumerate() {
             let here = point(reference);
@@ -172,8 +178,15 @@ impl Run {
                 let difference = (reference.position_rad[axis] - last_reference.position_rad[axis]) / TICK_S;
                 assert!((velocity - difference).abs() < 1.0e-8, "{name}: axis {axis} at {at} ms");
                 note(0, velocity.abs(), motion.joint_speed_rad_s[axis], at);
-                let acceleration = (velocity - last_reference.velocity_rad_s[axis]).abs() / TICK_S;
-                note(1, acceleration, motion.joint_acceleration_rad_s2[axis], at);
+                let acceleration = (velocity - last_reference.velocity_rad_s[axis]) / TICK_S;
+                let limit = motion.joint_acceleration_rad_s2[axis];
+                note(1, acceleration.abs(), limit, at);
+                let jerk = (acceleration - accelerations[axis]).abs() / TICK_S;
+                if window_ms > 1 {
+                    // Differences of positions that count in 2^-40 rad are exact to 1 rad/s3.
+                    note(4, jerk, 2.0 * limit / jerk_s + 1.0, at);
+                }
+                accelerations[axis] = acceleration;
             }
             let velocity = subtract(&here, &last).map(|d| d / TICK_S);
             let drawn = reference.pen == Pen::Down && last_reference.pen == Pen::Down;

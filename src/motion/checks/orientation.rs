@@ -42,7 +42,7 @@ fn misalignment(run: &Run) -> (f64, usize) {
 
 #[test]
 fn the_fourth_axis_follows_the_path_within_its_limits() {
-    let mut worst = [0.0_f64; 4];
+    let mut worst = [0.0_f64; KINDS];
     for seed in 1..=60 {
         let path = random_path(&mut Random::new(seed), 2);
         let name = format!("seed {seed}");

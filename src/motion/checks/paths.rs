@@ -21,7 +21,7 @@ fn sample_path(text: &str) -> Vec<Vertex> {
 #[test]
 fn random_paths_keep_every_limit_and_the_tolerance_and_end_at_rest() {
     let config = Config::default();
-    let mut worst = [0.0_f64; 4];
+    let mut worst = [0.0_f64; KINDS];
     for seed in 1..=250 {
         let mut random = Random::new(seed);
         let path = random_path(&mut random, 2);
@@ -105,7 +105,7 @@ fn other_limits_hold_as_well() {
         },
     ];
     for (number, change) in changes.iter().enumerate() {
-        let mut worst = [0.0_f64; 4];
+        let mut worst = [0.0_f64; KINDS];
         let mut config = Config::default();
         change(&mut config);
         for seed in 1000..1012 {
