@@ -10,6 +10,7 @@
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::link::task::LinkTask;
+use crate::measurement::Measurements;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use crate::network::{NetworkQueues, NetworkTask};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -43,6 +44,7 @@ pub struct Channels {
     network: NetworkQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
+    measurements: Measurements,
 }
 
 /// The bodies of a board's tasks.
@@ -59,6 +61,8 @@ pub struct Parts<'a> {
     pub network: NetworkTask<'a>,
     /// For the task that brings up and watches the bus.
     pub supervisor: RobotSupervisor<'a>,
+    /// Where the tasks of a board count how long things took.
+    pub measurements: &'a Measurements,
 }
 
 impl Channels {
@@ -75,6 +79,7 @@ impl Channels {
             network: NetworkQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
+            measurements: Measurements::new(),
         }
     }
 
@@ -90,6 +95,7 @@ impl Channels {
         let (network_end, network, network_settings) = self.network.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
+        let measurements = &self.measurements;
         let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
             sampler: Sampler::new(exchange, network_end, sampler_commands_out, references_out, reports_in),
@@ -111,10 +117,12 @@ impl Channels {
                     motion_reports: motion_reports_out,
                     bus,
                     network: network_settings,
+                    measurements,
                 },
             ),
             network,
             supervisor: RobotSupervisor::new(supervisor_end),
+            measurements,
         }
     }
 }

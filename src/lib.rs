@@ -55,6 +55,7 @@ pub mod ethercat_robot;
 pub mod ethernet;
 pub mod io;
 pub mod link;
+pub mod measurement;
 pub mod motion;
 pub mod network;
 mod queue;

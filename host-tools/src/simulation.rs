@@ -107,6 +107,8 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         mut supervisor,
         // Raw frames need no addresses.
         network: _,
+        // Virtual time has no durations.
+        measurements: _,
     } = channels.split("simulation");
     let mut transport = RawTransport::new(Wire {
         cell,

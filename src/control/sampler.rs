@@ -276,6 +276,11 @@ impl<'a> Sampler<'a> {
         }
     }
 
+    /// Whether the reply to this millisecond's input telegram is still to come, and the output telegram to be sent.
+    pub fn awaits_input(&self) -> bool {
+        self.phase == Phase::Input
+    }
+
     /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
     pub fn bus_counters(&self) -> BusCounters {
         self.exchange.counters()

@@ -14,6 +14,7 @@ use super::protocol::{
 use crate::application::Refusal;
 use crate::config::Config;
 use crate::ethercat::service::{ServiceRequest, ServiceResult};
+use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use heapless::{Deque, String};
 
 /// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
@@ -73,6 +74,13 @@ pub enum DeviceEvent {
         id: u16,
         /// What is asked.
         request: ServiceRequest,
+    },
+    /// Ask this of the measurements, then call [`DeviceEndpoint::measured`].
+    Measure {
+        /// Number of the request.
+        id: u16,
+        /// What is asked.
+        request: MeasurementRequest,
     },
 }
 
@@ -150,6 +158,7 @@ pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     config: Option<u64>,
     configuring: Option<Single<Result<u64, ConfigRefusal>>>,
     bus: Option<Single<ServiceResult>>,
+    measuring: Option<Single<MeasurementAnswer>>,
     requests: Deque<Request, REQUESTS_KEPT>,
     path: Option<PathReceiver>,
     status: Option<Status>,
@@ -179,6 +188,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             config: None,
             configuring: None,
             bus: None,
+            measuring: None,
             requests: Deque::new(),
             path: None,
             status: None,
@@ -246,6 +256,9 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             HostMessage::Bus { id, request } => {
                 Single::begin(&mut self.bus, id).then_some(DeviceEvent::Bus { id, request })
             }
+            HostMessage::Measure { id, request } => {
+                Single::begin(&mut self.measuring, id).then_some(DeviceEvent::Measure { id, request })
+            }
         }
     }
 
@@ -258,6 +271,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.requests.clear();
         self.configuring = None;
         self.bus = None;
+        self.measuring = None;
         self.samples.clear();
         if let Some(path) = &mut self.path {
             path.acknowledge_now();
@@ -326,6 +340,11 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     /// Answers a request to the bus; an answer to another one than the last is ignored.
     pub fn bus_answered(&mut self, id: u16, result: ServiceResult) {
         Single::answer(&mut self.bus, id, result);
+    }
+
+    /// Answers a request to the measurements.
+    pub fn measured(&mut self, id: u16, answer: MeasurementAnswer) {
+        Single::answer(&mut self.measuring, id, answer);
     }
 
     /// Tells the host how far the path is: vertices fully executed, vertices that find room now, whether the path was
@@ -414,6 +433,10 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         if let Some((id, result)) = Single::take_due(&mut self.bus) {
             let result = result.clone();
             return Some(DeviceMessage::Bus { id, result });
+        }
+        if let Some((id, answer)) = Single::take_due(&mut self.measuring) {
+            let answer = answer.clone();
+            return Some(DeviceMessage::Measured { id, answer });
         }
         self.next_batch()
     }

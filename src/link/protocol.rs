@@ -6,13 +6,14 @@
 use crate::application::{Fault, Mode, Refusal};
 use crate::config::{Config, ConfigError};
 use crate::ethercat::service::{ServiceRequest, ServiceResult};
+use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::Pen;
 use crate::robot::{AXES, GeometryError, Position};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -147,6 +148,13 @@ pub enum HostMessage {
         id: u16,
         /// What is asked.
         request: ServiceRequest,
+    },
+    /// Ask something of the measurements; repeated until answered with the same `id`. One at a time.
+    Measure {
+        /// Number of this request.
+        id: u16,
+        /// What is asked.
+        request: MeasurementRequest,
     },
 }
 
@@ -316,5 +324,12 @@ pub enum DeviceMessage {
         sequence: u32,
         /// The samples.
         samples: Vec<Sample, SAMPLES_PER_MESSAGE>,
+    },
+    /// Answer to [`HostMessage::Measure`].
+    Measured {
+        /// Number of the request.
+        id: u16,
+        /// The answer.
+        answer: MeasurementAnswer,
     },
 }

@@ -14,6 +14,7 @@ use crate::drives::cia402::{DriveState, StatusWord};
 use crate::ethercat::ApplicationEnd;
 use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::ethercat::service::{ServiceError, ServiceRequest};
+use crate::measurement::Measurements;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
 use crate::network::SettingsEnd;
@@ -49,6 +50,8 @@ pub struct LinkEnds<'a> {
     pub bus: ApplicationEnd<'a>,
     /// What the IP stack is to do.
     pub network: SettingsEnd<'a>,
+    /// How long things took.
+    pub measurements: &'a Measurements,
 }
 
 /// The link task.
@@ -152,6 +155,10 @@ impl<'a> LinkTask<'a> {
                 }
                 Some(DeviceEvent::Path { vertices, last }) => self.take_path(&vertices, last),
                 Some(DeviceEvent::Bus { id, request }) => self.ask_bus(id, request),
+                Some(DeviceEvent::Measure { id, request }) => {
+                    let answer = self.ends.measurements.answer(request);
+                    self.endpoint.measured(id, answer);
+                }
             }
         }
     }

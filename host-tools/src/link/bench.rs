@@ -4,6 +4,7 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
+use etherpen::measurement::Measurements;
 use etherpen::motion::Pen;
 
 /// One direction of a serial line that spoils bytes.
@@ -60,6 +61,7 @@ pub(crate) struct Bench {
     pub(crate) config: Option<u64>,
     pub(crate) commands: Vec<Command>,
     pub(crate) asked: Vec<ServiceRequest>,
+    pub(crate) measurements: Measurements,
     pub(crate) vertices: Vec<PathVertex>,
     pub(crate) executed: u32,
     pub(crate) lines: [Line; 2],
@@ -87,6 +89,7 @@ impl Bench {
             config: None,
             commands: Vec::new(),
             asked: Vec::new(),
+            measurements: Measurements::new(),
             vertices: Vec::new(),
             executed: 0,
             lines: [
@@ -132,6 +135,10 @@ impl Bench {
                     ..BusInfo::default()
                 };
                 self.endpoint.bus_answered(id, Ok(ServiceReply::Bus(info)));
+            }
+            DeviceEvent::Measure { id, request } => {
+                let answer = self.measurements.answer(request);
+                self.endpoint.measured(id, answer);
             }
             DeviceEvent::Configure { id, config } => {
                 let result = config.check().map(|()| config.hash().unwrap_or(0));

@@ -7,12 +7,14 @@
 //! power first.
 
 use super::error::{JobError, Phase};
+use super::measurement::Reader;
 use super::progress::{PathMeasure, Progress};
 use super::session::{Event, Session};
 pub use super::terms::{Control, JobEvent, JobOptions, JobReport};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
+use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -59,6 +61,8 @@ pub struct DrawJob {
     drawing_ms: Option<u64>,
     drawn_ms: u64,
     samples: Vec<Sample>,
+    /// Reads the firmware's measurements once the robot is at rest.
+    reader: Option<Reader>,
     events: VecDeque<JobEvent>,
 }
 
@@ -92,6 +96,7 @@ impl DrawJob {
             drawing_ms: None,
             drawn_ms: 0,
             samples: Vec::new(),
+            reader: None,
             events: VecDeque::new(),
         }
     }
@@ -130,6 +135,7 @@ impl DrawJob {
             drawn_s: progress.elapsed_s,
             welcome: self.welcome,
             samples: self.samples,
+            measurements: self.reader.and_then(Reader::into_readings),
             link: self.session.counts(),
             status: self.status,
         }
@@ -198,6 +204,7 @@ impl DrawJob {
                 self.enter(Phase::Inspecting);
             }
             Event::VersionRefused { host, firmware } => self.fail(JobError::Version { host, firmware }),
+            Event::Measured(answer) => self.take_measurement(&answer),
             // A job asks nothing of the bus.
             Event::Bus(_) => {}
             Event::Restarted => self.fail(JobError::Restarted),
@@ -267,6 +274,10 @@ impl DrawJob {
     }
 
     fn enter(&mut self, phase: Phase) {
+        if phase == Phase::BusUp {
+            // What is measured before there is a bus is no part of the job.
+            self.session.measure(MeasurementRequest::Reset);
+        }
         self.phase = phase;
         self.entered_ms = self.now_ms;
         self.awaited = None;
@@ -428,10 +439,34 @@ impl DrawJob {
             // Power may still be on its way; the firmware accepts this only when it is not.
             Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
             Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
-                let result = self.ending.take().map_or(Ok(()), Err);
-                self.outcome.get_or_insert(result);
+                if self.ending.is_some() || self.measured() {
+                    let result = self.ending.take().map_or(Ok(()), Err);
+                    self.outcome.get_or_insert(result);
+                }
             }
             Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Stopping => {}
+        }
+    }
+
+    /// Whether the measurements have been read; asks for them if not.
+    fn measured(&mut self) -> bool {
+        if self.reader.is_none() {
+            let reader = Reader::new();
+            if let Some(request) = reader.request() {
+                self.session.measure(request);
+            }
+            self.reader = Some(reader);
+        }
+        self.reader.as_ref().is_none_or(|reader| reader.request().is_none())
+    }
+
+    fn take_measurement(&mut self, answer: &MeasurementAnswer) {
+        let next = self.reader.as_mut().and_then(|reader| {
+            reader.take(answer);
+            reader.request()
+        });
+        if let Some(request) = next {
+            self.session.measure(request);
         }
     }
 

@@ -7,6 +7,7 @@
 mod bench;
 pub mod error;
 pub mod job;
+pub mod measurement;
 mod path;
 pub mod port;
 pub mod progress;

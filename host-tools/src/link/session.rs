@@ -14,6 +14,7 @@ use etherpen::link::protocol::{
     Command, ConfigRefusal, DeviceMessage, Hello, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, Sample, Status,
     Welcome,
 };
+use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -55,6 +56,8 @@ pub enum Event {
     },
     /// Answer to [`Session::bus`].
     Bus(ServiceResult),
+    /// Answer to [`Session::measure`].
+    Measured(MeasurementAnswer),
     /// The path's acknowledgement and progress.
     Ack(PathAck),
     /// A vertex was refused; the path has ended.
@@ -136,6 +139,7 @@ pub struct Session {
     requests: VecDeque<Request>,
     /// A queue of their own: an answer from the bus may take a second, and a command must not wait for it.
     questions: VecDeque<Request<ServiceRequest>>,
+    measurements: VecDeque<Request<MeasurementRequest>>,
     inquire: bool,
     path: Option<PathSender>,
     /// Acknowledgement that came after the start was accepted and before the path was there.
@@ -162,6 +166,7 @@ impl Session {
             request_next: 1,
             requests: VecDeque::new(),
             questions: VecDeque::new(),
+            measurements: VecDeque::new(),
             inquire: false,
             path: None,
             early: None,
@@ -205,6 +210,16 @@ impl Session {
     pub fn bus(&mut self, request: ServiceRequest) {
         let id = self.take_number();
         self.questions.push_back(Request {
+            id,
+            body: request,
+            sent_ms: None,
+        });
+    }
+
+    /// Asks something of the measurements; the answer is [`Event::Measured`].
+    pub fn measure(&mut self, request: MeasurementRequest) {
+        let id = self.take_number();
+        self.measurements.push_back(Request {
             id,
             body: request,
             sent_ms: None,
@@ -311,6 +326,7 @@ impl Session {
                 self.path = None;
                 self.requests.clear();
                 self.questions.clear();
+                self.measurements.clear();
                 self.events.push_back(Event::Restarted);
             }
             _ => {}
@@ -335,6 +351,11 @@ impl Session {
             DeviceMessage::Bus { id, result } => {
                 if take_answered(&mut self.questions, id).is_some() {
                     self.events.push_back(Event::Bus(result));
+                }
+            }
+            DeviceMessage::Measured { id, answer } => {
+                if take_answered(&mut self.measurements, id).is_some() {
+                    self.events.push_back(Event::Measured(answer));
                 }
             }
             DeviceMessage::Ack(ack) => self.take_ack(ack, now_ms),
@@ -419,6 +440,14 @@ impl Session {
             return Some(HostMessage::Bus {
                 id: question.id,
                 request: question.body.clone(),
+            });
+        }
+        if let Some(question) = self.measurements.front_mut()
+            && question.take_due(now_ms, &mut self.counts)
+        {
+            return Some(HostMessage::Measure {
+                id: question.id,
+                request: question.body,
             });
         }
         if self.inquire {

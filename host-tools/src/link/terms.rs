@@ -3,6 +3,7 @@
 //! Plain data, so that a terminal, a web page and a test can show and steer a job without knowing how it works.
 
 use super::error::Phase;
+use super::measurement::Readings;
 use super::progress::Progress;
 use super::session::SessionCounts;
 use etherpen::application::{Mode, Refusal};
@@ -76,6 +77,8 @@ pub struct JobReport {
     pub welcome: Option<Welcome>,
     /// Telemetry of the whole job, one sample a millisecond, in order.
     pub samples: Vec<Sample>,
+    /// What the firmware measured of itself since the bus came up; absent when the job ended early.
+    pub measurements: Option<Readings>,
     /// What the session counted; `samples_missing` are the gaps in `samples`.
     pub link: SessionCounts,
     /// The last status, with the firmware's counters.

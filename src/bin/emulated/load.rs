@@ -10,6 +10,9 @@ static ASLEEP: AtomicBool = AtomicBool::new(false);
 static SLEPT_AT: AtomicU32 = AtomicU32::new(0);
 static SLEPT_COUNTS: AtomicU32 = AtomicU32::new(0);
 
+/// Counts that tasks between the critical ones and the trajectory have run for, without those that preempted them.
+static URGENT_COUNTS: AtomicU32 = AtomicU32::new(0);
+
 /// Sleeps until the next interrupt; call it in the idle task only.
 pub(crate) fn sleep() {
     SLEPT_AT.store(free_run(), Ordering::Relaxed);
@@ -30,4 +33,20 @@ pub(crate) fn woke() {
 /// Counts of the free-running counter slept since the start, wrapping.
 pub(crate) fn slept_counts() -> u32 {
     SLEPT_COUNTS.load(Ordering::Relaxed)
+}
+
+/// Runs a task's body whose priority lies between the critical tasks' and the trajectory's, and counts how long it takes
+/// itself: `critical_counts` says how long critical tasks have run.
+pub(crate) fn urgent(critical_counts: impl Fn() -> u32, body: impl FnOnce()) {
+    let (began_at, before) = (free_run(), critical_counts());
+    body();
+    let preempted = critical_counts().wrapping_sub(before);
+    let taken = free_run().wrapping_sub(began_at).wrapping_sub(preempted);
+    let total = URGENT_COUNTS.load(Ordering::Relaxed).wrapping_add(taken);
+    URGENT_COUNTS.store(total, Ordering::Relaxed);
+}
+
+/// Counts of [`urgent`] since the start, wrapping.
+pub(crate) fn urgent_counts() -> u32 {
+    URGENT_COUNTS.load(Ordering::Relaxed)
 }

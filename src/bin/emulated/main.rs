@@ -9,6 +9,7 @@
 
 mod critical;
 mod device;
+mod disturb;
 mod health;
 mod lan9118;
 mod load;
@@ -27,9 +28,9 @@ mod wire;
 #[rtic::app(device = crate::device, peripherals = false, dispatchers = [FREE6])]
 mod app {
 
-    use crate::device::Interrupt;
+    use crate::device::{CLOCK_HZ, Interrupt};
     use crate::health::{FRAMES_FAILED, Health, PERIODS_MISSED, TRAJECTORY_OVERRUNS};
-    use crate::lan9118::Mmio;
+    use crate::lan9118::{Mmio, free_run};
     use crate::lockstep::{self, Bus};
     use crate::log::{self, Drain};
     use crate::metronome::Metronome;
@@ -37,7 +38,7 @@ mod app {
     use crate::timer::Clock;
     use crate::uart::Uart;
     use crate::wire::Wire;
-    use crate::{critical, load, time};
+    use crate::{critical, disturb, load, time};
     use core::future::poll_fn;
     use core::pin::pin;
     use core::sync::atomic::{AtomicU32, Ordering};
@@ -47,6 +48,7 @@ mod app {
     use etherpen::ethercat_robot::RobotSupervisor;
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link::task::LinkTask;
+    use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
     use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
 
@@ -66,10 +68,13 @@ mod app {
 
     #[shared]
     struct Shared {
+        measurements: &'static Measurements,
         #[lock_free]
         transport: RawTransport<Wire>,
         #[lock_free]
         sampler: Sampler<'static>,
+        #[lock_free]
+        watch: CycleWatch<'static>,
         #[lock_free]
         serial: Serial,
     }
@@ -100,9 +105,13 @@ mod app {
         // SAFETY: as above. The controller's reset also resets the counter that the clock reads, so the clock comes after.
         let clock = unsafe { Clock::start() };
         defmt::info!("emulated board, lockstep {=bool}", bus.is_some());
+        parts.measurements.set_counts_per_s(CLOCK_HZ);
+        parts.measurements.offer_disturbance();
         let shared = Shared {
+            measurements: parts.measurements,
             transport: RawTransport::new(Wire::new(mac, bus, clock)),
             sampler: parts.sampler,
+            watch: CycleWatch::new(parts.measurements),
             serial: Serial::new(parts.host_bytes, route),
         };
         supervisor::spawn().unwrap_or_else(|()| panic!("the supervisor is spawned once"));
@@ -138,12 +147,14 @@ mod app {
     ///
     /// Period 1 ms, priority 15 (critical), deadline 500 us for the output telegram that follows from it. An overrun shows
     /// as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
-    #[task(binds = TIMER0, priority = 15, shared = [transport, sampler])]
+    #[task(binds = TIMER0, priority = 15, shared = [transport, sampler, watch])]
     fn sample(cx: sample::Context) {
+        let began_at = free_run();
         load::woke();
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
         let wire = transport.driver_mut();
         wire.clock.release(sampler.take_timer_correction_ns());
+        let delay = began_at.wrapping_sub(wire.clock.released_at());
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);
@@ -153,22 +164,37 @@ mod app {
             rtic::pend(Interrupt::FREE15);
         }
         rtic::pend(Interrupt::FREE14);
+        let run = run(began_at, transport.driver_mut());
+        cx.shared.watch.sample(run, delay, load::slept_counts());
+    }
+
+    /// A critical task's run up to here, without the lockstep's part.
+    fn run(began_at: u32, wire: &mut Wire) -> Run {
+        Run {
+            began_at,
+            ended_at: free_run(),
+            excluded: wire.take_lockstep_counts(),
+        }
     }
 
     /// Takes received telegrams; the input reply is followed by control and the output telegram.
     ///
     /// Released twice a millisecond, when a reply's time on the wire is over (lockstep) or by `arrival` (free-running),
     /// priority 15 (critical), deadline as for `sample`. Frames that come while it runs release it again.
-    #[task(binds = DUAL_TIMER, priority = 15, shared = [transport, sampler])]
+    #[task(binds = DUAL_TIMER, priority = 15, shared = [transport, sampler, watch])]
     fn bus_frame(cx: bus_frame::Context) {
+        let began_at = free_run();
         load::woke();
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
         let wire = transport.driver_mut();
         wire.clock.delivery.acknowledge();
         let elapsed_ns = wire.clock.elapsed_ns();
+        let waiting = sampler.awaits_input();
         if sampler.bus_frame(transport, elapsed_ns) {
             rtic::pend(Interrupt::DUAL_TIMER);
         }
+        let served = waiting && !sampler.awaits_input();
+        cx.shared.watch.bus_frame(run(began_at, transport.driver_mut()), served);
     }
 
     /// Hands a received frame's interrupt on to `bus_frame`.
@@ -185,26 +211,71 @@ mod app {
     /// Sends the output telegram from predicted positions when no valid input has come.
     ///
     /// Period 1 ms, 300 us behind `sample`, priority 15 (critical), deadline as for `sample`.
-    #[task(binds = TIMER1, priority = 15, shared = [transport, sampler])]
+    #[task(binds = TIMER1, priority = 15, shared = [transport, sampler, watch, &measurements])]
     fn bus_deadline(cx: bus_deadline::Context) {
+        let began_at = free_run();
         load::woke();
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        let waiting = sampler.awaits_input();
         let wire = transport.driver_mut();
         if wire.clock.deadline.acknowledge() {
             let elapsed_ns = wire.clock.elapsed_ns();
             sampler.bus_deadline(transport, elapsed_ns);
         }
         FRAMES_FAILED.store(transport.driver_mut().failures(), Ordering::Relaxed);
+        let served = waiting && !sampler.awaits_input();
+        let watch = cx.shared.watch;
+        watch.bus_deadline(run(began_at, transport.driver_mut()), served);
+        if cx.shared.measurements.disturbance() & disturbance::NETWORK != 0 {
+            let began_at = free_run();
+            disturb::foreign_frames(transport, log::MILLISECONDS.load(Ordering::Relaxed));
+            watch.preempted(run(began_at, transport.driver_mut()));
+        }
     }
 
     /// Exchanges the link's bytes between the static queues and the host.
     ///
     /// Period 1 ms, pended by `sample`, priority 10, deadline the next millisecond: pends merge, bytes wait in the queues.
-    #[task(binds = FREE14, priority = 10, shared = [serial])]
+    #[task(binds = FREE14, priority = 10, shared = [serial, &measurements])]
     fn host_bytes(cx: host_bytes::Context) {
+        let (serial, measurements) = (cx.shared.serial, cx.shared.measurements);
+        let bits = measurements.disturbance();
+        disturb::apply(bits);
         let ms = log::MILLISECONDS.load(Ordering::Relaxed);
-        cx.shared.serial.exchange(ms);
+        load::urgent(
+            || measurements.critical_counts(),
+            || serial.exchange(ms, bits & disturbance::SERIAL != 0),
+        );
         rtic::pend(Interrupt::FREE16);
+    }
+
+    /// Loads the firmware with bytes and log lines when the host has asked for it.
+    ///
+    /// Period 10.84 us while it is asked for, off otherwise; priority 10, no deadline: ticks merge.
+    #[task(binds = SysTick, priority = 10, shared = [serial, &measurements])]
+    fn tick(cx: tick::Context) {
+        load::woke();
+        let (serial, measurements) = (cx.shared.serial, cx.shared.measurements);
+        let bits = measurements.disturbance();
+        load::urgent(
+            || measurements.critical_counts(),
+            || {
+                if bits & disturbance::SERIAL != 0 {
+                    serial.noise();
+                }
+            },
+        );
+        if bits & disturbance::LOG != 0 {
+            rtic::pend(Interrupt::FREE7);
+        }
+    }
+
+    /// Floods the log when the host has asked for it.
+    ///
+    /// Pended by `tick`, priority 2, no deadline: pends merge.
+    #[task(binds = FREE7, priority = 2)]
+    fn flood(_: flood::Context) {
+        disturb::log();
     }
 
     /// Takes a byte from UART0, free-running only.
@@ -229,10 +300,16 @@ mod app {
     ///
     /// Period 12 ms, pended by `sample`, priority 6, deadline its next release. An overrun is a release that found the one
     /// before not completed; it is counted, and the late run serves both.
-    #[task(binds = FREE15, priority = 6, local = [trajectory])]
+    #[task(binds = FREE15, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(cx: trajectory::Context) {
+        let measurements = cx.shared.measurements;
+        let preempting = || measurements.critical_counts().wrapping_add(load::urgent_counts());
+        let (began_at, before) = (free_run(), preempting());
         let due = TRAJECTORIES_DUE.load(Ordering::Relaxed);
         cx.local.trajectory.release();
+        let taken = free_run().wrapping_sub(began_at);
+        let preempted = preempting().wrapping_sub(before);
+        measurements.record(Quantity::Trajectory, taken.saturating_sub(preempted));
         let before = TRAJECTORIES_DUE.fetch_sub(due, Ordering::Relaxed);
         TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);
     }

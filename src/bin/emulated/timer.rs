@@ -5,6 +5,7 @@
 //! without losing a count. That is what lets virtual time stand still while a reply is on its way (see `wire`).
 
 use crate::device::{CLOCK_HZ, Interrupt};
+use crate::disturb;
 use crate::lan9118::free_run;
 use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
@@ -148,6 +149,8 @@ pub(crate) struct Clock {
     released_at: u32,
     /// Counts from that release to the next one.
     period: u32,
+    /// When the next delivery is due, if not after the usual time.
+    next_delivery: Option<u32>,
     /// Counts from the first nominal release to that of the present millisecond.
     counts: u64,
     /// What the bus clock asks for.
@@ -172,6 +175,7 @@ impl Clock {
             delivery: Alarm::new(&DUAL_TIMER, Interrupt::DUAL_TIMER),
             released_at: free_run(),
             period: PERIOD_COUNTS,
+            next_delivery: None,
             counts: 0,
             correction: CountCorrection::new(COUNTS_PER_US as u32),
             releases: 0,
@@ -210,13 +214,28 @@ impl Clock {
         self.sample.pause();
         self.deadline.pause();
         self.delivery.pause();
+        disturb::pause();
     }
 
     /// Puts the alarms back and sets the one of a reply that has just come.
     pub(crate) fn resume_and_deliver(&mut self) {
         self.sample.resume();
         self.deadline.resume();
-        self.delivery.set(free_run().wrapping_add(DELIVERY_COUNTS));
+        let usual = free_run().wrapping_add(DELIVERY_COUNTS);
+        self.delivery.set(self.next_delivery.take().unwrap_or(usual));
+        disturb::resume();
+    }
+
+    /// Lets the next frame's replies arrive `after` counts behind the moment that is `before` counts ahead of the next
+    /// release.
+    pub(crate) fn deliver_around_release(&mut self, before: u32, after: u32) {
+        let release = self.released_at.wrapping_add(self.period);
+        self.next_delivery = Some(release.wrapping_sub(before).wrapping_add(after));
+    }
+
+    /// Nominal release of this millisecond, a reading of the free-running counter.
+    pub(crate) fn released_at(&self) -> u32 {
+        self.released_at
     }
 
     fn elapsed_counts(&self) -> u32 {

@@ -10,7 +10,7 @@
 
 use crate::critical;
 use crate::device::Interrupt;
-use crate::lan9118::{Mmio, frames_waiting};
+use crate::lan9118::{Mmio, frames_waiting, free_run};
 use crate::lockstep::Bus;
 use crate::timer::Clock;
 use core::task::Context;
@@ -22,18 +22,29 @@ use etherpen::ethernet::lan9118::{self, Lan9118, RxToken};
 pub(crate) struct Wire {
     mac: Lan9118<Mmio>,
     bus: Option<Bus>,
+    lockstep_counts: u32,
     /// The clock that stamps outgoing frames.
     pub(crate) clock: Clock,
 }
 
 impl Wire {
     pub(crate) fn new(mac: Lan9118<Mmio>, bus: Option<Bus>, clock: Clock) -> Self {
-        Self { mac, bus, clock }
+        Self {
+            mac,
+            bus,
+            lockstep_counts: 0,
+            clock,
+        }
     }
 
     /// Clears the controller's interrupt.
     pub(crate) fn acknowledge(&mut self) {
         self.mac.acknowledge();
+    }
+
+    /// Counts spent on the lockstep since the last call: no firmware on silicon has that work.
+    pub(crate) fn take_lockstep_counts(&mut self) -> u32 {
+        core::mem::take(&mut self.lockstep_counts)
     }
 
     /// Frames that were damaged or not sent.
@@ -50,6 +61,7 @@ impl Driver for Wire {
         let (received, inner) = self.mac.receive(context)?;
         let token = TxToken {
             inner,
+            lockstep_counts: &mut self.lockstep_counts,
             clock: &mut self.clock,
             bus: self.bus.as_ref(),
         };
@@ -59,6 +71,7 @@ impl Driver for Wire {
     fn transmit(&mut self, context: &mut Context) -> Option<TxToken<'_>> {
         Some(TxToken {
             inner: self.mac.transmit(context)?,
+            lockstep_counts: &mut self.lockstep_counts,
             clock: &mut self.clock,
             bus: self.bus.as_ref(),
         })
@@ -80,6 +93,7 @@ impl Driver for Wire {
 /// The right to send one frame and to wait for its token.
 pub(crate) struct TxToken<'a> {
     inner: lan9118::TxToken<'a, Mmio>,
+    lockstep_counts: &'a mut u32,
     clock: &'a mut Clock,
     bus: Option<&'a Bus>,
 }
@@ -112,10 +126,12 @@ impl embassy_net_driver::TxToken for TxToken<'_> {
         self.clear_arrival();
         let (result, sent) = self.inner.send(length, f);
         if sent {
+            let sent_at = free_run();
             let replies = bus.frame_sent(self.clock.time_us());
             if replies > 0 {
                 self.await_replies(waiting + u32::from(replies));
             }
+            *self.lockstep_counts = self.lockstep_counts.wrapping_add(free_run().wrapping_sub(sent_at));
         }
         result
     }

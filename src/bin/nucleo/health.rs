@@ -17,6 +17,8 @@ static PERIODS_MISSED: AtomicU32 = AtomicU32::new(0);
 static ASLEEP: AtomicBool = AtomicBool::new(false);
 static SLEPT_AT: AtomicU32 = AtomicU32::new(0);
 static SLEPT_COUNTS: AtomicU32 = AtomicU32::new(0);
+/// Counts that tasks between the critical ones and the trajectory have run for, without those that preempted them.
+static URGENT_COUNTS: AtomicU32 = AtomicU32::new(0);
 
 /// Steps of [`Health::step`], 1 ms each, between two reports of the load.
 const REPORT_PERIOD_STEPS: u32 = 1_000;
@@ -37,6 +39,27 @@ pub(crate) fn woke() {
         let total = SLEPT_COUNTS.load(Ordering::Relaxed).wrapping_add(slept);
         SLEPT_COUNTS.store(total, Ordering::Relaxed);
     }
+}
+
+/// Counts of the free-running timer slept since the start, wrapping.
+pub(crate) fn slept_counts() -> u32 {
+    SLEPT_COUNTS.load(Ordering::Relaxed)
+}
+
+/// Runs a task's body whose priority lies between the critical tasks' and the trajectory's, and counts how long it takes
+/// itself: `critical_counts` says how long critical tasks have run.
+pub(crate) fn urgent(critical_counts: impl Fn() -> u32, body: impl FnOnce()) {
+    let (began_at, before) = (free_run(), critical_counts());
+    body();
+    let preempted = critical_counts().wrapping_sub(before);
+    let taken = free_run().wrapping_sub(began_at).wrapping_sub(preempted);
+    let total = URGENT_COUNTS.load(Ordering::Relaxed).wrapping_add(taken);
+    URGENT_COUNTS.store(total, Ordering::Relaxed);
+}
+
+/// Counts of [`urgent`] since the start, wrapping.
+pub(crate) fn urgent_counts() -> u32 {
+    URGENT_COUNTS.load(Ordering::Relaxed)
 }
 
 /// Counts periods between two runs of the sample task in which it did not run.

@@ -69,6 +69,7 @@ mod app {
     use etherpen::ethercat_robot::RobotSupervisor;
     use etherpen::ethernet::phy::Phy;
     use etherpen::link::task::LinkTask;
+    use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
     use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
 
@@ -82,6 +83,9 @@ mod app {
         sampler: &'static mut Sampler<'static>,
         #[lock_free]
         wire: RawTransport<Ethernet>,
+        #[lock_free]
+        watch: CycleWatch<'static>,
+        measurements: &'static Measurements,
     }
 
     #[local]
@@ -119,10 +123,13 @@ mod app {
             serial::BAUD
         );
         timer::start();
+        parts.measurements.set_counts_per_s(clocks::TIMER_HZ);
         (
             Shared {
                 sampler: &mut parts.sampler,
                 wire,
+                watch: CycleWatch::new(parts.measurements),
+                measurements: parts.measurements,
             },
             Local {
                 trajectory: &mut parts.trajectory,
@@ -150,11 +157,12 @@ mod app {
     #[task(
         binds = TIM1_UP,
         priority = 15,
-        shared = [sampler, wire],
+        shared = [sampler, wire, watch],
         local = [periods: Periods = Periods::new(), correction: CountCorrection = timer::correction()]
     )]
     fn sample(context: sample::Context) {
         const { assert!(CRITICAL_PRIORITY == 15) };
+        let (began_at, delay) = (timer::free_run(), timer::elapsed_counts());
         health::woke();
         timer::acknowledge_sample();
         let missed = context.local.periods.released();
@@ -166,51 +174,76 @@ mod app {
             rtic::pend(Interrupt::LPTIM2);
         }
         rtic::pend(Interrupt::LPTIM3);
+        resources.watch.sample(run(began_at), delay, health::slept_counts());
+    }
+
+    /// A critical task's run up to here.
+    fn run(began_at: u32) -> Run {
+        Run {
+            began_at,
+            ended_at: timer::free_run(),
+            excluded: 0,
+        }
     }
 
     /// Takes received frames: on the input reply control and the output telegram, on the output reply the counters.
     ///
     /// Twice per ms and once per foreign frame, priority 15, deadline: 500 us after the sample for the output telegram.
     /// Overrun: `bus_deadline` has sent the output of this cycle already; the late reply is counted.
-    #[task(binds = ETH, priority = 15, shared = [sampler, wire])]
+    #[task(binds = ETH, priority = 15, shared = [sampler, wire, watch])]
     fn bus_frame(context: bus_frame::Context) {
+        let began_at = timer::free_run();
         health::woke();
         let resources = context.shared;
         resources.wire.driver_mut().acknowledge();
+        let waiting = resources.sampler.awaits_input();
         if resources.sampler.bus_frame(resources.wire, timer::elapsed_ns()) {
             rtic::pend(Interrupt::ETH);
         }
+        let served = waiting && !resources.sampler.awaits_input();
+        resources.watch.bus_frame(run(began_at), served);
     }
 
     /// Sends the output telegram on predicted positions if no valid input has come.
     ///
     /// 300 us after every sample, priority 15, deadline 500 us after the sample. Overrun: that cycle's output is late,
     /// the sampler counts it; the drives bridge one.
-    #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire])]
+    #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire, watch])]
     fn bus_deadline(context: bus_deadline::Context) {
+        let began_at = timer::free_run();
         health::woke();
         timer::acknowledge_bus_deadline();
         let resources = context.shared;
+        let waiting = resources.sampler.awaits_input();
         resources.sampler.bus_deadline(resources.wire, timer::elapsed_ns());
+        let served = waiting && !resources.sampler.awaits_input();
+        resources.watch.bus_deadline(run(began_at), served);
     }
 
     /// Moves bytes between the serial port's FIFOs and the link's queues.
     ///
     /// On 8 received bytes, an idle line or an empty transmit FIFO, and every ms; priority 10, deadline 86 us (the other
     /// half of the receive FIFO). Overrun: bytes are lost and counted, the link repeats the frame.
-    #[task(binds = USART3, priority = 10, local = [serial])]
+    #[task(binds = USART3, priority = 10, shared = [&measurements], local = [serial])]
     fn host_bytes(context: host_bytes::Context) {
         health::woke();
-        context.local.serial.service();
+        let measurements = context.shared.measurements;
+        health::urgent(|| measurements.critical_counts(), || context.local.serial.service());
     }
 
     /// Plans ahead and fills the ring with the next 12 references.
     ///
     /// Period 12 ms, priority 6, deadline 12 ms. Overrun: a release that found the one before not completed is counted;
     /// the ring holds a plan that ends at rest, so late planning slows the motion down and never starves it.
-    #[task(binds = LPTIM2, priority = 6, local = [trajectory])]
+    #[task(binds = LPTIM2, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(context: trajectory::Context) {
+        let measurements = context.shared.measurements;
+        let preempting = || measurements.critical_counts().wrapping_add(health::urgent_counts());
+        let (began_at, before) = (timer::free_run(), preempting());
         health::trajectory_runs(|| context.local.trajectory.release());
+        let taken = timer::free_run().wrapping_sub(began_at);
+        let preempted = preempting().wrapping_sub(before);
+        measurements.record(Quantity::Trajectory, taken.saturating_sub(preempted));
     }
 
     /// Messages of the host, telemetry; then releases the serial port, the supervisor and the PHY.

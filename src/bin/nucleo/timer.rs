@@ -89,9 +89,15 @@ pub(crate) fn elapsed_ns() -> u32 {
     u32::from(TIM1.cnt().read().cnt()) * NS_NUMERATOR / NS_DENOMINATOR
 }
 
-/// Counts of a clock of `TIMER_HZ` that never stops, wrapping after 17 s. Safe in a critical task.
+/// Counts of a clock of `TIMER_HZ` that never stops, wrapping after 17 s: what durations are measured with, since the
+/// core's own cycle counter stands still while the core sleeps. Safe in a critical task.
 pub(crate) fn free_run() -> u32 {
     TIM2.cnt().read()
+}
+
+/// Counts of [`free_run`] since the latest release of the sample. Safe in a critical task.
+pub(crate) fn elapsed_counts() -> u32 {
+    u32::from(TIM1.cnt().read().cnt()) * PRESCALER
 }
 
 /// Ends the request of the sample's interrupt.

@@ -1,0 +1,209 @@
+//! Reading the firmware's histograms, piece by piece, and what they say.
+//!
+//! Invariant: a quantile never flatters: it is the end of the bin it falls into, or the largest value if that is less.
+
+use etherpen::measurement::{MeasurementAnswer, MeasurementRequest, Quantity, lower_bound};
+
+/// A histogram as it was read; values are counts of the board's counter.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Distribution {
+    /// Counts in a second.
+    pub counts_per_s: u32,
+    /// Number of a bin and the values in it, in order.
+    pub bins: Vec<(u8, u32)>,
+    /// Largest value.
+    pub largest: u32,
+    /// Smallest value.
+    pub smallest: u32,
+    /// Sum of all values.
+    pub sum: u64,
+}
+
+impl Distribution {
+    /// Values counted.
+    pub fn count(&self) -> u64 {
+        self.bins.iter().map(|(_, count)| u64::from(*count)).sum()
+    }
+
+    /// Mean of the values; not a number without any.
+    pub fn mean(&self) -> f64 {
+        self.sum as f64 / self.count() as f64
+    }
+
+    /// Largest value of a bin that can have occurred.
+    fn end_of(&self, bin: u8) -> u32 {
+        (lower_bound(usize::from(bin) + 1) - 1).clamp(self.smallest, self.largest)
+    }
+
+    /// The value that a share of all values does not exceed.
+    pub fn quantile(&self, share: f64) -> u32 {
+        let wanted = (share * self.count() as f64).ceil().max(1.0) as u64;
+        let mut passed = 0;
+        for (bin, count) in &self.bins {
+            passed += u64::from(*count);
+            if passed >= wanted {
+                return self.end_of(*bin);
+            }
+        }
+        self.largest
+    }
+
+    /// For each bin the largest value it can hold and the share of all values that are larger, in order: the fraction
+    /// not serviced within that time.
+    pub fn exceeded(&self) -> Vec<(u32, f64)> {
+        let count = self.count();
+        let mut rest = count;
+        let mut step = |(bin, values): &(u8, u32)| {
+            rest -= u64::from(*values);
+            (self.end_of(*bin), rest as f64 / count as f64)
+        };
+        self.bins.iter().map(&mut step).collect()
+    }
+
+    /// How many values are certainly, or possibly, above a limit: the exact number if none is.
+    pub fn above(&self, limit: u32) -> u64 {
+        if self.largest <= limit {
+            return 0;
+        }
+        let above = self.bins.iter().filter(|(bin, _)| self.end_of(*bin) > limit);
+        above.map(|(_, count)| u64::from(*count)).sum()
+    }
+}
+
+/// All histograms of a board.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Readings {
+    distributions: Vec<Distribution>,
+}
+
+impl Readings {
+    /// What was measured of a quantity; `None` if it never occurred.
+    pub fn of(&self, quantity: Quantity) -> Option<&Distribution> {
+        self.distributions
+            .get(quantity as usize)
+            .filter(|distribution| !distribution.bins.is_empty() && distribution.counts_per_s > 0)
+    }
+
+    /// Share of the time in which the core did not sleep, 0 to 1.
+    pub fn cpu_load(&self) -> Option<f64> {
+        let (awake, period) = (self.of(Quantity::Awake)?, self.of(Quantity::Period)?);
+        Some(awake.mean() / period.mean())
+    }
+}
+
+/// Asks for one piece after the other.
+#[derive(Clone, Debug, Default)]
+pub struct Reader {
+    first: u8,
+    present: Distribution,
+    readings: Readings,
+}
+
+impl Reader {
+    /// A reader that has read nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn quantity(&self) -> Option<Quantity> {
+        Quantity::ALL.get(self.readings.distributions.len()).copied()
+    }
+
+    /// What to ask for next; `None` when everything was read.
+    pub fn request(&self) -> Option<MeasurementRequest> {
+        let first = self.first;
+        self.quantity()
+            .map(|quantity| MeasurementRequest::Read { quantity, first })
+    }
+
+    /// Takes an answer; one to another question is ignored.
+    pub fn take(&mut self, answer: &MeasurementAnswer) {
+        let MeasurementAnswer::Piece(piece) = answer else {
+            return;
+        };
+        if self.quantity() != Some(piece.quantity) {
+            return;
+        }
+        let present = &mut self.present;
+        present.bins.extend(piece.bins.iter().copied());
+        present.counts_per_s = piece.counts_per_s;
+        (present.largest, present.smallest) = (piece.largest, piece.smallest);
+        present.sum = piece.sum;
+        match piece.next {
+            Some(next) => self.first = next,
+            None => {
+                self.first = 0;
+                self.readings.distributions.push(std::mem::take(&mut self.present));
+            }
+        }
+    }
+
+    /// What was read, if that is everything.
+    pub fn into_readings(self) -> Option<Readings> {
+        self.request().is_none().then_some(self.readings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::measurement::{Histogram, Measurements};
+
+    fn read(measurements: &Measurements) -> Readings {
+        let mut reader = Reader::new();
+        while let Some(request) = reader.request() {
+            reader.take(&measurements.answer(request));
+        }
+        reader.into_readings().expect("everything was read")
+    }
+
+    #[test]
+    fn every_histogram_is_read_whole() {
+        let measurements = Measurements::new();
+        measurements.set_counts_per_s(25_000_000);
+        for k in 0..5_000 {
+            measurements.record(Quantity::TotalDelay, k * k);
+            measurements.record(Quantity::Trajectory, 7);
+        }
+        let readings = read(&measurements);
+        let total = readings.of(Quantity::TotalDelay).expect("it was measured");
+        let histogram: &Histogram = measurements.histogram(Quantity::TotalDelay);
+        assert_eq!((total.count(), total.sum), (histogram.count(), histogram.sum()));
+        assert_eq!((total.smallest, total.largest), (0, 4_999 * 4_999));
+        assert_eq!(readings.of(Quantity::Trajectory).map(Distribution::count), Some(5_000));
+        assert_eq!(readings.of(Quantity::Sample), None);
+    }
+
+    #[test]
+    fn quantiles_and_the_shares_beyond_a_value_enclose_the_truth() {
+        let measurements = Measurements::new();
+        measurements.set_counts_per_s(1);
+        (1..=1_000).for_each(|value| measurements.record(Quantity::Sample, value));
+        let readings = read(&measurements);
+        let sample = readings.of(Quantity::Sample).expect("it was measured");
+        for (share, truth) in [(0.5, 500), (0.999, 999), (1.0, 1_000)] {
+            let value = sample.quantile(share);
+            assert!((truth..=truth + truth / 8).contains(&value), "{share}: {value}");
+        }
+        assert_eq!(sample.exceeded().last(), Some(&(1_000, 0.0)));
+        for (value, share) in sample.exceeded() {
+            assert!(
+                (share - f64::from(1_000 - value) / 1_000.0).abs() < 1e-9,
+                "{value}: {share}"
+            );
+        }
+        assert_eq!(sample.above(1_000), 0);
+        assert!(sample.above(900) >= 100);
+    }
+
+    #[test]
+    fn the_load_is_the_share_of_time_awake() {
+        let measurements = Measurements::new();
+        measurements.set_counts_per_s(1);
+        for _ in 0..10 {
+            measurements.record(Quantity::Period, 1_000);
+            measurements.record(Quantity::Awake, 250);
+        }
+        assert_eq!(read(&measurements).cpu_load(), Some(0.25));
+    }
+}
