@@ -212,7 +212,7 @@ impl Operator {
                 assert_eq!((usize::from(*total), &piece[..6]), (piece.len(), b"AX2000".as_slice()));
                 self.answers += 1;
             }
-            Event::Ack(_) | Event::Samples { .. } => {}
+            Event::Ack(_) | Event::Samples { .. } | Event::Measured(_) => {}
             Event::VersionRefused { .. } | Event::Restarted | Event::VertexRefused(_) => panic!("{event:?} at {ms} ms"),
         }
     }

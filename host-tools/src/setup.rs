@@ -217,9 +217,27 @@ pub fn ensure_qemu() -> Result<(), SetupError> {
 /// # Errors
 /// That the build failed; the compiler has said why.
 pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
+    build(board, board, &target_dir())
+}
+
+/// Builds a board's firmware with more features, in a folder of its own so that the board's image stays what it is;
+/// without any, the board's image itself.
+///
+/// # Errors
+/// As for [`build_firmware`].
+pub fn build_variant(board: &str, features: &[&str]) -> Result<PathBuf, SetupError> {
+    if features.is_empty() {
+        return build_firmware(board);
+    }
+    let mut all = vec![board];
+    all.extend(features);
+    build(board, &all.join(","), &target_dir().join("variants"))
+}
+
+fn build(board: &str, features: &str, target_dir: &Path) -> Result<PathBuf, SetupError> {
     ensure_target()?;
     let mut command = cargo();
-    command.arg("build").arg("--target-dir").arg(target_dir());
+    command.arg("build").arg("--target-dir").arg(target_dir);
     command.args([
         "--release",
         "-p",
@@ -229,11 +247,11 @@ pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
         "--no-default-features",
     ]);
     let status = command
-        .args(["--features", board, "--bin", board])
+        .args(["--features", features, "--bin", board])
         .stdout(Stdio::null())
         .status();
     match status {
-        Ok(status) if status.success() => Ok(target_dir().join(TARGET).join("release").join(board)),
+        Ok(status) if status.success() => Ok(target_dir.join(TARGET).join("release").join(board)),
         Ok(status) => error(format!(
             "the firmware image `{board}` could not be built (cargo: {status})"
         )),

@@ -209,7 +209,11 @@ impl Robot {
             Event::VertexRefused(refusal) => self.refused.push(refusal),
             Event::Status(status) => self.status = Some(status),
             Event::Samples { samples, .. } => self.samples.extend(samples),
-            Event::Connected(_) | Event::VersionRefused { .. } | Event::Restarted | Event::Bus(_) => {}
+            Event::Connected(_)
+            | Event::VersionRefused { .. }
+            | Event::Restarted
+            | Event::Bus(_)
+            | Event::Measured(_) => {}
         }
     }
 }

@@ -6,6 +6,7 @@
 
 mod bring_up;
 pub mod ethercat;
+pub mod latency;
 mod programs;
 
 use crate::setup::SetupError;

@@ -15,6 +15,8 @@ pub struct Arguments {
 enum Bench {
     /// The EtherCAT master beside ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
     Ethercat(Options),
+    /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
+    Latency(super::latency::Arguments),
 }
 
 /// Options of every benchmark.
@@ -36,7 +38,10 @@ struct Options {
 /// # Errors
 /// A tool is missing, or something could not be measured. A target that is missed is no error.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let Bench::Ethercat(options) = &arguments.bench;
+    let options = match &arguments.bench {
+        Bench::Ethercat(options) => options,
+        Bench::Latency(arguments) => return super::latency::run(arguments),
+    };
     let selection = Selection {
         case: options.case.clone(),
         subject: options.subject.clone(),
@@ -60,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 /// One line a case: our figure, its target, the peer's figure, and how many times ours that is.
-fn table(report: &Report) -> String {
+pub(super) fn table(report: &Report) -> String {
     let mut text = format!(
         "{:<38} {:>9} {:<13} {:>16} {:>20} {:>7}\n",
         "case", "etherpen", "", "target", "peer", "ratio"

@@ -10,6 +10,7 @@ pub mod draw;
 pub mod emulate;
 pub mod endpoint;
 pub mod kinematics;
+mod latency;
 mod outputs;
 pub mod plan;
 pub mod prepare;

@@ -87,6 +87,8 @@ pub struct Options {
     pub instruction_shift: u8,
     /// How fast virtual time may go.
     pub pace: Pace,
+    /// Whether the firmware's log is decoded; else it is taken and thrown away.
+    pub decode_log: bool,
     /// An emulator that does not come to its next millisecond within this wall time is given up.
     pub answer_within: Duration,
 }
@@ -97,6 +99,7 @@ impl Default for Options {
             qemu: PathBuf::from("qemu-system-arm"),
             instruction_shift: 3,
             pace: Pace::Max,
+            decode_log: true,
             answer_within: Duration::from_secs(20),
         }
     }
@@ -138,7 +141,7 @@ impl Emulator {
         link: impl Link + Send + 'static,
         log: impl FnMut(&LogLine) + Send + 'static,
     ) -> Result<Self, EmulatorError> {
-        let table = log::table(image)?;
+        let table = log::table(image)?.filter(|_| options.decode_log);
         let directory = Directory::make()?;
         let files = lockstep::Files::make(&directory)?;
         let socket = bind(&directory)?;

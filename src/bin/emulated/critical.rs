@@ -25,8 +25,13 @@ const fn hardware_priority(logical: u8) -> u8 {
     ((1 << NVIC_PRIO_BITS) - logical) << (8 - NVIC_PRIO_BITS)
 }
 
+/// The variant for measurements shows what this one is for: see `primask`.
+#[cfg_attr(feature = "primask", allow(dead_code))]
 struct BelowCritical;
+#[cfg(not(feature = "primask"))]
 critical_section::set_impl!(BelowCritical);
+#[cfg(feature = "primask")]
+critical_section::set_impl!(crate::primask::Everything);
 
 // SAFETY: between `acquire` and `release` no code of priority 14 or lower runs except the caller's own, and code of
 // priority 15 takes no critical section (a rule of this firmware, checked by review of its tasks: they use atomics and

@@ -12,6 +12,17 @@ pub(crate) const NVIC_PRIO_BITS: u8 = 4;
 /// Frequency of the core, the timers and the time base, Hz.
 pub(crate) const CLOCK_HZ: u32 = 25_000_000;
 
+/// Releases of the critical tasks in a millisecond: 1, more in the variants for measurements.
+pub(crate) const RELEASES_PER_MS: u32 = if cfg!(feature = "rate-8khz") {
+    8
+} else if cfg!(feature = "rate-4khz") {
+    4
+} else if cfg!(feature = "rate-2khz") {
+    2
+} else {
+    1
+};
+
 /// Entries of the interrupt vector table.
 pub(crate) const INTERRUPTS: usize = 32;
 

@@ -17,6 +17,8 @@ mod lockstep;
 mod log;
 mod metronome;
 mod panic;
+#[cfg(feature = "primask")]
+mod primask;
 mod semihosting;
 mod serial;
 #[path = "../shared/time.rs"]
@@ -163,7 +165,9 @@ mod app {
             TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
             rtic::pend(Interrupt::FREE15);
         }
-        rtic::pend(Interrupt::FREE14);
+        if transport.driver_mut().clock.begins_millisecond() {
+            rtic::pend(Interrupt::FREE14);
+        }
         let run = run(began_at, transport.driver_mut());
         cx.shared.watch.sample(run, delay, load::slept_counts());
     }

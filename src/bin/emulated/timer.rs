@@ -4,20 +4,23 @@
 //! period: a late task cannot shift the next release, and the alarms can be taken out and put back (`pause`, `resume`)
 //! without losing a count. That is what lets virtual time stand still while a reply is on its way (see `wire`).
 
-use crate::device::{CLOCK_HZ, Interrupt};
+use crate::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
 use crate::disturb;
 use crate::lan9118::free_run;
 use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
 
 /// Counts in one period of the sample task.
-pub(crate) const PERIOD_COUNTS: u32 = CLOCK_HZ / 1000;
-/// Counts from a sample's release to the deadline of its input frame, 300 us.
-const DEADLINE_COUNTS: u32 = PERIOD_COUNTS * 3 / 10;
+pub(crate) const PERIOD_COUNTS: u32 = CLOCK_HZ / 1000 / RELEASES_PER_MS;
+/// Counts from a sample's release to the deadline of its input frame: 300 us, or half the period of the fastest loop.
+const DEADLINE_COUNTS: u32 = match RELEASES_PER_MS {
+    8 => PERIOD_COUNTS / 2,
+    _ => PERIOD_COUNTS * 3 / 10,
+};
 /// Counts from a frame's sending to its reply's arrival in lockstep, 30 us.
-const DELIVERY_COUNTS: u32 = PERIOD_COUNTS * 3 / 100;
+const DELIVERY_COUNTS: u32 = CLOCK_HZ / 1000 * 3 / 100;
 /// Periods before the first release: the end of `init` still moves the tasks' data with all interrupts masked.
-const START_PERIODS: u32 = 50;
+const START_PERIODS: u32 = 50 * RELEASES_PER_MS;
 const NS_PER_COUNT: u32 = 1_000_000_000 / CLOCK_HZ;
 const COUNTS_PER_US: u64 = CLOCK_HZ as u64 / 1_000_000;
 
@@ -258,7 +261,12 @@ impl Clock {
 
     /// Number of this millisecond, counted from 0.
     pub(crate) fn milliseconds(&self) -> u32 {
-        self.releases.saturating_sub(1)
+        self.releases.saturating_sub(1) / RELEASES_PER_MS
+    }
+
+    /// Whether this release begins a millisecond.
+    pub(crate) fn begins_millisecond(&self) -> bool {
+        self.releases.saturating_sub(1).is_multiple_of(RELEASES_PER_MS)
     }
 
     /// Nominal releases at which `sample` did not run.

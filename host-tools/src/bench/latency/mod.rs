@@ -1,0 +1,295 @@
+//! How late the critical tasks ever are: the firmware in the emulator, at rest and under every load it can make itself.
+//!
+//! Repeats the measurement of *Using Real-time Java for Industrial Robot Control*: the fraction of the requests that are
+//! not serviced within a time, without and with disturbance. The firmware measures itself (`etherpen::measurement`), its
+//! histograms are read over the link at the end, and nothing depends on the speed of this computer.
+//!
+//! Invariant: a run counts only if it kept its period: every millisecond had a release.
+
+mod cable;
+mod peer;
+pub mod plot;
+mod rows;
+
+pub use rows::{Curve, LatencyReport};
+
+use super::BenchError;
+use crate::cell::{Cell, CellOptions};
+use crate::emulator::{Emulator, Options as EmulatorOptions};
+use crate::link::measurement::Readings;
+use crate::setup;
+use cable::Cable;
+use etherpen::config::Config;
+use etherpen::link::protocol::Counters;
+use etherpen::measurement::disturbance;
+use peer::{Outcome, Peer};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// What the firmware is loaded with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Disturbance {
+    /// The serial link full in both directions.
+    pub serial: bool,
+    /// The planner on a path that keeps its window full.
+    pub planner: bool,
+    /// Log lines beyond what the log's ring takes.
+    pub log: bool,
+    /// Foreign frames around every release.
+    pub network: bool,
+}
+
+impl Disturbance {
+    /// All of them.
+    pub const ALL: Self = Self {
+        serial: true,
+        planner: true,
+        log: true,
+        network: true,
+    };
+
+    /// What the firmware is asked for.
+    fn bits(self) -> u8 {
+        let bit = |on: bool, bit: u8| if on { bit } else { 0 };
+        bit(self.serial, disturbance::SERIAL)
+            | bit(self.log, disturbance::LOG)
+            | bit(self.network, disturbance::NETWORK)
+    }
+}
+
+impl std::str::FromStr for Disturbance {
+    type Err = String;
+
+    fn from_str(list: &str) -> Result<Self, String> {
+        let mut chosen = Self::default();
+        for word in list.split(',') {
+            match word.trim() {
+                "none" => {}
+                "all" => chosen = Self::ALL,
+                "serial" => chosen.serial = true,
+                "planner" => chosen.planner = true,
+                "log" => chosen.log = true,
+                "network" => chosen.network = true,
+                other => {
+                    return Err(format!(
+                        "`{other}` is no disturbance: none, all, or several of serial, planner, log, network"
+                    ));
+                }
+            }
+        }
+        Ok(chosen)
+    }
+}
+
+/// What keeps the critical tasks from being held back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Isolation {
+    /// Critical sections mask everything but the critical tasks.
+    Basepri,
+    /// Critical sections mask everything: nothing.
+    Primask,
+}
+
+/// What is to be measured.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Cycles of each run.
+    pub cycles: u64,
+    /// The load of the second run.
+    pub disturbance: Disturbance,
+    /// With `Primask` the loaded run is repeated without protection.
+    pub isolation: Isolation,
+    /// The highest loop rate that is tried, kHz: 1, 2, 4 or 8.
+    pub rate_khz: u32,
+    /// One instruction takes 2^shift ns of virtual time.
+    pub instruction_shift: u8,
+}
+
+/// One run of the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Case {
+    pub(crate) disturbance: Disturbance,
+    pub(crate) isolation: Isolation,
+    pub(crate) rate_khz: u32,
+}
+
+/// What a run came to.
+#[derive(Clone, Debug)]
+pub(crate) struct Measured {
+    pub(crate) case: Case,
+    pub(crate) readings: Readings,
+    /// What was counted during the measurement alone.
+    pub(crate) counters: Counters,
+}
+
+/// Time the firmware gets to settle under its load before it is measured, ms.
+const SETTLE_MS: u32 = 1_000;
+/// Wall time without any progress after which a run is given up.
+const ANSWER_WITHIN: Duration = Duration::from_secs(60);
+/// Wall time between two looks at a run.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Measures; `progress` is told what is being done.
+///
+/// # Errors
+/// A tool is missing, the emulator ended, or the firmware came to a fault.
+pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport, BenchError> {
+    setup::ensure_qemu()?;
+    let mut runs = Vec::new();
+    let mut case = Case {
+        disturbance: Disturbance::default(),
+        isolation: Isolation::Basepri,
+        rate_khz: 1,
+    };
+    runs.push(measure(plan, case, &mut progress)?);
+    if plan.disturbance != Disturbance::default() {
+        case.disturbance = plan.disturbance;
+        runs.push(measure(plan, case, &mut progress)?);
+    }
+    if plan.isolation == Isolation::Primask {
+        let unprotected = Case {
+            isolation: Isolation::Primask,
+            ..case
+        };
+        runs.push(measure(plan, unprotected, &mut progress)?);
+    }
+    // The path is planned for a loop of 1 kHz: faster, it would be driven faster than the drives follow.
+    case.disturbance.planner = false;
+    for rate_khz in [2, 4, 8].into_iter().filter(|rate_khz| *rate_khz <= plan.rate_khz) {
+        let faster = measure(plan, Case { rate_khz, ..case }, &mut progress)?;
+        let missed = rows::late(&faster) > 0;
+        runs.push(faster);
+        if missed {
+            break;
+        }
+    }
+    Ok(rows::report(plan, &runs))
+}
+
+/// Builds the image of a case: the emulated board, or a variant of it in a folder of its own.
+fn image(case: Case) -> Result<PathBuf, BenchError> {
+    let rate = format!("rate-{}khz", case.rate_khz);
+    let mut features = Vec::new();
+    if case.isolation == Isolation::Primask {
+        features.push("primask");
+    }
+    if case.rate_khz > 1 {
+        features.push(&rate);
+    }
+    Ok(setup::build_variant("emulated", &features)?)
+}
+
+fn measure(plan: &Plan, case: Case, progress: &mut impl FnMut(&str)) -> Result<Measured, BenchError> {
+    let name = rows::name(case);
+    progress(&format!("building the firmware: {name}"));
+    let image = image(case)?;
+    progress(&format!("measuring {} cycles: {name}", plan.cycles));
+    measure_image(&image, plan, case, progress)
+}
+
+/// Runs an image through one case.
+fn measure_image(
+    image: &Path,
+    plan: &Plan,
+    case: Case,
+    progress: &mut impl FnMut(&str),
+) -> Result<Measured, BenchError> {
+    let config = Config::default();
+    let options = CellOptions {
+        faults: cable::faults(case.disturbance.network),
+        ..CellOptions::default()
+    };
+    let cable = Cable::new(Cell::new(&config, options));
+    let milliseconds = u32::try_from(plan.cycles.div_ceil(case.rate_khz.into())).unwrap_or(u32::MAX);
+    let peer = Arc::new(Mutex::new(Peer::new(config, case.disturbance, SETTLE_MS, milliseconds)));
+    let emulator_options = EmulatorOptions {
+        instruction_shift: plan.instruction_shift,
+        // The log is a load here, not a text.
+        decode_log: !case.disturbance.log,
+        answer_within: ANSWER_WITHIN,
+        ..EmulatorOptions::default()
+    };
+    let failed = |cause: String| BenchError::Program {
+        program: format!("the firmware in the emulator, {}", rows::name(case)),
+        cause,
+    };
+    let emulator = Emulator::start(image, &emulator_options, cable, Arc::clone(&peer), |_| {})
+        .map_err(|error| failed(error.to_string()))?;
+    let mut tenths = 0;
+    let outcome = loop {
+        let (outcome, measured_ms) = {
+            let mut peer = peer.lock().unwrap_or_else(PoisonError::into_inner);
+            (peer.take_outcome(), peer.measured_ms())
+        };
+        if outcome.is_some() || !emulator.is_running() {
+            break outcome;
+        }
+        let done = u64::from(measured_ms) * 10 / u64::from(milliseconds.max(1));
+        if done > tenths {
+            tenths = done;
+            progress(&format!("{} %", tenths * 10));
+        }
+        std::thread::sleep(LOOK);
+    };
+    let ended = emulator.stop();
+    match outcome {
+        Some(Outcome::Measured { readings, counters }) => Ok(Measured {
+            case,
+            readings,
+            counters,
+        }),
+        Some(Outcome::Failed(cause)) => Err(failed(cause)),
+        None => Err(failed(match ended {
+            Err(error) => error.to_string(),
+            Ok(_) => "it ended before it was measured".to_owned(),
+        })),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_of_disturbances_is_read_and_a_wrong_word_named() {
+        let read = |list: &str| list.parse::<Disturbance>();
+        assert_eq!(read("none"), Ok(Disturbance::default()));
+        assert_eq!(read("all"), Ok(Disturbance::ALL));
+        assert_eq!(read("serial,planner,log,network"), Ok(Disturbance::ALL));
+        assert_eq!(read("log").map(Disturbance::bits), Ok(disturbance::LOG));
+        assert!(read("flood").is_err_and(|message| message.contains("flood")));
+    }
+
+    /// One run of the loaded firmware; 20,000 cycles take some seconds of wall time.
+    #[test]
+    fn under_every_disturbance_no_cycle_is_late_or_lost_and_the_release_waits_for_one_run_at_most() {
+        setup::ensure_qemu().expect("the emulator can be had");
+        let plan = Plan {
+            cycles: 20_000,
+            disturbance: Disturbance::ALL,
+            isolation: Isolation::Basepri,
+            rate_khz: 1,
+            instruction_shift: 3,
+        };
+        let image = setup::build_firmware("emulated").expect("the firmware builds");
+        let case = |disturbance| Case {
+            disturbance,
+            isolation: Isolation::Basepri,
+            rate_khz: 1,
+        };
+        let quiet = Disturbance {
+            network: false,
+            ..Disturbance::ALL
+        };
+        for (disturbance, jitter_max) in [(quiet, 5.0), (Disturbance::ALL, rows::JITTER_FOREIGN_MAX_INSTRUCTIONS)] {
+            let measured = measure_image(&image, &plan, case(disturbance), &mut |_| {}).expect("the firmware runs");
+            assert_eq!(rows::late(&measured), 0, "{disturbance:?}");
+            assert_eq!(measured.counters.frames_lost, 0, "{disturbance:?}");
+            assert_eq!(measured.counters.working_counter_errors, 0, "{disturbance:?}");
+            assert!(measured.counters.cycles >= 20_000, "{:?}", measured.counters);
+            let jitter = rows::jitter_instructions(&measured, plan.instruction_shift).expect("releases were measured");
+            assert!(jitter <= jitter_max, "{disturbance:?}: {jitter} instructions");
+        }
+    }
+}
