@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, draw, emulate, kinematics, plan, segment, simulate, verify,
+    self, CommandError, bench, bus, demo, draw, emulate, identify, kinematics, plan, segment, simulate, verify,
 };
 use std::process::ExitCode;
 
@@ -36,6 +36,8 @@ enum Subcommand {
     Kinematics(kinematics::Arguments),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
+    /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
+    Identify(identify::Arguments),
     /// Run the virtual EtherCAT segment alone, for any master to talk to.
     Segment(segment::Arguments),
     /// Draw a file in virtual time in this process, with the same tasks and the same cell.
@@ -53,6 +55,7 @@ fn main() -> ExitCode {
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Plan(arguments) => plan::run(&arguments),
+        Subcommand::Identify(arguments) => identify::run(&arguments),
         Subcommand::Segment(arguments) => segment::run(&arguments),
         Subcommand::Simulate(arguments) => simulate::run(&arguments),
         Subcommand::Verify(arguments) => verify::run(&arguments),

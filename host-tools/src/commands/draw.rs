@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 /// What the person at the keyboard asks for: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
-fn operator() -> Result<Receiver<Control>, CommandError> {
+pub(super) fn operator() -> Result<Receiver<Control>, CommandError> {
     let (sender, receiver) = mpsc::channel();
     let mut signals =
         Signals::new([SIGINT, SIGTERM]).map_err(|cause| CommandError::failed("watching for signals", cause))?;

@@ -9,6 +9,7 @@ mod display;
 pub mod draw;
 pub mod emulate;
 pub mod endpoint;
+pub mod identify;
 pub mod kinematics;
 mod latency;
 mod outputs;

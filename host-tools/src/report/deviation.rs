@@ -19,6 +19,8 @@ const INK_DENSE_MM: f64 = 0.25;
 const AHEAD: f64 = 1.5;
 /// How far it may have come besides, mm: the longest detour of a polyline around the tip of a rounded corner.
 const AHEAD_MM: f64 = 0.2;
+/// Distance at which a follower has lost its place, mm.
+const LOST_MM: f64 = 1.0;
 /// How far back along its stroke the nearest point may lie, mm: noise, not motion.
 const BACK_MM: f64 = 0.5;
 /// A line of ink whose first point is this much closer to another part of its stroke than to the stroke's begin did not
@@ -64,20 +66,29 @@ impl Distances {
     }
 }
 
-/// Distance of positions with their strokes' numbers from those strokes.
-pub(super) fn deviation(positions: impl Iterator<Item = (u32, Position)>, strokes: &[NumberedStroke]) -> Deviation {
-    let mut distances = Distances::default();
+/// A moment of a stroke: where the platform was to be, and where it was.
+pub(super) struct Moment {
+    pub(super) stroke: u32,
+    pub(super) reference: Position,
+    pub(super) measured: Position,
+}
+
+/// Distances of references and of measured positions from their strokes. The references keep the place along the stroke:
+/// they are never far from it.
+pub(super) fn deviation(moments: impl Iterator<Item = Moment>, strokes: &[NumberedStroke]) -> (Deviation, Deviation) {
+    let (mut references, mut measured) = (Distances::default(), Distances::default());
     let mut current: Option<(u32, Follower)> = None;
-    for (number, position) in positions {
-        if current.as_ref().is_none_or(|(stroke, _)| *stroke != number) {
-            let points = strokes.iter().find(|(stroke, _)| *stroke == number);
+    for moment in moments {
+        if current.as_ref().is_none_or(|(stroke, _)| *stroke != moment.stroke) {
+            let points = strokes.iter().find(|(stroke, _)| *stroke == moment.stroke);
             current = points.map(|(stroke, points)| (*stroke, Follower::new(points)));
         }
         if let Some((_, follower)) = &mut current {
-            distances.add(follower.step(&position));
+            references.add(follower.step(&moment.reference));
+            measured.add(follower.beside(&moment.measured));
         }
     }
-    distances.result()
+    (references.result(), measured.result())
 }
 
 /// Distance of every point of ink from the stroke it belongs to, on the paper. Lines of ink come in the strokes' order; a
@@ -119,6 +130,15 @@ pub(super) fn distance(a: &Position, b: &Position) -> f64 {
     ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
 }
 
+/// The point at a part of the way from `a` to `b`.
+fn at(a: &Position, b: &Position, part: f64) -> Position {
+    Position {
+        x_mm: a.x_mm + part * (b.x_mm - a.x_mm),
+        y_mm: a.y_mm + part * (b.y_mm - a.y_mm),
+        z_mm: a.z_mm + part * (b.z_mm - a.z_mm),
+    }
+}
+
 /// Distance from `p` to the segment from `a` to `b`, and how far along it the nearest point lies, mm.
 fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
@@ -129,20 +149,15 @@ fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
     } else {
         0.0
     };
-    let foot = Position {
-        x_mm: a.x_mm + t * dx,
-        y_mm: a.y_mm + t * dy,
-        z_mm: a.z_mm + t * dz,
-    };
+    let foot = at(a, b, t);
     (distance(p, &foot), t * length2.sqrt())
 }
 
 /// Follows one stroke in order: the nearest point is looked for close to the last one only, never on a neighbour.
 struct Follower<'a> {
     points: &'a [Position],
-    /// Segment of the last nearest point, and how far along the stroke that segment begins, mm.
-    segment: usize,
-    begin_mm: f64,
+    /// How far along the stroke each of its points lies, mm.
+    along_mm: Vec<f64>,
     /// How far along the stroke the last nearest point lies, mm.
     foot_mm: f64,
     /// The last position.
@@ -151,10 +166,14 @@ struct Follower<'a> {
 
 impl<'a> Follower<'a> {
     fn new(points: &'a [Position]) -> Self {
+        let mut length_mm = 0.0;
+        let legs = points.windows(2).map(|pair| {
+            length_mm += distance(&pair[0], &pair[1]);
+            length_mm
+        });
         Self {
             points,
-            segment: 0,
-            begin_mm: 0.0,
+            along_mm: std::iter::once(0.0).chain(legs).collect(),
             foot_mm: 0.0,
             last: None,
         }
@@ -164,62 +183,60 @@ impl<'a> Follower<'a> {
     /// gives the distance of the place where it begins.
     fn beginning_near(points: &'a [Position], position: &Position) -> (Self, f64) {
         let mut follower = Self::new(points);
-        let mut nearest_mm = points.first().map_or(f64::INFINITY, |first| distance(first, position));
-        let (mut begin_mm, mut closer_by_mm) = (0.0, BEGIN_MM);
-        for (segment, pair) in points.windows(2).enumerate() {
-            let (away_mm, along_mm) = to_segment(position, &pair[0], &pair[1]);
-            if away_mm < nearest_mm - closer_by_mm {
-                (nearest_mm, closer_by_mm) = (away_mm, 0.0);
-                (follower.segment, follower.begin_mm, follower.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
+        let begin_mm = points.first().map_or(f64::INFINITY, |first| distance(first, position));
+        let (nearest_mm, foot_mm) = follower.nearest(position, 0.0, f64::INFINITY);
+        if nearest_mm < begin_mm - BEGIN_MM {
+            follower.foot_mm = foot_mm;
+            return (follower, nearest_mm);
+        }
+        (follower, begin_mm)
+    }
+
+    /// Distance from `position` to the part of the stroke between two places along it, and where its nearest point lies, mm.
+    fn nearest(&self, position: &Position, low_mm: f64, high_mm: f64) -> (f64, f64) {
+        let first = self
+            .along_mm
+            .partition_point(|along_mm| *along_mm <= low_mm)
+            .saturating_sub(1);
+        let mut nearest = (f64::INFINITY, self.foot_mm);
+        for (pair, ends) in self.points.windows(2).zip(self.along_mm.windows(2)).skip(first) {
+            if ends[0] > high_mm {
+                break;
             }
-            begin_mm += distance(&pair[0], &pair[1]);
+            let place = |mm: f64| at(&pair[0], &pair[1], (mm - ends[0]) / (ends[1] - ends[0]));
+            let from_mm = low_mm.clamp(ends[0], ends[1]);
+            let (away_mm, along_mm) = to_segment(position, &place(from_mm), &place(high_mm.min(ends[1])));
+            if away_mm < nearest.0 {
+                nearest = (away_mm, from_mm + along_mm);
+            }
         }
-        (follower, nearest_mm)
+        nearest
     }
 
-    fn segment_mm(&self, segment: usize) -> f64 {
-        distance(&self.points[segment], &self.points[segment + 1])
-    }
-
-    /// Distance from `position` to the part of a segment that lies at most `ahead_mm` along the stroke, and how far along
-    /// the segment the nearest point lies, mm.
-    fn within(&self, position: &Position, segment: usize, begin_mm: f64, ahead_mm: f64) -> (f64, f64) {
-        let (a, b) = (&self.points[segment], &self.points[segment + 1]);
-        let (length_mm, reach_mm) = (distance(a, b), ahead_mm - begin_mm);
-        if reach_mm >= length_mm {
-            return to_segment(position, a, b);
-        }
-        let t = (reach_mm / length_mm).max(0.0);
-        let end = Position {
-            x_mm: a.x_mm + t * (b.x_mm - a.x_mm),
-            y_mm: a.y_mm + t * (b.y_mm - a.y_mm),
-            z_mm: a.z_mm + t * (b.z_mm - a.z_mm),
-        };
-        to_segment(position, a, &end)
-    }
-
-    /// Distance of the next measured position, mm.
+    /// Distance of the next position, mm.
     fn step(&mut self, position: &Position) -> f64 {
-        let (mut segment, mut begin_mm) = (self.segment, self.begin_mm);
-        while segment > 0 && begin_mm > self.foot_mm - BACK_MM {
-            segment -= 1;
-            begin_mm -= self.segment_mm(segment);
-        }
         let way_mm = self
             .last
             .replace(*position)
             .map_or(0.0, |last| distance(&last, position));
-        let (mut nearest_mm, ahead_mm) = (f64::INFINITY, self.foot_mm + AHEAD * way_mm + AHEAD_MM);
-        while segment + 1 < self.points.len() && begin_mm <= ahead_mm {
-            let (away_mm, along_mm) = self.within(position, segment, begin_mm, ahead_mm);
-            if away_mm < nearest_mm {
-                nearest_mm = away_mm;
-                (self.segment, self.begin_mm, self.foot_mm) = (segment, begin_mm, begin_mm + along_mm);
-            }
-            begin_mm += self.segment_mm(segment);
-            segment += 1;
+        let ahead_mm = self.foot_mm + AHEAD * way_mm + AHEAD_MM;
+        let (away_mm, foot_mm) = self.nearest(position, self.foot_mm - BACK_MM, ahead_mm);
+        self.foot_mm = foot_mm;
+        if away_mm < LOST_MM {
+            return away_mm;
         }
-        nearest_mm
+        // Too far away for the nearest point to mean anything: it is looked for anew.
+        let (away_mm, foot_mm) = self.nearest(position, 0.0, f64::INFINITY);
+        self.foot_mm = foot_mm;
+        away_mm
+    }
+
+    /// Distance of a position that was to be where the last one of [`Self::step`] is, mm.
+    fn beside(&self, position: &Position) -> f64 {
+        let error_mm = self.last.map_or(0.0, |last| distance(&last, position));
+        let reach_mm = AHEAD * error_mm + BACK_MM;
+        self.nearest(position, self.foot_mm - reach_mm, self.foot_mm + reach_mm)
+            .0
     }
 }
 
@@ -271,7 +288,7 @@ fn densified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 mod tests {
     use super::*;
 
-    fn at(x_mm: f64, y_mm: f64) -> Position {
+    fn place(x_mm: f64, y_mm: f64) -> Position {
         Position {
             x_mm,
             y_mm,
@@ -281,7 +298,7 @@ mod tests {
 
     /// Two legs of 20 mm, 1 mm apart, joined at the far end.
     fn hairpin() -> Vec<Position> {
-        vec![at(0.0, 0.0), at(20.0, 0.0), at(20.0, 1.0), at(0.0, 1.0)]
+        vec![place(0.0, 0.0), place(20.0, 0.0), place(20.0, 1.0), place(0.0, 1.0)]
     }
 
     #[test]
@@ -289,7 +306,7 @@ mod tests {
         let points = hairpin();
         let mut follower = Follower::new(&points);
         let largest = (0..20)
-            .map(|x| follower.step(&at(f64::from(x), 0.8)))
+            .map(|x| follower.step(&place(f64::from(x), 0.8)))
             .fold(0.0, f64::max);
         assert!((largest - 0.8).abs() < 1e-9, "{largest}");
     }
@@ -298,9 +315,9 @@ mod tests {
     fn a_stroke_followed_to_its_end_has_no_deviation() {
         let points = hairpin();
         let mut follower = Follower::new(&points);
-        let there = (0..=40).map(|k| at(f64::from(k) * 0.5, 0.0));
-        let back = (0..=40).map(|k| at(20.0 - f64::from(k) * 0.5, 1.0));
-        for position in there.chain([at(20.0, 0.5)]).chain(back) {
+        let there = (0..=40).map(|k| place(f64::from(k) * 0.5, 0.0));
+        let back = (0..=40).map(|k| place(20.0 - f64::from(k) * 0.5, 1.0));
+        for position in there.chain([place(20.0, 0.5)]).chain(back) {
             assert!(follower.step(&position) < 1e-9, "{position:?}");
         }
     }
@@ -309,17 +326,39 @@ mod tests {
     fn a_stroke_that_crosses_itself_is_not_left_for_its_other_part() {
         // Around a small square and across its first side.
         let corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (2.0, 1.0), (2.0, -3.0)];
-        let points: Vec<Position> = corners.iter().map(|(x, y)| at(*x, *y)).collect();
+        let points: Vec<Position> = corners.iter().map(|(x, y)| place(*x, *y)).collect();
         let mut follower = Follower::new(&points);
-        let first = (0..=40).map(|k| follower.step(&at(f64::from(k) * 0.1, if k < 20 { 0.0 } else { -0.3 })));
+        let first = (0..=40).map(|k| follower.step(&place(f64::from(k) * 0.1, if k < 20 { 0.0 } else { -0.3 })));
         let largest = first.fold(0.0, f64::max);
         assert!((largest - 0.3).abs() < 1e-9, "{largest}");
         assert!((follower.foot_mm - 4.0).abs() < 1e-9, "{}", follower.foot_mm);
     }
 
     #[test]
+    fn a_position_that_lags_around_a_tip_is_compared_with_both_sides_of_it() {
+        let points = vec![place(0.0, 0.0), place(10.0, 0.0), place(0.0, 2.0)];
+        let along = |s: f64| {
+            if s < 10.0 {
+                place(s, 0.0)
+            } else {
+                place(20.0 - s, (s - 10.0) * 0.2)
+            }
+        };
+        let moments = (0..=180).map(|k| Moment {
+            stroke: 0,
+            reference: along(f64::from(k) * 0.1),
+            measured: along((f64::from(k) * 0.1 - 0.4).max(0.0)),
+        });
+        let (reference, measured) = deviation(moments, &[(0, points)]);
+        assert!(
+            reference.max_mm < 1e-9 && measured.max_mm < 1e-9,
+            "{reference:?} {measured:?}"
+        );
+    }
+
+    #[test]
     fn ink_is_missing_where_none_is_near() {
-        let strokes = vec![(0, vec![at(0.0, 0.0), at(10.0, 0.0)])];
+        let strokes = vec![(0, vec![place(0.0, 0.0), place(10.0, 0.0)])];
         let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
         let missing_mm = ink_missing(&strokes, &[ink]);
         assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
@@ -327,7 +366,7 @@ mod tests {
 
     #[test]
     fn ink_is_compared_with_the_strokes_in_their_order() {
-        let strokes = vec![(0, hairpin()), (1, vec![at(0.0, 1.5), at(20.0, 1.5)])];
+        let strokes = vec![(0, hairpin()), (1, vec![place(0.0, 1.5), place(20.0, 1.5)])];
         let line = |y: f64, from: i32, to: i32| (from..=to).map(|x| [f64::from(x), y]).collect::<Vec<_>>();
         let first = [
             line(0.1, 0, 19),
@@ -346,9 +385,15 @@ mod tests {
 
     #[test]
     fn a_closed_stroke_is_followed_from_its_begin() {
-        let square = vec![at(0.0, 0.0), at(10.0, 0.0), at(10.0, 10.0), at(0.0, 10.0), at(0.0, 0.0)];
-        let (follower, away_mm) = Follower::beginning_near(&square, &at(-0.1, 0.3));
-        assert_eq!((follower.segment, follower.foot_mm), (0, 0.0));
+        let square = vec![
+            place(0.0, 0.0),
+            place(10.0, 0.0),
+            place(10.0, 10.0),
+            place(0.0, 10.0),
+            place(0.0, 0.0),
+        ];
+        let (follower, away_mm) = Follower::beginning_near(&square, &place(-0.1, 0.3));
+        assert_eq!(follower.foot_mm, 0.0);
         assert!(away_mm < 0.4);
     }
 }

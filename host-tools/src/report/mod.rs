@@ -9,7 +9,7 @@ mod tables;
 pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
 
-use deviation::{Distances, deviation, distance, ink_deviation, ink_missing};
+use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
@@ -188,6 +188,18 @@ pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
     samples.iter().enumerate().map(row).collect()
 }
 
+/// Largest distance in space between the measured platform and the reference it answers to while a path is executed, pen
+/// up or down, and its root mean square, mm; not a number without samples.
+pub fn tracking(config: &Config, samples: &[Sample]) -> (f64, f64) {
+    let drawing: Vec<Sample> = drawn_part(samples).copied().collect();
+    let mut distances = Distances::default();
+    let rows = rows(config, &drawing);
+    rows.iter()
+        .for_each(|row| distances.add(distance(&row.position, &row.reference)));
+    let result = distances.result();
+    (result.max_mm, result.rms_mm)
+}
+
 impl Report {
     /// Computes the figures.
     pub fn new(evidence: &Evidence) -> Self {
@@ -195,8 +207,12 @@ impl Report {
         let rows = rows(evidence.config, &drawing);
         let strokes = strokes(evidence.path);
         let drawn_rows = || rows.iter().filter(|row| row.pen == Pen::Down);
-        let path = deviation(drawn_rows().map(|row| (row.stroke, row.position)), &strokes);
-        let shaping = deviation(drawn_rows().map(|row| (row.stroke, row.reference)), &strokes);
+        let moments = drawn_rows().map(|row| Moment {
+            stroke: row.stroke,
+            reference: row.reference,
+            measured: row.position,
+        });
+        let (shaping, path) = deviation(moments, &strokes);
         let mut tracking = Distances::default();
         drawn_rows().for_each(|row| tracking.add(distance(&row.position, &row.reference)));
         let tracking = tracking.result();

@@ -1,0 +1,250 @@
+//! `etherpen identify`: measures delay and gain of the drives with a small test motion, and stores what follows.
+//!
+//! The motion is driven twice: with the values there are, and with the ones that were found, so that what is stored has
+//! been tried.
+
+use super::display::Display;
+use super::draw::operator;
+use super::{CommandError, ConfigArguments, code, job_error, run::run_error, session_number};
+use crate::cell::CellOptions;
+use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
+use crate::link::job::{Control, DrawJob, JobOptions, JobReport};
+use crate::link::port::{Port, PortName, RunError, run_job};
+use crate::report::tracking;
+use crate::run::{self, Task};
+use crate::settings::Settings;
+use etherpen::config::Config;
+use etherpen::robot::AXES;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::sync::mpsc::Receiver;
+
+/// Options of `etherpen identify`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Try it on the virtual cell, in virtual time.
+    #[arg(long, conflicts_with = "port", required_unless_present = "port")]
+    simulate: bool,
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long)]
+    port: Option<String>,
+    /// Change this axis alone, from 1; the arms share their lead and feedback gain all the same.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=AXES as i64))]
+    axis: Option<u8>,
+    /// Store the values in this file; everything else in it stays.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Store the values in the configuration file that is in use, `etherpen.toml` where there is none.
+    #[arg(long, conflicts_with = "output")]
+    store: bool,
+    /// Print the result as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Values of the controller before and after.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Change {
+    before: f64,
+    after: f64,
+    /// One standard deviation; absent where the value was not measured itself.
+    uncertainty: Option<f64>,
+}
+
+/// One axis' result.
+#[derive(Clone, Debug, Serialize)]
+struct AxisResult {
+    axis: usize,
+    /// What was measured.
+    measured: Option<Answer>,
+    /// Why nothing was.
+    not_measured: Option<String>,
+    feed_forward_lead_ms: Change,
+    feed_forward_gain: Change,
+    feedback_gain_per_s: Change,
+}
+
+/// Distance in space between the measured platform and its reference over the test motion, mm.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Tracking {
+    max_mm: f64,
+    rms_mm: f64,
+}
+
+/// What the command prints.
+#[derive(Clone, Debug, Serialize)]
+struct Identified {
+    axes: Vec<AxisResult>,
+    tracking_before: Tracking,
+    tracking_after: Tracking,
+    stored: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The configuration, the machine, an axis that gives no answer although it was asked for, or the file.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let control = match &arguments.port {
+        Some(_) => Some(operator()?),
+        None => None,
+    };
+    let drive = |config: &Config| drive(arguments, config, control.as_ref());
+    let first = drive(&test_config(&config))?;
+    let answers = identify(&config, &first.samples);
+    let only = arguments.axis.map(|axis| usize::from(axis) - 1);
+    refuse_silence(&answers, only)?;
+    let mut found = config.clone();
+    apply(&mut found, &answers, only);
+    found.check().map_err(|cause| {
+        let text = crate::link::text::config_error(&cause);
+        CommandError::new(code::FAILED, format!("what was measured cannot be used: {text}"))
+    })?;
+    let second = drive(&test_config(&found))?;
+    let tracked = |config: &Config, job: &JobReport| {
+        let (max_mm, rms_mm) = tracking(config, &job.samples);
+        Tracking { max_mm, rms_mm }
+    };
+    let mut result = Identified {
+        axes: (0..AXES)
+            .map(|axis| axis_result(axis, &config, &found, &answers))
+            .collect(),
+        tracking_before: tracked(&config, &first),
+        tracking_after: tracked(&found, &second),
+        stored: None,
+    };
+    print(&result);
+    if let Some(path) = target(arguments) {
+        let failed = |cause| CommandError::failed(format!("{} cannot be changed", path.display()), cause);
+        let mut settings = Settings::open(&path).map_err(failed)?;
+        let changed = settings.store_axes(&found).map_err(failed)?;
+        settings.save(&path).map_err(failed)?;
+        eprintln!("{changed} values changed in {}.", path.display());
+        result.stored = Some(path.display().to_string());
+    }
+    if arguments.json {
+        super::print_json(&result)?;
+    }
+    Ok(())
+}
+
+fn target(arguments: &Arguments) -> Option<PathBuf> {
+    let in_use = || {
+        arguments
+            .config
+            .config
+            .clone()
+            .unwrap_or_else(|| PathBuf::from("etherpen.toml"))
+    };
+    arguments.output.clone().or_else(|| arguments.store.then(in_use))
+}
+
+/// The arms always move; what they do not tell is an error, and so is the silence of an axis that was asked for.
+fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), CommandError> {
+    for (axis, answer) in answers.iter().enumerate() {
+        let needed = only.map_or(axis < etherpen::robot::ARMS, |only| only == axis);
+        if let (true, Err(cause)) = (needed, answer) {
+            return Err(CommandError::new(code::FAILED, format!("axis {}: {cause}", axis + 1)));
+        }
+    }
+    Ok(())
+}
+
+/// Drives the test motion once.
+fn drive(
+    arguments: &Arguments,
+    config: &Config,
+    control: Option<&Receiver<Control>>,
+) -> Result<JobReport, CommandError> {
+    let path = test_path(config);
+    let mut display = Display::new();
+    let (Some(port), Some(control)) = (&arguments.port, control) else {
+        let task = Task {
+            config: config.clone(),
+            path,
+            cell: CellOptions::default(),
+        };
+        let drawn = run::simulate(&task, None, &mut |job| display.update(job)).map_err(|error| run_error(&error))?;
+        display.finish();
+        return match drawn.outcome {
+            Some(Ok(())) => Ok(drawn.job),
+            Some(Err(error)) => Err(job_error(&error)),
+            None => Err(CommandError::new(code::FAILED, "the run ended before the motion did")),
+        };
+    };
+    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let options = JobOptions {
+        session: session_number(),
+        ..JobOptions::default()
+    };
+    let mut job = DrawJob::new(config.clone(), path, options);
+    let result = run_job(port, &mut job, control, &mut |show| display.show(&show));
+    display.finish();
+    result.map_err(|error| match error {
+        RunError::Job(error) => job_error(&error),
+        RunError::Port(error) => CommandError::new(code::CONNECTION, error),
+    })?;
+    Ok(job.into_report())
+}
+
+fn axis_result(axis: usize, before: &Config, after: &Config, answers: &[Result<Answer, NoAnswer>; AXES]) -> AxisResult {
+    let answer = answers[axis].as_ref();
+    let (old, new) = (&before.axes[axis], &after.axes[axis]);
+    let change = |before: f64, after: f64, uncertainty: Option<f64>| Change {
+        before,
+        after,
+        uncertainty,
+    };
+    let measured = answer.ok();
+    AxisResult {
+        axis: axis + 1,
+        measured: measured.copied(),
+        not_measured: answer.err().map(ToString::to_string),
+        feed_forward_lead_ms: change(
+            old.feed_forward_lead_ms,
+            new.feed_forward_lead_ms,
+            measured.map(|answer| answer.lead_ms.uncertainty),
+        ),
+        feed_forward_gain: change(
+            old.feed_forward_gain,
+            new.feed_forward_gain,
+            measured.map(|answer| answer.feed_forward_gain.uncertainty),
+        ),
+        feedback_gain_per_s: change(old.feedback_gain_per_s, new.feedback_gain_per_s, None),
+    }
+}
+
+fn print(result: &Identified) {
+    eprintln!();
+    for axis in &result.axes {
+        let (lead, gain, feedback) = (
+            &axis.feed_forward_lead_ms,
+            &axis.feed_forward_gain,
+            &axis.feedback_gain_per_s,
+        );
+        match &axis.not_measured {
+            Some(cause) => eprintln!("axis {}: {cause}.", axis.axis),
+            None => eprintln!(
+                "axis {}: lead {:.3} -> {:.3} ms (+-{:.3}), Kff {:.4} -> {:.4} (+-{:.4}), Kfb {:.1} -> {:.1} /s",
+                axis.axis,
+                lead.before,
+                lead.after,
+                lead.uncertainty.unwrap_or(0.0),
+                gain.before,
+                gain.after,
+                gain.uncertainty.unwrap_or(0.0),
+                feedback.before,
+                feedback.after
+            ),
+        }
+    }
+    let (before, after) = (&result.tracking_before, &result.tracking_after);
+    eprintln!(
+        "The pen followed the test motion within {:.3} mm ({:.3} mm rms) before, {:.3} mm ({:.3} mm rms) after.",
+        before.max_mm, before.rms_mm, after.max_mm, after.rms_mm
+    );
+}

@@ -1,0 +1,440 @@
+//! What the drives' answers tell about delay and gain, from the telemetry of a test motion.
+//!
+//! The position controller's command is computed again from the telemetry, by the controller itself. A drive answers
+//! with a velocity w(t) = g u(t - D): the regression of w on the command and its first three derivatives and a
+//! constant gives the gain g and the mean delay D, whatever the shape of the answer, because slow signals feel only its
+//! first moments. From these follow, per axis,
+//!
+//! - feed-forward gain Kff = 1 / g;
+//! - feed-forward lead tau = D - age - 0.5 ms: the command must be as early as its answer is late, and the measurement
+//!   is compared with the reference of its age; 0.5 ms is the centre of a 1 ms difference;
+//! - feedback gain Kfb = (pi / 6) / (D - 0.5 ms) / g: the loop of an integrator and a delay has a phase margin of 60
+//!   degrees there (Åström and Murray, *Feedback Systems*, 2nd ed., 10.3).
+//!
+//! The three arms share one lead and one Kfb, so that the platform lags straight. Commands and answers pass the same
+//! low-pass before the regression, which changes neither g nor D.
+//!
+//! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
+
+use etherpen::application::Mode;
+use etherpen::config::{Axis, AxisMode, Config};
+use etherpen::control::position::{PositionController, REFERENCES_AHEAD};
+use etherpen::link::protocol::{PathVertex, Sample};
+use etherpen::motion::Pen;
+use etherpen::robot::{ARMS, AXES};
+use std::f64::consts::{PI, TAU};
+
+/// Radius of the test motion's circles, mm.
+const RADIUS_MM: f64 = 40.0;
+/// Height of the test motion above the lifted pen, mm.
+const CLEARANCE_MM: f64 = 25.0;
+/// How far the circles rise and fall, mm.
+const WAVE_MM: f64 = 15.0;
+/// Rises and falls on one turn; no whole number, so that every turn moves the arms otherwise.
+const WAVES_PER_TURN: f64 = 2.4;
+/// Turns, and vertices on each.
+const TURNS: usize = 5;
+const VERTICES_PER_TURN: usize = 72;
+/// Strokes up and down at the end.
+const STROKES_UP: usize = 4;
+/// Highest speed and acceleration of the test motion, mm/s and mm/s2; the configuration's where they are lower.
+const SPEED_MAX_MM_S: f64 = 400.0;
+const ACCELERATION_MAX_MM_S2: f64 = 8_000.0;
+
+/// Half the width of the low-pass, ms.
+const FILTER_HALF_MS: usize = 10;
+/// Terms of the regression: command, three derivatives, constant.
+const TERMS: usize = 5;
+/// Parts that the record is divided into, for the uncertainty.
+const PARTS: usize = 8;
+/// Fewest samples of a part.
+const PART_SAMPLES_MIN: usize = 100;
+/// Smallest root mean square of a command's change that counts as motion, rad/s2.
+const CHANGE_MIN_RAD_S2: f64 = 0.5;
+/// Largest part of the answer that the model may leave unexplained (root mean square).
+const UNEXPLAINED_MAX: f64 = 0.1;
+
+/// A value with its standard uncertainty.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Measured {
+    /// The value.
+    pub value: f64,
+    /// One standard deviation of the value, from the scatter between parts of the record.
+    pub uncertainty: f64,
+}
+
+/// What one axis' answers tell.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Answer {
+    /// Samples used.
+    pub samples: usize,
+    /// Mean time from a command to the measured velocity, ms.
+    pub delay_ms: Measured,
+    /// Measured velocity for a commanded one.
+    pub gain: Measured,
+    /// The lead that the delay asks for, ms.
+    pub lead_ms: Measured,
+    /// The feed-forward gain that the gain asks for.
+    pub feed_forward_gain: Measured,
+    /// The feedback gain with a phase margin of 60 degrees, 1/s.
+    pub feedback_gain_per_s: f64,
+}
+
+/// Why an axis has no estimate.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoAnswer {
+    /// The axis follows a torque: lead and gain of a velocity mean nothing to its drive.
+    Torque,
+    /// The axis has hardly moved.
+    Still,
+    /// Too few samples in a row.
+    Samples,
+    /// The answers are not those of a delay and a gain.
+    Model,
+}
+
+impl std::fmt::Display for NoAnswer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Torque => "the axis follows a torque; lead and gain belong to drives that follow a velocity",
+            Self::Still => "the axis has hardly moved",
+            Self::Samples => "too few samples without a gap",
+            Self::Model => "the drive's answers are not those of a delay and a gain; look at its own controller",
+        })
+    }
+}
+
+/// The configuration that the test motion is driven with: the given one, no faster than a test should be.
+pub fn test_config(config: &Config) -> Config {
+    let mut test = config.clone();
+    let motion = &mut test.motion;
+    motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MAX_MM_S);
+    motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MAX_MM_S);
+    motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MAX_MM_S2);
+    test
+}
+
+/// The test motion: circles above the paper that rise and fall, then strokes up and down, all with the pen lifted.
+pub fn test_path(config: &Config) -> Vec<PathVertex> {
+    let paper = &config.paper;
+    let [x_mm, y_mm] = paper.centre_mm;
+    let low_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+    // A low ceiling makes the motion flatter.
+    let clearance_mm = CLEARANCE_MM.min(0.5 * (config.work_area.z_high_mm - low_mm)).max(0.0);
+    let (middle_mm, wave_mm) = (low_mm + clearance_mm, WAVE_MM.min(clearance_mm));
+    let vertex = |x: f64, y: f64, z: f64| PathVertex {
+        position_um: [x, y, z].map(|mm| (mm * 1_000.0).round() as i32),
+        pen: Pen::Up,
+        stroke: 0,
+    };
+    let on_circle = (0..=TURNS * VERTICES_PER_TURN).map(|step| {
+        let turn = step as f64 / VERTICES_PER_TURN as f64;
+        let (sine, cosine) = (TAU * turn).sin_cos();
+        let wave = (TAU * WAVES_PER_TURN * turn).sin();
+        vertex(
+            x_mm + RADIUS_MM * cosine,
+            y_mm + RADIUS_MM * sine,
+            middle_mm + wave_mm * wave,
+        )
+    });
+    let up_and_down = (0..=2 * STROKES_UP).map(|stroke| {
+        let sign = if stroke % 2 == 0 { -1.0 } else { 1.0 };
+        vertex(x_mm, y_mm, middle_mm + sign * wave_mm)
+    });
+    on_circle.chain(up_and_down).collect()
+}
+
+/// Estimates every axis from the telemetry of a motion that was driven with `config`.
+pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
+    std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
+}
+
+/// Puts estimates into a configuration. `only` limits what changes to one axis; lead and feedback gain of the arms change
+/// together, to their mean and to their smallest.
+pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) {
+    let wanted = |axis: usize| only.is_none_or(|only| only == axis);
+    let arms: Vec<&Answer> = answers
+        .iter()
+        .take(ARMS)
+        .filter_map(|answer| answer.as_ref().ok())
+        .collect();
+    // A lead that one arm does not know is not shared: its lag would not be straight.
+    let arms_wanted = (0..ARMS).any(wanted) && arms.len() == ARMS;
+    let lead_ms = arms.iter().map(|arm| arm.lead_ms.value).sum::<f64>() / ARMS as f64;
+    let feedback = arms
+        .iter()
+        .map(|arm| arm.feedback_gain_per_s)
+        .fold(f64::INFINITY, f64::min);
+    for (number, (axis, answer)) in config.axes.iter_mut().zip(answers).enumerate() {
+        if number < ARMS && arms_wanted {
+            axis.feed_forward_lead_ms = lead_ms;
+            axis.feedback_gain_per_s = feedback;
+        }
+        let Ok(answer) = answer else { continue };
+        if !wanted(number) {
+            continue;
+        }
+        axis.feed_forward_gain = answer.feed_forward_gain.value;
+        if number >= ARMS {
+            axis.feed_forward_lead_ms = answer.lead_ms.value;
+            axis.feedback_gain_per_s = answer.feedback_gain_per_s;
+        }
+    }
+}
+
+/// Equations of the regression: what stands beside the answer, and the answer.
+type Equation = ([f64; TERMS], f64);
+
+fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answer, NoAnswer> {
+    if axis.mode == AxisMode::Torque {
+        return Err(NoAnswer::Torque);
+    }
+    let shift = (axis.feed_forward_lead_ms + axis.measurement_age_ms + 0.5).round() as usize;
+    let runs = samples.chunk_by(|a, b| b.t_ms == a.t_ms.wrapping_add(1) && moves(a) == moves(b));
+    let equations: Vec<Equation> = runs
+        .filter(|run| run.first().is_some_and(moves))
+        .flat_map(|run| equations(axis, number, run, shift))
+        .collect();
+    if equations.len() < PARTS * PART_SAMPLES_MIN {
+        return Err(NoAnswer::Samples);
+    }
+    let mean_square = |of: &dyn Fn(&Equation) -> f64| {
+        equations.iter().map(|equation| of(equation).powi(2)).sum::<f64>() / equations.len() as f64
+    };
+    // The derivative is per millisecond.
+    if mean_square(&|(terms, _)| terms[1]).sqrt() * 1_000.0 < CHANGE_MIN_RAD_S2 {
+        return Err(NoAnswer::Still);
+    }
+    let estimate = |part: &[Equation]| {
+        let solution = least_squares(part)?;
+        let (gain, delay_ms) = (solution[0], shift as f64 - solution[1] / solution[0]);
+        (gain > 0.0 && gain.is_finite() && delay_ms.is_finite()).then_some((gain, delay_ms, solution))
+    };
+    let (gain, delay_ms, solution) = estimate(&equations).ok_or(NoAnswer::Model)?;
+    let left = mean_square(&|(terms, answer)| answer - terms.iter().zip(&solution).map(|(a, b)| a * b).sum::<f64>());
+    let fits = left.sqrt() < UNEXPLAINED_MAX * mean_square(&|(_, answer)| *answer).sqrt();
+    let lead_ms = delay_ms - axis.measurement_age_ms - 0.5;
+    if !fits || lead_ms < 0.0 || delay_ms <= 0.5 {
+        return Err(NoAnswer::Model);
+    }
+    let parts: Option<Vec<_>> = equations
+        .chunks_exact(equations.len() / PARTS)
+        .take(PARTS)
+        .map(estimate)
+        .collect();
+    let parts = parts.ok_or(NoAnswer::Model)?;
+    let spread = |of: &dyn Fn(&(f64, f64, [f64; TERMS])) -> f64| {
+        let mean = parts.iter().map(of).sum::<f64>() / parts.len() as f64;
+        let squares = parts.iter().map(|part| (of(part) - mean).powi(2)).sum::<f64>();
+        (squares / (parts.len() - 1) as f64 / parts.len() as f64).sqrt()
+    };
+    let (gain_spread, delay_spread_ms) = (spread(&|part| part.0), spread(&|part| part.1));
+    let measured = |value: f64, uncertainty: f64| Measured { value, uncertainty };
+    Ok(Answer {
+        samples: equations.len(),
+        delay_ms: measured(delay_ms, delay_spread_ms),
+        gain: measured(gain, gain_spread),
+        lead_ms: measured(lead_ms, delay_spread_ms),
+        feed_forward_gain: measured(1.0 / gain, gain_spread / (gain * gain)),
+        feedback_gain_per_s: PI / 6.0 / ((delay_ms - 0.5) / 1_000.0) / gain,
+    })
+}
+
+fn moves(sample: &Sample) -> bool {
+    sample.mode == Mode::Drawing
+}
+
+/// The equations of one run of samples: filtered answers on the filtered command `shift` milliseconds before.
+fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Equation> {
+    let mut controller = PositionController::new(axis);
+    let command = |k: usize| {
+        let sample = &run[k];
+        let ahead = run[k..]
+            .iter()
+            .take(REFERENCES_AHEAD)
+            .map(|sample| f64::from(sample.reference_rad_s[number]));
+        let (reference, measured) = (sample.reference_rad[number].into(), sample.measured_rad[number].into());
+        controller.step(reference, measured, ahead)
+    };
+    let commands: Vec<f64> = (0..run.len()).map(command).collect();
+    let answers: Vec<f64> = run.iter().map(|sample| sample.measured_rad_s[number].into()).collect();
+    let (commands, answers) = (low_pass(&commands), low_pass(&answers));
+    // References at the run's end are not known, nor commands before its begin.
+    let last = answers.len().saturating_sub(REFERENCES_AHEAD);
+    let first = shift + 2 + etherpen::control::position::AGE_MAX_MS;
+    (first..last)
+        .filter_map(|k| {
+            let at = |offset: usize| commands.get(k + offset - shift - 2).copied();
+            let [a, b, c, d, e] = [at(0)?, at(1)?, at(2)?, at(3)?, at(4)?];
+            let derivatives = [
+                c,
+                (d - b) / 2.0,
+                d - 2.0 * c + b,
+                (e - 2.0 * d + 2.0 * b - a) / 2.0,
+                1.0,
+            ];
+            Some((derivatives, *answers.get(k)?))
+        })
+        .collect()
+}
+
+/// Moving average with the weights of a raised cosine; both ends, where it does not fit, are cut off.
+fn low_pass(values: &[f64]) -> Vec<f64> {
+    let width = 2 * FILTER_HALF_MS + 1;
+    let weight = |k: usize| 1.0 - (TAU * (k + 1) as f64 / (width + 1) as f64).cos();
+    let weights: Vec<f64> = (0..width).map(weight).collect();
+    let sum: f64 = weights.iter().sum();
+    let average = |window: &[f64]| {
+        window
+            .iter()
+            .zip(&weights)
+            .map(|(value, weight)| value * weight)
+            .sum::<f64>()
+            / sum
+    };
+    values.windows(width).map(average).collect()
+}
+
+/// Solution of the normal equations, by elimination with pivoting; `None` when they have none.
+fn least_squares(equations: &[Equation]) -> Option<[f64; TERMS]> {
+    let mut rows = [[0.0; TERMS + 1]; TERMS];
+    for (terms, answer) in equations {
+        for (row, left) in rows.iter_mut().zip(terms) {
+            for (entry, right) in row.iter_mut().zip(terms.iter().chain([answer])) {
+                *entry += left * right;
+            }
+        }
+    }
+    // Terms of very different size: each is divided by its own.
+    let sizes: [f64; TERMS] = std::array::from_fn(|k| rows[k][k].sqrt());
+    if sizes.iter().any(|size| !(*size > 0.0 && size.is_finite())) {
+        return None;
+    }
+    for (i, row) in rows.iter_mut().enumerate() {
+        for (j, entry) in row.iter_mut().enumerate() {
+            *entry /= sizes[i] * sizes.get(j).copied().unwrap_or(1.0);
+        }
+    }
+    for pivot in 0..TERMS {
+        let best = (pivot..TERMS).max_by(|a, b| rows[*a][pivot].abs().total_cmp(&rows[*b][pivot].abs()))?;
+        rows.swap(pivot, best);
+        let row = rows[pivot];
+        if row[pivot].abs() < 1e-12 {
+            return None;
+        }
+        for (index, other) in rows.iter_mut().enumerate() {
+            let factor = if index == pivot { 0.0 } else { other[pivot] / row[pivot] };
+            other
+                .iter_mut()
+                .zip(&row)
+                .for_each(|(entry, pivot)| *entry -= factor * pivot);
+        }
+    }
+    Some(std::array::from_fn(|k| rows[k][TERMS] / rows[k][k] / sizes[k]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Samples of an axis whose drive answers with a gain and a delay, on a smooth swing.
+    fn swing(axis: &Axis, gain: f64, delay_ms: usize, amplitude_rad: f64) -> Vec<Sample> {
+        let reference = |ms: i32| {
+            let t = f64::from(ms.max(0)) / 1_000.0;
+            amplitude_rad * ((TAU * 1.7 * t).cos() - 1.0 + 0.6 * ((TAU * 3.1 * t).cos() - 1.0))
+        };
+        let mut controller = PositionController::new(axis);
+        let mut commands = vec![0.0; delay_ms];
+        let mut angle = 0.0;
+        (0..3_000)
+            .map(|ms| {
+                let speed = gain * commands[ms as usize];
+                angle += speed / 1_000.0;
+                let velocity = |ms: i32| (reference(ms) - reference(ms - 1)) * 1_000.0;
+                let ahead = (0..REFERENCES_AHEAD as i32).map(|k| velocity(ms + k));
+                commands.push(controller.step(reference(ms), angle, ahead));
+                Sample {
+                    t_ms: ms as u32,
+                    mode: Mode::Drawing,
+                    stroke: 0,
+                    pen: Pen::Up,
+                    reference_rad: [reference(ms) as f32; AXES],
+                    measured_rad: [angle as f32; AXES],
+                    reference_rad_s: [velocity(ms) as f32; AXES],
+                    measured_rad_s: [speed as f32; AXES],
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn delay_and_gain_are_found_whatever_the_controller_was_set_to() {
+        for (gain, delay_ms, lead_ms, kff) in [(1.0, 5, 3.5, 1.0), (0.97, 4, 4.4, 1.0), (1.03, 6, 3.1, 1.02)] {
+            let axis = Axis {
+                feed_forward_lead_ms: lead_ms,
+                feed_forward_gain: kff,
+                ..Axis::default()
+            };
+            let answer = identify_axis(&axis, 0, &swing(&axis, gain, delay_ms, 0.1)).unwrap();
+            assert!((answer.gain.value - gain).abs() < 0.001, "{answer:?}");
+            assert!((answer.delay_ms.value - delay_ms as f64).abs() < 0.05, "{answer:?}");
+            assert!(
+                (answer.lead_ms.value - (delay_ms as f64 - 1.5)).abs() < 0.05,
+                "{answer:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_axis_that_rests_or_follows_a_torque_has_no_answer() {
+        let axis = Axis::default();
+        assert_eq!(
+            identify_axis(&axis, 0, &swing(&axis, 1.0, 5, 1e-5)),
+            Err(NoAnswer::Still)
+        );
+        assert_eq!(identify_axis(&axis, 0, &[]), Err(NoAnswer::Samples));
+        let torque = Axis {
+            mode: AxisMode::Torque,
+            ..axis
+        };
+        assert_eq!(identify_axis(&torque, 0, &[]), Err(NoAnswer::Torque));
+    }
+
+    #[test]
+    fn arms_share_lead_and_feedback_and_keep_their_own_gains() {
+        let axis = Axis::default();
+        let answer = |delay_ms| identify_axis(&axis, 0, &swing(&axis, 1.0, delay_ms, 0.1));
+        let answers = [answer(5), answer(5), answer(6), Err(NoAnswer::Still)];
+        let mut config = Config::default();
+        apply(&mut config, &answers, None);
+        let leads = config.axes.map(|axis| axis.feed_forward_lead_ms);
+        assert!((leads[0] - 3.8333).abs() < 0.02, "{leads:?}");
+        assert_eq!((leads[0], leads[3]), (leads[2], Axis::default().feed_forward_lead_ms));
+        assert!(config.axes[0].feedback_gain_per_s < 100.0, "the slowest arm's");
+        let mut one = Config::default();
+        apply(&mut one, &answers, Some(3));
+        assert_eq!(one, Config::default());
+    }
+
+    #[test]
+    fn the_test_motion_is_admitted_and_leaves_the_paper_alone() {
+        let config = Config::default();
+        let path = test_path(&config);
+        let lifted_um = ((config.paper.pen_down_z_mm + config.paper.pen_lift_mm) * 1_000.0) as i32;
+        assert!(
+            path.iter()
+                .all(|vertex| vertex.pen == Pen::Up && vertex.position_um[2] >= lifted_um)
+        );
+        let mut admission = etherpen::motion::Admission::new(&config).unwrap();
+        for (index, vertex) in (0..).zip(&path) {
+            let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
+            let vertex = etherpen::motion::Vertex {
+                position: etherpen::robot::Position { x_mm, y_mm, z_mm },
+                pen: vertex.pen,
+                stroke: vertex.stroke,
+            };
+            assert_eq!(admission.check(index, &vertex), Ok(()));
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! A configuration file that a command changes: single values, everything else left as it was written.
+//!
+//! Comments, order and the values nobody asked to change stay. A file that does not exist is made from the sample that
+//! lists all values; a file without axes gets the sample's.
+//!
+//! Invariant: what is written is a configuration that can be read and is within its bounds; the file is replaced as a
+//! whole or not at all.
+
+use etherpen::config::{Config, ConfigError};
+use std::io;
+use std::path::Path;
+use toml_edit::{DocumentMut, Item, TomlError, Value};
+
+/// All values with their defaults and comments.
+const SAMPLE: &str = include_str!("../../samples/etherpen.toml");
+
+/// Why a file was not changed.
+#[derive(Debug)]
+pub enum SettingsError {
+    /// It cannot be read or written.
+    File(io::Error),
+    /// It is no TOML.
+    Syntax(TomlError),
+    /// The value's place does not exist in it.
+    Place {
+        /// Which axis, from 0.
+        axis: usize,
+        /// Name of the value.
+        field: &'static str,
+    },
+    /// It would be no configuration.
+    Configuration(toml::de::Error),
+    /// A value would be outside its bounds.
+    Bounds(ConfigError),
+}
+
+impl std::fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::File(cause) => cause.fmt(f),
+            Self::Syntax(cause) => cause.fmt(f),
+            Self::Place { axis, field } => write!(f, "there is no place for axes[{axis}].{field} in it"),
+            Self::Configuration(cause) => cause.fmt(f),
+            Self::Bounds(cause) => f.write_str(&crate::link::text::config_error(cause)),
+        }
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+/// A configuration file being changed.
+pub struct Settings {
+    document: DocumentMut,
+}
+
+impl Settings {
+    /// Reads a file; one that does not exist begins as the sample.
+    ///
+    /// # Errors
+    /// [`SettingsError::File`] and [`SettingsError::Syntax`].
+    pub fn open(path: &Path) -> Result<Self, SettingsError> {
+        let text = match std::fs::read_to_string(path) {
+            Err(cause) if cause.kind() == io::ErrorKind::NotFound => SAMPLE.to_owned(),
+            read => read.map_err(SettingsError::File)?,
+        };
+        Self::parse(&text)
+    }
+
+    fn parse(text: &str) -> Result<Self, SettingsError> {
+        let mut document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
+        if document.get("axes").is_none() {
+            let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;
+            if let Some(axes) = sample.remove("axes") {
+                document.insert("axes", axes);
+            }
+        }
+        Ok(Self { document })
+    }
+
+    /// Sets one value of an axis, from 0.
+    ///
+    /// # Errors
+    /// [`SettingsError::Place`].
+    pub fn set_axis(&mut self, axis: usize, field: &'static str, value: impl Into<Value>) -> Result<(), SettingsError> {
+        let place = SettingsError::Place { axis, field };
+        let item = match self.document.get_mut("axes") {
+            Some(Item::ArrayOfTables(tables)) => tables
+                .get_mut(axis)
+                .map(|table| table.entry(field).or_insert(Item::None)),
+            Some(Item::Value(Value::Array(array))) => {
+                let table = array.get_mut(axis).and_then(Value::as_inline_table_mut).ok_or(place)?;
+                table.insert(field, value.into());
+                return Ok(());
+            }
+            _ => None,
+        };
+        let item = item.ok_or(place)?;
+        let mut value = value.into();
+        if let Some(before) = item.as_value() {
+            *value.decor_mut() = before.decor().clone();
+        }
+        *item = Item::Value(value);
+        Ok(())
+    }
+
+    /// Stores the values of the axes in which a configuration differs from what the file says; gives how many.
+    ///
+    /// # Errors
+    /// [`SettingsError`]; nothing was written.
+    pub fn store_axes(&mut self, wanted: &Config) -> Result<usize, SettingsError> {
+        let now = self.config()?;
+        let mut changed = 0;
+        for (number, (axis, before)) in wanted.axes.iter().zip(&now.axes).enumerate() {
+            let values = [
+                (
+                    "feedback_gain_per_s",
+                    axis.feedback_gain_per_s,
+                    before.feedback_gain_per_s,
+                ),
+                ("feed_forward_gain", axis.feed_forward_gain, before.feed_forward_gain),
+                (
+                    "feed_forward_lead_ms",
+                    axis.feed_forward_lead_ms,
+                    before.feed_forward_lead_ms,
+                ),
+                ("sync_angle_rad", axis.sync_angle_rad, before.sync_angle_rad),
+            ];
+            for (field, value, before) in values {
+                if value != before {
+                    self.set_axis(number, field, value)?;
+                    changed += 1;
+                }
+            }
+            if axis.sync_increments != before.sync_increments {
+                self.set_axis(number, "sync_increments", i64::from(axis.sync_increments))?;
+                changed += 1;
+            }
+        }
+        Ok(changed)
+    }
+
+    /// The configuration as it would be read.
+    ///
+    /// # Errors
+    /// [`SettingsError::Configuration`] and [`SettingsError::Bounds`].
+    pub fn config(&self) -> Result<Config, SettingsError> {
+        let config: Config = toml::from_str(&self.document.to_string()).map_err(SettingsError::Configuration)?;
+        config.check().map_err(SettingsError::Bounds)?;
+        Ok(config)
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// [`SettingsError`]; the file is as it was.
+    pub fn save(&self, path: &Path) -> Result<(), SettingsError> {
+        self.config()?;
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(".part");
+        std::fs::write(&beside, self.document.to_string()).map_err(SettingsError::File)?;
+        std::fs::rename(&beside, path).map_err(SettingsError::File)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nobody_asked_to_change_stays_as_it_was_written() {
+        let mut settings = Settings::parse(SAMPLE).unwrap();
+        let mut config = Config::default();
+        config.axes[1].feed_forward_lead_ms = 3.25;
+        config.axes[3].sync_increments = 4_711;
+        assert_eq!(settings.store_axes(&config).unwrap(), 2);
+        let text = settings.document.to_string();
+        let changed: Vec<_> = SAMPLE
+            .lines()
+            .zip(text.lines())
+            .filter(|(before, after)| before != after)
+            .collect();
+        assert_eq!(text.lines().count(), SAMPLE.lines().count());
+        assert_eq!(changed.len(), 2, "{changed:?}");
+        assert!(changed[0].1.starts_with("feed_forward_lead_ms = 3.25") && changed[0].1.contains('#'));
+        assert_eq!(settings.config().unwrap(), config);
+    }
+
+    #[test]
+    fn a_file_without_axes_gets_all_of_them() {
+        let mut settings = Settings::parse("# mine\n[motion]\nspeed_mm_s = 150.0\n").unwrap();
+        let mut config = Config::default();
+        config.motion.speed_mm_s = 150.0;
+        config.axes[0].feed_forward_gain = 1.01;
+        assert_eq!(settings.store_axes(&config).unwrap(), 1);
+        assert_eq!(settings.config().unwrap(), config);
+        assert!(settings.document.to_string().starts_with("# mine\n[motion]"));
+    }
+
+    #[test]
+    fn axes_in_one_line_can_be_changed_too() {
+        let mut settings = Settings::parse("axes = [{}, {}, {gear = 12.0}, {}]\n").unwrap();
+        settings.set_axis(2, "feed_forward_gain", 0.99).unwrap();
+        assert_eq!(settings.config().unwrap().axes[2].feed_forward_gain, 0.99);
+        assert!(matches!(
+            settings.set_axis(4, "gear", 1.0),
+            Err(SettingsError::Place { axis: 4, .. })
+        ));
+    }
+
+    #[test]
+    fn a_value_out_of_bounds_is_not_written() {
+        let path = std::env::temp_dir().join(format!("etherpen-settings-{}.toml", std::process::id()));
+        let mut settings = Settings::open(&path).unwrap();
+        settings.set_axis(0, "feed_forward_lead_ms", 11.0).unwrap();
+        assert!(matches!(settings.save(&path), Err(SettingsError::Bounds(_))));
+        assert!(!path.exists());
+        settings.set_axis(0, "feed_forward_lead_ms", 4.0).unwrap();
+        settings.save(&path).unwrap();
+        let stored = Settings::open(&path).unwrap().config().unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(stored.axes[0].feed_forward_lead_ms, 4.0);
+    }
+}

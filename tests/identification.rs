@@ -1,0 +1,90 @@
+//! Delay and gain of the virtual drives, found by the firmware's tasks and a test motion in virtual time.
+//!
+//! The figures of each run are printed (`cargo test --test identification -- --nocapture`).
+
+use etherpen::config::Config;
+use etherpen::robot::ARMS;
+use host_tools::cell::CellOptions;
+use host_tools::commands::prepare::prepare;
+use host_tools::commands::run::{conclude, task};
+use host_tools::identification::{apply, identify, test_config, test_path};
+use host_tools::report::Report;
+use host_tools::run::{self, Task};
+use std::path::Path;
+
+/// How far a lead may be from the cell's, ms.
+const LEAD_MS: f64 = 0.1;
+/// How far a gain may be from the cell's.
+const GAIN: f64 = 0.002;
+
+/// The lead that the cell's drives ask for, ms: from a command to the measured velocity pass the delays of both ways, a
+/// millisecond in which the command is held and the velocity differenced, half each, once more a half until the next
+/// telegram, and the drive's lag 1 / (2 pi f); the measurement is compared with the reference of its age.
+fn true_lead_ms(cell: &CellOptions, measurement_age_ms: f64) -> f64 {
+    let delays = (cell.output_delay_cycles + cell.input_delay_cycles) as f64;
+    let lag_ms = 1_000.0 / (std::f64::consts::TAU * cell.drive_bandwidth_hz);
+    delays + 0.5 + lag_ms - measurement_age_ms
+}
+
+fn identified(config: &Config, cell: &CellOptions) -> Config {
+    let test = test_config(config);
+    let task = Task {
+        path: test_path(&test),
+        config: test,
+        cell: cell.clone(),
+    };
+    let drawn = run::simulate(&task, None, &mut |_| {}).expect("nothing is captured");
+    assert_eq!(drawn.outcome, Some(Ok(())));
+    let answers = identify(config, &drawn.job.samples);
+    let mut found = config.clone();
+    apply(&mut found, &answers, None);
+    found
+}
+
+fn drawn(config: &Config, cell: &CellOptions) -> Report {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("samples/strokes.csv");
+    let prepared = prepare(&file, config).expect("the sample can be drawn");
+    let mut task = task(config, &prepared);
+    task.cell = cell.clone();
+    let drawn = run::simulate(&task, None, &mut |_| {}).expect("nothing is captured");
+    conclude(&task, &prepared, &drawn, String::new(), None).expect("the drawing was drawn")
+}
+
+#[test]
+fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
+    let cells = [(100.0, 1, 1), (200.0, 1, 1), (50.0, 1, 1), (100.0, 1, 2), (100.0, 0, 0)];
+    for (drive_bandwidth_hz, input_delay_cycles, output_delay_cycles) in cells {
+        let cell = CellOptions {
+            drive_bandwidth_hz,
+            input_delay_cycles,
+            output_delay_cycles,
+            ..CellOptions::default()
+        };
+        let mut wrong = Config::default();
+        let truth_ms = true_lead_ms(&cell, wrong.axes[0].measurement_age_ms);
+        for axis in &mut wrong.axes {
+            axis.feed_forward_lead_ms = truth_ms + 1.0;
+            axis.feed_forward_gain = 1.02;
+        }
+        let found = identified(&wrong, &cell);
+        for axis in found.axes.iter().take(ARMS) {
+            let (lead_ms, gain) = (axis.feed_forward_lead_ms, axis.feed_forward_gain);
+            println!(
+                "{drive_bandwidth_hz} Hz, {input_delay_cycles}/{output_delay_cycles} cycles: lead {lead_ms:.4} ms of {truth_ms:.4}, Kff {gain:.5}, Kfb {:.1}",
+                axis.feedback_gain_per_s
+            );
+            assert!((lead_ms - truth_ms).abs() < LEAD_MS, "{lead_ms} ms of {truth_ms} ms");
+            assert!((gain - 1.0).abs() < GAIN, "{gain}");
+        }
+        let (before, after) = (drawn(&wrong, &cell), drawn(&found, &cell));
+        println!(
+            "deviation {:.4} mm, tracking {:.4} mm before; {:.4} mm, {:.4} mm after",
+            before.path_deviation_max_mm,
+            before.tracking_error_max_mm,
+            after.path_deviation_max_mm,
+            after.tracking_error_max_mm
+        );
+        assert!(after.path_deviation_max_mm < before.path_deviation_max_mm);
+        assert!(after.path_deviation_max_mm <= 0.1, "{} mm", after.path_deviation_max_mm);
+    }
+}
