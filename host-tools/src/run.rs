@@ -55,6 +55,23 @@ pub struct Drawn {
     pub outcome: Option<Result<(), JobError>>,
     /// The cell with its ink.
     pub cell: Cell,
+    /// What a run in virtual time cost.
+    pub cost: Option<Cost>,
+}
+
+/// What a run in virtual time cost this process.
+#[derive(Clone, Copy, Debug)]
+pub struct Cost {
+    /// Virtual time that passed, s.
+    pub virtual_s: f64,
+    /// Processor time of the whole process meanwhile, s.
+    pub processor_s: f64,
+}
+
+/// Processor time that this process has used, s.
+fn processor_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 /// Why a run left nothing behind.
@@ -102,7 +119,12 @@ impl Host for SimulatedHost<'_> {
 pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJob)) -> Result<Drawn, RunError> {
     let mut cell = task.cell(sink).map_err(RunError::Capture)?;
     let mut host = SimulatedHost { job: task.job(), look };
-    simulation::run(&mut cell, &mut host, LIMIT_MS);
+    let begun_s = processor_s();
+    let passed_ms = simulation::run(&mut cell, &mut host, LIMIT_MS);
+    let cost = Cost {
+        virtual_s: f64::from(passed_ms) / 1_000.0,
+        processor_s: processor_s() - begun_s,
+    };
     (host.look)(&mut host.job);
     let outcome = host.job.outcome().copied();
     let cell = cell.finish().map_err(RunError::Capture)?;
@@ -110,6 +132,7 @@ pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJ
         job: host.job.into_report(),
         outcome,
         cell,
+        cost: Some(cost),
     })
 }
 
@@ -156,5 +179,6 @@ pub fn emulate(
         job: job.into_report(),
         outcome,
         cell: cell.finish().map_err(RunError::Capture)?,
+        cost: None,
     })
 }

@@ -5,7 +5,7 @@ use super::{CommandError, in_colour};
 use crate::cell::{Cell, CellOptions, InkStroke};
 use crate::drawing::{Stroke, render_png, render_rgb, tone_correlation, write_svg};
 use crate::link::job::JobReport;
-use crate::report::{Drives, Evidence, Report, rows, write_intended, write_telemetry};
+use crate::report::{Drives, Evidence, Report, rows, write_intended, write_telemetry, write_tracking};
 use etherpen::config::Config;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -88,6 +88,9 @@ impl Outcome<'_> {
         save(dir, "intended.csv", |out| write_intended(&self.prepared.path, out))?;
         save(dir, "telemetry.csv", |out| {
             write_telemetry(&rows(self.config, &self.job.samples), out)
+        })?;
+        save(dir, "tracking.svg", |out| {
+            write_tracking(self.config, &self.job.samples, out)
         })?;
         save(dir, "report.json", |out| {
             serde_json::to_writer_pretty(&mut *out, report)?;
@@ -212,6 +215,9 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
             )
         )
     );
+    if let (Some(ratio), Some(processor_s)) = (report.virtual_to_processor_ratio, report.processor_s) {
+        eprintln!("Virtual time ran {ratio:.0} times as fast as this process' processor time ({processor_s:.2} s).");
+    }
     if let Some(correlation) = report.tone_correlation {
         eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
     }
@@ -222,7 +228,7 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
             ""
         };
         eprintln!(
-            "Written to {}: {pictures}report.json, telemetry.csv, intended.csv",
+            "Written to {}: {pictures}report.json, telemetry.csv, tracking.svg, intended.csv",
             dir.display()
         );
     }

@@ -48,7 +48,9 @@ pub fn conclude(
         planned_s: planned_s(&task.config, &prepared.path),
         completed: matches!(drawn.outcome, Some(Ok(()))),
     };
-    let report = outcome.report();
+    let mut report = outcome.report();
+    report.processor_s = drawn.cost.map(|cost| cost.processor_s);
+    report.virtual_to_processor_ratio = drawn.cost.map(|cost| cost.virtual_s / cost.processor_s);
     if let Some(dir) = dir {
         outcome.write(dir, &report)?;
     }

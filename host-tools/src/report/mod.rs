@@ -5,9 +5,11 @@
 
 mod deviation;
 mod tables;
+mod tracking_plot;
 
 pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
+pub use tracking_plot::write_tracking;
 
 use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
 use etherpen::config::Config;
@@ -121,6 +123,10 @@ pub struct Report {
     pub image: String,
     /// The virtual drives; absent on a real machine.
     pub drives: Option<Drives>,
+    /// Processor time of this process while virtual time ran, s; absent where the time was not virtual.
+    pub processor_s: Option<f64>,
+    /// Virtual seconds in a second of processor time, the host's part and the capture included; absent as well.
+    pub virtual_to_processor_ratio: Option<f64>,
     /// Correlation of the drawn picture with the photograph, both blurred; absent without either.
     pub tone_correlation: Option<f64>,
 }
@@ -251,6 +257,8 @@ impl Report {
             telemetry_lost: span_ms(evidence.samples).saturating_sub(evidence.samples.len() as u32),
             image: evidence.image.clone(),
             drives: evidence.drives,
+            processor_s: None,
+            virtual_to_processor_ratio: None,
             tone_correlation: None,
         }
     }

@@ -24,11 +24,12 @@ use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::process::Command;
 
-const FILES: [&str; 6] = [
+const FILES: [&str; 7] = [
     "drawn.png",
     "drawn.svg",
     "report.json",
     "telemetry.csv",
+    "tracking.svg",
     "intended.csv",
     "bus.pcapng",
 ];
