@@ -176,6 +176,8 @@ impl Pause {
         let speed = root((turn.abs() * acceleration).min(limits.turn_speed_squared));
         let turn_s = if speed > 0.0 {
             turn.abs() / speed + speed / acceleration
+        } else if turn != 0.0 {
+            f64::INFINITY
         } else {
             0.0
         };

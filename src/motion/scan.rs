@@ -123,6 +123,9 @@ impl Room {
         let mut arms = 0.0_f64;
         for (arm, limit) in limits.joint_acceleration.iter().enumerate() {
             let of = |row: &Row| row.joints.bend.get(arm).copied().unwrap_or_default();
+            if *limit <= 0.0 {
+                continue;
+            }
             arms = arms.max(beyond(of(start), of(middle), of(end)).abs() / limit);
         }
         Self {

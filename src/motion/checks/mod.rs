@@ -3,6 +3,7 @@
 //! Here is the harness: a run of the stage over a path, and the checks of its references. Paths and commands have
 //! their requirements in files of their own.
 
+mod bad_input;
 mod commands;
 mod orientation;
 mod paths;

@@ -1,4 +1,4 @@
-//! Requirements on paths: limits, tolerance, duration, awkward input.
+//! Requirements on paths: limits, tolerance, duration.
 
 use super::*;
 
@@ -118,57 +118,6 @@ fn other_limits_hold_as_well() {
             run.check_deviation(&name);
         }
         println!("change {number}: worst {worst:?}");
-    }
-}
-
-#[test]
-fn awkward_paths_are_drawn_within_the_limits() {
-    let config = Config::default();
-    let down = |x: f64, y: f64| vertex([x, y, -850.0], Pen::Down, 0);
-    let mut zigzag = Vec::new();
-    for step in 0..200 {
-        zigzag.push(down(0.001 * f64::from(step), 0.001 * f64::from(step % 2)));
-    }
-    let reversal = [down(0.0, 0.0), down(20.0, 0.0), down(0.0, 0.0), down(20.0, 0.0)];
-    let repeated = [
-        down(0.0, 0.0),
-        down(0.0, 0.0),
-        down(5.0, 0.0),
-        down(5.0, 0.0),
-        down(5.0, 5.0),
-        down(5.0, 5.0),
-    ];
-    let metre = [down(-500.0, 0.0), down(500.0, 0.0), down(-500.0, 0.001)];
-    let dot = [
-        vertex([0.0, 0.0, -847.0], Pen::Up, 0),
-        vertex([0.0, 0.0, -850.0], Pen::Up, 0),
-        vertex([0.0, 0.0, -847.0], Pen::Up, 0),
-    ];
-    let lone = [down(1.0, 1.0)];
-    let mixed = [
-        down(0.0, 0.0),
-        down(100.0, 0.0),
-        down(100.0, 0.001),
-        down(100.001, 0.001),
-        down(0.0, 50.0),
-    ];
-    let paths: [(&str, &[Vertex]); 7] = [
-        ("zigzag", &zigzag),
-        ("reversal", &reversal),
-        ("repeated", &repeated),
-        ("metre", &metre),
-        ("dot", &dot),
-        ("lone", &lone),
-        ("mixed", &mixed),
-    ];
-    for (name, path) in paths {
-        let run = Run::new(&config, path).whole();
-        run.check_limits(name);
-        if path.len() > 1 {
-            run.check_deviation(name);
-        }
-        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
-        assert!(run.duration_s() < 8.0, "{name}: {} s", run.duration_s());
     }
 }
 
