@@ -8,6 +8,7 @@
 //! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
 //! turns may have been miscounted, or whose drive was configured anew, is not referenced any more.
 
+use crate::application::reference::resolver_angle_rad;
 use crate::config::{Axis, AxisMode};
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
@@ -15,7 +16,7 @@ use crate::ethercat::BusQueues;
 use crate::ethercat::cyclic::{CyclicSlave, DriveRole, Exchange};
 use crate::ethercat::supervisor::Supervisor;
 use crate::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
-use crate::robot::AXES;
+use crate::robot::{AXES, JointAngles};
 use core::f64::consts::TAU;
 
 /// Most slaves on the robot's bus.
@@ -269,12 +270,12 @@ impl EtherCatRobot {
         self.axes.each_ref().map(AxisState::axis_input)
     }
 
-    /// Takes the present positions as the reference: each axis stands within half a motor turn of its synchronisation
-    /// mark, and its single-turn resolver tells the angle nearest to the mark's.
+    /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of
+    /// its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
     ///
     /// # Errors
     /// [`ReferenceError`]; then nothing has changed.
-    pub fn reference(&mut self) -> Result<(), ReferenceError> {
+    pub fn reference(&mut self, near: Option<&JointAngles>) -> Result<(), ReferenceError> {
         for (number, axis) in (0..).zip(&self.axes) {
             if axis.input.is_none() {
                 return Err(ReferenceError::NoPosition { axis: number });
@@ -283,10 +284,10 @@ impl EtherCatRobot {
                 return Err(ReferenceError::Moving { axis: number });
             }
         }
-        for axis in &mut self.axes {
-            let off_mark = axis.nearest(i64::from(axis.raw) - i64::from(axis.config.sync_increments));
-            let at_mark = (axis.position - off_mark) as f64;
-            axis.zero = Some(at_mark - axis.config.sync_angle_rad * axis.increments_per_rad);
+        for (number, axis) in self.axes.iter_mut().enumerate() {
+            let near_rad = near.and_then(|pose| pose.0.get(number).copied());
+            let angle_rad = resolver_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
+            axis.zero = Some(axis.position as f64 - angle_rad * axis.increments_per_rad);
             axis.reference_lost = false;
         }
         Ok(())

@@ -8,6 +8,7 @@
 //! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the power is
 //! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged.
 
+pub mod reference;
 mod terms;
 
 pub use terms::{Fault, Mode, Refusal, StopSource};
@@ -50,8 +51,11 @@ pub enum Action {
     Power(Power),
     /// Forget the latched fault of the critical tasks.
     ClearFault,
-    /// Take the present resolver angles as the reference.
-    TakeReference,
+    /// Take the present resolver angles as the reference, on the turns nearest to a pose, or to the synchronisation marks.
+    TakeReference {
+        /// The pose.
+        near: Option<JointAngles>,
+    },
     /// Start the trajectory from this pose; the references that follow carry the epoch.
     Place {
         /// The pose at rest.
@@ -270,7 +274,8 @@ impl Application {
                 Ok(())
             }
             Command::Acknowledge => self.acknowledge(),
-            Command::Reference => self.reference(),
+            Command::Reference => self.reference(None),
+            Command::ReferenceAt { pose, .. } => self.reference(Some(pose)),
             Command::Enable => self.enable(),
             Command::Disable => self.disable(),
             Command::Draw { .. } => {
@@ -422,14 +427,14 @@ impl Application {
         }
     }
 
-    fn reference(&mut self) -> Result<(), Refusal> {
+    fn reference(&mut self, near: Option<JointAngles>) -> Result<(), Refusal> {
         if !matches!(self.mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
             return Err(Refusal::NotInMode(self.mode));
         }
         if !self.condition.standstill || self.enabling != Enabling::No {
             return Err(Refusal::Moving);
         }
-        self.act(Action::TakeReference);
+        self.act(Action::TakeReference { near });
         self.enabling = Enabling::Referencing { since_ms: self.now_ms };
         Ok(())
     }

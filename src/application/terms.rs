@@ -158,6 +158,27 @@ pub enum Refusal {
     Moving,
     /// A value is not a finite number.
     NotFinite,
+    /// No position of the axis arrives.
+    NoPosition {
+        /// Axis, from 0.
+        axis: u8,
+    },
+    /// The axis' resolver shows another angle than the pose says.
+    PoseResolver {
+        /// Axis, from 0.
+        axis: u8,
+        /// What it shows, on the turn nearest to the pose, minus the pose, rad.
+        difference_rad: f32,
+    },
+    /// Forward kinematics of the pose does not lead to the measured position.
+    PosePosition {
+        /// The axis that differs most, from 0.
+        axis: u8,
+        /// By how much, rad: near a multiple of a motor turn where the turn is the wrong one.
+        difference_rad: f32,
+        /// Distance between the two positions, mm.
+        distance_mm: f32,
+    },
     /// Too many commands at once.
     Busy,
 }

@@ -68,7 +68,7 @@ impl Plant {
     fn take(&mut self, action: Action) {
         match action {
             Action::Power(power) if power != self.power => (self.power, self.power_since_ms) = (power, self.now_ms),
-            Action::TakeReference => self.condition.referenced = true,
+            Action::TakeReference { .. } => self.condition.referenced = true,
             Action::ClearFault => self.condition.fault = None,
             _ => {}
         }

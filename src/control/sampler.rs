@@ -26,7 +26,7 @@ use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
 use crate::io::{AxisCommand, AxisInput, Demand, Increments};
 use crate::motion::Reference;
 use crate::network::NetworkEnd;
-use crate::robot::AXES;
+use crate::robot::{AXES, JointAngles};
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
 
@@ -67,8 +67,11 @@ pub enum SamplerCommand {
     },
     /// Power of the drives.
     Power(Power),
-    /// Take the resolvers' present angles as the reference.
-    TakeReference,
+    /// Take the resolvers' present angles as the reference, on the turns nearest to a pose, or to the marks.
+    TakeReference {
+        /// The pose.
+        near: Option<JointAngles>,
+    },
     /// Follow the references of this start.
     Follow {
         /// Number of the start.
@@ -110,6 +113,8 @@ pub struct CycleReport {
     pub status_word: [u16; AXES],
     /// Whether each axis delivered a valid position.
     pub valid: [bool; AXES],
+    /// What the drives' encoders show, increments since an unknown turn; `None` where nothing came.
+    pub increments: [Option<i64>; AXES],
     /// Whether each axis is referenced.
     pub referenced: [bool; AXES],
     /// Whether all axes stand still.
@@ -361,10 +366,10 @@ impl<'a> Sampler<'a> {
                         self.epoch = None;
                     }
                 }
-                SamplerCommand::TakeReference => {
+                SamplerCommand::TakeReference { near } => {
                     self.epoch = None;
                     // A refusal leaves the axes unreferenced, which the operating modes wait for in vain and report.
-                    let _ = self.robot.reference();
+                    let _ = self.robot.reference(near.as_ref());
                 }
                 SamplerCommand::Follow { epoch } => {
                     self.epoch = Some(epoch);
@@ -540,6 +545,7 @@ impl<'a> Sampler<'a> {
             output_rad_s,
             status_word: self.status.map(|status| status.0),
             valid: self.inputs.map(|input| input.is_some()),
+            increments: self.inputs.map(|input| input.map(|input| input.position.0)),
             referenced: self.referenced,
             standstill: self.still_ms >= STANDSTILL_MS,
             al: self.exchange.al_status(),

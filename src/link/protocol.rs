@@ -8,12 +8,12 @@ use crate::config::{Config, ConfigError};
 use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::Pen;
-use crate::robot::{AXES, GeometryError, Position};
+use crate::robot::{AXES, GeometryError, JointAngles, Position};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -66,6 +66,14 @@ pub struct PathVertex {
 pub enum Command {
     /// Take the resolvers' angles at the present pose as the reference.
     Reference,
+    /// The same on the motor turns nearest to a known pose, if the resolvers show it and forward kinematics of it leads to
+    /// the measured position.
+    ReferenceAt {
+        /// The pose at which the robot stands.
+        pose: JointAngles,
+        /// Where the platform was measured to be.
+        position: Option<Position>,
+    },
     /// Power the drives and hold the pose.
     Enable,
     /// Ramp to a standstill, brake, then take the power from the drives.

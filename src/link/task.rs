@@ -7,6 +7,7 @@
 
 use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
+use crate::application::reference::PoseCheck;
 use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
@@ -18,7 +19,7 @@ use crate::measurement::Measurements;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
 use crate::network::SettingsEnd;
-use crate::robot::{JointAngles, Position};
+use crate::robot::{AXES, JointAngles, Position};
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
 
@@ -61,6 +62,8 @@ pub struct LinkTask<'a> {
     application: Application,
     /// Absent until a configuration has come.
     admission: Option<Admission>,
+    /// The same.
+    pose_check: Option<PoseCheck>,
     config_hash: Option<u64>,
     condition: Condition,
     motion: MotionReport,
@@ -88,6 +91,7 @@ impl<'a> LinkTask<'a> {
             }),
             application: Application::new(),
             admission: None,
+            pose_check: None,
             config_hash: None,
             condition: Condition {
                 unpowered: true,
@@ -191,6 +195,7 @@ impl<'a> LinkTask<'a> {
             return Err(ConfigRefusal::NotInMode(self.application.mode()));
         }
         self.admission = Some(Admission::new(config)?);
+        self.pose_check = Some(PoseCheck::new(config));
         self.config_hash = Some(hash);
         self.slaves.clear();
         self.application.configured(config.bus.host_silence_ms);
@@ -226,6 +231,11 @@ impl<'a> LinkTask<'a> {
                 stroke: 0,
             };
             admission.check(0, &vertex).map_err(Refusal::Target)?;
+        }
+        if let Command::ReferenceAt { pose, position } = command {
+            let check = self.pose_check.as_ref().ok_or(Refusal::NotConfigured)?;
+            let increments = self.report.map_or([None; AXES], |report| report.increments);
+            check.check(&increments, &pose, position.as_ref())?;
         }
         self.application.command(command)?;
         if let Command::Draw { .. } = command {
@@ -366,7 +376,7 @@ impl<'a> LinkTask<'a> {
                 }
             }
             Action::ClearFault => self.tell_sampler(SamplerCommand::ClearFault),
-            Action::TakeReference => self.tell_sampler(SamplerCommand::TakeReference),
+            Action::TakeReference { near } => self.tell_sampler(SamplerCommand::TakeReference { near }),
             Action::Follow { epoch } => self.tell_sampler(SamplerCommand::Follow { epoch }),
             Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),
             Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),

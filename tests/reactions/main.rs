@@ -210,6 +210,60 @@ fn a_power_cycled_drive_comes_back_without_its_reference() {
 }
 
 #[test]
+fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
+    let mut robot = Robot::new();
+    robot.configure(&Config::default());
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Unreferenced);
+    let position = robot.cell().platform.expect("the arms hold a platform");
+    for command in [
+        Command::Draw { job: 1 },
+        Command::Jog {
+            velocity_mm_s: [1.0; 3],
+        },
+        Command::Move { position },
+        Command::Pen { pen: Pen::Down },
+    ] {
+        assert_eq!(robot.command(command), Err(Refusal::NotReferenced), "{command:?}");
+    }
+    let pose = robot.cell().joints;
+    let mut wrong = pose;
+    // One turn of the second motor.
+    wrong.0[1] += std::f64::consts::TAU / Config::default().axes[1].gear;
+    let refused = robot.command(Command::ReferenceAt {
+        pose: wrong,
+        position: Some(position),
+    });
+    assert!(
+        matches!(refused, Err(Refusal::PosePosition { axis: 1, .. })),
+        "{refused:?}"
+    );
+    let mut beside = pose;
+    beside.0[2] += 0.1;
+    let refused = robot.command(Command::ReferenceAt {
+        pose: beside,
+        position: None,
+    });
+    assert!(
+        matches!(refused, Err(Refusal::PoseResolver { axis: 2, .. })),
+        "{refused:?}"
+    );
+    robot
+        .command(Command::ReferenceAt {
+            pose,
+            position: Some(position),
+        })
+        .unwrap();
+    robot.wait_for(Mode::Idle);
+    robot.run(10);
+    let measured = robot.samples.last().expect("telemetry").measured_rad;
+    for (measured, angle) in measured.iter().zip(robot.cell().joints.0) {
+        assert!((f64::from(*measured) - angle).abs() < 1e-4, "{measured} for {angle}");
+    }
+}
+
+#[test]
 fn a_frozen_resolver_is_a_following_error_with_axis_and_limit() {
     let mut robot = Robot::drawing();
     robot.inject(CellFault::Stuck(1, 400));

@@ -30,7 +30,7 @@ pub fn mode(mode: Mode) -> &'static str {
 /// A command as a noun.
 pub fn command(command: &Command) -> &'static str {
     match command {
-        Command::Reference => "taking the reference",
+        Command::Reference | Command::ReferenceAt { .. } => "taking the reference",
         Command::Enable => "enabling the drives",
         Command::Disable => "disabling the drives",
         Command::Jog { .. } => "jogging",
@@ -58,6 +58,23 @@ pub fn refusal(refusal: &Refusal) -> String {
         Refusal::Moving => "the robot is still moving or changing its power; try again when it stands".into(),
         Refusal::Busy => "too many commands at once; wait a moment".into(),
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
+        Refusal::NoPosition { axis } => format!("no position of axis {} arrives; look at its drive", axis + 1),
+        Refusal::PoseResolver { axis, difference_rad } => format!(
+            "axis {}: the resolver shows an angle {:.2} degrees away from the pose; measure the pose again, or correct the \
+             axis' synchronisation values",
+            axis + 1,
+            difference_rad.to_degrees()
+        ),
+        Refusal::PosePosition {
+            axis,
+            difference_rad,
+            distance_mm,
+        } => format!(
+            "axis {}: the pose is {:.1} degrees away from what the measured position asks for, forward kinematics {distance_mm:.0} mm; \
+             a multiple of 30 degrees is a wrong motor turn",
+            axis + 1,
+            difference_rad.to_degrees()
+        ),
     }
 }
 

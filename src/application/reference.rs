@@ -1,0 +1,190 @@
+//! A reference at a known pose: checked before it is taken.
+//!
+//! A resolver is absolute within one motor turn, and at a gear of 1:12 an arm repeats every 30 degrees. A pose that
+//! somebody has read from marks, or measured, tells which of the turns it is. Two things can be checked: within its turn
+//! the resolver has to show the pose's angle, and where the platform's position was measured too, forward kinematics of
+//! the pose has to lead there. A pose that is wrong by whole turns passes the first and fails the second.
+//!
+//! Invariant: a refused pose names the axis that disagrees most, and changes nothing.
+
+use super::Refusal;
+use crate::config::{Axis, Config};
+use crate::robot::{ARMS, AXES, Delta, JointAngles, Position};
+use core::f64::consts::TAU;
+
+/// Largest difference between a pose and what the resolvers show, rad: a tenth of the turn after which an arm repeats.
+pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
+/// Largest distance between a measured position and forward kinematics of the pose, mm; one motor turn of one arm moves the
+/// platform by more than 50 mm.
+pub const POSITION_DIFFERENCE_MAX_MM: f64 = 20.0;
+
+/// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`; without one on
+/// the turn nearest to the synchronisation mark.
+pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
+    let revolution = i64::from(axis.increments_per_revolution.max(1));
+    let off_mark = increments - i64::from(axis.sync_increments);
+    let off_mark = (off_mark + revolution / 2).rem_euclid(revolution) - revolution / 2;
+    let turn_rad = TAU / axis.gear;
+    let at_mark_rad = axis.sync_angle_rad + turn_rad * (off_mark as f64 / revolution as f64);
+    match near_rad {
+        Some(near_rad) => at_mark_rad + turn_rad * libm::round((near_rad - at_mark_rad) / turn_rad),
+        None => at_mark_rad,
+    }
+}
+
+/// What a pose is checked against.
+#[derive(Clone, Copy, Debug)]
+pub struct PoseCheck {
+    axes: [Axis; AXES],
+    delta: Option<Delta>,
+}
+
+impl PoseCheck {
+    /// The check of a configuration.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            axes: config.axes,
+            delta: Delta::new(&config.geometry).ok(),
+        }
+    }
+
+    /// Whether a pose may be taken as the reference: `increments` is what the resolvers show, `position` where the platform
+    /// was measured to be.
+    ///
+    /// # Errors
+    /// What disagrees, with the axis.
+    pub fn check(
+        &self,
+        increments: &[Option<i64>; AXES],
+        pose: &JointAngles,
+        position: Option<&Position>,
+    ) -> Result<(), Refusal> {
+        if pose.0.iter().any(|angle| !angle.is_finite()) {
+            return Err(Refusal::NotFinite);
+        }
+        for (number, ((axis, increments), wanted_rad)) in (0u8..).zip(self.axes.iter().zip(increments).zip(pose.0)) {
+            let Some(increments) = increments else {
+                return Err(Refusal::NoPosition { axis: number });
+            };
+            let difference_rad = resolver_angle_rad(axis, *increments, Some(wanted_rad)) - wanted_rad;
+            if difference_rad.abs() > POSE_DIFFERENCE_MAX_RAD {
+                return Err(Refusal::PoseResolver {
+                    axis: number,
+                    difference_rad: difference_rad as f32,
+                });
+            }
+        }
+        match (&self.delta, position) {
+            (Some(delta), Some(position)) => check_position(delta, pose, position),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn check_position(delta: &Delta, pose: &JointAngles, position: &Position) -> Result<(), Refusal> {
+    let distance_mm = delta.forward(pose).map_or(f64::INFINITY, |there| {
+        let (x, y, z) = (
+            there.x_mm - position.x_mm,
+            there.y_mm - position.y_mm,
+            there.z_mm - position.z_mm,
+        );
+        libm::sqrt(x * x + y * y + z * z)
+    });
+    if distance_mm <= POSITION_DIFFERENCE_MAX_MM {
+        return Ok(());
+    }
+    // The arm whose angle is farthest from what the position asks for.
+    let wanted = delta.inverse(position).unwrap_or([f64::NAN; ARMS]);
+    let differences = (0u8..).zip(pose.0.iter().zip(wanted).map(|(angle, wanted)| angle - wanted));
+    let worst = differences.max_by(|(_, a), (_, b)| a.abs().total_cmp(&b.abs()));
+    let (axis, difference_rad) = worst.unwrap_or_default();
+    Err(Refusal::PosePosition {
+        axis,
+        difference_rad: difference_rad as f32,
+        distance_mm: distance_mm as f32,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TURN_RAD: f64 = TAU / 12.0;
+
+    fn shown(pose: &JointAngles, config: &Config) -> [Option<i64>; AXES] {
+        core::array::from_fn(|k| {
+            let axis = &config.axes[k];
+            let turns = (pose.0[k] - axis.sync_angle_rad) / TURN_RAD;
+            let revolution = f64::from(axis.increments_per_revolution);
+            Some(libm::round((turns - libm::floor(turns)) * revolution) as i64 + i64::from(axis.sync_increments))
+        })
+    }
+
+    fn calibrated() -> Config {
+        let mut config = Config::default();
+        for (axis, increments) in config.axes.iter_mut().zip([123_456, 700_000, 5, 999_999]) {
+            axis.sync_increments = increments;
+        }
+        config
+    }
+
+    #[test]
+    fn the_pose_tells_the_turn_and_the_resolver_the_angle_on_it() {
+        let config = calibrated();
+        for turns in -2..=2 {
+            let pose = JointAngles([0.31, 0.62, 0.1, 4.0].map(|angle| angle + TURN_RAD * f64::from(turns)));
+            for ((axis, increments), angle) in config.axes.iter().zip(shown(&pose, &config)).zip(pose.0) {
+                let found = resolver_angle_rad(axis, increments.unwrap(), Some(angle + 0.2));
+                assert!((found - angle).abs() < 1e-5, "{found} for {angle}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pose_that_the_resolvers_do_not_show_is_refused_with_its_axis() {
+        let config = calibrated();
+        let pose = JointAngles([0.31, 0.62, 0.1, 4.0]);
+        let check = PoseCheck::new(&config);
+        let increments = shown(&pose, &config);
+        assert_eq!(check.check(&increments, &pose, None), Ok(()));
+        let mut wrong = pose;
+        wrong.0[2] += 0.08;
+        assert!(matches!(
+            check.check(&increments, &wrong, None),
+            Err(Refusal::PoseResolver { axis: 2, difference_rad }) if (difference_rad + 0.08).abs() < 1e-4
+        ));
+        let mut silent = increments;
+        silent[1] = None;
+        assert_eq!(check.check(&silent, &pose, None), Err(Refusal::NoPosition { axis: 1 }));
+        wrong.0[0] = f64::NAN;
+        assert_eq!(check.check(&increments, &wrong, None), Err(Refusal::NotFinite));
+    }
+
+    #[test]
+    fn a_wrong_multiple_of_30_degrees_disagrees_with_the_measured_position() {
+        let config = calibrated();
+        let check = PoseCheck::new(&config);
+        let delta = Delta::new(&config.geometry).unwrap();
+        let pose = JointAngles([0.31, 0.42, 0.36, 0.0]);
+        let mut position = delta.forward(&pose).unwrap();
+        position.x_mm += 5.0;
+        let increments = shown(&pose, &config);
+        assert_eq!(check.check(&increments, &pose, Some(&position)), Ok(()));
+        for arm in 0..ARMS {
+            for turns in [-1.0, 1.0, 2.0] {
+                let mut wrong = pose;
+                wrong.0[arm] += turns * TURN_RAD;
+                assert_eq!(
+                    check.check(&increments, &wrong, None),
+                    Ok(()),
+                    "the resolver alone cannot tell"
+                );
+                let refusal = check.check(&increments, &wrong, Some(&position));
+                assert!(
+                    matches!(refusal, Err(Refusal::PosePosition { axis, .. }) if usize::from(axis) == arm),
+                    "arm {arm}, {turns} turns: {refusal:?}"
+                );
+            }
+        }
+    }
+}
