@@ -8,6 +8,7 @@ pub mod commands;
 pub mod drawing;
 pub mod emulator;
 pub mod identification;
+pub mod image;
 pub mod link;
 pub mod master;
 pub mod planning;

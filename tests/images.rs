@@ -1,0 +1,111 @@
+//! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may reach.
+
+use etherpen as _;
+use host_tools::image::{CallGraph, Function, Image, StackBound};
+use host_tools::setup;
+
+/// Most flash memory of an image, bytes.
+const FLASH_BYTES_MAX: u32 = 512 * 1024;
+/// Most static memory, bytes.
+const STATIC_BYTES_MAX: u32 = 256 * 1024;
+/// Most tightly coupled data memory, stacks included, bytes.
+const DTCM_BYTES_MAX: u32 = 96 * 1024;
+/// What the processor pushes for an exception: 26 words with floating-point registers, and a word of alignment.
+const EXCEPTION_FRAME_BYTES: u32 = 108;
+/// Tasks of the board nucleo by priority, from the highest; those of one priority never nest.
+const NUCLEO_LEVELS: [(u8, &[&str]); 6] = [
+    (15, CRITICAL),
+    (10, &["USART3"]),
+    (6, &["LPTIM2"]),
+    (3, &["LPTIM3"]),
+    (1, &["LPTIM4", "LPTIM5"]),
+    (0, &["main"]),
+];
+const CRITICAL: &[&str] = &["TIM1_UP", "ETH", "TIM1_CC"];
+/// Parts of the names of functions that a critical task must not reach.
+const FORBIDDEN: [(&str, &str); 5] = [
+    ("panicking", "may panic"),
+    ("_fail", "may panic"),
+    ("_critical_section_1_0_", "takes a critical section"),
+    ("_defmt_", "logs"),
+    ("div_rem", "divides in a loop that depends on the data"),
+];
+
+fn nucleo() -> Image {
+    let path = setup::build_firmware("nucleo").expect("the firmware is built");
+    Image::read(&path).expect("it is an image")
+}
+
+fn task<'a>(image: &'a Image, name: &str) -> &'a Function {
+    image.function(name).unwrap_or_else(|| panic!("no task {name}"))
+}
+
+#[test]
+fn the_image_keeps_its_budget_and_lies_where_it_must() {
+    let image = nucleo();
+    let size = |name: &str| image.section(name).map_or(0, |section| section.size);
+    let statics: u32 = [".data", ".bss", ".uninit", ".eth_dma"].map(size).iter().sum();
+    println!("flash {} bytes, static memory {statics} bytes", image.flash_bytes());
+    assert!(image.flash_bytes() <= FLASH_BYTES_MAX);
+    assert!(statics <= STATIC_BYTES_MAX);
+    let at = |name: &str| image.section(name).map(|section| section.address);
+    assert_eq!(at(".vector_table"), Some(0x0800_0000));
+    assert!(at(".bss").is_some_and(|address| (0x2400_0000..0x2408_0000).contains(&address)));
+    let dma = image.section(".eth_dma").expect("DMA memory");
+    assert!(
+        dma.size > 0 && dma.address == 0x3004_0000 && dma.size <= 32 * 1024,
+        "SRAM3, which the Ethernet DMA reaches"
+    );
+    assert!(image.has_double_precision());
+}
+
+#[test]
+fn critical_tasks_reach_no_panic_no_critical_section_no_log_and_no_unbounded_division() {
+    let image = nucleo();
+    let graph = CallGraph::new(&image);
+    let mut broken = Vec::new();
+    for name in CRITICAL {
+        let root = task(&image, name);
+        let reachable = graph.reachable(root);
+        println!("{name} reaches {} functions", reachable.len());
+        assert!(reachable.len() > 5, "the walk finds calls");
+        for function in reachable {
+            let named = FORBIDDEN.iter().find(|(part, _)| function.name.contains(part));
+            let why = match named {
+                Some((_, why)) => Some(*why),
+                None if graph.masks_interrupts(function) => Some("masks interrupts"),
+                None if graph.calls_indirectly(function) => Some("calls through a register"),
+                None => None,
+            };
+            if let Some(why) = why {
+                let chain: Vec<_> = graph
+                    .chain(root, function)
+                    .iter()
+                    .map(|link| link.name.as_str())
+                    .collect();
+                broken.push(format!("{} {why}:\n    {}", function.name, chain.join("\n    ")));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+#[test]
+fn the_stack_of_every_priority_is_bounded_and_all_fit_their_memory() {
+    let image = nucleo();
+    let graph = CallGraph::new(&image);
+    let mut sum = 0;
+    for (priority, tasks) in NUCLEO_LEVELS {
+        let mut deepest = 0;
+        for name in tasks {
+            match graph.stack(task(&image, name)) {
+                StackBound::Bytes(bytes) => deepest = deepest.max(bytes),
+                unbounded => panic!("{name}: {unbounded:?}"),
+            }
+        }
+        println!("priority {priority:2}: at most {deepest} bytes");
+        sum += deepest + EXCEPTION_FRAME_BYTES;
+    }
+    println!("all nested: at most {sum} bytes of {DTCM_BYTES_MAX}");
+    assert!(sum <= DTCM_BYTES_MAX);
+}
