@@ -11,6 +11,7 @@ use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::link::task::LinkTask;
 use crate::measurement::Measurements;
+use crate::motion::Trajectory;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use crate::network::{NetworkQueues, NetworkTask};
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -31,9 +32,9 @@ pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
 
-/// All queues between the tasks.
-#[derive(Default)]
+/// All queues between the tasks, and the planner's memory: what is large stays where it is.
 pub struct Channels {
+    trajectory: Trajectory,
     references: Queue<Queued, REFERENCES>,
     reports: Queue<CycleReport, REPORTS>,
     sampler_commands: Queue<SamplerCommand, 17>,
@@ -65,10 +66,17 @@ pub struct Parts<'a> {
     pub measurements: &'a Measurements,
 }
 
+impl Default for Channels {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Channels {
     /// Empty channels.
     pub const fn new() -> Self {
         Self {
+            trajectory: Trajectory::unconfigured(),
             references: Queue::new(),
             reports: Queue::new(),
             sampler_commands: Queue::new(),
@@ -99,7 +107,13 @@ impl Channels {
         let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
             sampler: Sampler::new(exchange, network_end, sampler_commands_out, references_out, reports_in),
-            trajectory: TrajectoryTask::new(orders_out, vertices_out, references_in, motion_reports_in),
+            trajectory: TrajectoryTask::new(
+                &mut self.trajectory,
+                orders_out,
+                vertices_out,
+                references_in,
+                motion_reports_in,
+            ),
             host_bytes: HostBytes {
                 received: received_in,
                 sent: sent_out,

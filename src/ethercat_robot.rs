@@ -10,6 +10,7 @@
 
 use crate::application::reference::resolver_angle_rad;
 use crate::config::{Axis, AxisMode};
+use crate::control::limited;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
 use crate::ethercat::BusQueues;
@@ -67,7 +68,7 @@ struct Scale {
 impl Scale {
     fn new(axis: &Axis, role: &DriveRole) -> Option<Self> {
         let mode = role.layout.mode;
-        let at_motor = (role.kind.mode(mode)?.digits_per_unit)(axis);
+        let at_motor = role.kind.mode(mode)?.digits.per_unit(axis);
         let (digits_per_unit, limit) = match mode {
             AxisMode::Velocity => (at_motor * axis.gear, axis.output_max_rad_s.abs()),
             AxisMode::Torque => (at_motor / axis.gear, axis.torque_max_nm.abs()),
@@ -134,10 +135,13 @@ impl AxisState {
         self.zero = None;
     }
 
-    /// Wraps a difference of increments to the nearest within half a revolution.
+    /// Wraps a difference of less than 2^33 increments to the nearest within half a revolution.
+    ///
+    /// In floating point, which divides without a loop: both numbers and the whole part of their quotient are exact.
     fn nearest(&self, difference: i64) -> i64 {
         let half = self.increments_per_revolution / 2;
-        (difference + half).rem_euclid(self.increments_per_revolution) - half
+        let turns = libm::floor((difference + half) as f64 / self.increments_per_revolution as f64);
+        difference - turns as i64 * self.increments_per_revolution
     }
 
     fn is_moving(&self) -> bool {
@@ -164,7 +168,9 @@ impl AxisState {
         if self.known {
             let difference = self.nearest(i64::from(input.position.wrapping_sub(self.raw)));
             self.position += difference;
-            self.step = difference / (i64::from(self.gap_ms) + 1);
+            let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
+            // Half a revolution fits 32 bits.
+            self.step = i64::from(difference as i32 / cycles);
         } else {
             self.position = i64::from(input.position);
             self.step = 0;
@@ -214,7 +220,7 @@ impl AxisState {
         };
         match wanted {
             Some((value, scale)) if value.is_finite() => {
-                let clamped = value.clamp(-scale.limit, scale.limit);
+                let clamped = limited(value, scale.limit);
                 // The conversion saturates.
                 libm::round(clamped * scale.digits_per_unit) as i32
             }

@@ -1,19 +1,49 @@
-//! Looking at the front of a queue whose producer may run at the same time.
+//! The ends of lock-free queues, as the critical tasks may use them.
 //!
-//! heapless's `Consumer::peek` compares the ends of the queue with relaxed loads, so alone it does not order the
-//! producer's write of the entry before the consumer's look at it; `dequeue` does.
+//! Two things heapless leaves open are closed here. `Consumer::peek` compares the ends of the queue with relaxed loads, so
+//! alone it does not order the producer's write of the entry before the consumer's look at it; `dequeue` does. And the ends
+//! do not know the queue's length when they are compiled: the remainder by it keeps the panic for a division by zero in
+//! the code, unless the length is known to be another number.
 //!
-//! Invariant: what is looked at has been written completely.
+//! Invariants: what is looked at has been written completely; nothing here panics.
 
 use core::sync::atomic::{Ordering, fence};
-use heapless::spsc::Consumer;
+use heapless::spsc::{Consumer, Producer};
+
+/// More entries than any queue has; an impossible queue of no length would seem longer.
+const CAPACITY_MAX: usize = 1 << 20;
 
 /// The entry at the front, which stays in the queue; `None` when the queue is empty.
 pub(crate) fn front<'q, T>(queue: &'q Consumer<'_, T>) -> Option<&'q T> {
-    if !queue.ready() {
+    if queue.capacity() > CAPACITY_MAX || !queue.ready() {
         return None;
     }
     // Pairs with the release in the producer's `enqueue`, whose effect `ready` has just seen.
     fence(Ordering::Acquire);
     queue.peek()
+}
+
+/// Takes the entry at the front; `None` when the queue is empty.
+pub(crate) fn take<T>(queue: &mut Consumer<'_, T>) -> Option<T> {
+    if queue.capacity() > CAPACITY_MAX {
+        return None;
+    }
+    queue.dequeue()
+}
+
+/// Whether so many entries can be appended.
+pub(crate) fn has_room_for<T>(queue: &Producer<'_, T>, entries: usize) -> bool {
+    let capacity = queue.capacity();
+    capacity <= CAPACITY_MAX && queue.len().saturating_add(entries) <= capacity
+}
+
+/// Appends an entry.
+///
+/// # Errors
+/// The entry, when the queue is full.
+pub(crate) fn put<T>(queue: &mut Producer<'_, T>, entry: T) -> Result<(), T> {
+    if queue.capacity() > CAPACITY_MAX {
+        return Err(entry);
+    }
+    queue.enqueue(entry)
 }

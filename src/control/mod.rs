@@ -4,3 +4,29 @@ pub mod position;
 pub mod sampler;
 pub mod supervision;
 pub mod velocity;
+
+/// `value` between `-limit` and `limit`; what is not a number stays so. Unlike `clamp` it cannot panic.
+pub(crate) fn limited(value: f64, limit: f64) -> f64 {
+    if value > limit {
+        limit
+    } else if value < -limit {
+        -limit
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::limited;
+
+    #[test]
+    fn a_value_is_limited_both_ways_and_no_number_stays_none() {
+        assert_eq!(
+            [-3.0, -1.0, 0.5, 3.0].map(|value| limited(value, 2.0)),
+            [-2.0, -1.0, 0.5, 2.0]
+        );
+        assert!(limited(f64::NAN, 2.0).is_nan());
+        assert_eq!(limited(1.0, f64::NAN), 1.0);
+    }
+}

@@ -14,6 +14,7 @@
 
 use crate::application::{Fault, Power};
 use crate::config::{Axis, AxisMode, Bus, Transport};
+use crate::control::limited;
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::velocity::VelocityController;
@@ -26,6 +27,8 @@ use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
 use crate::io::{AxisCommand, AxisInput, Demand, Increments};
 use crate::motion::Reference;
 use crate::network::NetworkEnd;
+use crate::queue;
+use crate::robot::AXES;
 use crate::robot::{AXES, JointAngles};
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
@@ -352,7 +355,7 @@ impl<'a> Sampler<'a> {
     }
 
     fn take_commands(&mut self) {
-        while let Some(command) = self.commands.dequeue() {
+        while let Some(command) = queue::take(&mut self.commands) {
             match command {
                 SamplerCommand::Configure { axes, bus } => {
                     self.robot = EtherCatRobot::new(&axes);
@@ -419,7 +422,9 @@ impl<'a> Sampler<'a> {
         let was_following = !self.window.is_empty();
         self.window.pop_front();
         while !self.window.is_full() {
-            let Some(queued) = self.references.dequeue() else { break };
+            let Some(queued) = queue::take(&mut self.references) else {
+                break;
+            };
             if queued.epoch == epoch {
                 // There is room: the loop's condition.
                 let _ = self.window.push_back(queued.reference);
@@ -442,7 +447,7 @@ impl<'a> Sampler<'a> {
             if following {
                 *output = match self.axes[axis].mode {
                     AxisMode::Velocity => {
-                        let ahead = self.window.iter().map(|reference| reference.velocity_rad_s[axis]);
+                        let ahead = self.window.iter().map(|reference| at(&reference.velocity_rad_s, axis));
                         controller.step(reference_rad, measured_rad, ahead)
                     }
                     AxisMode::Torque => controller.step_for_torque(reference_rad, measured_rad),
@@ -504,19 +509,21 @@ impl<'a> Sampler<'a> {
 
     /// The torque that leads an axis to a velocity, N m at the joint; an enabled axis that does not move is held.
     fn torque_nm(&mut self, axis: usize, velocity_rad_s: f64, target: DriveTarget, moving: bool) -> f64 {
-        let controller = &mut self.velocity_controllers[axis];
+        let Some(controller) = self.velocity_controllers.get_mut(axis) else {
+            return 0.0;
+        };
         if target != DriveTarget::Enabled || self.status[axis].state() != DriveState::OperationEnabled {
             controller.reset();
             return 0.0;
         }
         let limit_rad_s = self.axes[axis].output_max_rad_s.abs();
-        let wanted_rad_s = velocity_rad_s.clamp(-limit_rad_s, limit_rad_s);
+        let wanted_rad_s = limited(velocity_rad_s, limit_rad_s);
         let references = if moving { self.window.len() } else { 0 };
         let ahead = self
             .window
             .iter()
             .take(references)
-            .map(|reference| reference.velocity_rad_s[axis]);
+            .map(|reference| at(&reference.velocity_rad_s, axis));
         controller.step(wanted_rad_s, self.measured_rad_s[axis], ahead)
     }
 
@@ -554,7 +561,7 @@ impl<'a> Sampler<'a> {
             counters: self.counters,
             bus: self.exchange.counters(),
         };
-        if self.reports.enqueue(report).is_err() {
+        if queue::put(&mut self.reports, report).is_err() {
             self.counters.reports_dropped = self.counters.reports_dropped.wrapping_add(1);
         }
     }
@@ -563,6 +570,11 @@ impl<'a> Sampler<'a> {
 /// Whether telegrams may leave: EtherCAT in UDP needs addresses first.
 fn may_send(bus: &Bus, has_path: bool) -> bool {
     bus.transport == Transport::Raw || has_path
+}
+
+/// An axis's value, looked up without a panic where the compiler does not know the axis's range.
+fn at(values: &[f64; AXES], axis: usize) -> f64 {
+    values.get(axis).copied().unwrap_or(0.0)
 }
 
 /// Joint angle from where the unwrapping began, rad: good for differences before there is a reference.

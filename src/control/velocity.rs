@@ -9,6 +9,7 @@
 
 use super::position::interpolate;
 use crate::config::Axis;
+use crate::control::limited;
 
 /// Length of a step, ms and s.
 const STEP_MS: f64 = 1.0;
@@ -68,10 +69,10 @@ impl VelocityController {
             self.reset();
             return 0.0;
         }
-        let torque_nm = wanted_nm.clamp(-self.limit_nm, self.limit_nm);
+        let torque_nm = limited(wanted_nm, self.limit_nm);
         let winds_up = (wanted_nm - torque_nm) * proportional_nm > 0.0;
         if !winds_up {
-            self.integral_nm = integral_nm.clamp(-self.limit_nm, self.limit_nm);
+            self.integral_nm = limited(integral_nm, self.limit_nm);
         }
         torque_nm
     }

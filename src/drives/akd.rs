@@ -5,8 +5,8 @@
 //! demand, so it is driven by velocity only.
 
 use super::{
-    CONTROL_WORD, Clocks, DriveDescription, Entry, ModeDescription, POSITION_INTERNAL, PdoChoice, Recognition,
-    STATUS_WORD, Windows, generic, velocity_digits,
+    CONTROL_WORD, Clocks, Digits, DriveDescription, Entry, ModeDescription, POSITION_INTERNAL, PdoChoice, Recognition,
+    STATUS_WORD, Windows, generic,
 };
 
 /// The description for the master.
@@ -27,7 +27,7 @@ pub static AKD: DriveDescription = DriveDescription {
             0x1B01,
             &[Entry::new(POSITION_INTERNAL, 32), Entry::new(STATUS_WORD, 16)],
         ),
-        digits_per_unit: velocity_digits,
+        digits: Digits::Velocity,
     }),
     torque: None,
     windows: Windows {

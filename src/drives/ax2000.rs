@@ -4,8 +4,8 @@
 //! drive's public EtherCAT documentation.
 
 use super::{
-    CONTROL_WORD, Clocks, DriveDescription, Entry, ModeDescription, POSITION, PdoChoice, QUICK_STOP_DECELERATION,
-    Recognition, STATUS_WORD, Setting, Settings, TORQUE, Windows, quick_stop_increments_s2, velocity_digits,
+    CONTROL_WORD, Clocks, Digits, DriveDescription, Entry, ModeDescription, POSITION, PdoChoice,
+    QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, Setting, Settings, TORQUE, Windows, quick_stop_increments_s2,
 };
 use crate::config::Axis;
 use crate::ethercat::wire::coe::Object;
@@ -28,7 +28,7 @@ pub static AX2000: DriveDescription = DriveDescription {
         demand: SPEED_DEMAND,
         outputs: PdoChoice::fixed(0x1702, &[Entry::new(SPEED_DEMAND, 32), Entry::new(CONTROL_WORD, 16)]),
         inputs: PdoChoice::fixed(0x1B01, &[Entry::new(POSITION, 32), Entry::new(STATUS_WORD, 16)]),
-        digits_per_unit: velocity_digits,
+        digits: Digits::Velocity,
     }),
     torque: Some(ModeDescription {
         operation_mode: -3,
@@ -42,7 +42,7 @@ pub static AX2000: DriveDescription = DriveDescription {
                 Entry::new(STATUS_WORD, 16),
             ],
         ),
-        digits_per_unit: current_digits,
+        digits: Digits::PeakCurrent(PEAK_CURRENT_DIGITS),
     }),
     windows: Windows {
         outputs: 0x1100,
@@ -51,11 +51,6 @@ pub static AX2000: DriveDescription = DriveDescription {
     clocks: Clocks::SYNC0,
     settings,
 };
-
-/// Current digits for 1 N m at the motor.
-fn current_digits(axis: &Axis) -> f64 {
-    PEAK_CURRENT_DIGITS / (axis.peak_current_a * axis.torque_constant_nm_a)
-}
 
 fn settings(axis: &Axis) -> Option<Settings> {
     let quick_stop = quick_stop_increments_s2(axis)?;
@@ -76,12 +71,12 @@ mod tests {
     fn peak_current_is_3280_digits() {
         let axis = Axis::default();
         let peak_torque_nm = axis.peak_current_a * axis.torque_constant_nm_a;
-        assert!((peak_torque_nm * current_digits(&axis) - 3_280.0).abs() < 1.0e-9);
+        assert!((peak_torque_nm * Digits::PeakCurrent(PEAK_CURRENT_DIGITS).per_unit(&axis) - 3_280.0).abs() < 1.0e-9);
     }
 
     #[test]
     fn one_revolution_per_minute_is_139_81_digits() {
-        let digits = velocity_digits(&Axis::default()) * core::f64::consts::TAU / 60.0;
+        let digits = Digits::Velocity.per_unit(&Axis::default()) * core::f64::consts::TAU / 60.0;
         assert!((digits - 262_144.0 / 1_875.0).abs() < 1.0e-9);
     }
 

@@ -6,8 +6,8 @@
 //! thousandth of the motor's rated torque, velocity digits are as configured.
 
 use super::{
-    CONTROL_WORD, Clocks, DriveDescription, Entry, ModeDescription, POSITION, PdoChoice, QUICK_STOP_DECELERATION,
-    Recognition, STATUS_WORD, Setting, Settings, TORQUE, Windows, quick_stop_increments_s2, velocity_digits,
+    CONTROL_WORD, Clocks, Digits, DriveDescription, Entry, ModeDescription, POSITION, PdoChoice,
+    QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, Setting, Settings, TORQUE, Windows, quick_stop_increments_s2,
 };
 use crate::config::Axis;
 use crate::ethercat::wire::coe::Object;
@@ -37,7 +37,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
         demand: TARGET_VELOCITY,
         outputs: PdoChoice::written(0x1600, &[Entry::new(CONTROL_WORD, 16), Entry::new(TARGET_VELOCITY, 32)]),
         inputs: PdoChoice::written(0x1A00, &[Entry::new(STATUS_WORD, 16), Entry::new(POSITION, 32)]),
-        digits_per_unit: velocity_digits,
+        digits: Digits::Velocity,
     }),
     torque: Some(ModeDescription {
         operation_mode: CYCLIC_TORQUE,
@@ -51,7 +51,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
                 Entry::new(TORQUE, 16),
             ],
         ),
-        digits_per_unit: torque_digits,
+        digits: Digits::RatedTorque(RATED_TORQUE_DIGITS),
     }),
     windows: Windows {
         outputs: 0x1100,
@@ -60,11 +60,6 @@ pub static GENERIC: DriveDescription = DriveDescription {
     clocks: Clocks::SYNC0,
     settings,
 };
-
-/// Torque digits for 1 N m at the motor.
-fn torque_digits(axis: &Axis) -> f64 {
-    RATED_TORQUE_DIGITS / axis.rated_torque_nm
-}
 
 /// Quick stop and period; the profile leaves all of these objects but the ramp to the maker.
 pub(super) fn settings(axis: &Axis) -> Option<Settings> {
@@ -86,6 +81,8 @@ mod tests {
     #[test]
     fn rated_torque_is_1000_digits() {
         let axis = Axis::default();
-        assert!((axis.rated_torque_nm * torque_digits(&axis) - 1_000.0).abs() < 1.0e-9);
+        assert!(
+            (axis.rated_torque_nm * Digits::RatedTorque(RATED_TORQUE_DIGITS).per_unit(&axis) - 1_000.0).abs() < 1.0e-9
+        );
     }
 }

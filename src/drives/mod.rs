@@ -188,8 +188,30 @@ pub struct ModeDescription {
     pub outputs: PdoChoice,
     /// Inputs to be assigned.
     pub inputs: PdoChoice,
-    /// Digits of the demand for one unit at the motor: 1 rad/s for a velocity, 1 N m for a torque.
-    pub digits_per_unit: fn(&Axis) -> f64,
+    /// What a digit of the demand is.
+    pub digits: Digits,
+}
+
+/// What a digit of a demand is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Digits {
+    /// Part of a velocity, as the configuration says.
+    Velocity,
+    /// Part of the drive's peak current, which counts this many digits.
+    PeakCurrent(f64),
+    /// Part of the motor's rated torque, which counts this many digits.
+    RatedTorque(f64),
+}
+
+impl Digits {
+    /// Digits for one unit at the motor of an axis: 1 rad/s for a velocity, 1 N m for a torque.
+    pub fn per_unit(self, axis: &Axis) -> f64 {
+        match self {
+            Self::Velocity => axis.digits_per_rpm * 60.0 / TAU,
+            Self::PeakCurrent(digits) => digits / (axis.peak_current_a * axis.torque_constant_nm_a),
+            Self::RatedTorque(digits) => digits / axis.rated_torque_nm,
+        }
+    }
 }
 
 /// How a drive is recognised.
@@ -278,11 +300,6 @@ impl Eq for DriveDescription {}
 
 /// A drive type.
 pub type DriveKind = &'static DriveDescription;
-
-/// Velocity digits for 1 rad/s at the motor, as the configuration gives them.
-pub fn velocity_digits(axis: &Axis) -> f64 {
-    axis.digits_per_rpm * 60.0 / TAU
-}
 
 /// Quick-stop deceleration as object 0x6085 takes it: position increments per second squared at the motor.
 ///

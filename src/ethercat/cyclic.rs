@@ -18,7 +18,7 @@ pub use super::plan::{
 pub use super::telegram::{IGNORED_KINDS, Ignored};
 use super::telegram::{Image, SlotState, Taken, Telegram};
 use super::wire::{MacAddress, read_u8};
-use crate::queue::front;
+use crate::queue;
 use crate::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
 
@@ -288,7 +288,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
                 answered: if self.al.is_some() { self.answered } else { 0 },
                 silent,
             };
-            if self.reported != Some(seen) && self.end.observations.enqueue(seen).is_ok() {
+            if self.reported != Some(seen) && queue::put(&mut self.end.observations, seen).is_ok() {
                 self.reported = Some(seen);
             }
         }
@@ -302,7 +302,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
 
     #[cold]
     fn take_plan(&mut self) {
-        if let Some(plan) = self.end.plans.dequeue() {
+        if let Some(plan) = queue::take(&mut self.end.plans) {
             self.adopt(plan);
         }
     }
@@ -365,11 +365,11 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         let no_room = Outcome::NoRoom { room: room as u16 };
         let mut owed = 0;
         for _ in 0..IN_FLIGHT_MAX {
-            let Some(request) = front(&self.end.requests) else {
+            let Some(request) = queue::front(&self.end.requests) else {
                 break;
             };
             // One reply is owed for each request that is taken.
-            if self.end.replies.len() + owed >= self.end.replies.capacity() {
+            if !queue::has_room_for(&self.end.replies, owed + 1) {
                 break;
             }
             if request.data.len() > room {
@@ -378,7 +378,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
                     break;
                 }
                 // There is room, as was asked above.
-                let _ = self.end.replies.enqueue(Reply::without_data(no_room));
+                let _ = queue::put(&mut self.end.replies, Reply::without_data(no_room));
             } else if self
                 .first
                 .push_acyclic(request.command, request.address, &request.data, false)
@@ -387,19 +387,19 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             } else {
                 break;
             }
-            let _ = self.end.requests.dequeue();
+            let _ = queue::take(&mut self.end.requests);
         }
-        if let Some(message) = front(&self.end.messages)
-            && self.end.message_replies.ready()
+        if let Some(message) = queue::front(&self.end.messages)
+            && queue::has_room_for(&self.end.message_replies, 1)
         {
             let taken = if message.data.len() > room {
-                self.end.message_replies.enqueue(Reply::without_data(no_room)).is_ok()
+                queue::put(&mut self.end.message_replies, Reply::without_data(no_room)).is_ok()
             } else {
                 self.first
                     .push_acyclic(message.command, message.address, &message.data, true)
             };
             if taken {
-                let _ = self.end.messages.dequeue();
+                let _ = queue::take(&mut self.end.messages);
             }
         }
         self.first.finish_acyclic(&self.envelope);
@@ -467,15 +467,21 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             let outcome = Outcome::Processed { working_counter };
             // Room was kept when the request was taken.
             if place.is_message {
-                let _ = message_replies.enqueue(Reply {
-                    data: bytes(data),
-                    outcome,
-                });
+                let _ = queue::put(
+                    message_replies,
+                    Reply {
+                        data: bytes(data),
+                        outcome,
+                    },
+                );
             } else {
-                let _ = replies.enqueue(Reply {
-                    data: bytes(data),
-                    outcome,
-                });
+                let _ = queue::put(
+                    replies,
+                    Reply {
+                        data: bytes(data),
+                        outcome,
+                    },
+                );
             }
         });
     }
@@ -485,9 +491,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         for place in &self.first.acyclic {
             // Room was kept when the request was taken.
             if place.is_message {
-                let _ = self.end.message_replies.enqueue(Reply::without_data(Outcome::Lost));
+                let _ = queue::put(&mut self.end.message_replies, Reply::without_data(Outcome::Lost));
             } else {
-                let _ = self.end.replies.enqueue(Reply::without_data(Outcome::Lost));
+                let _ = queue::put(&mut self.end.replies, Reply::without_data(Outcome::Lost));
             }
         }
     }

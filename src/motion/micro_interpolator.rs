@@ -119,11 +119,12 @@ pub(crate) trait Profile {
 pub(crate) struct MicroInterpolator {
     delta: Delta,
     window: [([i64; AXES], Label); WINDOW_MAX],
-    length: usize,
+    /// Angles that are averaged beside the newest.
+    beside: usize,
     newest: usize,
     sums: [i64; AXES],
-    /// Milliseconds since the angles last changed.
-    still_ms: usize,
+    /// Milliseconds until the average rests if the angles do.
+    settling_ms: usize,
 }
 
 impl MicroInterpolator {
@@ -132,18 +133,23 @@ impl MicroInterpolator {
         Self {
             delta: Delta::NONE,
             window: [([0; AXES], Label::NONE); WINDOW_MAX],
-            length: 1,
+            beside: 0,
             newest: 0,
             sums: [0; AXES],
-            still_ms: WINDOW_MAX,
+            settling_ms: 0,
         }
     }
 
     /// Takes a robot and a moving average over `window_ms`; 0 and 1 switch it off. Rests until placed.
     pub(crate) fn configure(&mut self, delta: Delta, window_ms: u16) {
         self.delta = delta;
-        self.length = usize::from(window_ms).clamp(1, WINDOW_MAX);
-        self.still_ms = WINDOW_MAX;
+        self.beside = usize::from(window_ms).clamp(1, WINDOW_MAX) - 1;
+        self.settling_ms = 0;
+    }
+
+    /// Angles that are averaged.
+    fn length(&self) -> usize {
+        self.beside + 1
     }
 
     /// Length of the moving average, ms; 0 without one.
@@ -155,13 +161,13 @@ impl MicroInterpolator {
     pub(crate) fn place(&mut self, pose: &JointAngles) {
         let parts = pose.0.map(to_parts);
         self.window = [(parts, Label::NONE); WINDOW_MAX];
-        self.sums = parts.map(|value| value * self.length as i64);
-        self.still_ms = WINDOW_MAX;
+        self.sums = parts.map(|value| value * self.length() as i64);
+        self.settling_ms = 0;
     }
 
     /// Whether the references rest.
     pub(crate) fn settled(&self) -> bool {
-        self.still_ms >= self.length
+        self.settling_ms == 0
     }
 
     /// A period at the pose given last.
@@ -196,16 +202,16 @@ impl MicroInterpolator {
     fn average(&mut self, parts: [i64; AXES], label: Label) -> Reference {
         let slot = |newest: usize, back: usize| (newest + WINDOW_MAX - back) % WINDOW_MAX;
         let before = self.window[self.newest].0;
-        self.still_ms = if parts == before {
-            self.still_ms.saturating_add(1)
+        self.settling_ms = if parts == before {
+            self.settling_ms.saturating_sub(1)
         } else {
-            0
+            self.length()
         };
         self.newest = (self.newest + 1) % WINDOW_MAX;
-        let oldest = self.window[slot(self.newest, self.length)].0;
+        let oldest = self.window[slot(self.newest, self.length())].0;
         // A window as long as the ring leaves its place to the newest.
         self.window[self.newest] = (parts, label);
-        let per_part = 1.0 / (PARTS_PER_RAD * self.length as f64);
+        let per_part = 1.0 / (PARTS_PER_RAD * self.length() as f64);
         let mut reference = Reference::default();
         for axis in 0..AXES {
             let change = parts[axis] - oldest[axis];
@@ -214,7 +220,7 @@ impl MicroInterpolator {
             reference.velocity_rad_s[axis] = change as f64 * (per_part / TICK_S);
         }
         // The average lags by half its length; so do the labels.
-        let label = self.window[slot(self.newest, self.length / 2)].1;
+        let label = self.window[slot(self.newest, self.length() / 2)].1;
         reference.stroke = label.stroke;
         reference.pen = label.pen;
         reference.vertex = label.vertex;

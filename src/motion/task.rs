@@ -75,8 +75,8 @@ enum PathPhase {
 
 /// The 12 ms task.
 pub struct TrajectoryTask<'a> {
-    /// Built once and reconfigured in place; absent if the built-in configuration is no robot.
-    trajectory: Option<Trajectory>,
+    /// Reconfigured in place.
+    trajectory: &'a mut Trajectory,
     /// A configuration has come.
     configured: bool,
     orders: Consumer<'a, MotionOrder>,
@@ -95,13 +95,14 @@ pub struct TrajectoryTask<'a> {
 impl<'a> TrajectoryTask<'a> {
     /// A task without a pose; it produces nothing until it is placed.
     pub fn new(
+        trajectory: &'a mut Trajectory,
         orders: Consumer<'a, MotionOrder>,
         vertices: Consumer<'a, PathItem>,
         references: Producer<'a, Queued>,
         reports: Producer<'a, MotionReport>,
     ) -> Self {
         Self {
-            trajectory: Trajectory::new(&Config::default()).ok(),
+            trajectory,
             configured: false,
             orders,
             vertices,
@@ -122,9 +123,10 @@ impl<'a> TrajectoryTask<'a> {
             self.orders_taken = self.orders_taken.wrapping_add(1);
             self.take_order(order);
         }
-        let Some(trajectory) = self.trajectory.as_mut().filter(|_| self.configured) else {
+        if !self.configured {
             return;
-        };
+        }
+        let trajectory = &mut *self.trajectory;
         if !self.held_before_start {
             self.path = take_vertices(trajectory, &mut self.vertices, self.path);
         }
@@ -167,19 +169,12 @@ impl<'a> TrajectoryTask<'a> {
         match order {
             MotionOrder::Configure(config) => {
                 // The link task has refused geometries that are none.
-                self.configured = self
-                    .trajectory
-                    .as_mut()
-                    .is_some_and(|trajectory| trajectory.reconfigure(&config).is_ok());
+                self.configured = self.trajectory.reconfigure(&config).is_ok();
                 self.epoch = None;
                 self.drop_path();
             }
             MotionOrder::Place { pose, epoch } => {
-                let placed = self
-                    .trajectory
-                    .as_mut()
-                    .filter(|_| self.configured)
-                    .is_some_and(|trajectory| trajectory.place(pose));
+                let placed = self.configured && self.trajectory.place(pose);
                 self.epoch = placed.then_some(epoch);
                 self.filled = false;
             }
@@ -195,9 +190,9 @@ impl<'a> TrajectoryTask<'a> {
                     MotionCommand::Resume => self.held_before_start = false,
                     _ => {}
                 }
-                if let Some(trajectory) = self.trajectory.as_mut().filter(|_| self.configured) {
+                if self.configured {
                     // The operating modes have admitted the command; what cannot be done at this moment is left undone.
-                    let _ = trajectory.command(command);
+                    let _ = self.trajectory.command(command);
                 }
             }
         }

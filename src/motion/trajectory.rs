@@ -73,8 +73,8 @@ struct Motion {
     activity: Activity,
     here: PathSample,
     finished: bool,
-    /// No vertex of the next path has come yet.
-    fresh: bool,
+    /// A vertex of the present path has come.
+    joined: bool,
     /// Vertices pushed since the path began.
     pushed: u32,
     /// Whether the path has moved since it was started.
@@ -85,7 +85,8 @@ struct Motion {
 }
 
 impl Trajectory {
-    /// Stage without a configuration, for a static: it rests, and refuses commands.
+    /// Stage without a configuration, for a static: it rests, and refuses commands. All of its bits are zero, so that it takes
+    /// no flash memory.
     pub const fn unconfigured() -> Self {
         Self {
             motion: Motion {
@@ -101,7 +102,7 @@ impl Trajectory {
                 activity: Activity::Rest,
                 here: PathSample::NONE,
                 finished: false,
-                fresh: true,
+                joined: false,
                 pushed: 0,
                 begun: false,
                 starving_ms: 0,
@@ -305,8 +306,8 @@ impl Motion {
         if self.queue.room() == 0 {
             return Err(MotionRefusal::Full);
         }
-        if self.fresh {
-            self.fresh = false;
+        if !self.joined {
+            self.joined = true;
             self.pushed = 0;
             self.shaper.merge(0);
         }
@@ -488,7 +489,7 @@ impl Motion {
 
     /// Lets the next path begin where the motion rests.
     fn settle(&mut self) {
-        self.fresh = true;
+        self.joined = false;
         self.plan.rest_at(self.here);
         self.shaper.place(Node {
             point: self.here.point,

@@ -20,7 +20,7 @@ pub use task::{NetworkTask, PATH_LIFE_MS, PROBE_PERIOD_MS};
 
 use crate::config::HostAddress;
 use crate::ethercat::wire::{UDP_PORT, UdpRepr, read_u8};
-use crate::queue::front;
+use crate::queue;
 use core::net::Ipv4Addr;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
@@ -105,27 +105,27 @@ impl NetworkEnd<'_> {
         if is_ethercat(frame) {
             return false;
         }
-        let copy = if self.received.ready() {
+        let copy = if queue::has_room_for(&self.received, 1) {
             Frame::from_slice(frame).ok()
         } else {
             None
         };
-        let taken = copy.is_some_and(|frame| self.received.enqueue(frame).is_ok());
+        let taken = copy.is_some_and(|frame| queue::put(&mut self.received, frame).is_ok());
         self.dropped = self.dropped.saturating_add(u32::from(!taken));
         true
     }
 
     /// Hands the next frame of the stack to `send`.
     pub fn send_next(&mut self, send: impl FnOnce(&[u8])) {
-        if let Some(frame) = front(&self.sent) {
+        if let Some(frame) = queue::front(&self.sent) {
             send(frame);
-            let _ = self.sent.dequeue();
+            let _ = queue::take(&mut self.sent);
         }
     }
 
     /// News about the headers to use: the inner `None` when there are none any more.
     pub fn next_path(&mut self) -> Option<Option<UdpRepr>> {
-        self.paths.dequeue()
+        queue::take(&mut self.paths)
     }
 
     /// Frames for the stack that were too long or found no room.

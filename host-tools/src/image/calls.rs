@@ -45,22 +45,33 @@ pub enum StackBound {
 pub struct CallGraph<'a> {
     image: &'a Image,
     nodes: BTreeMap<u32, Node>,
+    last: BTreeSet<u32>,
     /// Stack below a call through a register.
     indirect_bytes: u32,
 }
 
 impl<'a> CallGraph<'a> {
     /// Walks over all functions of an image.
+    ///
+    /// What has one of the parts `last` in its name ends the program with all interrupts masked: it runs once, whatever it
+    /// has interrupted, so its stack counts for none of its callers.
     #[must_use]
-    pub fn new(image: &'a Image) -> Self {
+    pub fn new(image: &'a Image, last: &[&str]) -> Self {
         let nodes = image
             .functions()
             .iter()
             .map(|function| (function.address, node(image, function)))
             .collect();
+        let is_last = |function: &&Function| last.iter().any(|part| function.name.contains(part));
+        let last = image
+            .functions()
+            .iter()
+            .filter(is_last)
+            .map(|function| function.address);
         let mut graph = Self {
             image,
             nodes,
+            last: last.collect(),
             indirect_bytes: 0,
         };
         let taken = graph.taken();
@@ -153,6 +164,12 @@ impl<'a> CallGraph<'a> {
         self.nodes.get(&function.address).is_some_and(|node| node.masks)
     }
 
+    /// Bytes of a function's own frame.
+    #[must_use]
+    pub fn frame(&self, function: &Function) -> u32 {
+        self.nodes.get(&function.address).map_or(0, |node| node.stack_bytes)
+    }
+
     /// The deepest stack when the function at `root` is called.
     #[must_use]
     pub fn stack(&self, root: &Function) -> StackBound {
@@ -182,7 +199,7 @@ impl<'a> CallGraph<'a> {
         }
         path.push(address);
         let mut below = if node.indirect { self.indirect_bytes } else { 0 };
-        for call in &node.calls {
+        for call in node.calls.difference(&self.last) {
             below = below.max(self.depth(*call, known, path)?);
         }
         path.pop();
@@ -195,6 +212,8 @@ impl<'a> CallGraph<'a> {
 fn node(image: &Image, function: &Function) -> Node {
     let mut node = Node::default();
     let mut constants = [0u32; 16];
+    // Bytes that a register points below the stack pointer.
+    let mut below: [Option<u32>; 16] = [None; 16];
     let end = function.address.saturating_add(function.size);
     let mut address = function.address;
     while address < end {
@@ -212,7 +231,20 @@ fn node(image: &Image, function: &Function) -> Node {
                 node.stack_bytes = node.stack_bytes.saturating_add(bytes);
                 node.stack_unknown |= bytes == 0;
             }
-            Effect::StackUnknown => node.stack_unknown = true,
+            Effect::Below(register, bytes) => {
+                if let Some(slot) = below.get_mut(usize::from(register)) {
+                    *slot = Some(bytes);
+                }
+            }
+            Effect::Align(register, bits) => {
+                if let Some(Some(bytes)) = below.get_mut(usize::from(register)) {
+                    *bytes = bytes.saturating_add((1 << bits.min(31)) - 1);
+                }
+            }
+            Effect::StackFrom(register) => match below.get(usize::from(register)).copied().flatten() {
+                Some(bytes) => node.stack_bytes = node.stack_bytes.saturating_add(bytes),
+                None => node.stack_unknown = true,
+            },
             Effect::Constant(register, value, upper) => {
                 if let Some(constant) = constants.get_mut(usize::from(register)) {
                     *constant = match upper {

@@ -1,15 +1,20 @@
 //! Thumb-2 instructions, as far as calls and the stack are concerned.
 //!
 //! Encodings: "ARMv7-M Architecture Reference Manual" (DDI 0403), chapter A7. Whatever is not decoded here neither calls nor
-//! moves the stack pointer down, with one exception that is named [`Effect::StackUnknown`].
+//! moves the stack pointer down, but for arithmetic on a copy of the stack pointer, which
+//! [`Effect::StackFrom`] then cannot trace.
 
 /// What an instruction does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     /// Takes this many bytes of the stack.
     Stack(u32),
-    /// Writes the stack pointer in a way that is not understood.
-    StackUnknown,
+    /// Lets a register point so many bytes below the stack pointer.
+    Below(u8, u32),
+    /// Clears so many of a register's lowest bits.
+    Align(u8, u32),
+    /// Sets the stack pointer to a register.
+    StackFrom(u8),
     /// Calls the function at an address.
     Call(u32),
     /// Goes on at an address: within the function, or in another one that returns in its place.
@@ -55,11 +60,10 @@ fn decode_16(address: u32, code: u16) -> Effect {
             0x70 => Effect::Other,
             _ => Effect::Indirect,
         },
-        // MOV and ADD with the stack pointer as destination
-        0x4400..=0x46FF if code & 0x87 == 0x85 && code & 0x0300 != 0x0100 => match code & 0x0300 {
-            0x0200 => Effect::StackUnknown,
-            _ => Effect::Other,
-        },
+        // MOV SP, Rm
+        0x4600..=0x46FF if code & 0x87 == 0x85 => Effect::StackFrom((code >> 3 & 0xF) as u8),
+        // MOV Rd, SP
+        0x4600..=0x46FF if code >> 3 & 0xF == STACK_POINTER => Effect::Below(low_register(code), 0),
         // B with a condition
         0xD000..=0xDDFF => Effect::Jump(after.wrapping_add_signed(i32::from(code as u8 as i8) << 1)),
         // B
@@ -80,6 +84,9 @@ fn decode_32(address: u32, first: u16, second: u16) -> Effect {
         0xED2D | 0xED6D if second & 0x0E00 == 0x0A00 => Effect::Stack(4 * u32::from(second & 0xFF)),
         // SUB.W SP, SP, #constant
         0xF1AD | 0xF5AD if destination(second) == STACK_POINTER => Effect::Stack(expanded(first, second)),
+        0xF1AD | 0xF5AD => Effect::Below(destination(second) as u8, expanded(first, second)),
+        // BFC from bit 0 on
+        0xF36F if second & 0x70C0 == 0 => Effect::Align(destination(second) as u8, u32::from(second & 0x1F) + 1),
         // SUBW SP, SP, #imm12
         0xF2AD | 0xF6AD if destination(second) == STACK_POINTER => Effect::Stack(immediate_12(first, second)),
         // SUB.W SP, SP, Rm
@@ -125,6 +132,11 @@ fn branch(address: u32, first: u16, second: u16) -> Effect {
         0x5000 => Effect::Call(target),
         _ => Effect::Other,
     }
+}
+
+/// The destination of a 16-bit MOV, whose highest bit stands apart.
+fn low_register(code: u16) -> u8 {
+    (code & 7 | code >> 4 & 8) as u8
 }
 
 fn destination(second: u16) -> u16 {
@@ -199,7 +211,15 @@ mod tests {
         assert_eq!(decode(0, 0xB672, 0), Effect::Mask); // cpsid i
         assert_eq!(decode(0, 0xF380, 0x8812), Effect::Mask); // msr basepri_max, r0
         assert_eq!(decode(0, 0xF240, 0x1C34), Effect::Constant(12, 0x134, false)); // movw ip, #0x134
-        assert_eq!(decode(0, 0x46E5, 0), Effect::StackUnknown); // mov sp, ip
+    }
+
+    #[test]
+    fn a_frame_that_is_aligned_is_traced() {
+        assert_eq!(decode(0, 0x466C, 0), Effect::Below(4, 0)); // mov r4, sp
+        assert_eq!(decode(0, 0x46E8, 0), Effect::Below(8, 0)); // mov r8, sp
+        assert_eq!(decode(0, 0xF5AD, 0x747A), Effect::Below(4, 1000)); // sub.w r4, sp, #1000
+        assert_eq!(decode(0, 0xF36F, 0x0404), Effect::Align(4, 5)); // bfc r4, #0, #5
+        assert_eq!(decode(0, 0x46A5, 0), Effect::StackFrom(4)); // mov sp, r4
     }
 
     #[test]

@@ -38,7 +38,6 @@ mod phy;
 mod pins;
 mod release;
 mod serial;
-mod start_up;
 #[path = "../shared/time.rs"]
 mod time;
 mod timer;
@@ -56,7 +55,7 @@ mod app {
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
-    use crate::{BOARD, clocks, memory, panic, pins, start_up, time, timer};
+    use crate::{BOARD, clocks, memory, panic, pins, time, timer};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
@@ -109,7 +108,7 @@ mod app {
             defmt::error!("the previous run ended in a panic: {=str}", cause.text());
         }
         let (channels, space) = (context.local.channels, context.local.parts);
-        let parts = start_up::on_large_stack(|| space.write(channels.split(BOARD)));
+        let parts = space.write(channels.split(BOARD));
         let wire = RawTransport::new(Ethernet::new(hardware_address(uid::uid())));
         parts.network.set_hardware_address(wire.mac_address());
         let serial = Serial::new(&mut parts.host_bytes);

@@ -5,6 +5,7 @@
 //!
 //! Invariant: no call waits.
 
+use crate::ethercat::wire::write_bytes;
 use core::task::{Context, Waker};
 use embassy_net_driver::{Driver, HardwareAddress, RxToken, TxToken};
 
@@ -55,11 +56,7 @@ impl<D: Driver> RawTransport<D> {
         }
         match self.driver.transmit(&mut Context::from_waker(Waker::noop())) {
             Some(token) => {
-                token.consume(length, |buffer| {
-                    if let Some(target) = buffer.get_mut(..length) {
-                        target.copy_from_slice(frame);
-                    }
-                });
+                token.consume(length, |buffer| write_bytes(buffer, 0, frame));
                 Sending::Sent { length }
             }
             None => Sending::Busy,

@@ -19,12 +19,20 @@ pub const UDP_PORT: u16 = 0x88A4;
 /// Where the EtherCAT header starts: behind the headers of Ethernet, IPv4 and UDP.
 pub const UDP_PAYLOAD_OFFSET: usize = UDP_OFFSET + UDP_HEADER_LEN;
 
+/// Where the sender's Ethernet address stands; the receiver's stands first.
+const SOURCE_OFFSET: usize = 6;
 const IP_OFFSET: usize = 14;
 const IP_HEADER_LEN: usize = 20;
 const UDP_OFFSET: usize = IP_OFFSET + IP_HEADER_LEN;
 const UDP_HEADER_LEN: usize = 8;
 const IP_VERSION: u8 = 4;
 const HOPS_MAX: u8 = 64;
+
+/// The Ethernet address at an offset of a frame that has one.
+fn address(frame: &[u8], offset: usize) -> MacAddress {
+    let bytes = frame.get(offset..).and_then(|rest| rest.first_chunk());
+    bytes.copied().unwrap_or_default()
+}
 
 /// The three headers around an EtherCAT payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,8 +97,8 @@ impl UdpRepr {
             return Err(Error::Port { actual: udp.dst_port() });
         }
         let repr = Self {
-            source_mac: ethernet.src_addr().0,
-            destination_mac: ethernet.dst_addr().0,
+            source_mac: address(frame, SOURCE_OFFSET),
+            destination_mac: address(frame, 0),
             source: ip.src_addr(),
             destination: ip.dst_addr(),
             source_port: udp.src_port(),
