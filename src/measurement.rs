@@ -110,7 +110,8 @@ const QUANTITIES: usize = Quantity::ALL.len();
 pub struct Histogram {
     bins: [AtomicU32; BINS],
     largest: AtomicU32,
-    smallest: AtomicU32,
+    /// The smallest value's complement: an empty histogram is all zero, and a static one takes no flash memory.
+    smallest_complement: AtomicU32,
     sum_low: AtomicU32,
     sum_high: AtomicU32,
 }
@@ -127,7 +128,7 @@ impl Histogram {
         Self {
             bins: [const { AtomicU32::new(0) }; BINS],
             largest: AtomicU32::new(0),
-            smallest: AtomicU32::new(u32::MAX),
+            smallest_complement: AtomicU32::new(0),
             sum_low: AtomicU32::new(0),
             sum_high: AtomicU32::new(0),
         }
@@ -141,8 +142,8 @@ impl Histogram {
         if value > self.largest.load(Ordering::Relaxed) {
             self.largest.store(value, Ordering::Relaxed);
         }
-        if value < self.smallest.load(Ordering::Relaxed) {
-            self.smallest.store(value, Ordering::Relaxed);
+        if !value > self.smallest_complement.load(Ordering::Relaxed) {
+            self.smallest_complement.store(!value, Ordering::Relaxed);
         }
         let (low, carried) = self.sum_low.load(Ordering::Relaxed).overflowing_add(value);
         self.sum_low.store(low, Ordering::Relaxed);
@@ -159,7 +160,7 @@ impl Histogram {
 
     /// Smallest value, `u32::MAX` without any.
     pub fn smallest(&self) -> u32 {
-        self.smallest.load(Ordering::Relaxed)
+        !self.smallest_complement.load(Ordering::Relaxed)
     }
 
     /// Sum of all values.
@@ -205,7 +206,7 @@ impl Histogram {
         self.sum_high.store(0, Ordering::Relaxed);
         self.sum_low.store(0, Ordering::Relaxed);
         self.largest.store(0, Ordering::Relaxed);
-        self.smallest.store(u32::MAX, Ordering::Relaxed);
+        self.smallest_complement.store(0, Ordering::Relaxed);
     }
 }
 

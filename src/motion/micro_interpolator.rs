@@ -154,7 +154,7 @@ impl MicroInterpolator {
 
     /// Length of the moving average, ms; 0 without one.
     pub(crate) fn window_ms(&self) -> u16 {
-        if self.length > 1 { self.length as u16 } else { 0 }
+        if self.length() > 1 { self.length() as u16 } else { 0 }
     }
 
     /// Rests at a pose.
