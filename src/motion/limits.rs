@@ -8,15 +8,15 @@ use super::scan::Row;
 use crate::config::Motion;
 use crate::robot::ARMS;
 
-/// Directions of the polygon in a quarter of the circle, both ends included.
-pub(crate) const DIRECTIONS: usize = 5;
-/// Cosine and sine of the directions, 22.5 degrees apart.
+/// Directions of the polygon's sides in a quarter of the circle. Its corners lie on the axes and between: on a straight
+/// line, and at constant speed on a curve, the whole acceleration is used.
+pub(crate) const DIRECTIONS: usize = 4;
+/// Cosine and sine of the directions, 22.5 degrees apart, the first at 11.25.
 pub(crate) const DIRECTION: [(f64, f64); DIRECTIONS] = [
-    (1.0, 0.0),
-    (0.923_879_532_511_286_7, 0.382_683_432_365_089_8),
-    (0.707_106_781_186_547_5, 0.707_106_781_186_547_5),
-    (0.382_683_432_365_089_8, 0.923_879_532_511_286_7),
-    (0.0, 1.0),
+    (0.980_785_280_403_230_4, 0.195_090_322_016_128_28),
+    (0.831_469_612_302_545_2, 0.555_570_233_019_602_2),
+    (0.555_570_233_019_602_2, 0.831_469_612_302_545_2),
+    (0.195_090_322_016_128_28, 0.980_785_280_403_230_4),
 ];
 /// Distance of the inner polygon's sides from its centre in a circle of radius 1: cosine of 11.25 degrees.
 const POLYGON: f64 = 0.980_785_280_403_230_4;
@@ -79,6 +79,11 @@ impl Limits {
         }
     }
 
+    /// Cartesian acceleration along the path or across it alone: a corner of the polygon, mm/s2.
+    pub(crate) fn whole_acceleration(&self) -> f64 {
+        self.acceleration * (1.0 / POLYGON)
+    }
+
     /// Squared path speed with the pen down or up, mm2/s2.
     pub(crate) fn path_speed_squared(&self, drawn: bool) -> f64 {
         if drawn {
@@ -107,8 +112,8 @@ impl Limits {
                 cap = acceleration / bend.abs();
             }
         }
-        if curvature * cap > self.acceleration {
-            cap = self.acceleration / curvature;
+        if curvature * cap > self.whole_acceleration() {
+            cap = self.whole_acceleration() / curvature;
         }
         cap
     }

@@ -218,7 +218,7 @@ impl Interval<'_> {
     pub(crate) fn braking(&self, x: f64) -> f64 {
         let limits = self.limits;
         let mut range = Range {
-            low: -limits.acceleration,
+            low: -limits.whole_acceleration(),
             high: 0.0,
             low_slope: 0.0,
             high_slope: 0.0,
@@ -325,7 +325,7 @@ mod tests {
             lifts: false,
             room: Room::NONE,
         };
-        let expected = 2.0 * 2.0 * limits.acceleration;
+        let expected = 2.0 * 2.0 * limits.whole_acceleration();
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);
     }
 }
