@@ -1,4 +1,4 @@
-//! What the EtherCAT master costs, and what the same work costs in another master.
+//! What the EtherCAT master costs, and what the same work costs in another master; what the planner costs.
 //!
 //! Both masters exchange process data with four drives. The segment answers from memory and is not counted, nor is what
 //! a driver of an Ethernet controller copies; everything else that a cycle needs is: preparing the telegram, checking
@@ -11,6 +11,7 @@
 
 pub mod ethercrab_master;
 pub mod etherpen_master;
+pub mod motion;
 pub mod segment;
 
 /// Drives on the segment.

@@ -1,12 +1,14 @@
 //! The figures that the project claims, measured beside those of its peers.
 //!
-//! Everything is counted: instructions, bytes, frames. No figure depends on how fast or how busy the computer is.
+//! Instructions, bytes, frames and virtual time are counted: no figure with a target depends on how fast or how busy the
+//! computer is.
 //!
 //! Invariant: a row is measured in this run or left out; none is remembered.
 
 mod bring_up;
 pub mod ethercat;
 pub mod latency;
+pub mod motion;
 mod programs;
 
 use crate::setup::SetupError;
@@ -57,8 +59,15 @@ impl Selection {
     /// Whether the figure of this case and subject is wanted.
     #[must_use]
     pub fn wants(&self, case: &str, subject: &str) -> bool {
+        self.wants_case(case) && self.wants_subject(subject)
+    }
+
+    fn wants_case(&self, case: &str) -> bool {
         self.case.as_ref().is_none_or(|wanted| case.contains(wanted.as_str()))
-            && self.subject.as_ref().is_none_or(|wanted| wanted == subject)
+    }
+
+    fn wants_subject(&self, subject: &str) -> bool {
+        self.subject.as_ref().is_none_or(|wanted| wanted == subject)
     }
 }
 

@@ -5,11 +5,15 @@
 use super::BenchError;
 use crate::setup::{self, QEMU, TARGET};
 use object::{Object, ObjectSection, SectionKind};
+use std::io::{self, Write};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 /// Cycles that a program under valgrind says it has run are at most this many.
 const CYCLES_MAX: u64 = 1 << 20;
+
+/// The program with copp, and the feature that it needs.
+pub(super) const OPTIMUM: &str = "optimum";
 
 /// Where a program runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +55,9 @@ pub(super) fn build(machine: Machine, programs: &[&str]) -> Result<(), BenchErro
     }
     for program in programs {
         command.args(["--bin", program]);
+        if *program == OPTIMUM {
+            command.args(["--features", OPTIMUM]);
+        }
     }
     match command.stdout(Stdio::null()).status() {
         Ok(status) if status.success() => Ok(()),
@@ -141,11 +148,27 @@ pub(super) fn start(program: &str) -> Result<Child, BenchError> {
         .map_err(|cause| failed(program, cause))
 }
 
+/// Runs a program on this computer to its end with `input` as its standard input; gives what it printed.
+pub(super) fn answer(program: &str, input: &str) -> Result<String, BenchError> {
+    let mut command = Command::new(path(Machine::Host, program));
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|cause| failed(program, cause))?;
+    if let Some(mut pipe) = child.stdin.take() {
+        // It reads all of it before it prints, and says itself what it lacks.
+        let _ = pipe.write_all(input.as_bytes());
+    }
+    finished(program, child.wait_with_output())
+}
+
 fn output(program: &str, command: &mut Command) -> Result<String, BenchError> {
-    let output = command
-        .stdin(Stdio::null())
-        .output()
-        .map_err(|cause| failed(program, cause))?;
+    finished(program, command.stdin(Stdio::null()).output())
+}
+
+fn finished(program: &str, output: io::Result<Output>) -> Result<String, BenchError> {
+    let output = output.map_err(|cause| failed(program, cause))?;
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
     if output.status.success() {
         return Ok(text(&output.stdout));

@@ -1,7 +1,7 @@
 //! `etherpen bench`: the project's figures beside those of its peers, measured in one run.
 
 use super::{CommandError, code, print_json};
-use crate::bench::{BenchError, Report, Row, Selection, ethercat};
+use crate::bench::{BenchError, Report, Row, Selection, ethercat, motion};
 use std::io::Write;
 
 /// Options of `etherpen bench`.
@@ -17,6 +17,19 @@ enum Bench {
     Ethercat(Options),
     /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
     Latency(super::latency::Arguments),
+    /// The planner beside copp (TOPP2-RA), Klipper's and grbl's formulas: durations at the same limits, largest values of
+    /// the 1 ms references, planning times, instructions of a period. A row meets its target or misses it.
+    Motion(MotionOptions),
+}
+
+/// Options of the planner's benchmark.
+#[derive(clap::Args, Debug)]
+struct MotionOptions {
+    /// The samples' paths under the joints' limits alone, and nothing in the emulator.
+    #[arg(long)]
+    quick: bool,
+    #[command(flatten)]
+    options: Options,
 }
 
 /// Options of every benchmark.
@@ -33,20 +46,29 @@ struct Options {
     subject: Option<String>,
 }
 
+impl Options {
+    fn selection(&self) -> Selection {
+        Selection {
+            case: self.case.clone(),
+            subject: self.subject.clone(),
+        }
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// A tool is missing, or something could not be measured. A target that is missed is no error.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let options = match &arguments.bench {
-        Bench::Ethercat(options) => options,
+    let progress = |what: &str| eprintln!("etherpen: {what}");
+    let (options, report) = match &arguments.bench {
+        Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),
         Bench::Latency(arguments) => return super::latency::run(arguments),
+        Bench::Motion(MotionOptions { quick, options }) => {
+            (options, motion::run(&options.selection(), *quick, progress))
+        }
     };
-    let selection = Selection {
-        case: options.case.clone(),
-        subject: options.subject.clone(),
-    };
-    let report = ethercat::run(&selection, |what| eprintln!("etherpen: {what}")).map_err(|error| match error {
+    let report = report.map_err(|error| match error {
         BenchError::Setup(error) => CommandError::from(error),
         BenchError::Program { .. } => CommandError::new(code::FAILED, error),
     })?;
@@ -64,26 +86,30 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .map_err(|cause| CommandError::failed("stdout", cause))
 }
 
-/// One line a case: our figure, its target, the peer's figure, and how many times ours that is.
+/// One line a case: our figure, its target, the peers' figures, and how many times ours the smallest of them is.
 pub(super) fn table(report: &Report) -> String {
     let mut text = format!(
-        "{:<38} {:>9} {:<13} {:>16} {:>20} {:>7}\n",
-        "case", "etherpen", "", "target", "peer", "ratio"
+        "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
+        "case", "etherpen", "", "target", "ratio"
     );
     let ours = report.rows.iter().filter(|row| row.subject == "etherpen");
     for row in ours {
-        let peer = report
-            .rows
-            .iter()
-            .find(|peer| peer.case == row.case && peer.subject != row.subject);
-        let theirs = peer.map_or_else(String::new, |peer| format!("{} {}", peer.subject, peer.value));
-        let ratio = peer.map_or_else(String::new, |peer| format!("{:.2}", peer.value / row.value));
+        let peers = || {
+            let others = report.rows.iter();
+            others.filter(|peer| peer.case == row.case && peer.subject != row.subject)
+        };
+        let theirs: Vec<String> = peers()
+            .map(|peer| format!("{} {}", peer.subject, figure(peer.value)))
+            .collect();
+        let best = peers().map(|peer| peer.value).reduce(f64::min);
+        let ratio = best.map_or_else(String::new, |best| format!("{:.2}", best / row.value));
         let line = format!(
-            "{:<38} {:>9} {:<13} {:>16} {theirs:>20} {ratio:>7}",
+            "{:<52} {:>9} {:<13} {:>16} {ratio:>7}  {}",
             row.case,
-            row.value,
+            figure(row.value),
             row.unit,
-            target(row)
+            target(row),
+            theirs.join(", ")
         );
         text.push_str(line.trim_end());
         text.push('\n');
@@ -91,17 +117,29 @@ pub(super) fn table(report: &Report) -> String {
     let alone = |row: &&Row| row.subject != "etherpen" && !report.rows.iter().any(|other| other.subject == "etherpen");
     for row in report.rows.iter().filter(alone) {
         text.push_str(&format!(
-            "{:<38} {:>9} {:<13} {}\n",
-            row.case, row.value, row.unit, row.subject
+            "{:<52} {:>9} {:<13} {}\n",
+            row.case,
+            figure(row.value),
+            row.unit,
+            row.subject
         ));
     }
     text
 }
 
+/// Whole numbers as they are, others with four digits that count.
+fn figure(value: f64) -> String {
+    if value.fract() == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let places = (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.places$}")
+}
+
 fn target(row: &Row) -> String {
     match (row.target, row.met()) {
-        (Some(target), Some(true)) => format!("<= {target} met"),
-        (Some(target), _) => format!("<= {target} missed"),
+        (Some(target), Some(true)) => format!("<= {} met", figure(target)),
+        (Some(target), _) => format!("<= {} missed", figure(target)),
         (None, _) => String::new(),
     }
 }

@@ -22,6 +22,32 @@ fn figures_come_as_rows_with_case_subject_value_unit_and_target() {
 }
 
 #[test]
+fn the_planners_durations_stand_beside_those_of_its_peers() {
+    let folder = Folder::new();
+    let (status, stdout, stderr) = run(etherpen(&folder).args([
+        "bench",
+        "motion",
+        "--quick",
+        "--json",
+        "--subject",
+        "etherpen",
+        "--case",
+        "square",
+    ]));
+    assert_eq!(status, Some(0), "{stderr}");
+    let report: Value = serde_json::from_str(&stdout).expect("JSON on stdout");
+    assert_eq!(report["bench"], "motion");
+    let rows = report["rows"].as_array().expect("rows");
+    let value = |case: &str| {
+        let row = rows.iter().find(|row| row["case"] == case);
+        row.and_then(|row| row["value"].as_f64()).expect(case)
+    };
+    assert!((value("duration_s/square") - 0.302).abs() < 0.004);
+    assert!(value("peer_ratio/square") < 1.0);
+    assert!(value("peak_ratio/square") <= 1.001);
+}
+
+#[test]
 fn a_case_that_does_not_exist_is_wrong_usage() {
     let folder = Folder::new();
     let (status, stdout, _) = run(etherpen(&folder).args(["bench", "ethercat", "--case", "nothing"]));
