@@ -28,7 +28,6 @@ use crate::io::{AxisCommand, AxisInput, Demand, Increments};
 use crate::motion::Reference;
 use crate::network::NetworkEnd;
 use crate::queue;
-use crate::robot::AXES;
 use crate::robot::{AXES, JointAngles};
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
