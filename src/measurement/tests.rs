@@ -153,3 +153,42 @@ fn an_output_sent_by_the_deadline_ends_the_period_without_a_round_trip() {
     assert_eq!(measurements.histogram(Quantity::RoundTrip).count(), 0);
     assert_eq!(measurements.histogram(Quantity::TotalDelay).largest(), 7_900);
 }
+
+#[test]
+fn requests_and_the_longest_answer_survive_the_link() {
+    use crate::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
+    use crate::link::protocol::{DeviceMessage, HostMessage};
+    let carried = |frame: &[u8]| {
+        let mut decoder = Decoder::<{ FRAME_BYTES_MAX }>::new();
+        let payload = frame.iter().find_map(|byte| match decoder.push(*byte) {
+            Some(result) => Some(result.expect("the frame is whole").to_vec()),
+            None => None,
+        });
+        payload.expect("a frame has an end")
+    };
+    let mut frame = [0; FRAME_BYTES_MAX];
+    for request in [
+        MeasurementRequest::Reset,
+        MeasurementRequest::Disturb { bits: 7 },
+        MeasurementRequest::Read {
+            quantity: Quantity::Trajectory,
+            first: 255,
+        },
+    ] {
+        let message = HostMessage::Measure { id: 7, request };
+        let length = encode(&message, &mut frame).expect("it fits");
+        assert_eq!(decode::<HostMessage>(&carried(&frame[..length])), Ok(message));
+    }
+    let answer = MeasurementAnswer::Piece(HistogramPiece {
+        quantity: Quantity::Trajectory,
+        counts_per_s: u32::MAX,
+        largest: u32::MAX,
+        smallest: u32::MAX,
+        sum: u64::MAX,
+        bins: (0..BINS_PER_PIECE).map(|_| (u8::MAX, u32::MAX)).collect(),
+        next: Some(u8::MAX),
+    });
+    let message = DeviceMessage::Measured { id: u16::MAX, answer };
+    let length = encode(&message, &mut frame).expect("it fits");
+    assert_eq!(decode::<DeviceMessage>(&carried(&frame[..length])), Ok(message));
+}

@@ -51,6 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let plan = Plan {
         cycles: arguments.cycles.max(1),
         disturbance: arguments.disturbance,
+        at_rest: true,
         isolation: arguments.isolation,
         rate_khz: arguments.rate,
         instruction_shift: arguments.shift,

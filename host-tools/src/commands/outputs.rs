@@ -4,8 +4,9 @@ use super::prepare::Prepared;
 use super::{CommandError, in_colour};
 use crate::cell::{Cell, CellOptions, InkStroke};
 use crate::drawing::{Stroke, render_png, render_rgb, tone_correlation, write_svg};
+use crate::emulator;
 use crate::link::job::JobReport;
-use crate::report::{Drives, Evidence, Report, rows, write_intended, write_telemetry, write_tracking};
+use crate::report::{Drives, Evidence, Report, Timing, rows, write_intended, write_telemetry, write_tracking};
 use etherpen::config::Config;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -61,6 +62,9 @@ impl Outcome<'_> {
             image: self.image.clone(),
             drives,
         });
+        if let Some(readings) = &self.job.measurements {
+            report.timing = Timing::new(readings, self.ns_per_instruction());
+        }
         if let (Some((picture, place_mm)), Some((cell, _))) = (&self.prepared.photograph, self.cell) {
             let sheet_mm = self.config.paper.size_mm;
             let drawn = render_rgb(&strokes(cell.ink()), sheet_mm, PEN_WIDTH_MM, PIXELS_PER_MM);
@@ -69,6 +73,17 @@ impl Outcome<'_> {
             report.tone_correlation = Some(tone_correlation(picture, &drawn));
         }
         report
+    }
+
+    /// Virtual time of an instruction, ns, where instructions are counted: in the emulator in lockstep with the cell.
+    fn ns_per_instruction(&self) -> Option<f64> {
+        let emulated = self
+            .job
+            .welcome
+            .as_ref()
+            .is_some_and(|welcome| welcome.board == "emulated");
+        let shift = emulator::Options::default().instruction_shift;
+        (emulated && self.cell.is_some()).then(|| f64::from(1_u32 << shift))
     }
 
     /// Writes pictures, tables and figures into a folder, which is made if it is missing.

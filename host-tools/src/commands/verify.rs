@@ -1,6 +1,9 @@
 //! `etherpen verify`: everything continuous integration asks, in one command.
 
+use super::latency;
 use super::{CommandError, code, in_colour};
+use crate::bench::Row;
+use crate::bench::latency::{Disturbance, Isolation, Plan};
 use crate::setup::{self, TARGET};
 use std::time::Instant;
 
@@ -78,12 +81,55 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
         announce(name);
         step(name, arguments)?;
     }
+    announce("latency under every disturbance");
+    in_time()?;
     eprintln!(
         "{} in {:.0} s",
         in_colour("verified", "1;32"),
         start.elapsed().as_secs_f64()
     );
     Ok(())
+}
+
+/// Cycles of the latency run.
+const LATENCY_CYCLES: u64 = 100_000;
+/// Figures that every verification holds against their bounds.
+const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
+
+/// Measures the firmware under every load it can make: whether it is in time. What it costs is the benchmark's.
+fn in_time() -> Result<(), CommandError> {
+    let report = latency::measure(&Plan {
+        cycles: LATENCY_CYCLES,
+        disturbance: Disturbance::ALL,
+        at_rest: false,
+        isolation: Isolation::Basepri,
+        rate_khz: 1,
+        instruction_shift: 3,
+    })?;
+    let is_bound = |row: &&Row| IN_TIME.iter().any(|case| row.case.starts_with(case));
+    let missed = report
+        .rows
+        .iter()
+        .filter(is_bound)
+        .filter(|row| row.met() == Some(false));
+    let missed: Vec<String> = missed
+        .map(|row| {
+            format!(
+                "{}: {} {}, at most {}",
+                row.case,
+                row.value,
+                row.unit,
+                row.target.unwrap_or(0.0)
+            )
+        })
+        .collect();
+    if missed.is_empty() {
+        return Ok(());
+    }
+    Err(CommandError::new(
+        code::FAILED,
+        format!("latency: {}", missed.join("; ")),
+    ))
 }
 
 fn announce(name: &str) {

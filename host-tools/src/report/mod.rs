@@ -5,10 +5,12 @@
 
 mod deviation;
 mod tables;
+mod timing;
 mod tracking_plot;
 
 pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
+pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
 
 use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
@@ -129,6 +131,9 @@ pub struct Report {
     pub virtual_to_processor_ratio: Option<f64>,
     /// Correlation of the drawn picture with the photograph, both blurred; absent without either.
     pub tone_correlation: Option<f64>,
+    /// What the firmware measured of itself.
+    #[serde(flatten)]
+    pub timing: Timing,
 }
 
 /// What a report is made of.
@@ -260,6 +265,7 @@ impl Report {
             processor_s: None,
             virtual_to_processor_ratio: None,
             tone_correlation: None,
+            timing: Timing::default(),
         }
     }
 }

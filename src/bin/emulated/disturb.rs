@@ -14,8 +14,8 @@ use etherpen::measurement::disturbance::{LOG, SERIAL};
 
 /// Counts between two ticks: 92,000 ticks a second, as the bytes of a line of 921,600 baud.
 const TICK_COUNTS: u32 = 271;
-/// Lines logged at a tick; those of a millisecond are more than the log's ring holds.
-const LINES_PER_TICK: u32 = 4;
+/// Lines logged at a tick: half of the core's time goes into them.
+const LINES_PER_TICK: u32 = 2;
 /// Bytes of a message of noise, end included.
 const NOISE_BYTES: u32 = 60;
 /// Delivery of foreign frames: this many counts before the release at first, later by a step every millisecond, and from

@@ -147,8 +147,8 @@ mod app {
 
     /// Sends the input telegram.
     ///
-    /// Period 1 ms, priority 15 (critical), deadline 500 us for the output telegram that follows from it. An overrun shows
-    /// as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
+    /// Period: 1 ms. Priority: 15, critical. Deadline: 500 us for the output telegram that follows from it. Overrun:
+    /// it shows as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
     #[task(binds = TIMER0, priority = 15, shared = [transport, sampler, watch])]
     fn sample(cx: sample::Context) {
         let began_at = free_run();
@@ -156,7 +156,7 @@ mod app {
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
         let wire = transport.driver_mut();
         wire.clock.release(sampler.take_timer_correction_ns());
-        let delay = began_at.wrapping_sub(wire.clock.released_at());
+        let delay = wire.clock.counts_to(began_at);
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);
@@ -183,8 +183,9 @@ mod app {
 
     /// Takes received telegrams; the input reply is followed by control and the output telegram.
     ///
-    /// Released twice a millisecond, when a reply's time on the wire is over (lockstep) or by `arrival` (free-running),
-    /// priority 15 (critical), deadline as for `sample`. Frames that come while it runs release it again.
+    /// Released when a reply's time on the wire is over (lockstep) or by `arrival` (free-running). Period: twice a
+    /// millisecond. Priority: 15, critical. Deadline: as for `sample`. Overrun: `bus_deadline` has sent the output
+    /// telegram; frames that come while it runs release it again.
     #[task(binds = DUAL_TIMER, priority = 15, shared = [transport, sampler, watch])]
     fn bus_frame(cx: bus_frame::Context) {
         let began_at = free_run();
@@ -203,8 +204,9 @@ mod app {
 
     /// Hands a received frame's interrupt on to `bus_frame`.
     ///
-    /// Released by the Ethernet controller, priority 15 (critical). In lockstep the frames have been waited for when they
-    /// come, and this task does not run (see `wire`).
+    /// In lockstep the frames have been waited for when they come, and this task does not run (see `wire`). Period:
+    /// every received frame, free-running only. Priority: 15, critical. Deadline: as for `sample`. Overrun: releases
+    /// merge, `bus_frame` takes all frames.
     #[task(binds = LAN9118, priority = 15, shared = [transport])]
     fn arrival(cx: arrival::Context) {
         load::woke();
@@ -214,7 +216,8 @@ mod app {
 
     /// Sends the output telegram from predicted positions when no valid input has come.
     ///
-    /// Period 1 ms, 300 us behind `sample`, priority 15 (critical), deadline as for `sample`.
+    /// Period: 1 ms, 300 us behind `sample`. Priority: 15, critical. Deadline: as for `sample`. Overrun: the output
+    /// telegram is late, which the sampler counts.
     #[task(binds = TIMER1, priority = 15, shared = [transport, sampler, watch, &measurements])]
     fn bus_deadline(cx: bus_deadline::Context) {
         let began_at = free_run();
@@ -239,7 +242,8 @@ mod app {
 
     /// Exchanges the link's bytes between the static queues and the host.
     ///
-    /// Period 1 ms, pended by `sample`, priority 10, deadline the next millisecond: pends merge, bytes wait in the queues.
+    /// Period: 1 ms, pended by `sample`. Priority: 10. Deadline: the next millisecond. Overrun: pends merge, bytes
+    /// wait in the queues.
     #[task(binds = FREE14, priority = 10, shared = [serial, &measurements])]
     fn host_bytes(cx: host_bytes::Context) {
         let (serial, measurements) = (cx.shared.serial, cx.shared.measurements);
@@ -255,7 +259,7 @@ mod app {
 
     /// Loads the firmware with bytes and log lines when the host has asked for it.
     ///
-    /// Period 10.84 us while it is asked for, off otherwise; priority 10, no deadline: ticks merge.
+    /// Period: 10.84 us while it is asked for, else off. Priority: 10. Deadline: none. Overrun: ticks merge.
     #[task(binds = SysTick, priority = 10, shared = [serial, &measurements])]
     fn tick(cx: tick::Context) {
         load::woke();
@@ -276,7 +280,7 @@ mod app {
 
     /// Floods the log when the host has asked for it.
     ///
-    /// Pended by `tick`, priority 2, no deadline: pends merge.
+    /// Period: pended by `tick`. Priority: 2. Deadline: none. Overrun: pends merge.
     #[task(binds = FREE7, priority = 2)]
     fn flood(_: flood::Context) {
         disturb::log();
@@ -284,7 +288,8 @@ mod app {
 
     /// Takes a byte from UART0, free-running only.
     ///
-    /// Released by the UART, priority 10; the UART holds the next byte back until this one is taken.
+    /// Period: every byte, free-running only. Priority: 10. Deadline: none. Overrun: the UART holds the next byte back
+    /// until this one is taken.
     #[task(binds = UART0_RX, priority = 10, shared = [serial])]
     fn byte_received(cx: byte_received::Context) {
         load::woke();
@@ -293,7 +298,7 @@ mod app {
 
     /// Gives UART0 its next byte, free-running only.
     ///
-    /// Released by the UART, priority 10; bytes wait in the queue.
+    /// Period: every byte, free-running only. Priority: 10. Deadline: none. Overrun: bytes wait in the queue.
     #[task(binds = UART0_TX, priority = 10, shared = [serial])]
     fn byte_sent(cx: byte_sent::Context) {
         load::woke();
@@ -302,8 +307,8 @@ mod app {
 
     /// Plans, then fills the next 12 references of the ring.
     ///
-    /// Period 12 ms, pended by `sample`, priority 6, deadline its next release. An overrun is a release that found the one
-    /// before not completed; it is counted, and the late run serves both.
+    /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: its next release. Overrun: a release that found the
+    /// one before not completed is counted, and the late run serves both.
     #[task(binds = FREE15, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(cx: trajectory::Context) {
         let measurements = cx.shared.measurements;
@@ -320,7 +325,8 @@ mod app {
 
     /// Runs the link's protocol and the operating modes, then lets the supervisor and the log have their turn.
     ///
-    /// Period 1 ms, pended by `host_bytes`, priority 3, no deadline: pends merge while the trajectory task runs.
+    /// Period: 1 ms, pended by `host_bytes`. Priority: 3. Deadline: none. Overrun: pends merge while the trajectory
+    /// task runs.
     #[task(binds = FREE16, priority = 3, local = [link, health])]
     fn link(cx: link::Context) {
         cx.local.link.tick();
@@ -332,7 +338,7 @@ mod app {
 
     /// Brings the bus up and watches it.
     ///
-    /// Polled after each `link`, priority 1, no deadline.
+    /// Period: polled after each `link`. Priority: 1. Deadline: none. Overrun: polls merge.
     #[task(priority = 1, local = [supervisor])]
     async fn supervisor(cx: supervisor::Context) {
         SUPERVISOR.every_tick(cx.local.supervisor.run()).await;
@@ -340,7 +346,8 @@ mod app {
 
     /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
     ///
-    /// Polled after each `link`, priority 1, no deadline: frames that find its ring full are dropped and counted.
+    /// Period: polled after each `link`. Priority: 1. Deadline: none. Overrun: frames that find its ring full are
+    /// dropped and counted.
     #[task(priority = 1, local = [network])]
     async fn network(cx: network::Context) {
         let mut run = pin!(cx.local.network.run());
@@ -354,7 +361,7 @@ mod app {
 
     /// Empties the log's ring into the host's file.
     ///
-    /// Pended by `link`, priority 1, no deadline: what does not fit the ring is counted.
+    /// Period: pended by `link`. Priority: 1. Deadline: none. Overrun: what does not fit the ring is counted.
     #[task(binds = FREE17, priority = 1, local = [drain])]
     fn drain(cx: drain::Context) {
         cx.local.drain.run();

@@ -236,17 +236,16 @@ impl Clock {
         self.next_delivery = Some(release.wrapping_sub(before).wrapping_add(after));
     }
 
-    /// Nominal release of this millisecond, a reading of the free-running counter.
-    pub(crate) fn released_at(&self) -> u32 {
-        self.released_at
+    /// Counts from the nominal release of this millisecond to a reading of the free-running counter.
+    pub(crate) fn counts_to(&self, moment: u32) -> u32 {
+        if is_before(moment, self.released_at) {
+            return 0;
+        }
+        moment.wrapping_sub(self.released_at)
     }
 
     fn elapsed_counts(&self) -> u32 {
-        let now = free_run();
-        if is_before(now, self.released_at) {
-            return 0;
-        }
-        now.wrapping_sub(self.released_at)
+        self.counts_to(free_run())
     }
 
     /// Nanoseconds since the nominal release of this millisecond.

@@ -3,17 +3,7 @@
 //! This folder is wiring: which interrupt releases which task of the library, at which priority, and the drivers of this
 //! chip. What a task does is in `etherpen::controller`; the emulated board runs the same tasks at the same priorities.
 //!
-//! | task | released by | priority | deadline |
-//! |---|---|---|---|
-//! | `sample` | TIM1 update, every 1 ms | 15 | 1 ms |
-//! | `bus_frame` | ETH, received frame | 15 | the drives' next cycle |
-//! | `bus_deadline` | TIM1 compare, 300 us after the sample | 15 | 500 us after the sample |
-//! | `host_bytes` | USART3, and `link` every 1 ms | 10 | 8 bytes on the line, 86 us |
-//! | `trajectory` | `sample`, every 12 ms | 6 | 12 ms |
-//! | `link` | `sample`, every 1 ms | 3 | 1 ms |
-//! | `supervisor` | `link`, every 1 ms | 1 | none |
-//! | `network` | `link`, every 1 ms | 1 | none |
-//! | `phy` | `link`, every 1 ms | 1 | none |
+//! The table of all tasks is in `docs/tasks.md`.
 //!
 //! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
 //! they release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section.
@@ -151,8 +141,8 @@ mod app {
 
     /// Sends the input telegram, and releases `link` and every twelfth time `trajectory`.
     ///
-    /// Period 1 ms, priority 15, deadline: the next release. Overrun: the elapsed time handed over shows the lateness,
-    /// which the sampler counts; more than the configured number in a second is a fault.
+    /// Period: 1 ms. Priority: 15, critical. Deadline: the next release. Overrun: the elapsed time handed over shows
+    /// the lateness, which the sampler counts; more than the configured number in a second is a fault.
     #[task(
         binds = TIM1_UP,
         priority = 15,
@@ -187,8 +177,9 @@ mod app {
 
     /// Takes received frames: on the input reply control and the output telegram, on the output reply the counters.
     ///
-    /// Twice per ms and once per foreign frame, priority 15, deadline: 500 us after the sample for the output telegram.
-    /// Overrun: `bus_deadline` has sent the output of this cycle already; the late reply is counted.
+    /// Period: twice a millisecond and once for each foreign frame. Priority: 15, critical. Deadline: 500 us after the
+    /// sample for the output telegram. Overrun: `bus_deadline` has sent the output of this cycle already; the late
+    /// reply is counted.
     #[task(binds = ETH, priority = 15, shared = [sampler, wire, watch])]
     fn bus_frame(context: bus_frame::Context) {
         let began_at = timer::free_run();
@@ -205,8 +196,8 @@ mod app {
 
     /// Sends the output telegram on predicted positions if no valid input has come.
     ///
-    /// 300 us after every sample, priority 15, deadline 500 us after the sample. Overrun: that cycle's output is late,
-    /// the sampler counts it; the drives bridge one.
+    /// Period: 1 ms, 300 us behind `sample`. Priority: 15, critical. Deadline: 500 us after the sample. Overrun: that
+    /// cycle's output is late, the sampler counts it; the drives bridge one.
     #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire, watch])]
     fn bus_deadline(context: bus_deadline::Context) {
         let began_at = timer::free_run();
@@ -221,8 +212,9 @@ mod app {
 
     /// Moves bytes between the serial port's FIFOs and the link's queues.
     ///
-    /// On 8 received bytes, an idle line or an empty transmit FIFO, and every ms; priority 10, deadline 86 us (the other
-    /// half of the receive FIFO). Overrun: bytes are lost and counted, the link repeats the frame.
+    /// Period: 8 received bytes, an idle line or an empty transmit FIFO, and every millisecond. Priority: 10.
+    /// Deadline: 86 us, the other half of the receive FIFO. Overrun: bytes are lost and counted, the link repeats the
+    /// frame.
     #[task(binds = USART3, priority = 10, shared = [&measurements], local = [serial])]
     fn host_bytes(context: host_bytes::Context) {
         health::woke();
@@ -232,8 +224,8 @@ mod app {
 
     /// Plans ahead and fills the ring with the next 12 references.
     ///
-    /// Period 12 ms, priority 6, deadline 12 ms. Overrun: a release that found the one before not completed is counted;
-    /// the ring holds a plan that ends at rest, so late planning slows the motion down and never starves it.
+    /// Period: 12 ms. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before not completed is
+    /// counted; the ring holds a plan that ends at rest, so late planning slows the motion down and never starves it.
     #[task(binds = LPTIM2, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(context: trajectory::Context) {
         let measurements = context.shared.measurements;
@@ -247,7 +239,7 @@ mod app {
 
     /// Messages of the host, telemetry; then releases the serial port, the supervisor and the PHY.
     ///
-    /// Period 1 ms, priority 3, deadline 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
+    /// Period: 1 ms. Priority: 3. Deadline: 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
     #[task(binds = LPTIM3, priority = 3, local = [link])]
     fn link(context: link::Context) {
         context.local.link.tick();
@@ -262,7 +254,7 @@ mod app {
 
     /// Brings the bus up, watches it, repairs it.
     ///
-    /// One step every ms, priority 1, no deadline: what it decides is slow. Overrun: steps merge.
+    /// Period: 1 ms. Priority: 1. Deadline: none. Overrun: steps merge: what it decides is slow.
     #[task(priority = 1, local = [supervisor])]
     async fn supervisor(context: supervisor::Context) {
         // It registers no waker: what it waits for are critical tasks, which may not wake.
@@ -276,7 +268,7 @@ mod app {
 
     /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
     ///
-    /// One step every ms, priority 1, no deadline. Overrun: steps merge; frames that find its ring full are dropped and
+    /// Period: 1 ms. Priority: 1. Deadline: none. Overrun: steps merge; frames that find its ring full are dropped and
     /// counted.
     #[task(priority = 1, local = [network])]
     async fn network(context: network::Context) {
@@ -291,7 +283,7 @@ mod app {
 
     /// Polls the PHY for the link's state, and logs what changed and what was counted.
     ///
-    /// Period 1 ms, priority 1, no deadline. Overrun: steps merge; the link's state is known later.
+    /// Period: 1 ms. Priority: 1. Deadline: none. Overrun: steps merge; the link's state is known later.
     #[task(binds = LPTIM4, priority = 1, local = [phy, health: Health = Health::new()])]
     fn phy(context: phy::Context) {
         if let Some(event) = context.local.phy.step(&mut Sma) {

@@ -34,7 +34,7 @@ pub struct Disturbance {
     pub serial: bool,
     /// The planner on a path that keeps its window full.
     pub planner: bool,
-    /// Log lines beyond what the log's ring takes.
+    /// Log lines all the time.
     pub log: bool,
     /// Foreign frames around every release.
     pub network: bool,
@@ -98,6 +98,8 @@ pub struct Plan {
     pub cycles: u64,
     /// The load of the second run.
     pub disturbance: Disturbance,
+    /// Whether the firmware is measured without any load, too.
+    pub at_rest: bool,
     /// With `Primask` the loaded run is repeated without protection.
     pub isolation: Isolation,
     /// The highest loop rate that is tried, kHz: 1, 2, 4 or 8.
@@ -142,8 +144,11 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport,
         isolation: Isolation::Basepri,
         rate_khz: 1,
     };
-    runs.push(measure(plan, case, &mut progress)?);
-    if plan.disturbance != Disturbance::default() {
+    let loaded = plan.disturbance != Disturbance::default();
+    if plan.at_rest || !loaded {
+        runs.push(measure(plan, case, &mut progress)?);
+    }
+    if loaded {
         case.disturbance = plan.disturbance;
         runs.push(measure(plan, case, &mut progress)?);
     }
@@ -268,6 +273,7 @@ mod tests {
         let plan = Plan {
             cycles: 20_000,
             disturbance: Disturbance::ALL,
+            at_rest: false,
             isolation: Isolation::Basepri,
             rate_khz: 1,
             instruction_shift: 3,

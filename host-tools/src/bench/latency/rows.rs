@@ -178,6 +178,8 @@ fn run_rows(plan: &Plan, measured: &Measured, rows: &mut Vec<Row>) {
     for (case, quantity, target) in executions {
         if let Some(distribution) = readings.of(quantity) {
             let target = target.filter(|_| asked);
+            let mean = ns(distribution, 1.0) / f64::from(1_u32 << shift) * distribution.mean();
+            row(&case.replace("_max_", "_mean_"), mean.round(), "instructions", None);
             row(
                 case,
                 instructions(distribution, distribution.largest, shift),
