@@ -63,7 +63,9 @@ fn tasks(board: &str) -> Vec<Task> {
             comment.push_str(text);
         } else if line.starts_with("#[task(") {
             let mut attribute = line.to_owned();
-            while !attribute.ends_with(")]") {
+            // On one line, or with its end alone on a line.
+            while line == "#[task(" && !attribute.ends_with("\n)]") {
+                attribute.push('\n');
                 attribute.push_str(lines.next().expect("the attribute ends"));
             }
             let function = lines.next().expect("a task has a function");
