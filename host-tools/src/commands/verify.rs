@@ -81,7 +81,7 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
         announce(name);
         step(name, arguments)?;
     }
-    announce("latency under every disturbance");
+    announce("latency with foreign frames");
     in_time()?;
     eprintln!(
         "{} in {:.0} s",
@@ -96,11 +96,15 @@ const LATENCY_CYCLES: u64 = 100_000;
 /// Figures that every verification holds against their bounds.
 const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 
-/// Measures the firmware under every load it can make: whether it is in time. What it costs is the benchmark's.
+/// Measures whether the firmware is in time with foreign frames around every release; the tests put all loads on it for
+/// fewer cycles.
 fn in_time() -> Result<(), CommandError> {
     let report = latency::measure(&Plan {
         cycles: LATENCY_CYCLES,
-        disturbance: Disturbance::ALL,
+        disturbance: Disturbance {
+            network: true,
+            ..Disturbance::default()
+        },
         at_rest: false,
         isolation: Isolation::Basepri,
         rate_khz: 1,

@@ -54,3 +54,11 @@ fn a_case_that_does_not_exist_is_wrong_usage() {
     assert_eq!(status, Some(i32::from(code::USAGE)));
     assert!(stdout.is_empty());
 }
+
+#[test]
+fn a_disturbance_that_does_not_exist_is_wrong_usage_and_named() {
+    let folder = Folder::new();
+    let (status, stdout, stderr) = run(etherpen(&folder).args(["bench", "latency", "--disturbance", "serial,rain"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stdout.is_empty() && stderr.contains("`rain`"), "{stderr}");
+}

@@ -82,7 +82,8 @@ pub fn svg(report: &LatencyReport) -> String {
 fn panel(text: &mut String, top: f64, title: &str, curves: &[&Curve]) {
     let points = || curves.iter().flat_map(|curve| curve.points.iter());
     let times = || points().map(|(ns, _)| ns.max(FLOOR_NS).log10());
-    let from = times().fold(f64::INFINITY, f64::min).floor();
+    // A curve that begins at the edge would lie on it.
+    let from = (times().fold(f64::INFINITY, f64::min) - 0.15).floor();
     let to = times().fold(f64::NEG_INFINITY, f64::max);
     if !from.is_finite() || !to.is_finite() {
         return;
