@@ -183,6 +183,9 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
     }
 }
 
+/// Gain, delay in ms, and the solution they come from.
+type Estimate = (f64, f64, [f64; TERMS]);
+
 /// Equations of the regression: what stands beside the answer, and the answer.
 type Equation = ([f64; TERMS], f64);
 
@@ -224,12 +227,12 @@ fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answe
         .map(estimate)
         .collect();
     let parts = parts.ok_or(NoAnswer::Model)?;
-    let spread = |of: &dyn Fn(&(f64, f64, [f64; TERMS])) -> f64| {
+    let spread = |of: fn(&Estimate) -> f64| {
         let mean = parts.iter().map(of).sum::<f64>() / parts.len() as f64;
         let squares = parts.iter().map(|part| (of(part) - mean).powi(2)).sum::<f64>();
         (squares / (parts.len() - 1) as f64 / parts.len() as f64).sqrt()
     };
-    let (gain_spread, delay_spread_ms) = (spread(&|part| part.0), spread(&|part| part.1));
+    let (gain_spread, delay_spread_ms) = (spread(|part| part.0), spread(|part| part.1));
     let measured = |value: f64, uncertainty: f64| Measured { value, uncertainty };
     Ok(Answer {
         samples: equations.len(),

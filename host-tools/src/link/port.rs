@@ -201,7 +201,7 @@ fn open_unix(path: &PathBuf) -> io::Result<Directions> {
 #[derive(Debug)]
 pub enum RunError {
     /// The job's own reason.
-    Job(JobError),
+    Job(Box<JobError>),
     /// The port.
     Port(PortError),
 }
@@ -330,7 +330,7 @@ pub fn run_job(
             show(Show::Progress(&job.progress()));
         }
         if let Some(outcome) = outcome {
-            return outcome.map_err(RunError::Job);
+            return outcome.map_err(|error| RunError::Job(Box::new(error)));
         }
     }
 }
