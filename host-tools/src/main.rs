@@ -3,7 +3,8 @@
 
 use clap::Parser;
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, draw, emulate, identify, kinematics, plan, segment, simulate, verify,
+    self, CommandError, bench, bus, demo, draw, emulate, identify, kinematics, plan, reference, segment, simulate,
+    verify,
 };
 use std::process::ExitCode;
 
@@ -38,6 +39,8 @@ enum Subcommand {
     Plan(plan::Arguments),
     /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
     Identify(identify::Arguments),
+    /// Take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
+    Reference(reference::Arguments),
     /// Run the virtual EtherCAT segment alone, for any master to talk to.
     Segment(segment::Arguments),
     /// Draw a file in virtual time in this process, with the same tasks and the same cell.
@@ -56,6 +59,7 @@ fn main() -> ExitCode {
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),
+        Subcommand::Reference(arguments) => reference::run(&arguments),
         Subcommand::Segment(arguments) => segment::run(&arguments),
         Subcommand::Simulate(arguments) => simulate::run(&arguments),
         Subcommand::Verify(arguments) => verify::run(&arguments),

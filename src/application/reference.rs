@@ -32,6 +32,17 @@ pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -
     }
 }
 
+/// Whether a position of every axis arrives.
+///
+/// # Errors
+/// The first axis without one.
+pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal> {
+    match (0u8..).zip(increments).find(|(_, increments)| increments.is_none()) {
+        Some((axis, _)) => Err(Refusal::NoPosition { axis }),
+        None => Ok(()),
+    }
+}
+
 /// What a pose is checked against.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseCheck {
@@ -48,6 +59,16 @@ impl PoseCheck {
         }
     }
 
+    /// What the resolvers show within their motor turns, increments from 0.
+    pub fn within_turn(&self, increments: &[Option<i64>; AXES]) -> [Option<u32>; AXES] {
+        let mut within = [None; AXES];
+        for ((within, axis), increments) in within.iter_mut().zip(&self.axes).zip(increments) {
+            let revolution = i64::from(axis.increments_per_revolution.max(1));
+            *within = increments.and_then(|increments| u32::try_from(increments.rem_euclid(revolution)).ok());
+        }
+        within
+    }
+
     /// Whether a pose may be taken as the reference: `increments` is what the resolvers show, `position` where the platform
     /// was measured to be.
     ///
@@ -62,10 +83,9 @@ impl PoseCheck {
         if pose.0.iter().any(|angle| !angle.is_finite()) {
             return Err(Refusal::NotFinite);
         }
+        positions_arrive(increments)?;
         for (number, ((axis, increments), wanted_rad)) in (0u8..).zip(self.axes.iter().zip(increments).zip(pose.0)) {
-            let Some(increments) = increments else {
-                return Err(Refusal::NoPosition { axis: number });
-            };
+            let Some(increments) = increments else { continue };
             let difference_rad = resolver_angle_rad(axis, *increments, Some(wanted_rad)) - wanted_rad;
             if difference_rad.abs() > POSE_DIFFERENCE_MAX_RAD {
                 return Err(Refusal::PoseResolver {
@@ -156,8 +176,17 @@ mod tests {
         let mut silent = increments;
         silent[1] = None;
         assert_eq!(check.check(&silent, &pose, None), Err(Refusal::NoPosition { axis: 1 }));
+        assert_eq!(positions_arrive(&silent), Err(Refusal::NoPosition { axis: 1 }));
         wrong.0[0] = f64::NAN;
         assert_eq!(check.check(&increments, &wrong, None), Err(Refusal::NotFinite));
+    }
+
+    #[test]
+    fn increments_within_a_turn_are_from_0_and_below_a_revolution() {
+        let check = PoseCheck::new(&Config::default());
+        let revolution = i64::from(Config::default().axes[0].increments_per_revolution);
+        let within = check.within_turn(&[Some(-1), Some(3 * revolution + 7), Some(5), None]);
+        assert_eq!(within, [Some(revolution as u32 - 1), Some(7), Some(5), None]);
     }
 
     #[test]

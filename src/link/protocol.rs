@@ -13,7 +13,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 4;
+pub const PROTOCOL_VERSION: u16 = 5;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -236,6 +236,8 @@ pub struct Status {
     pub fault: Option<Fault>,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
+    /// What each axis' resolver shows within its motor turn, increments; `None` where no position arrives.
+    pub increments: [Option<u32>; AXES],
     /// Hash of the configuration in force.
     pub config: Option<u64>,
     /// Path speed override, percent.

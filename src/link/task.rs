@@ -7,7 +7,7 @@
 
 use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
-use crate::application::reference::PoseCheck;
+use crate::application::reference::{PoseCheck, positions_arrive};
 use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
@@ -232,11 +232,7 @@ impl<'a> LinkTask<'a> {
             };
             admission.check(0, &vertex).map_err(Refusal::Target)?;
         }
-        if let Command::ReferenceAt { pose, position } = command {
-            let check = self.pose_check.as_ref().ok_or(Refusal::NotConfigured)?;
-            let increments = self.report.map_or([None; AXES], |report| report.increments);
-            check.check(&increments, &pose, position.as_ref())?;
-        }
+        self.check_reference(command)?;
         self.application.command(command)?;
         if let Command::Draw { .. } = command {
             self.vertices_admitted = 0;
@@ -249,6 +245,27 @@ impl<'a> LinkTask<'a> {
             self.carry_out(action);
         }
         Ok(())
+    }
+
+    /// A reference needs the positions of all axes, one at a known pose also a pose that agrees with them.
+    fn check_reference(&self, command: Command) -> Result<(), Refusal> {
+        if !matches!(command, Command::Reference | Command::ReferenceAt { .. }) {
+            return Ok(());
+        }
+        let check = self.pose_check.as_ref().ok_or(Refusal::NotConfigured)?;
+        let increments = self.report.map_or([None; AXES], |report| report.increments);
+        match command {
+            Command::ReferenceAt { pose, position } => check.check(&increments, &pose, position.as_ref()),
+            _ => positions_arrive(&increments),
+        }
+    }
+
+    /// What the resolvers show within a motor turn.
+    fn increments(&self) -> [Option<u32>; AXES] {
+        match (&self.pose_check, &self.report) {
+            (Some(check), Some(report)) => check.within_turn(&report.increments),
+            _ => [None; AXES],
+        }
     }
 
     fn take_path(&mut self, vertices: &[PathVertex], last: bool) {
@@ -426,6 +443,7 @@ impl<'a> LinkTask<'a> {
             mode: self.application.mode(),
             fault: self.application.fault(),
             referenced: self.condition.referenced,
+            increments: self.increments(),
             config: self.config_hash,
             override_percent: self.application.override_percent(),
             counters: self.counters,

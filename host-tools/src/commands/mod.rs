@@ -15,6 +15,7 @@ mod latency;
 mod outputs;
 pub mod plan;
 pub mod prepare;
+pub mod reference;
 pub mod run;
 pub mod segment;
 pub mod simulate;

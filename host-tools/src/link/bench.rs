@@ -58,6 +58,8 @@ pub(crate) struct Bench {
     pub(crate) fault_at_vertex: Option<u32>,
     pub(crate) refuse_vertex: Option<u32>,
     pub(crate) referenced: bool,
+    pub(crate) increments: [Option<u32>; 4],
+    pub(crate) refuse_reference: Option<Refusal>,
     pub(crate) config: Option<u64>,
     pub(crate) commands: Vec<Command>,
     pub(crate) asked: Vec<ServiceRequest>,
@@ -86,6 +88,8 @@ impl Bench {
             fault_at_vertex: None,
             refuse_vertex: None,
             referenced: false,
+            increments: [Some(0); 4],
+            refuse_reference: None,
             config: None,
             commands: Vec::new(),
             asked: Vec::new(),
@@ -181,7 +185,10 @@ impl Bench {
             }
         };
         match command {
-            Command::Reference => self.referenced = true,
+            Command::Reference | Command::ReferenceAt { .. } => match self.refuse_reference {
+                Some(refusal) => return Err(refusal),
+                None => self.referenced = true,
+            },
             Command::Enable => {
                 require(Mode::DrivesOff, self.mode)?;
                 self.then = Some((now_ms + 30, Mode::Idle));
@@ -249,6 +256,7 @@ impl Bench {
                 mode: self.mode,
                 fault: self.fault,
                 referenced: self.referenced,
+                increments: self.increments,
                 config: self.config,
                 override_percent: 100,
                 counters: Counters::default(),

@@ -11,6 +11,7 @@ pub mod measurement;
 mod path;
 pub mod port;
 pub mod progress;
+pub mod reference;
 pub mod session;
 pub mod terms;
 pub mod text;

@@ -161,6 +161,7 @@ fn full_status() -> Status {
         mode: Mode::Drawing,
         fault: None,
         referenced: true,
+        increments: [Some(u32::MAX); 4],
         config: Some(u64::MAX),
         override_percent: 100,
         counters: Counters {

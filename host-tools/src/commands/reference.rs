@@ -1,0 +1,215 @@
+//! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
+
+use super::{CommandError, ConfigArguments, code, job_error, print_json, session_number};
+use crate::cell::{Cell, CellOptions};
+use crate::link::port::{Line, Port, PortName};
+use crate::link::reference::{Pose, ReferenceJob, Referenced, Wanted};
+use crate::link::text;
+use crate::settings::Settings;
+use crate::simulation;
+use etherpen::application::reference::resolver_angle_rad;
+use etherpen::config::Config;
+use etherpen::robot::{AXES, Delta, JointAngles, Outside, Position};
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Longest simulated time, ms.
+const SIMULATED_MAX_MS: u32 = 300_000;
+/// How far the angles of a reference at stored marks may be from those that were stored, rad; an increment of a resolver
+/// is less.
+const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
+
+/// Options of `etherpen reference`.
+///
+/// A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. Without --pose and
+/// --position the arms stand within half a motor turn (15 degrees) of their synchronisation marks. The robot may stand
+/// with or without power; it is not moved.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Try it on the virtual cell, in virtual time.
+    #[arg(long, conflicts_with = "port", required_unless_present = "port")]
+    simulate: bool,
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long)]
+    port: Option<String>,
+    /// The joint angles at which the robot stands, rad. The resolvers have to show them; a whole motor turn too many or
+    /// too few is found with --position only.
+    #[arg(long, value_name = "Q1,Q2,Q3,Q4", allow_hyphen_values = true, value_parser = numbers::<AXES>)]
+    pose: Option<Numbers<AXES>>,
+    /// Where the platform stands, mm, within about 20. Alone it gives the arms' angles, axis 4 is taken on the motor turn
+    /// nearest to 0; beside --pose it is what that pose is checked against.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = numbers::<3>)]
+    position: Option<Numbers<3>>,
+    /// The resolvers' offsets are not known yet (another motor, drive or resolver): the pose sets them and is checked
+    /// against --position only. Without --pose and --position the arms stand exactly at their marks.
+    #[arg(long)]
+    calibrate: bool,
+    /// Store this pose as the synchronisation marks, in the configuration file that is in use, `etherpen.toml` where
+    /// there is none; everything else in it stays.
+    #[arg(long)]
+    store: bool,
+    /// Print the result as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Numbers with commas between them.
+#[derive(Clone, Copy, Debug)]
+struct Numbers<const N: usize>([f64; N]);
+
+fn numbers<const N: usize>(text: &str) -> Result<Numbers<N>, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse::<f64>()).collect();
+    let numbers: Option<[f64; N]> = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+    match numbers.filter(|numbers| numbers.iter().all(|number| number.is_finite())) {
+        Some(numbers) => Ok(Numbers(numbers)),
+        None => Err(format!("{N} finite numbers with commas between them are needed")),
+    }
+}
+
+/// One axis' result.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct AxisResult {
+    axis: usize,
+    angle_rad: f64,
+    /// What the resolver shows within its motor turn.
+    increments: u32,
+}
+
+/// What the command prints.
+#[derive(Clone, Debug, Serialize)]
+struct Answer {
+    axes: Vec<AxisResult>,
+    /// The platform by forward kinematics; absent where no platform joins the forearms.
+    position_mm: Option<[f64; 3]>,
+    stored: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The configuration, the machine, a pose that its resolvers or the measured position do not agree with, or the file.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let delta = Delta::new(&config.geometry).map_err(|cause| {
+        let text = text::config_refusal(&cause.into());
+        CommandError::new(code::USAGE, text)
+    })?;
+    let wanted = wanted(arguments, &delta)?;
+    let found = take(arguments, &config, wanted)?;
+    let position = delta.forward(&found.pose).ok();
+    let mut answer = Answer {
+        axes: (1..)
+            .zip(found.pose.0.iter().zip(found.increments))
+            .map(|(axis, (angle_rad, increments))| AxisResult {
+                axis,
+                angle_rad: *angle_rad,
+                increments,
+            })
+            .collect(),
+        position_mm: position.map(Into::into),
+        stored: None,
+    };
+    if arguments.store {
+        let in_use = arguments.config.config.clone();
+        let path = in_use.unwrap_or_else(|| PathBuf::from("etherpen.toml"));
+        store(&path, &found)?;
+        answer.stored = Some(path.display().to_string());
+    }
+    match arguments.json {
+        true => print_json(&answer),
+        false => print(&answer),
+    }
+}
+
+fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> {
+    let position = arguments.position.map(|Numbers(position)| Position::from(position));
+    let pose = match (arguments.pose, &position) {
+        (Some(Numbers(pose)), _) => Pose::Joints(JointAngles(pose)),
+        (None, Some(position)) => Pose::Arms(delta.inverse(position).map_err(|cause| {
+            let why = text::outside(&Outside::Kinematics(cause));
+            CommandError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
+        })?),
+        (None, None) => Pose::Marks,
+    };
+    Ok(Wanted {
+        pose,
+        position,
+        calibrate: arguments.calibrate,
+    })
+}
+
+fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, CommandError> {
+    let mut job = ReferenceJob::new(config.clone(), wanted, session_number());
+    match &arguments.port {
+        Some(port) => {
+            let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+            let lost = |cause| CommandError::new(code::CONNECTION, cause);
+            let mut line = Line::start(Port::open(&name).map_err(lost)?);
+            while job.outcome().is_none() {
+                line.exchange(|now_ms, incoming, outgoing, room| job.step(now_ms, incoming, outgoing, room))
+                    .map_err(lost)?;
+            }
+        }
+        None => {
+            let mut cell = Cell::new(config, CellOptions::default());
+            simulation::run(&mut cell, &mut job, SIMULATED_MAX_MS);
+        }
+    }
+    match job.outcome() {
+        Some(Ok(found)) => Ok(found.clone()),
+        Some(Err(error)) => Err(job_error(error)),
+        None => Err(CommandError::new(
+            code::FAILED,
+            "the run ended before the reference was taken",
+        )),
+    }
+}
+
+/// Stores the pose as the marks, and reads it back.
+fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
+    let failed = |cause| CommandError::failed(format!("{} cannot be changed", path.display()), cause);
+    let mut settings = Settings::open(path).map_err(failed)?;
+    let changed = settings.store_axes(&found.marked()).map_err(failed)?;
+    settings.save(path).map_err(failed)?;
+    let stored = Settings::open(path)
+        .and_then(|settings| settings.config())
+        .map_err(failed)?;
+    let shown = stored.axes.iter().zip(found.increments).zip(found.pose.0);
+    for (number, ((axis, increments), angle_rad)) in (1..).zip(shown) {
+        let again_rad = resolver_angle_rad(axis, i64::from(increments), None);
+        let difference_rad = (again_rad - angle_rad).abs();
+        if difference_rad.is_nan() || difference_rad > STORED_DIFFERENCE_MAX_RAD {
+            let message = format!(
+                "{}: axis {number} would be at {again_rad} rad after a reference at the stored marks, and is at \
+                 {angle_rad} rad; look whether another program writes the file",
+                path.display()
+            );
+            return Err(CommandError::new(code::FAILED, message));
+        }
+    }
+    eprintln!("{changed} values changed in {}, read back and checked.", path.display());
+    Ok(())
+}
+
+fn print(answer: &Answer) -> Result<(), CommandError> {
+    let mut shown = String::new();
+    for axis in &answer.axes {
+        shown.push_str(&format!(
+            "axis {}    {:+.6} rad ({:+.3} deg), {:>7} increments at the resolver\n",
+            axis.axis,
+            axis.angle_rad,
+            axis.angle_rad.to_degrees(),
+            axis.increments
+        ));
+    }
+    match answer.position_mm {
+        Some([x, y, z]) => shown.push_str(&format!("platform  {x:.2} {y:.2} {z:.2} mm\n")),
+        None => shown.push_str("platform  with these angles the forearms do not meet: a wrong motor turn?\n"),
+    }
+    std::io::stdout()
+        .write_all(shown.as_bytes())
+        .map_err(|cause| CommandError::failed("stdout", cause))
+}
