@@ -266,12 +266,12 @@ mod tests {
         assert!(read("flood").is_err_and(|message| message.contains("flood")));
     }
 
-    /// One run of the loaded firmware; 20,000 cycles take some seconds of wall time.
+    /// Two runs of the loaded firmware.
     #[test]
     fn under_every_disturbance_no_cycle_is_late_or_lost_and_the_release_waits_for_one_run_at_most() {
         setup::ensure_qemu().expect("the emulator can be had");
         let plan = Plan {
-            cycles: 20_000,
+            cycles: 5_000,
             disturbance: Disturbance::ALL,
             at_rest: false,
             isolation: Isolation::Basepri,
@@ -293,7 +293,7 @@ mod tests {
             assert_eq!(rows::late(&measured), 0, "{disturbance:?}");
             assert_eq!(measured.counters.frames_lost, 0, "{disturbance:?}");
             assert_eq!(measured.counters.working_counter_errors, 0, "{disturbance:?}");
-            assert!(measured.counters.cycles >= 20_000, "{:?}", measured.counters);
+            assert!(u64::from(measured.counters.cycles) >= plan.cycles, "{:?}", measured.counters);
             let jitter = rows::jitter_instructions(&measured, plan.instruction_shift).expect("releases were measured");
             assert!(jitter <= jitter_max, "{disturbance:?}: {jitter} instructions");
         }
