@@ -8,7 +8,7 @@
 //! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
 //! turns may have been miscounted, or whose drive was configured anew, is not referenced any more.
 
-use crate::application::reference::resolver_angle_rad;
+use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
 use crate::control::limited;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
@@ -135,15 +135,6 @@ impl AxisState {
         self.zero = None;
     }
 
-    /// Wraps a difference of less than 2^33 increments to the nearest within half a revolution.
-    ///
-    /// In floating point, which divides without a loop: both numbers and the whole part of their quotient are exact.
-    fn nearest(&self, difference: i64) -> i64 {
-        let half = self.increments_per_revolution / 2;
-        let turns = libm::floor((difference + half) as f64 / self.increments_per_revolution as f64);
-        difference - turns as i64 * self.increments_per_revolution
-    }
-
     fn is_moving(&self) -> bool {
         let rest = (REST_REVOLUTIONS_S * self.increments_per_revolution as f64 / 1000.0).max(1.0);
         self.step.unsigned_abs() as f64 > rest
@@ -166,7 +157,10 @@ impl AxisState {
             return;
         };
         if self.known {
-            let difference = self.nearest(i64::from(input.position.wrapping_sub(self.raw)));
+            let difference = nearest_turn(
+                i64::from(input.position.wrapping_sub(self.raw)),
+                self.increments_per_revolution,
+            );
             self.position += difference;
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
             // Half a revolution fits 32 bits.

@@ -18,12 +18,20 @@ pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
 /// platform by more than 50 mm.
 pub const POSITION_DIFFERENCE_MAX_MM: f64 = 20.0;
 
+/// Wraps a difference of less than 2^33 increments to the nearest within half of a revolution of at most 2^24.
+///
+/// In floating point, which divides without a loop: both numbers and the whole part of their quotient are exact.
+pub(crate) fn nearest_turn(difference: i64, revolution: i64) -> i64 {
+    let turns = libm::floor((difference + revolution / 2) as f64 / revolution as f64);
+    difference - turns as i64 * revolution
+}
+
 /// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`; without one on
 /// the turn nearest to the synchronisation mark.
 pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
     let revolution = i64::from(axis.increments_per_revolution.max(1));
     let off_mark = increments - i64::from(axis.sync_increments);
-    let off_mark = (off_mark + revolution / 2).rem_euclid(revolution) - revolution / 2;
+    let off_mark = nearest_turn(off_mark, revolution);
     let turn_rad = TAU / axis.gear;
     let at_mark_rad = axis.sync_angle_rad + turn_rad * (off_mark as f64 / revolution as f64);
     match near_rad {

@@ -293,7 +293,11 @@ mod tests {
             assert_eq!(rows::late(&measured), 0, "{disturbance:?}");
             assert_eq!(measured.counters.frames_lost, 0, "{disturbance:?}");
             assert_eq!(measured.counters.working_counter_errors, 0, "{disturbance:?}");
-            assert!(u64::from(measured.counters.cycles) >= plan.cycles, "{:?}", measured.counters);
+            assert!(
+                u64::from(measured.counters.cycles) >= plan.cycles,
+                "{:?}",
+                measured.counters
+            );
             let jitter = rows::jitter_instructions(&measured, plan.instruction_shift).expect("releases were measured");
             assert!(jitter <= jitter_max, "{disturbance:?}: {jitter} instructions");
         }
