@@ -1,0 +1,115 @@
+//! `etherpen reference` and `etherpen identify` on the virtual cell: output, stored values, exit codes.
+
+use super::program::{Folder, etherpen, run};
+use host_tools::commands::code;
+use serde_json::Value;
+use std::fs;
+
+fn angles(answer: &Value) -> Vec<f64> {
+    let axes = answer["axes"].as_array().expect("axes");
+    axes.iter()
+        .map(|axis| axis["angle_rad"].as_f64().expect("an angle"))
+        .collect()
+}
+
+fn list(numbers: &[f64]) -> String {
+    let words: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+    words.join(",")
+}
+
+fn answer(stdout: &str) -> Value {
+    serde_json::from_str(stdout).expect("one JSON document and nothing else")
+}
+
+#[test]
+fn a_reference_at_marks_pose_and_position_is_the_same_and_a_wrong_turn_names_its_axis() {
+    let folder = Folder::new();
+    let reference = |words: &[&str]| {
+        let mut command = etherpen(&folder);
+        command.args(["reference", "--simulate"]).args(words);
+        run(&mut command)
+    };
+    let (status, stdout, stderr) = reference(&["--json"]);
+    assert_eq!(status, Some(0), "{stderr}");
+    let marks = answer(&stdout);
+    let mut pose = angles(&marks);
+    let position: Vec<f64> = serde_json::from_value(marks["position_mm"].clone()).expect("a platform");
+    let (pose_words, position_words) = (list(&pose), list(&position));
+    for words in [
+        ["--json", "--pose", &pose_words],
+        ["--json", "--position", &position_words],
+    ] {
+        let (status, stdout, stderr) = reference(&words);
+        assert_eq!(status, Some(0), "{stderr}");
+        assert_eq!(answer(&stdout), marks);
+    }
+    let (status, stdout, stderr) = reference(&[]);
+    assert_eq!(status, Some(0), "{stderr}");
+    assert_eq!(stdout.lines().count(), 5, "{stdout}");
+    assert!(stdout.contains("axis 1") && stdout.contains("increments") && stdout.contains("platform"));
+
+    pose[1] += std::f64::consts::TAU / 12.0;
+    let (status, stdout, stderr) = reference(&["--pose", &list(&pose), "--position", &position_words]);
+    assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
+    assert!(stderr.contains("axis 2") && stderr.contains("wrong motor turn") && stdout.is_empty());
+    for words in [
+        ["--pose", "0.3,0.3,0.3"],
+        ["--pose", "0,0,0,nan"],
+        ["--position", "0,0,900"],
+    ] {
+        let (status, _, stderr) = reference(&words);
+        assert_eq!(status, Some(i32::from(code::USAGE)), "{words:?}: {stderr}");
+    }
+}
+
+#[test]
+fn a_stored_reference_is_in_the_configuration_and_nothing_else_changes_there() {
+    let folder = Folder::new();
+    let config = folder.file("robot.toml", "# mine\n[motion]\nspeed_mm_s = 150.0\n");
+    let mut command = etherpen(&folder);
+    command
+        .args(["reference", "--simulate", "--store", "--json", "--config"])
+        .arg(&config);
+    let (status, stdout, stderr) = run(&mut command);
+    assert_eq!(status, Some(0), "{stderr}");
+    let answer = answer(&stdout);
+    assert!(answer["stored"].is_string() && stderr.contains("read back"), "{stderr}");
+    let text = fs::read_to_string(&config).expect("the configuration");
+    assert!(text.starts_with("# mine\n[motion]\nspeed_mm_s = 150.0\n"), "{text}");
+    let stored: etherpen::config::Config = toml::from_str(&text).expect("a configuration");
+    for (axis, angle) in stored.axes.iter().zip(angles(&answer)) {
+        assert_eq!(axis.sync_angle_rad, angle);
+        assert_ne!(axis.sync_increments, 0);
+    }
+}
+
+#[test]
+fn identify_measures_the_arms_says_what_it_keeps_and_stores_what_it_tried() {
+    let folder = Folder::new();
+    let mine = "# mine\n[motion]\norientation = \"constant\"\n";
+    let config = folder.file("robot.toml", mine);
+    let mut command = etherpen(&folder);
+    command
+        .args(["identify", "--simulate", "--store", "--json", "--config"])
+        .arg(&config);
+    let (status, stdout, stderr) = run(&mut command);
+    assert_eq!(status, Some(0), "{stderr}");
+    let answer = answer(&stdout);
+    let axes = answer["axes"].as_array().expect("axes");
+    let text = fs::read_to_string(&config).expect("the configuration");
+    assert!(text.starts_with(mine), "{text}");
+    let stored: etherpen::config::Config = toml::from_str(&text).expect("a configuration");
+    assert_eq!(axes.len(), stored.axes.len());
+    for (number, (axis, stored)) in (1..).zip(axes.iter().zip(&stored.axes)) {
+        let after = |value: &str| axis[value]["after"].as_f64().expect("a value");
+        assert_eq!(after("feed_forward_lead_ms"), stored.feed_forward_lead_ms);
+        assert_eq!(after("feed_forward_gain"), stored.feed_forward_gain);
+        assert_eq!(axis["measured"].is_object(), number <= 3, "axis {number}: {stderr}");
+        let told = match number <= 3 {
+            true => format!("axis {number}: lead"),
+            false => format!("axis {number}: the axis has hardly moved, its values are kept"),
+        };
+        assert!(stderr.contains(&told), "{stderr}");
+        assert!((stored.feed_forward_gain - 1.0).abs() < 0.01, "axis {number}: {stderr}");
+    }
+}
