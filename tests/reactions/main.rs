@@ -496,3 +496,32 @@ fn power_is_taken_only_from_a_robot_that_stands_with_its_brakes_closed() {
     robot.run(1_000);
     assert_eq!(robot.cell().joints, before, "the platform does not sink");
 }
+
+#[test]
+fn enabling_far_from_the_last_reference_is_without_a_bump() {
+    let mut robot = Robot::drawing();
+    robot.command(Command::Stop).unwrap();
+    robot.wait_for(Mode::Fault);
+    let following = robot.samples.iter().rev().find(|sample| sample.mode == Mode::Drawing);
+    let last_reference = following.expect("telemetry of the drawing").reference_rad;
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    let before = robot.cell().joints;
+    let pairs = before.0.iter().zip(last_reference);
+    let displaced_rad = pairs.fold(0.0, |most: f64, (joint, last)| {
+        most.max((joint - f64::from(last)).abs())
+    });
+    assert!(displaced_rad > 5e-4, "the ramp led {displaced_rad} rad away");
+    robot.command(Command::Enable).unwrap();
+    let mut fastest_rad_s = 0.0_f64;
+    for _ in 0..1_000 {
+        robot.run(1);
+        fastest_rad_s = fastest_rad_s.max(robot.speed_rad_s());
+    }
+    assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
+    println!("displaced by {displaced_rad:.5} rad, fastest {fastest_rad_s:.6} rad/s while enabling");
+    assert!(fastest_rad_s < 1e-3, "{fastest_rad_s} rad/s");
+    for (after, before) in robot.cell().joints.0.iter().zip(before.0) {
+        assert!((after - before).abs() < 1e-5, "{after} rad, {before} rad before");
+    }
+}
