@@ -160,9 +160,9 @@ fn requests_and_the_longest_answer_survive_the_link() {
     use crate::link::protocol::{DeviceMessage, HostMessage};
     let carried = |frame: &[u8]| {
         let mut decoder = Decoder::<{ FRAME_BYTES_MAX }>::new();
-        let payload = frame.iter().find_map(|byte| match decoder.push(*byte) {
-            Some(result) => Some(result.expect("the frame is whole").to_vec()),
-            None => None,
+        let payload = frame.iter().find_map(|byte| {
+            let ended = decoder.push(*byte)?;
+            Some(ended.expect("the frame is whole").to_vec())
         });
         payload.expect("a frame has an end")
     };

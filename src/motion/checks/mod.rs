@@ -174,7 +174,7 @@ impl Run {
                 before = Some((here, [0.0; 3], *reference));
                 continue;
             };
-            for axis in 0..AXES {
+            for (axis, acceleration_before) in accelerations.iter_mut().enumerate() {
                 let velocity = reference.velocity_rad_s[axis];
                 let difference = (reference.position_rad[axis] - last_reference.position_rad[axis]) / TICK_S;
                 assert!((velocity - difference).abs() < 1.0e-8, "{name}: axis {axis} at {at} ms");
@@ -182,12 +182,12 @@ impl Run {
                 let acceleration = (velocity - last_reference.velocity_rad_s[axis]) / TICK_S;
                 let limit = motion.joint_acceleration_rad_s2[axis];
                 note(1, acceleration.abs(), limit, at);
-                let jerk = (acceleration - accelerations[axis]).abs() / TICK_S;
+                let jerk = (acceleration - *acceleration_before).abs() / TICK_S;
                 if window_ms > 1 {
                     // Differences of positions that count in 2^-40 rad are exact to 1 rad/s3.
                     note(4, jerk, 2.0 * limit / jerk_s + 1.0, at);
                 }
-                accelerations[axis] = acceleration;
+                *acceleration_before = acceleration;
             }
             let velocity = subtract(&here, &last).map(|d| d / TICK_S);
             let drawn = reference.pen == Pen::Down && last_reference.pen == Pen::Down;

@@ -36,10 +36,10 @@ fn robot() -> (Config, Cell) {
     (config, cell)
 }
 
-fn take(cell: &mut Cell, config: &Config, wanted: Wanted) -> Result<Referenced, JobError> {
+fn take(cell: &mut Cell, config: &Config, wanted: Wanted) -> Result<Referenced, Box<JobError>> {
     let mut job = ReferenceJob::new(config.clone(), wanted, 1);
     simulation::run(cell, &mut job, LIMIT_MS);
-    job.outcome().cloned().expect("the job ends")
+    job.outcome().cloned().expect("the job ends").map_err(Box::new)
 }
 
 fn assert_same(found: &JointAngles, truth: &JointAngles) {
@@ -77,7 +77,7 @@ fn a_pose_wrong_by_30_degrees_is_refused_with_its_axis() {
         wrong.0[axis] += TAU / config.axes[axis].gear;
         let refused = take(&mut cell, &config, at(wrong, truth.platform)).unwrap_err();
         assert!(
-            matches!(refused, JobError::Refused(_, Refusal::PosePosition { axis: named, .. }) if usize::from(named) == axis),
+            matches!(*refused, JobError::Refused(_, Refusal::PosePosition { axis: named, .. }) if usize::from(named) == axis),
             "{refused}"
         );
         assert!(refused.to_string().contains(&format!("axis {}", axis + 1)), "{refused}");
@@ -87,7 +87,7 @@ fn a_pose_wrong_by_30_degrees_is_refused_with_its_axis() {
     beside.0[3] += 0.1;
     let refused = take(&mut cell, &config, at(beside, None)).unwrap_err();
     assert!(
-        matches!(refused, JobError::Refused(_, Refusal::PoseResolver { axis: 3, .. })),
+        matches!(*refused, JobError::Refused(_, Refusal::PoseResolver { axis: 3, .. })),
         "{refused}"
     );
 }
@@ -99,7 +99,7 @@ fn unknown_offsets_are_set_from_a_pose_and_marks_stored_there_give_the_same_angl
     // Nobody has ever told this configuration what the resolvers show at the marks.
     let unknown = Config::default();
     let refused = take(&mut cell, &unknown, at(truth.joints, None)).unwrap_err();
-    assert!(matches!(refused, JobError::Refused(_, Refusal::PoseResolver { .. })));
+    assert!(matches!(*refused, JobError::Refused(_, Refusal::PoseResolver { .. })));
     let (_, mut cell) = robot();
     let calibrate = Wanted {
         calibrate: true,
@@ -116,7 +116,7 @@ fn unknown_offsets_are_set_from_a_pose_and_marks_stored_there_give_the_same_angl
     pose.0[0] += TAU / 12.0;
     wrong.pose = Pose::Joints(pose);
     let refused = take(&mut cell, &unknown, wrong).unwrap_err();
-    let checked = matches!(refused, JobError::Refused(_, Refusal::PosePosition { axis: 0, .. }));
+    let checked = matches!(*refused, JobError::Refused(_, Refusal::PosePosition { axis: 0, .. }));
     assert!(checked, "{refused}");
     assert!(Delta::new(&unknown.geometry).unwrap().forward(&found.pose).is_ok());
 }
