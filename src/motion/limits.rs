@@ -2,7 +2,7 @@
 //!
 //! The Cartesian acceleration is a circle in the plane of path acceleration and centripetal acceleration; the scan
 //! takes a polygon inside it. What the scan may use lies a little under the configured limits, because the limits
-//! hold exactly only at the points of the grid.
+//! hold exactly only at the points of the grid and in the middle of its curved intervals.
 
 use super::scan::Row;
 use crate::config::Motion;
@@ -21,9 +21,9 @@ pub(crate) const DIRECTION: [(f64, f64); DIRECTIONS] = [
 /// Distance of the inner polygon's sides from its centre in a circle of radius 1: cosine of 11.25 degrees.
 const POLYGON: f64 = 0.980_785_280_403_230_4;
 /// Part of the acceleration limits that the scan uses.
-const ACCELERATION_PART: f64 = 0.9975;
+const ACCELERATION_PART: f64 = 0.9998;
 /// Part of the speed limits that the scan uses.
-const SPEED_PART: f64 = 0.9985;
+const SPEED_PART: f64 = 0.9998;
 /// The same of the pen's vertical limits, which hold at the points of the grid only, and blends bend much between them.
 const PEN_PART: f64 = 0.92;
 

@@ -12,7 +12,7 @@ use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, Stretch};
 use super::ring::Ring;
-use super::scan::{Interval, Room, Row};
+use super::scan::{Interval, Middle, Row};
 use super::shaping::{PIECES_PER_LEG, Piece};
 use crate::config::{Motion, Orientation};
 use crate::robot::Delta;
@@ -23,7 +23,7 @@ pub(crate) const POINTS: usize = 256;
 /// Pieces that the grid lies on or that wait for it.
 pub(crate) const PIECES: usize = 128;
 /// Intervals that the grid grows by in one period at most.
-pub(crate) const GROWTH: usize = 96;
+pub(crate) const GROWTH: usize = 64;
 /// Change of a squared speed that counts as none, relative.
 const UNCHANGED: f64 = 1.0e-12;
 /// Newton steps from arc length to parameter.
@@ -48,7 +48,7 @@ struct Span {
     turn_change: f64,
     /// The pen is lifted or lowered.
     lifts: bool,
-    room: Room,
+    middle: Option<Middle>,
 }
 
 impl Span {
@@ -60,7 +60,7 @@ impl Span {
         heading: 0.0,
         turn_change: 0.0,
         lifts: false,
-        room: Room::NONE,
+        middle: None,
     };
 }
 
@@ -99,7 +99,7 @@ impl GridPoint {
             end_squared: next.reach,
             turn_change: self.span.turn_change,
             lifts: self.span.lifts,
-            room: self.span.room,
+            middle: self.span.middle.and_then(|middle| middle.from(offset_mm)),
         }
     }
 
@@ -271,15 +271,20 @@ impl Plan {
             stretch: [piece.curve.stretch(from), piece.curve.stretch(to)],
             heading: self.course.angle,
             turn_change: 0.0,
-            room: Room::NONE,
+            middle: None,
             lifts: self.limits.pen_limited && !(piece.entry.pen == Pen::Down && piece.exit.pen == Pen::Down),
         };
-        let middle = (!piece.curve.is_straight()).then(|| self.row_at(piece, 0.5 * (from + to)));
+        if !piece.curve.is_straight() {
+            let row = self.row_at(piece, span.middle_parameter());
+            span.middle = Some(Middle {
+                joints: row.joints,
+                curvature: row.curvature,
+                cap: self.limits.cap(&row),
+                ahead_mm: 0.5 * span.length_mm,
+            });
+        }
         let (limits, course) = (&self.limits, &mut self.course);
         if let Some(last) = self.points.last_mut() {
-            if let Some(middle) = middle {
-                span.room = Room::new(limits, &last.row, &middle, &end.row);
-            }
             if course.follows {
                 let start_slope = last.row.turn;
                 let Turning { end_slope, change } = course.advance(piece, index, start_slope);
@@ -585,6 +590,18 @@ fn interval_to_middle(interval: &Interval<'_>, half_mm: f64) -> f64 {
 }
 
 impl Span {
+    /// Parameter in the middle of the arc length, by the cubic through both ends.
+    fn middle_parameter(&self) -> f64 {
+        let [from, to] = self.parameter;
+        let [stretch_from, stretch_to] = self.stretch;
+        let parameter = 0.5 * (from + to) + 0.125 * self.length_mm * (1.0 / stretch_from - 1.0 / stretch_to);
+        if from < parameter && parameter < to {
+            parameter
+        } else {
+            0.5 * (from + to)
+        }
+    }
+
     /// Parameter at an arc length from the span's beginning: a cubic through both ends, then Newton's method.
     fn parameter_at(&self, piece: &Piece, offset_mm: f64) -> f64 {
         let [from, to] = self.parameter;

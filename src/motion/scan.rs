@@ -2,10 +2,11 @@
 //!
 //! With x the squared path speed and u the path acceleration, every limit is a row a u + b x <= c, and an interval
 //! of length l leads from x to x + 2 l u. Backwards from a point at rest, the largest x of each point is the largest
-//! for which some u obeys the rows at both ends of the interval and leads to a speed from which the rest can be
-//! reached (after Pham and Pham, "A new approach to time-optimal path parameterization based on reachability
-//! analysis"). The width of the range of u is a concave function of x made of straight stretches, so Newton's method
-//! from the right finds its zero exactly, in as many steps as there are stretches.
+//! for which some u obeys the rows at both ends of the interval, on a curve those in its middle too, and leads to a
+//! speed from which the rest can be reached (after Pham and Pham, "A new approach to time-optimal path
+//! parameterization based on reachability analysis"). The width of the range of u is a concave function of x made of
+//! straight stretches, so Newton's method from the right finds its zero exactly, in as many steps as there are
+//! stretches.
 //!
 //! Invariant: x = 0, u = 0 obeys every row; so whatever x a point may have, less is allowed too.
 
@@ -71,10 +72,10 @@ impl Range {
         }
     }
 
-    /// Tightens the range by |a u + b x| + room x <= c.
-    fn restrict_both(&mut self, a: f64, b: f64, room: f64, c: f64, x: f64) {
-        self.restrict(a, room + b, c, x);
-        self.restrict(-a, room - b, c, x);
+    /// Tightens the range by |a u + b x| <= c.
+    fn restrict_both(&mut self, a: f64, b: f64, c: f64, x: f64) {
+        self.restrict(a, b, c, x);
+        self.restrict(-a, -b, c, x);
     }
 
     /// High less low, where rounding does not make an exact meeting of both a negative width.
@@ -95,43 +96,27 @@ pub(crate) struct Interval<'a> {
     pub(crate) turn_change: f64,
     /// The pen's vertical limits hold.
     pub(crate) lifts: bool,
-    /// What the interval has between its ends.
-    pub(crate) room: Room,
+    /// What the arms and the curvature have in the middle of a curve, where that lies ahead.
+    pub(crate) middle: Option<Middle>,
 }
 
-/// What is beyond the mean in the middle is multiplied with, because it can be more beside the middle.
-const ROOM_FACTOR: f64 = 1.25;
-
-/// What an interval's middle has beyond the mean of its ends, which the rows at both ends make room for.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Room {
-    /// Of the curvature, 1/mm.
+/// Limits in the middle of an interval: on a curve they can be tighter there than at both ends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Middle {
+    pub(crate) joints: JointRows,
+    /// 1/mm.
     pub(crate) curvature: f64,
-    /// Of an arm's bend for its acceleration limit, s2/mm2: the largest of the three.
-    pub(crate) arms: f64,
+    /// Largest squared speed, mm2/s2.
+    pub(crate) cap: f64,
+    /// Way from the interval's start, mm.
+    pub(crate) ahead_mm: f64,
 }
 
-impl Room {
-    pub(crate) const NONE: Self = Self {
-        curvature: 0.0,
-        arms: 0.0,
-    };
-
-    /// Room for the middle between two rows.
-    pub(crate) fn new(limits: &Limits, start: &Row, middle: &Row, end: &Row) -> Self {
-        let beyond = |start: f64, middle: f64, end: f64| middle - 0.5 * (start + end);
-        let mut arms = 0.0_f64;
-        for (arm, limit) in limits.joint_acceleration.iter().enumerate() {
-            let of = |row: &Row| row.joints.bend.get(arm).copied().unwrap_or_default();
-            if *limit <= 0.0 {
-                continue;
-            }
-            arms = arms.max(beyond(of(start), of(middle), of(end)).abs() / limit);
-        }
-        Self {
-            curvature: ROOM_FACTOR * beyond(start.curvature, middle.curvature, end.curvature).max(0.0),
-            arms: ROOM_FACTOR * arms,
-        }
+impl Middle {
+    /// The same for an interval that begins later.
+    pub(crate) fn from(mut self, offset_mm: f64) -> Option<Self> {
+        self.ahead_mm -= offset_mm;
+        (self.ahead_mm > 0.0).then_some(self)
     }
 }
 
@@ -155,34 +140,46 @@ impl Interval<'_> {
         let limits = self.limits;
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
-            let room = self.room.arms * limit;
             let (a, b) = (self.start.joints.slope[arm], self.start.joints.bend[arm]);
-            range.restrict_both(a, b, room, limit, x);
+            range.restrict_both(a, b, limit, x);
             let b = self.end.joints.bend[arm];
             // At the end the speed is x + 2 l u.
-            let a = self.end.joints.slope[arm];
-            range.restrict(a + (b + room) * double, room + b, limit, x);
-            range.restrict((room - b) * double - a, room - b, limit, x);
+            range.restrict_both(self.end.joints.slope[arm] + b * double, b, limit, x);
         }
         if self.turns() {
             let (b, limit) = (self.turn_change, limits.turn_acceleration);
-            range.restrict_both(self.start.turn, b, 0.0, limit, x);
-            range.restrict_both(self.end.turn + b * double, b, 0.0, limit, x);
+            range.restrict_both(self.start.turn, b, limit, x);
+            range.restrict_both(self.end.turn + b * double, b, limit, x);
         }
         if self.lifts {
             let limit = limits.pen_acceleration;
-            range.restrict_both(self.start.rise, self.start.rise_change, 0.0, limit, x);
+            range.restrict_both(self.start.rise, self.start.rise_change, limit, x);
             let b = self.end.rise_change;
-            range.restrict_both(self.end.rise + b * double, b, 0.0, limit, x);
+            range.restrict_both(self.end.rise + b * double, b, limit, x);
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * (self.start.curvature + self.room.curvature);
+            let b = sine * self.start.curvature;
             range.restrict(*cosine, b, limits.acceleration, x);
             range.restrict(-cosine, b, limits.acceleration, x);
-            let b = sine * (self.end.curvature + self.room.curvature);
+            let b = sine * self.end.curvature;
             let turned = b * double;
             range.restrict(cosine + turned, b, limits.acceleration, x);
             range.restrict(turned - cosine, b, limits.acceleration, x);
+        }
+        if let Some(middle) = &self.middle {
+            let double = 2.0 * middle.ahead_mm;
+            range.restrict(double, 1.0, middle.cap, x);
+            for arm in 0..ARMS {
+                let b = middle.joints.bend[arm];
+                let a = middle.joints.slope[arm] + b * double;
+                range.restrict_both(a, b, limits.joint_acceleration[arm], x);
+            }
+            for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
+                let b = sine * middle.curvature;
+                let turned = b * double;
+                range.restrict(cosine + turned, b, limits.acceleration, x);
+                range.restrict(turned - cosine, b, limits.acceleration, x);
+            }
         }
         range
     }
@@ -223,27 +220,32 @@ impl Interval<'_> {
             low_slope: 0.0,
             high_slope: 0.0,
         };
+        let middle = self.middle.as_ref().map(|middle| &middle.joints);
+        let curvature = self.start.curvature.max(self.end.curvature);
+        let curvature = self.middle.map_or(curvature, |middle| curvature.max(middle.curvature));
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
-            let room = self.room.arms * limit;
-            for row in [self.start, self.end] {
-                let (a, b) = (row.joints.slope[arm], row.joints.bend[arm]);
-                range.restrict_both(a, b, room, limit, x);
-                range.restrict_both(a, b, room, limit, 0.0);
+            for joints in [Some(&self.start.joints), Some(&self.end.joints), middle]
+                .into_iter()
+                .flatten()
+            {
+                let (a, b) = (joints.slope[arm], joints.bend[arm]);
+                range.restrict_both(a, b, limit, x);
+                range.restrict_both(a, b, limit, 0.0);
             }
         }
         for row in [self.start, self.end] {
             if self.turns() {
-                range.restrict_both(row.turn, self.turn_change, 0.0, limits.turn_acceleration, x);
-                range.restrict_both(row.turn, self.turn_change, 0.0, limits.turn_acceleration, 0.0);
+                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, x);
+                range.restrict_both(row.turn, self.turn_change, limits.turn_acceleration, 0.0);
             }
             if self.lifts {
-                range.restrict_both(row.rise, row.rise_change, 0.0, limits.pen_acceleration, x);
-                range.restrict_both(row.rise, row.rise_change, 0.0, limits.pen_acceleration, 0.0);
+                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, x);
+                range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, 0.0);
             }
         }
         for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * (self.start.curvature.max(self.end.curvature) + self.room.curvature);
+            let b = sine * curvature;
             range.restrict(-cosine, b, limits.acceleration, x);
         }
         range.low.min(0.0)
@@ -281,19 +283,22 @@ mod tests {
                 rise: number(),
                 rise_change: 0.2 * number(),
             };
-            let (start, end) = (row(), row());
+            let (start, end, middle) = (row(), row(), row());
+            let length_mm = 0.05 + number().abs();
             let interval = Interval {
                 limits: &limits,
                 start: &start,
                 end: &end,
-                length_mm: 0.05 + number().abs(),
+                length_mm,
                 end_squared: 1.0e5 * number().abs(),
                 turn_change: 0.05 * number(),
                 lifts: number() > 0.0,
-                room: Room {
-                    curvature: 0.02 * number().abs(),
-                    arms: 1.0e-7 * number().abs(),
-                },
+                middle: (number() > 0.0).then_some(Middle {
+                    joints: middle.joints,
+                    curvature: middle.curvature,
+                    cap: 1.6e5,
+                    ahead_mm: 0.5 * length_mm,
+                }),
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);
@@ -323,7 +328,7 @@ mod tests {
             end_squared: 0.0,
             turn_change: 0.0,
             lifts: false,
-            room: Room::NONE,
+            middle: None,
         };
         let expected = 2.0 * 2.0 * limits.whole_acceleration();
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);

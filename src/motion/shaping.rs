@@ -38,8 +38,8 @@ const BLEND_INTERVALS: u16 = 8;
 const LONG_BLEND_INTERVALS: u16 = 14;
 /// The same where the turn is sharp and the curvature has a narrow peak.
 const SHARP_BLEND_INTERVALS: u16 = 16;
-/// Cosine of the turn from which it is sharp: 130 degrees.
-const SHARP_TURN_COSINE: f64 = -0.642_787_609_686_539_3;
+/// Cosine of the turn from which it is sharp: 95 degrees.
+const SHARP_TURN_COSINE: f64 = -0.087_155_742_747_658_17;
 /// Trim from which a blend is long, mm.
 const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
