@@ -218,7 +218,8 @@ mod tests {
                 );
                 let refusal = check.check(&increments, &wrong, Some(&position));
                 assert!(
-                    matches!(refusal, Err(Refusal::PosePosition { axis, .. }) if usize::from(axis) == arm),
+                    matches!(refusal, Err(Refusal::PosePosition { axis, distance_mm, .. })
+                        if usize::from(axis) == arm && distance_mm > 50.0),
                     "arm {arm}, {turns} turns: {refusal:?}"
                 );
             }

@@ -12,6 +12,7 @@ mod device;
 mod disturb;
 mod health;
 mod lan9118;
+#[path = "../shared/load.rs"]
 mod load;
 mod lockstep;
 mod log;

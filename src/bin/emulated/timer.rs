@@ -6,7 +6,7 @@
 
 use crate::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
 use crate::disturb;
-use crate::lan9118::free_run;
+pub(crate) use crate::lan9118::free_run;
 use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
 

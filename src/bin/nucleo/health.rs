@@ -4,8 +4,8 @@
 //! changes but the load, once a second.
 
 use crate::timer::{PERIOD_COUNTS, free_run};
-use crate::{eth, serial};
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use crate::{eth, load, serial};
+use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Releases of the trajectory task that it has not completed.
 static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);
@@ -14,53 +14,9 @@ static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);
 /// Periods in which no sample ran.
 static PERIODS_MISSED: AtomicU32 = AtomicU32::new(0);
 
-static ASLEEP: AtomicBool = AtomicBool::new(false);
-static SLEPT_AT: AtomicU32 = AtomicU32::new(0);
-static SLEPT_COUNTS: AtomicU32 = AtomicU32::new(0);
-/// Counts that tasks between the critical ones and the trajectory have run for, without those that preempted them.
-static URGENT_COUNTS: AtomicU32 = AtomicU32::new(0);
-
 /// Steps of [`Health::step`], 1 ms each, between two reports of the load.
 const REPORT_PERIOD_STEPS: u32 = 1_000;
 const PER_MILLE: u64 = 1_000;
-
-/// Sleeps until the next interrupt; for the idle task only.
-pub(crate) fn sleep() {
-    SLEPT_AT.store(free_run(), Ordering::Relaxed);
-    ASLEEP.store(true, Ordering::Relaxed);
-    cortex_m::asm::wfi();
-}
-
-/// Notes that the core is awake; the first thing in every task that the hardware releases.
-pub(crate) fn woke() {
-    if ASLEEP.load(Ordering::Relaxed) {
-        ASLEEP.store(false, Ordering::Relaxed);
-        let slept = free_run().wrapping_sub(SLEPT_AT.load(Ordering::Relaxed));
-        let total = SLEPT_COUNTS.load(Ordering::Relaxed).wrapping_add(slept);
-        SLEPT_COUNTS.store(total, Ordering::Relaxed);
-    }
-}
-
-/// Counts of the free-running timer slept since the start, wrapping.
-pub(crate) fn slept_counts() -> u32 {
-    SLEPT_COUNTS.load(Ordering::Relaxed)
-}
-
-/// Runs a task's body whose priority lies between the critical tasks' and the trajectory's, and counts how long it takes
-/// itself: `critical_counts` says how long critical tasks have run.
-pub(crate) fn urgent(critical_counts: impl Fn() -> u32, body: impl FnOnce()) {
-    let (began_at, before) = (free_run(), critical_counts());
-    body();
-    let preempted = critical_counts().wrapping_sub(before);
-    let taken = free_run().wrapping_sub(began_at).wrapping_sub(preempted);
-    let total = URGENT_COUNTS.load(Ordering::Relaxed).wrapping_add(taken);
-    URGENT_COUNTS.store(total, Ordering::Relaxed);
-}
-
-/// Counts of [`urgent`] since the start, wrapping.
-pub(crate) fn urgent_counts() -> u32 {
-    URGENT_COUNTS.load(Ordering::Relaxed)
-}
 
 /// Counts periods between two runs of the sample task in which it did not run.
 pub(crate) struct Periods {
@@ -136,7 +92,7 @@ impl Health {
             return;
         }
         self.steps = 0;
-        let (now, slept) = (free_run(), SLEPT_COUNTS.load(Ordering::Relaxed));
+        let (now, slept) = (free_run(), load::slept_counts());
         let passed = u64::from(now.wrapping_sub(self.reported_at)).max(1);
         let idle = u64::from(slept.wrapping_sub(self.slept_counts)).min(passed);
         (self.reported_at, self.slept_counts) = (now, slept);

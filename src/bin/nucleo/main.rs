@@ -22,6 +22,8 @@ mod clocks;
 mod critical;
 mod eth;
 mod health;
+#[path = "../shared/load.rs"]
+mod load;
 mod memory;
 mod panic;
 mod phy;
@@ -45,7 +47,7 @@ mod app {
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
-    use crate::{BOARD, clocks, memory, panic, pins, time, timer};
+    use crate::{BOARD, clocks, load, memory, panic, pins, time, timer};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
@@ -135,7 +137,7 @@ mod app {
     #[idle]
     fn idle(_: idle::Context) -> ! {
         loop {
-            health::sleep();
+            load::sleep();
         }
     }
 
@@ -152,7 +154,7 @@ mod app {
     fn sample(context: sample::Context) {
         const { assert!(CRITICAL_PRIORITY == 15) };
         let (began_at, delay) = (timer::free_run(), timer::elapsed_counts());
-        health::woke();
+        load::woke();
         timer::acknowledge_sample();
         let missed = context.local.periods.released();
         let resources = context.shared;
@@ -163,7 +165,7 @@ mod app {
             rtic::pend(Interrupt::LPTIM2);
         }
         rtic::pend(Interrupt::LPTIM3);
-        resources.watch.sample(run(began_at), delay, health::slept_counts());
+        resources.watch.sample(run(began_at), delay, load::slept_counts());
     }
 
     /// A critical task's run up to here.
@@ -183,7 +185,7 @@ mod app {
     #[task(binds = ETH, priority = 15, shared = [sampler, wire, watch])]
     fn bus_frame(context: bus_frame::Context) {
         let began_at = timer::free_run();
-        health::woke();
+        load::woke();
         let resources = context.shared;
         resources.wire.driver_mut().acknowledge();
         let waiting = resources.sampler.awaits_input();
@@ -201,7 +203,7 @@ mod app {
     #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire, watch])]
     fn bus_deadline(context: bus_deadline::Context) {
         let began_at = timer::free_run();
-        health::woke();
+        load::woke();
         timer::acknowledge_bus_deadline();
         let resources = context.shared;
         let waiting = resources.sampler.awaits_input();
@@ -217,9 +219,9 @@ mod app {
     /// frame.
     #[task(binds = USART3, priority = 10, shared = [&measurements], local = [serial])]
     fn host_bytes(context: host_bytes::Context) {
-        health::woke();
+        load::woke();
         let measurements = context.shared.measurements;
-        health::urgent(|| measurements.critical_counts(), || context.local.serial.service());
+        load::urgent(|| measurements.critical_counts(), || context.local.serial.service());
     }
 
     /// Plans ahead and fills the ring with the next 12 references.
@@ -229,7 +231,7 @@ mod app {
     #[task(binds = LPTIM2, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(context: trajectory::Context) {
         let measurements = context.shared.measurements;
-        let preempting = || measurements.critical_counts().wrapping_add(health::urgent_counts());
+        let preempting = || measurements.critical_counts().wrapping_add(load::urgent_counts());
         let (began_at, before) = (timer::free_run(), preempting());
         health::trajectory_runs(|| context.local.trajectory.release());
         let taken = timer::free_run().wrapping_sub(began_at);

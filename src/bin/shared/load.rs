@@ -3,7 +3,7 @@
 //! The idle task notes when it goes to sleep; the first task that an interrupt releases notes when that ended. Both are
 //! plain atomics, so a critical task may call `woke`.
 
-use crate::lan9118::free_run;
+use crate::timer::free_run;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 static ASLEEP: AtomicBool = AtomicBool::new(false);
