@@ -7,10 +7,12 @@ use super::{Curve, LatencyReport};
 use std::fmt::Write;
 
 const WIDTH: f64 = 920.0;
-const PANEL_HEIGHT: f64 = 420.0;
+const PANEL_HEIGHT: f64 = 480.0;
 const LEFT: f64 = 90.0;
 const RIGHT: f64 = 24.0;
-const TOP: f64 = 46.0;
+/// Height of a panel's title, and of each line of the legend below it.
+const TITLE: f64 = 46.0;
+const LEGEND_LINE: f64 = 22.0;
 const BOTTOM: f64 = 64.0;
 /// Colours that differ for most eyes and in grey print (Okabe and Ito, 2008).
 const COLOURS: [&str; 6] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"];
@@ -25,6 +27,8 @@ const PANELS: [(&str, &str); 2] = [
 
 struct Axes {
     top: f64,
+    /// Height of title and legend.
+    head: f64,
     x_decades: (i32, i32),
     y_decades: i32,
 }
@@ -39,7 +43,7 @@ impl Axes {
     fn y(&self, fraction: f64) -> f64 {
         let lowest = 10_f64.powi(self.y_decades);
         let share = fraction.max(lowest).log10() / f64::from(self.y_decades);
-        self.top + TOP + share * (PANEL_HEIGHT - TOP - BOTTOM)
+        self.top + self.head + share * (PANEL_HEIGHT - self.head - BOTTOM)
     }
 }
 
@@ -95,6 +99,7 @@ fn panel(text: &mut String, top: f64, title: &str, curves: &[&Curve]) {
     let from = from as i32;
     let axes = Axes {
         top,
+        head: TITLE + LEGEND_LINE * curves.len() as f64,
         x_decades: (from, (to.floor() as i32 + 1).max(from + 2)),
         y_decades: least - 1,
     };
@@ -164,8 +169,8 @@ fn line(text: &mut String, axes: &Axes, curve: &Curve, index: usize) -> std::fmt
         text,
         "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2.5\" stroke-dasharray=\"{dashes}\"/>"
     )?;
-    let y = axes.y(1.0) + 24.0 + 22.0 * index as f64;
-    let (from, to) = (WIDTH - RIGHT - 320.0, WIDTH - RIGHT - 270.0);
+    let y = axes.top + TITLE + LEGEND_LINE * index as f64;
+    let (from, to) = (LEFT, LEFT + 50.0);
     writeln!(
         text,
         "<path d=\"M{from} {y:.1}H{to}\" stroke=\"{colour}\" stroke-width=\"2.5\" stroke-dasharray=\"{dashes}\"/>"
