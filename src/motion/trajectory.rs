@@ -11,7 +11,7 @@ use super::admission::{LEG_MIN_MM, check_leg};
 use super::jog::Jog;
 use super::limits::Limits;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
-use super::plan::{Pace, Plan};
+use super::plan::{GROWTH, Pace, Plan};
 use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper, Tolerances};
 use super::straight::Straight;
@@ -297,7 +297,9 @@ pub(super) fn averaging(config: &Config) -> (u16, f64) {
 impl Motion {
     fn push(&mut self, vertex: &Vertex) -> Result<(), MotionRefusal> {
         let point = Vector::from(vertex.position);
-        if let Err(outside) = self.area.check(&vertex.position) {
+        if !self.area.contains(&vertex.position)
+            && let Err(outside) = self.area.check(&vertex.position)
+        {
             return Err(MotionRefusal::Target(Refusal {
                 index: self.pushed,
                 reason: RefusalReason::Outside(outside),
@@ -336,7 +338,11 @@ impl Motion {
 
     /// Shapes what has come, grows the grid, looks back, and notices starvation.
     fn feed(&mut self) {
-        while self.plan.has_room() {
+        // Every leg is an interval of the grid at least, so more would wait for the grid.
+        for _ in 0..GROWTH {
+            if !self.plan.has_room() {
+                break;
+            }
             let Some(pieces) = self.shaper.next_leg(&mut self.queue, self.finished) else {
                 break;
             };

@@ -127,6 +127,36 @@ pub struct Delta {
     range_rad: [f64; 2],
 }
 
+/// A range of angles less than a turn, for comparisons without trigonometry: what lies within half its width of its
+/// middle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct AngleRange {
+    /// Cosine and sine of the middle.
+    middle: (f64, f64),
+    cosine_half: f64,
+}
+
+impl AngleRange {
+    /// Fills the place of a range that is not known yet.
+    pub(super) const NONE: Self = Self {
+        middle: (0.0, 0.0),
+        cosine_half: 0.0,
+    };
+
+    /// From `low_rad` to `high_rad`.
+    pub(super) fn new([low_rad, high_rad]: [f64; 2]) -> Self {
+        let middle = 0.5 * (low_rad + high_rad);
+        Self {
+            middle: (libm::cos(middle), libm::sin(middle)),
+            cosine_half: libm::cos(0.5 * (high_rad - low_rad)),
+        }
+    }
+
+    fn contains(&self, cosine: f64, sine: f64) -> bool {
+        cosine * self.middle.0 + sine * self.middle.1 >= self.cosine_half
+    }
+}
+
 /// One arm solved for a position, in the arm's plane.
 #[derive(Clone, Copy)]
 struct ArmPose {
@@ -310,6 +340,24 @@ impl Delta {
             determinant: dot(&units[0], &cross(&units[1], &units[2])).abs(),
             change,
         }
+    }
+
+    /// Whether every arm's angle is in a range and the singularities are as far away as asked for: a fifth of the work
+    /// of [`Delta::inverse`] and [`Delta::conditioning`], which say why not.
+    pub(super) fn clears(&self, point: &Vector, range: &AngleRange, ratio_min: f64, determinant_min: f64) -> bool {
+        let mut forearms = [[0.0; 3]; ARMS];
+        for ((cosine, sine), forearm) in self.azimuths.iter().zip(&mut forearms) {
+            let pose = self.arm_pose((*cosine, *sine), point);
+            let clear = pose.ratio_squared >= ratio_min * ratio_min && range.contains(pose.cosine, pose.sine);
+            if !clear {
+                return false;
+            }
+            let [u, y, w] = pose.forearm;
+            *forearm = [u * cosine - y * sine, u * sine + y * cosine, w];
+        }
+        let [first, second, third] = &forearms;
+        let volume = self.forearm_mm * self.forearm_mm * self.forearm_mm;
+        dot(first, &cross(second, third)).abs() >= determinant_min * volume
     }
 
     /// An arm's bounds. The angle's gradient is f / g with |f| the forearm's length and g = La D; the ratio is the sine

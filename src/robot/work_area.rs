@@ -7,7 +7,8 @@
 //! Cylinder and planes are convex; what the arms allow is not. So that a curve near checked points is inside too, they
 //! are checked with room around them: with what a step of that length can change at most.
 
-use super::kinematics::{Conditioning, Delta, GeometryError, KinematicsError};
+use super::kinematics::{AngleRange, Conditioning, Delta, GeometryError, KinematicsError};
+use super::vector::Vector;
 use super::{ARMS, Position};
 use crate::config::{Config, WorkArea as Cylinder};
 use serde::{Deserialize, Serialize};
@@ -86,6 +87,7 @@ pub struct WorkArea {
     cylinder: Cylinder,
     paper_low_mm: f64,
     range_rad: [f64; 2],
+    range: AngleRange,
 }
 
 impl WorkArea {
@@ -99,6 +101,7 @@ impl WorkArea {
         },
         paper_low_mm: 0.0,
         range_rad: [0.0; 2],
+        range: AngleRange::NONE,
     };
 
     /// The work area of a configuration.
@@ -118,12 +121,29 @@ impl WorkArea {
             cylinder: config.work_area,
             paper_low_mm: config.paper.pen_down_z_mm - config.paper.pressing_depth_mm,
             range_rad: [low_rad, high_rad],
+            range: AngleRange::new([low_rad, high_rad]),
         })
     }
 
     /// The robot.
     pub fn delta(&self) -> &Delta {
         &self.delta
+    }
+
+    /// Whether a position is inside; [`WorkArea::check`] says why not.
+    pub fn contains(&self, position: &Position) -> bool {
+        let Position { x_mm, y_mm, z_mm } = *position;
+        let Cylinder {
+            radius_mm,
+            z_low_mm,
+            z_high_mm,
+        } = self.cylinder;
+        x_mm * x_mm + y_mm * y_mm <= radius_mm * radius_mm
+            && z_mm >= z_low_mm.max(self.paper_low_mm)
+            && z_mm <= z_high_mm
+            && self
+                .delta
+                .clears(&Vector::from(*position), &self.range, RATIO_MIN, DETERMINANT_MIN)
     }
 
     /// Checks a position and gives its arm angles, rad.
@@ -251,6 +271,43 @@ mod tests {
             assert!(arms_allow, "{at:?} has no room towards {near:?}");
         }
         assert!(borders > 100, "only {borders} positions were near a border");
+    }
+
+    #[test]
+    fn what_contains_says_is_what_check_says() {
+        let mut config = Config::default();
+        config.paper.pressing_depth_mm = 110.0;
+        let geometries = [
+            config.geometry.clone(),
+            crate::config::Geometry {
+                arm_range_rad: [-0.2, 0.6],
+                ..config.geometry
+            },
+        ];
+        let (mut inside, mut outside) = (0, 0);
+        for geometry in geometries {
+            config.geometry = geometry;
+            let area = WorkArea::new(&config).unwrap();
+            for index in 0..40_000u32 {
+                let turn = f64::from(index % 60) * 0.1047;
+                let radius = f64::from(index / 60 % 25) * 24.0;
+                let position = Position {
+                    x_mm: radius * libm::cos(turn),
+                    y_mm: radius * libm::sin(turn),
+                    z_mm: -970.0 + 11.0 * f64::from(index / 1500),
+                };
+                let contained = area.contains(&position);
+                assert_eq!(contained, area.check(&position).is_ok(), "{position:?}");
+                *(if contained { &mut inside } else { &mut outside }) += 1;
+            }
+            let nowhere = |x_mm, y_mm, z_mm| area.contains(&Position { x_mm, y_mm, z_mm });
+            assert!(!nowhere(f64::NAN, 0.0, -850.0) && !nowhere(0.0, f64::INFINITY, -850.0));
+            assert!(!nowhere(0.0, 0.0, f64::NAN) && !nowhere(0.0, 0.0, f64::NEG_INFINITY));
+        }
+        assert!(
+            inside > 20_000 && outside > 10_000,
+            "{inside} inside, {outside} outside"
+        );
     }
 
     #[test]

@@ -25,8 +25,8 @@ const OPTIMUM_RATIO_MAX: f64 = 1.01;
 const PEER_RATIO_MAX: f64 = 1.0;
 /// Most of a limit that a 1 ms reference may use.
 const PEAK_RATIO_MAX: f64 = 1.001;
-/// Instructions of a period at most: half of 12 ms at 480 MHz with 2.2 cycles each.
-const PERIOD_INSTRUCTIONS_MAX: f64 = 1_309_090.0;
+/// Instructions of a period at most: a third of 12 ms at 480 MHz with 2.2 cycles each.
+const PERIOD_INSTRUCTIONS_MAX: f64 = 900_000.0;
 
 /// The limits of one comparison.
 #[derive(Clone, Copy)]
