@@ -12,6 +12,7 @@ pub mod image;
 pub mod link;
 pub mod master;
 pub mod planning;
+pub mod probe;
 pub mod report;
 pub mod run;
 pub mod settings;

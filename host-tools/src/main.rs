@@ -3,8 +3,8 @@
 
 use clap::Parser;
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, draw, emulate, identify, kinematics, plan, reference, segment, simulate,
-    verify,
+    self, CommandError, bench, bus, demo, doctor, draw, emulate, flash, identify, kinematics, plan, reference, segment,
+    simulate, verify,
 };
 use std::process::ExitCode;
 
@@ -29,10 +29,14 @@ enum Subcommand {
     Bus(bus::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
+    /// Look whether tools, debug probe, port, firmware and configuration are as they must be; says what to try.
+    Doctor(doctor::Arguments),
     /// Draw a file on a running machine or emulator.
     Draw(draw::Arguments),
     /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
     Emulate(emulate::Arguments),
+    /// Build the firmware of the board NUCLEO-H743ZI2, write it into the board and verify it.
+    Flash(flash::Arguments),
     /// Turn positions into arm angles and back.
     Kinematics(kinematics::Arguments),
     /// Plan a path with the firmware's planner; nothing moves.
@@ -54,8 +58,10 @@ fn main() -> ExitCode {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
+        Subcommand::Doctor(arguments) => doctor::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
+        Subcommand::Flash(arguments) => flash::run(&arguments),
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),

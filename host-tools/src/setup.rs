@@ -62,7 +62,8 @@ pub(crate) fn cargo() -> Command {
     command
 }
 
-fn output(command: &mut Command) -> Option<String> {
+/// What a command prints, if it succeeds.
+pub(crate) fn output(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     output
         .status
@@ -77,11 +78,8 @@ pub fn is_installed(program: &str) -> bool {
     answers("--version") || answers("-V")
 }
 
-/// Adds the Rust target of the boards where it is missing.
-///
-/// # Errors
-/// The command that has to be run by hand.
-pub fn ensure_target() -> Result<(), SetupError> {
+/// Whether the Rust toolchain has the target of the boards.
+pub fn has_target() -> bool {
     let sysroot = output(Command::new("rustc").args(["--print", "sysroot"]));
     let installed = |root: &String| {
         Path::new(root.trim())
@@ -90,7 +88,15 @@ pub fn ensure_target() -> Result<(), SetupError> {
             .join("lib")
             .is_dir()
     };
-    if sysroot.as_ref().is_some_and(installed) {
+    sysroot.as_ref().is_some_and(installed)
+}
+
+/// Adds the Rust target of the boards where it is missing.
+///
+/// # Errors
+/// The command that has to be run by hand.
+pub fn ensure_target() -> Result<(), SetupError> {
+    if has_target() {
         return Ok(());
     }
     eprintln!("etherpen: adding the Rust target {TARGET}");
@@ -194,17 +200,27 @@ fn sudo_needs_no_password() -> bool {
     output(Command::new("sudo").args(["-n", "true"])).is_some()
 }
 
+/// The first line of what a program says about its version; `None` when it cannot be started.
+pub fn version_line(program: &str) -> Option<String> {
+    let text = output(Command::new(program).arg("--version"))?;
+    text.lines().next().map(str::to_owned)
+}
+
+/// The first number of the first version in a line.
+pub fn major(version: &str) -> Option<u32> {
+    version
+        .split_whitespace()
+        .find_map(|word| word.split('.').next()?.parse().ok())
+}
+
 /// Installs QEMU where it is missing and checks its version.
 ///
 /// # Errors
 /// The command that has to be run by hand, or that the version is too old.
 pub fn ensure_qemu() -> Result<(), SetupError> {
     ensure_program(QEMU)?;
-    let version = output(Command::new(QEMU).arg("--version")).unwrap_or_default();
-    let major = version
-        .split_whitespace()
-        .find_map(|word| word.split('.').next()?.parse::<u32>().ok());
-    match major {
+    let version = version_line(QEMU).unwrap_or_default();
+    match major(&version) {
         Some(major) if major < QEMU_MAJOR_MIN => error(format!(
             "{QEMU} {major} is too old; version {QEMU_MAJOR_MIN} or newer is needed."
         )),

@@ -9,8 +9,8 @@ mod thumb;
 
 pub use calls::{CallGraph, INDIRECT_NESTING, StackBound};
 
-use object::elf::{PT_LOAD, SHF_ALLOC, SHT_ARM_ATTRIBUTES};
-use object::read::elf::{ElfFile32, ProgramHeader, SectionHeader};
+use object::elf::{EM_ARM, PT_LOAD, SHF_ALLOC, SHT_ARM_ATTRIBUTES};
+use object::read::elf::{ElfFile32, FileHeader, ProgramHeader, SectionHeader};
 use object::{Endianness, Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::fmt;
 use std::path::Path;
@@ -85,8 +85,17 @@ pub struct Image {
     symbols: Vec<Function>,
     /// Addresses at which data begin within code, and code begins again.
     code_begins: Vec<(u32, bool)>,
-    flash_bytes: u32,
+    loads: Vec<Load>,
     attributes: Vec<u8>,
+}
+
+/// A part of the image that is written into the flash memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Load {
+    /// Address of its first byte in the flash memory.
+    pub address: u32,
+    /// Its length, bytes.
+    pub size: u32,
 }
 
 impl Image {
@@ -112,6 +121,12 @@ impl Image {
         };
         let file = ElfFile32::<Endianness>::parse(bytes).map_err(format)?;
         let endian = file.endian();
+        let machine = file.elf_header().e_machine(endian);
+        if machine != EM_ARM {
+            return Err(ImageError::Format {
+                reason: format!("it is for another processor (ELF machine {machine}, an Arm has {EM_ARM})"),
+            });
+        }
         let mut sections = Vec::new();
         let mut attributes = Vec::new();
         for section in file.sections() {
@@ -128,19 +143,22 @@ impl Image {
                 });
             }
         }
-        let flash_bytes = file
+        let loads = file
             .elf_program_headers()
             .iter()
-            .filter(|header| header.p_type(endian) == PT_LOAD)
-            .map(|header| header.p_filesz(endian))
-            .fold(0u32, u32::saturating_add);
+            .filter(|header| header.p_type(endian) == PT_LOAD && header.p_filesz(endian) > 0)
+            .map(|header| Load {
+                address: header.p_paddr(endian),
+                size: header.p_filesz(endian),
+            })
+            .collect();
         let (functions, symbols, code_begins) = symbols(&file);
         Ok(Self {
             sections,
             functions,
             symbols,
             code_begins,
-            flash_bytes,
+            loads,
             attributes,
         })
     }
@@ -148,7 +166,13 @@ impl Image {
     /// Bytes that are written into the flash memory.
     #[must_use]
     pub fn flash_bytes(&self) -> u32 {
-        self.flash_bytes
+        self.loads.iter().fold(0, |sum, load| sum.saturating_add(load.size))
+    }
+
+    /// The parts that are written into the flash memory.
+    #[must_use]
+    pub fn loads(&self) -> &[Load] {
+        &self.loads
     }
 
     /// A section by its name.
@@ -205,8 +229,9 @@ impl Image {
         Some(u16::from_le_bytes([*bytes.first()?, *bytes.get(1)?]))
     }
 
-    /// The word at an address.
-    fn word(&self, address: u32) -> Option<u32> {
+    /// The word at an address of the running program; `None` where the image holds nothing.
+    #[must_use]
+    pub fn word(&self, address: u32) -> Option<u32> {
         let low = self.halfword(address)?;
         let high = self.halfword(address.checked_add(2)?)?;
         Some(u32::from(high) << 16 | u32::from(low))

@@ -6,6 +6,7 @@ mod bus;
 mod bus_end_to_end;
 // The tests there look at processes by way of /proc.
 mod bench;
+mod board;
 mod calibration;
 #[cfg(target_os = "linux")]
 mod emulator;

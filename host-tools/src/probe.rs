@@ -1,0 +1,133 @@
+//! The board's debug probe: the ST-LINK on USB, and the program probe-rs that talks to it.
+//!
+//! Linux shows USB devices as folders (sysfs); what stands there is read without any right, so that a probe that is
+//! there but may not be opened is told from one that is not there.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Vendor number of STMicroelectronics on USB.
+const VENDOR: &str = "0483";
+/// Product numbers of the ST-LINKs, V2 to V3: 3744 to 375f (ST's own udev rules name them one by one).
+const PRODUCTS: std::ops::RangeInclusive<u16> = 0x3744..=0x375f;
+/// Where Linux lists USB devices.
+pub const USB_DEVICES: &str = "/sys/bus/usb/devices";
+/// The command that installs probe-rs.
+pub const INSTALL: &str = "cargo install probe-rs-tools --locked";
+/// What lets a person open the probe: a file for udev and how to put it in force.
+pub const UDEV_RULE: &str = "\
+put this line into /etc/udev/rules.d/70-st-link.rules:
+  SUBSYSTEM==\"usb\", ATTRS{idVendor}==\"0483\", ATTRS{idProduct}==\"37[45]?\", MODE=\"0660\", GROUP=\"plugdev\", TAG+=\"uaccess\"
+then: sudo udevadm control --reload && sudo udevadm trigger, and plug the board in again";
+
+/// An ST-LINK on USB.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StLink {
+    /// Product number.
+    pub product: u16,
+    /// Name that it gives itself.
+    pub name: String,
+    /// Serial number, to tell it from others.
+    pub serial: String,
+    /// The file through which it is opened.
+    pub node: PathBuf,
+}
+
+impl StLink {
+    /// Whether this user may open it.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn access(&self) -> io::Result<()> {
+        let opened = std::fs::OpenOptions::new().read(true).write(true).open(&self.node);
+        opened.map(drop)
+    }
+
+    /// As probe-rs wants it to be named: `VID:PID:SERIAL`.
+    pub fn selector(&self) -> String {
+        format!("{VENDOR}:{:04x}:{}", self.product, self.serial)
+    }
+}
+
+/// The ST-LINKs below a folder such as [`USB_DEVICES`]; none where there is no such folder.
+pub fn st_links(devices: &Path) -> Vec<StLink> {
+    let entries = std::fs::read_dir(devices).into_iter().flatten().flatten();
+    let mut found: Vec<StLink> = entries.filter_map(|entry| st_link(&entry.path())).collect();
+    found.sort_by(|one, other| one.node.cmp(&other.node));
+    found
+}
+
+fn st_link(device: &Path) -> Option<StLink> {
+    let read = |name: &str| {
+        let text = std::fs::read_to_string(device.join(name)).ok()?;
+        Some(text.trim().to_owned())
+    };
+    let product = u16::from_str_radix(&read("idProduct")?, 16).ok()?;
+    if read("idVendor")? != VENDOR || !PRODUCTS.contains(&product) {
+        return None;
+    }
+    let number = |name: &str| read(name)?.parse::<u16>().ok();
+    Some(StLink {
+        product,
+        name: read("product").unwrap_or_else(|| "ST-LINK".into()),
+        serial: read("serial").unwrap_or_default(),
+        node: PathBuf::from(format!(
+            "/dev/bus/usb/{:03}/{:03}",
+            number("busnum")?,
+            number("devnum")?
+        )),
+    })
+}
+
+/// The program probe-rs: on the search path, or where cargo installs programs.
+pub fn probe_rs() -> Option<PathBuf> {
+    let on_path = std::env::var_os("PATH").unwrap_or_default();
+    let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let cargo_home = cargo_home.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")));
+    std::env::split_paths(&on_path)
+        .chain(cargo_home.map(|home| home.join("bin")))
+        .map(|folder| folder.join("probe-rs"))
+        .find(|program| program.is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_st_link_is_found_among_other_devices_and_named_as_probe_rs_wants_it() {
+        let root = std::env::temp_dir().join(format!("etherpen-usb-{}", std::process::id()));
+        let device = |name: &str, files: &[(&str, &str)]| {
+            let folder = root.join(name);
+            std::fs::create_dir_all(&folder).unwrap();
+            for (file, text) in files {
+                std::fs::write(folder.join(file), format!("{text}\n")).unwrap();
+            }
+        };
+        device("1-1", &[("idVendor", "0483"), ("idProduct", "5740")]);
+        device("1-2", &[("idVendor", "1d6b"), ("idProduct", "374e")]);
+        device("1-2:1.0", &[]);
+        device(
+            "1-3",
+            &[
+                ("idVendor", "0483"),
+                ("idProduct", "374e"),
+                ("product", "STLINK-V3"),
+                ("serial", "0042"),
+                ("busnum", "1"),
+                ("devnum", "7"),
+            ],
+        );
+        let found = st_links(&root);
+        std::fs::remove_dir_all(&root).unwrap();
+        let expected = StLink {
+            product: 0x374e,
+            name: "STLINK-V3".into(),
+            serial: "0042".into(),
+            node: "/dev/bus/usb/001/007".into(),
+        };
+        assert_eq!(found, [expected]);
+        assert_eq!(found[0].selector(), "0483:374e:0042");
+        assert_eq!(st_links(&root), [], "no such folder, no probe");
+    }
+}
