@@ -336,7 +336,7 @@ fn firmware(name: &PortName) -> Vec<Check> {
             checks.extend(status.as_ref().map(state));
         }
         Err(error) => {
-            let remedy = match error {
+            let remedy = match *error {
                 JobError::Version { host, firmware } if firmware < host => {
                     "write this version's firmware into the board: etherpen flash"
                 }
@@ -365,7 +365,7 @@ fn state(status: &Status) -> Check {
 }
 
 /// Greets the firmware and waits for its status.
-fn greet(port: Port) -> Result<(Welcome, Option<Status>), JobError> {
+fn greet(port: Port) -> Result<(Welcome, Option<Status>), Box<JobError>> {
     let mut line = Line::start(port);
     let mut session = Session::new(session_number());
     session.connect();
@@ -387,7 +387,9 @@ fn greet(port: Port) -> Result<(Welcome, Option<Status>), JobError> {
                     session.inquire();
                     welcome = Some(greeting);
                 }
-                (Event::VersionRefused { host, firmware }, _) => return Err(JobError::Version { host, firmware }),
+                (Event::VersionRefused { host, firmware }, _) => {
+                    return Err(JobError::Version { host, firmware }.into());
+                }
                 (Event::Status(status), Some(greeting)) => return Ok((greeting, Some(status))),
                 (_, before) => welcome = before,
             }
@@ -395,7 +397,7 @@ fn greet(port: Port) -> Result<(Welcome, Option<Status>), JobError> {
         if waited_ms > ANSWER_MAX_MS {
             return match welcome {
                 Some(greeting) => Ok((greeting, None)),
-                None => Err(JobError::NoAnswer { waited_ms }),
+                None => Err(JobError::NoAnswer { waited_ms }.into()),
             };
         }
     }
