@@ -10,6 +10,7 @@ pub mod emulator;
 pub mod identification;
 pub mod image;
 pub mod link;
+pub mod machine;
 pub mod master;
 pub mod planning;
 pub mod probe;

@@ -7,7 +7,7 @@ use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions};
 use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, LogLine};
 use crate::link::error::JobError;
-use crate::link::job::{DrawJob, JobOptions, JobReport};
+use crate::link::job::{Job, JobOptions, JobReport};
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
@@ -38,8 +38,8 @@ pub struct Task {
 }
 
 impl Task {
-    fn job(&self) -> DrawJob {
-        DrawJob::new(self.config.clone(), self.path.clone(), JobOptions::default())
+    fn job(&self) -> Job {
+        Job::draw(self.config.clone(), self.path.clone(), JobOptions::default())
     }
 
     fn cell(&self, sink: Option<Sink>) -> io::Result<CapturedCell> {
@@ -95,8 +95,8 @@ impl std::fmt::Display for RunError {
 impl std::error::Error for RunError {}
 
 struct SimulatedHost<'a> {
-    job: DrawJob,
-    look: &'a mut dyn FnMut(&mut DrawJob),
+    job: Job,
+    look: &'a mut dyn FnMut(&mut Job),
 }
 
 impl Host for SimulatedHost<'_> {
@@ -116,7 +116,7 @@ impl Host for SimulatedHost<'_> {
 ///
 /// # Errors
 /// The capture cannot be written.
-pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJob)) -> Result<Drawn, RunError> {
+pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
     let mut cell = task.cell(sink).map_err(RunError::Capture)?;
     let mut host = SimulatedHost { job: task.job(), look };
     let begun_s = processor_s();
@@ -136,7 +136,7 @@ pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut DrawJ
     })
 }
 
-impl emulator::Link for DrawJob {
+impl emulator::Link for Job {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
         if self.outcome().is_none() {
             self.step(u64::from(ms), from_device, to_device, LINK_BYTES_MAX);
@@ -156,7 +156,7 @@ pub fn emulate(
     task: &Task,
     image: &Path,
     sink: Option<Sink>,
-    look: &mut dyn FnMut(&mut DrawJob),
+    look: &mut dyn FnMut(&mut Job),
     log: impl FnMut(&LogLine) + Send + 'static,
 ) -> Result<Drawn, RunError> {
     let cell = Arc::new(Mutex::new(task.cell(sink).map_err(RunError::Capture)?));

@@ -1,6 +1,6 @@
 //! Progress and events of a job, for a person: a bar with time left on a terminal, plain lines elsewhere.
 
-use crate::link::job::{DrawJob, JobEvent};
+use crate::link::job::{Job, JobEvent};
 use crate::link::port::Show;
 use crate::link::progress::Progress;
 use crate::link::text;
@@ -45,7 +45,7 @@ impl Display {
     }
 
     /// Shows what has happened since the last call, and how far the drawing is.
-    pub(super) fn update(&mut self, job: &mut DrawJob) {
+    pub(super) fn update(&mut self, job: &mut Job) {
         while let Some(event) = job.next_event() {
             self.show(&Show::Event(&event));
         }
@@ -101,11 +101,20 @@ fn event_text(event: &JobEvent) -> Option<String> {
         )),
         JobEvent::Phase(phase) => Some(format!("{phase}")),
         JobEvent::Fault(fault) => Some(format!("FAULT: {}", text::fault(fault))),
-        JobEvent::Refused(command, refusal) => Some(format!("refused {command:?}: {}", text::refusal(refusal))),
+        JobEvent::Refused(command, refusal) => Some(format!(
+            "{} was refused: {}",
+            text::command(command),
+            text::refusal(refusal)
+        )),
         JobEvent::SamplesMissing { missing, t_ms } => {
             Some(format!("{missing} telemetry samples were lost before t = {t_ms} ms"))
         }
         JobEvent::Mode(Mode::Holding) => Some("the robot holds; Enter resumes, Ctrl-C cancels".to_owned()),
-        JobEvent::Mode(_) => None,
+        JobEvent::Mode(_)
+        | JobEvent::Status(_)
+        | JobEvent::Samples { .. }
+        | JobEvent::Told { .. }
+        | JobEvent::Bus(_)
+        | JobEvent::Measured(_) => None,
     }
 }

@@ -4,7 +4,7 @@ use super::display::Display;
 use super::outputs::{Outcome, make_folder, summarise};
 use super::prepare::{planned_s, prepare, to_wire};
 use super::{CommandError, DrawingArguments, code, job_error, session_number};
-use crate::link::job::{Control, DrawJob, JobOptions};
+use crate::link::job::{Control, Job, JobOptions};
 use crate::link::port::{Port, PortName, RunError, run_job};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -50,7 +50,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         acknowledge: arguments.acknowledge,
         ..JobOptions::default()
     };
-    let mut job = DrawJob::new(config.clone(), vertices, options);
+    let mut job = Job::draw(config.clone(), vertices, options);
     let mut display = Display::new();
     let result = run_job(port, &mut job, &operator()?, &mut |show| display.show(&show));
     display.finish();

@@ -8,7 +8,7 @@ use super::draw::operator;
 use super::{CommandError, ConfigArguments, code, job_error, run::run_error, session_number};
 use crate::cell::CellOptions;
 use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
-use crate::link::job::{Control, DrawJob, JobOptions, JobReport};
+use crate::link::job::{Control, Job, JobOptions, JobReport};
 use crate::link::port::{Port, PortName, RunError, run_job};
 use crate::report::tracking;
 use crate::run::{self, Task};
@@ -181,7 +181,7 @@ fn drive(
         session: session_number(),
         ..JobOptions::default()
     };
-    let mut job = DrawJob::new(config.clone(), path, options);
+    let mut job = Job::draw(config.clone(), path, options);
     let result = run_job(port, &mut job, control, &mut |show| display.show(&show));
     display.finish();
     result.map_err(|error| match error {

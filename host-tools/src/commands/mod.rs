@@ -162,7 +162,7 @@ pub fn job_error(error: &JobError) -> CommandError {
 }
 
 /// A number that no other connection to the firmware has had: process numbers alone come again.
-fn session_number() -> u32 {
+pub(crate) fn session_number() -> u32 {
     let since = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)
         .unwrap_or_default();

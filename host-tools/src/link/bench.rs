@@ -6,6 +6,9 @@ use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_P
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::measurement::Measurements;
 use etherpen::motion::Pen;
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
 
 /// One direction of a serial line that spoils bytes.
 pub(crate) struct Line {
@@ -71,6 +74,7 @@ pub(crate) struct Bench {
     then: Option<(u64, Mode)>,
     status_due_ms: u64,
     told: Option<Mode>,
+    now_ms: u64,
 }
 
 pub(crate) const CAPACITY: usize = 200;
@@ -104,12 +108,14 @@ impl Bench {
             then: None,
             status_due_ms: 0,
             told: None,
+            now_ms: 0,
         }
     }
 
     /// One millisecond of the line in both directions and of the firmware; `host` takes what arrives and how much
     /// room there is, and returns what it sends.
     pub(crate) fn step(&mut self, now_ms: u64, mut host: impl FnMut(&[u8], usize) -> Vec<u8>) {
+        self.now_ms = now_ms;
         self.run(now_ms);
         let mut out = [0; LINE_BYTES_PER_MS];
         let length = self.endpoint.transmit(now_ms, &mut out);
@@ -237,6 +243,9 @@ impl Bench {
         if let Some((_, mode)) = self.then.take_if(|(at_ms, _)| now_ms >= *at_ms) {
             self.mode = mode;
         }
+        if self.mode == Mode::Drawing && self.endpoint.silence_ms(now_ms).is_some_and(|ms| ms > 500) {
+            self.mode = Mode::Holding;
+        }
         if self.mode == Mode::Drawing {
             self.executed = (self.executed + 1).min(self.vertices.len() as u32);
             if self.fault_at_vertex.is_some_and(|vertex| self.executed >= vertex) {
@@ -277,6 +286,35 @@ impl Bench {
             reference_rad_s: [angle; 4],
             measured_rad_s: [angle; 4],
         }
+    }
+}
+
+/// A bench behind a stream, by the wall clock, until the stream is closed; its own time goes on from one stream to the
+/// next.
+pub(crate) fn serve(bench: &mut Bench, mut stream: &UnixStream) {
+    let begun = Instant::now();
+    stream
+        .set_read_timeout(Some(Duration::from_millis(1)))
+        .expect("a socket has a timeout");
+    let mut waiting = Vec::new();
+    for passed_ms in 0.. {
+        let mut block = [0; 1024];
+        match stream.read(&mut block) {
+            Ok(0) => break,
+            Ok(length) => waiting.extend_from_slice(&block[..length]),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            // The other side has closed with bytes unread.
+            Err(_) => break,
+        }
+        let mut written = Ok(());
+        bench.step(bench.now_ms + 1, |bytes, room| {
+            written = stream.write_all(bytes);
+            waiting.drain(..waiting.len().min(room)).collect()
+        });
+        if written.is_err() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(passed_ms).saturating_sub(begun.elapsed()));
     }
 }
 

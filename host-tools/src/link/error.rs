@@ -22,8 +22,12 @@ pub enum Phase {
     Referencing,
     /// Waiting for the drives to hold the pose.
     Enabling,
+    /// Waiting for a command to be answered and to have its effect.
+    Telling,
     /// Waiting for the drawing to begin.
     Starting,
+    /// Moving without a path.
+    Moving,
     /// Drawing.
     Drawing,
     /// Coming to rest and giving up the power.
@@ -40,7 +44,9 @@ impl fmt::Display for Phase {
             Self::BusUp => "bringing up the bus",
             Self::Referencing => "taking the reference",
             Self::Enabling => "enabling the drives",
-            Self::Starting => "starting the drawing",
+            Self::Telling => "giving the command",
+            Self::Starting => "starting",
+            Self::Moving => "moving",
             Self::Drawing => "drawing",
             Self::Resting => "coming to rest",
         })
@@ -105,6 +111,10 @@ pub enum JobError {
         /// Vertices of the path.
         total: usize,
     },
+    /// The firmware does not hold the drawing that was to go on.
+    NotHeld(Mode),
+    /// The joint angles are not referenced, and what they are cannot be guessed.
+    NotReferenced,
     /// The operator ended it.
     Cancelled,
 }
@@ -142,7 +152,8 @@ impl fmt::Display for JobError {
             ),
             Self::Busy(mode) => write!(
                 f,
-                "the robot is busy: {}; wait for it, or end what it does with `draw --acknowledge`",
+                "the robot is busy: {}; wait for it, go on with a held drawing (draw --resume), or end what it does \
+                 (etherpen cancel)",
                 text::mode(*mode)
             ),
             Self::Refused(command, refusal) => {
@@ -171,7 +182,16 @@ impl fmt::Display for JobError {
                 "the robot came to rest after {executed} of {total} vertices; another program may have cancelled the \
                  drawing"
             ),
-            Self::Cancelled => f.write_str("the drawing was cancelled"),
+            Self::NotHeld(mode) => write!(
+                f,
+                "the firmware does not hold this drawing (now: {}); draw --resume goes on from the log of jobs",
+                text::mode(*mode)
+            ),
+            Self::NotReferenced => f.write_str(
+                "the joint angles are not referenced any more, and the arms may stand anywhere; bring them to a known \
+                 pose and take the reference (etherpen reference), then draw --resume",
+            ),
+            Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
         }
     }
 }

@@ -1,42 +1,64 @@
-//! One drawing from the first greeting to drives without power.
+//! What is done with a machine, from the first greeting on: look, tell, make ready, move, draw.
 //!
-//! Connect, look, configure, wait for the bus, reference, enable, draw, bring to rest: each phase waits for what the
-//! firmware reports, never for a time to pass, and has a limit after which the job says what it waited for.
-//! Invariants: a fault that is found is reported, and acknowledged only when the options say so; progress counts
-//! executed vertices, not sent ones; whatever ends the job early, the robot is asked to come to rest and to give up its
-//! power first.
+//! Connect, look, configure, wait for the bus, reference, enable, work, bring to rest: each phase waits for what the
+//! firmware reports, never for a time to pass, and has a limit after which the job says what it waited for. A job keeps
+//! its connection when its task has ended and can be given another one.
+//!
+//! Invariants: a fault that is found is reported, and acknowledged only when the options or the task say so; progress
+//! counts executed vertices, not sent ones; whatever ends a task early that moves the robot, the robot is asked to come to
+//! rest and to give up the power that the task gave it; a drawing held since another connection goes on only if the
+//! firmware still holds exactly that drawing.
+
+mod phases;
 
 use super::error::{JobError, Phase};
 use super::measurement::Reader;
 use super::progress::{PathMeasure, Progress};
-use super::session::{Event, Session};
-pub use super::terms::{Control, JobEvent, JobOptions, JobReport};
+use super::session::{Event, Session, SessionCounts};
+pub use super::terms::{Control, Drawing, JobEvent, JobOptions, JobReport, Motion, Ready, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
+use etherpen::ethercat::service::ServiceRequest;
 use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
+use etherpen::motion::Pen;
+pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Longest silence of the firmware once connected, ms.
-pub const SILENCE_MAX_MS: u64 = 3_000;
-/// Longest wait for the bus, ms.
-pub const BUS_MAX_MS: u64 = 60_000;
-/// Longest wait for an answer, a reference, power or a standstill, ms.
-pub const STEP_MAX_MS: u64 = 15_000;
-/// Time between two inquiries while a mode is waited for, ms.
-const INQUIRE_MS: u64 = 250;
 /// Time before a command that was refused because something still moves is tried again, ms.
 const RETRY_MS: u64 = 100;
-/// Longest time at rest without the path's end before a drawing counts as ended early, ms.
-const EARLY_END_MS: u64 = 3_000;
 
-/// A whole drawing as a state machine.
-pub struct DrawJob {
+/// A hash of a path: FNV-1a with 64 bits over its vertices.
+#[must_use]
+pub fn path_hash(vertices: &[PathVertex]) -> u64 {
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    let mut take = |bytes: [u8; 4]| {
+        for byte in bytes {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    };
+    for vertex in vertices {
+        vertex.position_um.iter().for_each(|um| take(um.to_le_bytes()));
+        take(u32::from(vertex.pen == Pen::Down).to_le_bytes());
+        take(vertex.stroke.to_le_bytes());
+    }
+    hash
+}
+
+/// The number under which a path travels: its hash folded to 16 bits, never 0.
+#[must_use]
+pub fn path_number(hash: u64) -> u16 {
+    let [a, b, c, d] = [hash, hash >> 16, hash >> 32, hash >> 48].map(|part| part as u16);
+    (a ^ b ^ c ^ d).max(1)
+}
+
+/// A connection and what is done over it, as a state machine.
+pub struct Job {
     session: Session,
     options: JobOptions,
     config: Config,
-    vertices: Arc<[PathVertex]>,
+    task: Task,
     measure: PathMeasure,
     now_ms: u64,
     phase: Phase,
@@ -52,32 +74,44 @@ pub struct DrawJob {
     over_since_ms: Option<u64>,
     /// Whether a status came since the last accepted command.
     fresh: bool,
-    /// Why the job comes to rest early.
+    /// Whether the drives had power when the task found them.
+    found_powered: bool,
+    /// Whether the drawing is to be held once the pen is up.
+    hold_at_pen_up: bool,
+    /// Why the task comes to rest early.
     ending: Option<JobError>,
     outcome: Option<Result<(), JobError>>,
+    /// Why there is no connection any more.
+    broken: Option<JobError>,
     welcome: Option<Welcome>,
     status: Option<Status>,
+    status_before: Option<Status>,
+    sample: Option<Sample>,
     ack: PathAck,
+    /// Vertices that were executed when this connection took up the drawing.
+    executed_before: u32,
     drawing_ms: Option<u64>,
     drawn_ms: u64,
+    held_ms: u64,
     samples: Vec<Sample>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
+    /// For each question about the measurements without an answer whether it is the task's own.
+    questions: VecDeque<bool>,
     events: VecDeque<JobEvent>,
 }
 
-impl DrawJob {
-    /// A job that draws `vertices` with this configuration.
-    pub fn new(config: Config, vertices: impl Into<Arc<[PathVertex]>>, options: JobOptions) -> Self {
-        let vertices = vertices.into();
+impl Job {
+    /// A job that connects and does this.
+    pub fn new(config: Config, task: Task, options: JobOptions) -> Self {
         let mut session = Session::new(options.session);
         session.connect();
         Self {
             session,
             options,
-            measure: PathMeasure::new(&vertices, &config),
+            measure: measure_of(&task, &config),
             config,
-            vertices,
+            task,
             now_ms: 0,
             phase: Phase::Connecting,
             entered_ms: 0,
@@ -88,28 +122,63 @@ impl DrawJob {
             fault_since_ms: None,
             over_since_ms: None,
             fresh: false,
+            found_powered: false,
+            hold_at_pen_up: false,
             ending: None,
             outcome: None,
+            broken: None,
             welcome: None,
             status: None,
+            status_before: None,
+            sample: None,
             ack: PathAck::default(),
+            executed_before: 0,
             drawing_ms: None,
             drawn_ms: 0,
+            held_ms: 0,
             samples: Vec::new(),
             reader: None,
+            questions: VecDeque::new(),
             events: VecDeque::new(),
         }
+    }
+
+    /// A job that draws `vertices` with this configuration.
+    pub fn draw(config: Config, vertices: impl Into<Arc<[PathVertex]>>, options: JobOptions) -> Self {
+        Self::new(config, Task::Draw(Drawing::new(vertices)), options)
+    }
+
+    /// Goes on with another task over the same connection, once the one before has ended.
+    pub fn begin(&mut self, task: Task) {
+        self.measure = measure_of(&task, &self.config);
+        self.task = task;
+        (self.ending, self.outcome) = (None, None);
+        (self.fault_since_ms, self.over_since_ms) = (None, None);
+        (self.found_powered, self.hold_at_pen_up) = (false, false);
+        (self.ack, self.executed_before) = (PathAck::default(), 0);
+        (self.drawing_ms, self.drawn_ms, self.held_ms) = (None, 0, 0);
+        (self.samples, self.reader) = (Vec::new(), None);
+        self.status_before = None;
+        if let Some(broken) = self.broken {
+            return self.fail(broken);
+        }
+        self.enter(match self.phase {
+            Phase::Connecting => Phase::Connecting,
+            _ => Phase::Inspecting,
+        });
     }
 
     /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
     ///
     /// `now_ms` starts near 0 and does not go back; in lockstep it is the firmware's millisecond.
     pub fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
+        self.count_held(now_ms.saturating_sub(self.now_ms));
         self.now_ms = now_ms;
         self.session.receive(incoming, now_ms);
         while let Some(event) = self.session.next_event() {
             self.take(event);
         }
+        self.watch_connection();
         if self.outcome.is_none() {
             self.supervise();
         }
@@ -117,27 +186,41 @@ impl DrawJob {
             self.advance();
         }
         let before = outgoing.len();
-        outgoing.resize(before + room, 0);
-        let filled = self.session.transmit(now_ms, &mut outgoing[before..]);
-        outgoing.truncate(before + filled);
+        outgoing.resize(before.saturating_add(room), 0);
+        let filled = self
+            .session
+            .transmit(now_ms, outgoing.get_mut(before..).unwrap_or_default());
+        outgoing.truncate(before.saturating_add(filled));
     }
 
-    /// How the job ended, `None` while it runs.
+    /// How the task ended, `None` while it runs.
     pub fn outcome(&self) -> Option<&Result<(), JobError>> {
         self.outcome.as_ref()
     }
 
-    /// What was collected, whether the job has succeeded, failed or is still running.
-    pub fn into_report(self) -> JobReport {
+    /// Why there is no connection any more, if there is none: another job is needed.
+    pub fn broken(&self) -> Option<&JobError> {
+        self.broken.as_ref()
+    }
+
+    /// What was collected, whether the task has succeeded, failed or is still running.
+    pub fn into_report(mut self) -> JobReport {
+        self.take_report()
+    }
+
+    /// The same, for a job that goes on.
+    pub fn take_report(&mut self) -> JobReport {
         let progress = self.progress();
         JobReport {
             progress,
             drawn_s: progress.elapsed_s,
-            welcome: self.welcome,
-            samples: self.samples,
-            measurements: self.reader.and_then(Reader::into_readings),
+            held_s: self.held_ms as f64 / 1_000.0,
+            welcome: self.welcome.clone(),
+            samples: std::mem::take(&mut self.samples),
+            measurements: self.reader.take().and_then(Reader::into_readings),
             link: self.session.counts(),
-            status: self.status,
+            status: self.status.clone(),
+            status_before: self.status_before.take(),
         }
     }
 
@@ -146,9 +229,34 @@ impl DrawJob {
         self.phase
     }
 
+    /// The task.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// The configuration that this job sends.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// The last status.
     pub fn status(&self) -> Option<&Status> {
         self.status.as_ref()
+    }
+
+    /// The last sample.
+    pub fn sample(&self) -> Option<&Sample> {
+        self.sample.as_ref()
+    }
+
+    /// The firmware that has answered.
+    pub fn welcome(&self) -> Option<&Welcome> {
+        self.welcome.as_ref()
+    }
+
+    /// What the connection has counted.
+    pub fn counts(&self) -> SessionCounts {
+        self.session.counts()
     }
 
     /// The samples so far.
@@ -160,10 +268,11 @@ impl DrawJob {
     pub fn progress(&self) -> Progress {
         let elapsed_ms = match self.drawing_ms {
             Some(_) if self.drawn_ms > 0 => self.drawn_ms,
-            Some(since_ms) => self.now_ms.saturating_sub(since_ms),
+            Some(since_ms) => self.now_ms.saturating_sub(since_ms).saturating_sub(self.held_ms),
             None => 0,
         };
-        self.measure.progress(self.ack.executed, elapsed_ms as f64 / 1000.0)
+        self.measure
+            .progress(self.executed_before, self.ack.executed, elapsed_ms as f64 / 1000.0)
     }
 
     /// The oldest event that was not taken yet.
@@ -171,29 +280,66 @@ impl DrawJob {
         self.events.pop_front()
     }
 
-    /// Does what an operator asks for.
-    pub fn control(&mut self, control: Control) {
+    /// Sends a command besides the task's own; the answer is [`JobEvent::Told`] with the number given here.
+    /// [`Command::Stop`] overtakes everything; requests before it that have no answer yet are forgotten.
+    pub fn command(&mut self, command: Command) -> u16 {
+        if command == Command::Stop {
+            self.awaited = None;
+        }
+        self.session.command(command)
+    }
+
+    /// Asks something of the bus; the answer is [`JobEvent::Bus`].
+    pub fn bus(&mut self, request: ServiceRequest) {
+        self.session.bus(request);
+    }
+
+    /// Asks something of the measurements; the answer is [`JobEvent::Measured`].
+    pub fn question(&mut self, request: MeasurementRequest) {
+        self.questions.push_back(false);
+        self.session.measure(request);
+    }
+
+    fn own_question(&mut self, request: MeasurementRequest) {
+        self.questions.push_back(true);
+        self.session.measure(request);
+    }
+
+    /// Does what an operator asks for; the number of the command that was sent for it, if one was.
+    pub fn control(&mut self, control: Control) -> Option<u16> {
+        let running = self.outcome.is_none();
+        let drawing = running && matches!(self.task, Task::Draw(_));
         let holding = self.status.as_ref().is_some_and(|status| status.mode == Mode::Holding);
         let command = match control {
             // Before the drawing there is nothing to hold: it does not begin.
-            Control::Hold if self.phase != Phase::Drawing => {
+            Control::Hold | Control::HoldAtPenUp if drawing && self.phase != Phase::Drawing => {
                 self.ending.get_or_insert(JobError::Cancelled);
-                return;
+                return None;
+            }
+            Control::HoldAtPenUp => {
+                self.hold_at_pen_up = drawing;
+                return None;
             }
             Control::Hold => Command::Hold,
-            Control::Resume if !holding => return,
+            Control::Resume if !holding => return None,
             Control::Resume => Command::Resume,
             Control::Override(percent) => Command::Override { percent },
-            Control::Stop => {
-                self.awaited = None;
-                Command::Stop
-            }
-            Control::Cancel => {
+            Control::Stop => Command::Stop,
+            Control::Cancel if running => {
                 self.ending.get_or_insert(JobError::Cancelled);
-                return;
+                return None;
             }
+            Control::Cancel => Command::Cancel,
         };
-        self.session.command(command);
+        self.hold_at_pen_up = false;
+        Some(self.command(command))
+    }
+
+    fn count_held(&mut self, passed_ms: u64) {
+        let held = self.status.as_ref().is_some_and(|status| status.mode == Mode::Holding);
+        if held && self.phase == Phase::Drawing && self.outcome.is_none() {
+            self.held_ms = self.held_ms.saturating_add(passed_ms);
+        }
     }
 
     fn take(&mut self, event: Event) {
@@ -203,60 +349,95 @@ impl DrawJob {
                 self.welcome = Some(welcome);
                 self.enter(Phase::Inspecting);
             }
-            Event::VersionRefused { host, firmware } => self.fail(JobError::Version { host, firmware }),
-            Event::Measured(answer) => self.take_measurement(&answer),
-            // A job asks nothing of the bus.
-            Event::Bus(_) => {}
-            Event::Restarted => self.fail(JobError::Restarted),
+            Event::VersionRefused { host, firmware } => self.lose(JobError::Version { host, firmware }),
+            Event::Restarted => self.lose(JobError::Restarted),
+            Event::Measured(answer) => self.take_measurement(answer),
+            Event::Bus(result) => self.events.push_back(JobEvent::Bus(result)),
             Event::Configured(Ok(hash)) => match self.config.hash() {
                 Some(ours) if ours == hash => self.enter(Phase::BusUp),
                 ours => self.fail(JobError::ConfigHash { ours, firmware: hash }),
             },
             Event::Configured(Err(refusal)) => self.fail(JobError::Config(refusal)),
             Event::Answered { id, command, result } => self.take_answer(id, command, result),
-            Event::Ack(ack) => {
-                if ack.finished && !self.ack.finished {
-                    self.drawn_ms = self.now_ms.saturating_sub(self.drawing_ms.unwrap_or(self.now_ms));
-                }
-                self.ack = ack;
-            }
+            Event::Ack(ack) => self.take_ack(ack),
             Event::VertexRefused(refusal) => {
                 self.ending.get_or_insert(JobError::Vertex(refusal));
             }
             Event::Status(status) => self.take_status(status),
-            Event::Samples { missing, samples } => {
-                if let Some(first) = samples.first().filter(|_| missing > 0) {
-                    let t_ms = first.t_ms;
-                    self.events.push_back(JobEvent::SamplesMissing { missing, t_ms });
-                }
-                self.samples.extend(samples);
-            }
+            Event::Samples { missing, samples } => self.take_samples(missing, samples),
+        }
+    }
+
+    fn take_ack(&mut self, ack: PathAck) {
+        if self.outcome.is_some() {
+            return;
+        }
+        if ack.finished && !self.ack.finished {
+            let since_ms = self.drawing_ms.unwrap_or(self.now_ms);
+            self.drawn_ms = self.now_ms.saturating_sub(since_ms).saturating_sub(self.held_ms);
+        }
+        self.ack = ack;
+    }
+
+    fn take_samples(&mut self, missing: u32, samples: Vec<Sample>) {
+        if let Some(first) = samples.first().filter(|_| missing > 0) {
+            let t_ms = first.t_ms;
+            self.events.push_back(JobEvent::SamplesMissing { missing, t_ms });
+        }
+        self.sample = samples.last().copied().or(self.sample);
+        let pen_is_up = |sample: &Sample| sample.mode == Mode::Drawing && sample.pen == Pen::Up;
+        if self.hold_at_pen_up && self.sample.as_ref().is_some_and(pen_is_up) {
+            self.hold_at_pen_up = false;
+            self.session.command(Command::Hold);
+        }
+        if self.options.forward_samples {
+            let samples = samples.into();
+            self.events.push_back(JobEvent::Samples { missing, samples });
+        } else {
+            self.samples.extend(samples);
         }
     }
 
     fn take_answer(&mut self, id: u16, command: Command, result: Result<(), Refusal>) {
         let own = self.awaited.take_if(|awaited| *awaited == id).is_some();
+        if !own {
+            self.events.push_back(JobEvent::Told { id, command, result });
+        }
         match result {
             Ok(()) => {
                 self.fresh = false;
                 self.accepted |= own;
                 self.inquired_ms = self.now_ms;
                 self.session.inquire();
-                if let Command::Draw { job } = command
-                    && self.phase == Phase::Starting
-                {
-                    self.session.start_path(job, self.vertices.clone());
-                    self.drawing_ms = Some(self.now_ms);
-                    self.enter(Phase::Drawing);
+                if own && self.phase == Phase::Starting {
+                    self.start_path();
                 }
             }
+            Err(Refusal::Moving) if own && self.waits_for_standstill() => self.retry_ms = self.now_ms + RETRY_MS,
             Err(_) if own && self.phase == Phase::Resting => self.retry_ms = self.now_ms + RETRY_MS,
-            Err(Refusal::Moving) if own => self.retry_ms = self.now_ms + RETRY_MS,
             Err(refusal) if own => {
                 self.ending.get_or_insert(JobError::Refused(command, refusal));
             }
             Err(refusal) => self.events.push_back(JobEvent::Refused(command, refusal)),
         }
+    }
+
+    fn waits_for_standstill(&self) -> bool {
+        !matches!(self.task, Task::Tell(_))
+    }
+
+    /// Streams the path, from the vertex that the firmware wants.
+    fn start_path(&mut self) {
+        let Task::Draw(drawing) = &self.task else { return };
+        self.executed_before = self.session.held_path().map_or(0, |ack| ack.executed);
+        let (number, vertices) = (drawing.number, drawing.vertices.clone());
+        if !drawing.held {
+            self.executed_before = 0;
+        }
+        self.session.start_path(number, vertices);
+        self.ack.executed = self.executed_before;
+        self.drawing_ms = Some(self.now_ms);
+        self.enter(Phase::Drawing);
     }
 
     fn take_status(&mut self, status: Status) {
@@ -269,14 +450,31 @@ impl DrawJob {
         {
             self.events.push_back(JobEvent::Fault(fault));
         }
+        self.events.push_back(JobEvent::Status(Arc::new(status.clone())));
         self.fresh = true;
         self.status = Some(status);
     }
 
+    fn take_measurement(&mut self, answer: MeasurementAnswer) {
+        if self.questions.pop_front() == Some(false) {
+            return self.events.push_back(JobEvent::Measured(answer));
+        }
+        let next = self.reader.as_mut().and_then(|reader| {
+            reader.take(&answer);
+            reader.request()
+        });
+        if let Some(request) = next {
+            self.own_question(request);
+        }
+    }
+
     fn enter(&mut self, phase: Phase) {
-        if phase == Phase::BusUp {
-            // What is measured before there is a bus is no part of the job.
-            self.session.measure(MeasurementRequest::Reset);
+        if phase == Phase::BusUp && matches!(self.task, Task::Draw(_)) {
+            // What is measured before there is a bus is no part of the drawing.
+            self.own_question(MeasurementRequest::Reset);
+        }
+        if phase == Phase::Starting {
+            self.status_before = self.status.clone();
         }
         self.phase = phase;
         self.entered_ms = self.now_ms;
@@ -289,192 +487,25 @@ impl DrawJob {
         self.events.push_back(JobEvent::Phase(phase));
     }
 
+    fn succeed(&mut self) {
+        self.outcome.get_or_insert(Ok(()));
+    }
+
     fn fail(&mut self, error: JobError) {
         self.session.end_path();
         self.outcome.get_or_insert(Err(error));
     }
 
-    /// Limits of silence and time, and faults: what ends any phase.
-    fn supervise(&mut self) {
-        let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
-        if self.phase == Phase::Connecting {
-            if self.ending.is_some() {
-                return self.fail(JobError::Cancelled);
-            }
-            if waited_ms > self.options.connect_max_ms {
-                return self.fail(JobError::NoAnswer { waited_ms });
-            }
-            return;
-        }
-        if let Some(silent_ms) = self.session.silence_ms(self.now_ms).filter(|ms| *ms > SILENCE_MAX_MS) {
-            return self.fail(JobError::LinkLost { silent_ms });
-        }
-        if self.faulted() {
-            return;
-        }
-        if self.ending.is_some() && self.phase != Phase::Resting {
-            self.session.end_path();
-            self.enter(Phase::Resting);
-            return;
-        }
-        let limit_ms = match self.phase {
-            Phase::Drawing => return,
-            Phase::BusUp => BUS_MAX_MS,
-            _ => STEP_MAX_MS,
-        };
-        if waited_ms > limit_ms {
-            let late = JobError::Timeout {
-                phase: self.phase,
-                waited_ms,
-            };
-            let error = self.ending.take().unwrap_or(late);
-            if self.phase == Phase::Resting {
-                self.fail(error);
-            } else {
-                self.ending = Some(error);
-            }
-        }
+    fn lose(&mut self, error: JobError) {
+        self.broken.get_or_insert(error);
+        self.fail(error);
     }
+}
 
-    /// Whether there is a fault; the job ends with it once the robot stands.
-    fn faulted(&mut self) -> bool {
-        if self.options.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging) {
-            return false;
-        }
-        let Some(status) = self.status.as_ref().filter(|_| self.fresh) else {
-            return self.fault_since_ms.is_some();
-        };
-        let mode = status.mode;
-        let Some(fault) = status.fault else {
-            self.fault_since_ms = None;
-            return false;
-        };
-        let since_ms = *self.fault_since_ms.get_or_insert(self.now_ms);
-        if mode == Mode::Fault || self.now_ms.saturating_sub(since_ms) > STEP_MAX_MS {
-            let before = self.phase == Phase::Inspecting;
-            self.fail(JobError::Fault { fault, before });
-        }
-        true
-    }
-
-    fn advance(&mut self) {
-        if self.phase == Phase::Connecting || self.fault_since_ms.is_some() {
-            return;
-        }
-        if self.now_ms.saturating_sub(self.inquired_ms) >= INQUIRE_MS && self.phase != Phase::Drawing {
-            self.inquired_ms = self.now_ms;
-            self.session.inquire();
-        }
-        let Some(mode) = self.status.as_ref().filter(|_| self.fresh).map(|status| status.mode) else {
-            return;
-        };
-        let referenced = self.status.as_ref().is_some_and(|status| status.referenced);
-        match self.phase {
-            Phase::Connecting | Phase::Configuring => {}
-            Phase::Inspecting => self.inspect(mode),
-            Phase::Acknowledging => match mode {
-                Mode::Fault => self.request(Command::Acknowledge),
-                Mode::Drawing | Mode::Holding | Mode::Moving => self.request(Command::Cancel),
-                Mode::Stopping => {}
-                _ => self.enter(Phase::Inspecting),
-            },
-            Phase::BusUp => {
-                if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
-                    self.enter(Phase::Referencing);
-                }
-            }
-            Phase::Referencing if referenced => self.enter(Phase::Enabling),
-            Phase::Referencing => self.request(Command::Reference),
-            Phase::Enabling if mode == Mode::Idle => self.enter(Phase::Starting),
-            Phase::Enabling => self.request(Command::Enable),
-            Phase::Starting => self.request(Command::Draw { job: self.options.job }),
-            Phase::Drawing => self.watch_drawing(mode),
-            Phase::Resting => self.rest(mode),
-        }
-    }
-
-    fn inspect(&mut self, mode: Mode) {
-        let busy = matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping);
-        if busy && !self.options.acknowledge {
-            return self.fail(JobError::Busy(mode));
-        }
-        if busy || mode == Mode::Fault {
-            return self.enter(Phase::Acknowledging);
-        }
-        let in_force = self.status.as_ref().and_then(|status| status.config);
-        if in_force.is_some() && in_force == self.config.hash() {
-            return self.enter(Phase::BusUp);
-        }
-        self.enter(Phase::Configuring);
-        self.session.configure(self.config.clone());
-    }
-
-    fn watch_drawing(&mut self, mode: Mode) {
-        if self.ack.finished && mode != Mode::Holding {
-            return self.enter(Phase::Resting);
-        }
-        if !matches!(mode, Mode::Idle | Mode::DrivesOff | Mode::Unreferenced) {
-            self.over_since_ms = None;
-            return;
-        }
-        let since_ms = *self.over_since_ms.get_or_insert(self.now_ms);
-        if self.now_ms.saturating_sub(since_ms) > EARLY_END_MS {
-            self.ending.get_or_insert(JobError::EndedEarly {
-                executed: self.ack.executed,
-                total: self.vertices.len(),
-            });
-        }
-    }
-
-    /// Brings the robot to rest without power, whatever it does now.
-    fn rest(&mut self, mode: Mode) {
-        match mode {
-            Mode::Drawing | Mode::Holding | Mode::Moving if self.ending.is_some() => {
-                self.request(Command::Cancel);
-            }
-            Mode::Idle | Mode::Unreferenced => {
-                self.accepted = false;
-                self.request(Command::Disable);
-            }
-            // Power may still be on its way; the firmware accepts this only when it is not.
-            Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
-            Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
-                if self.ending.is_some() || self.measured() {
-                    let result = self.ending.take().map_or(Ok(()), Err);
-                    self.outcome.get_or_insert(result);
-                }
-            }
-            Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Stopping => {}
-        }
-    }
-
-    /// Whether the measurements have been read; asks for them if not.
-    fn measured(&mut self) -> bool {
-        if self.reader.is_none() {
-            let reader = Reader::new();
-            if let Some(request) = reader.request() {
-                self.session.measure(request);
-            }
-            self.reader = Some(reader);
-        }
-        self.reader.as_ref().is_none_or(|reader| reader.request().is_none())
-    }
-
-    fn take_measurement(&mut self, answer: &MeasurementAnswer) {
-        let next = self.reader.as_mut().and_then(|reader| {
-            reader.take(answer);
-            reader.request()
-        });
-        if let Some(request) = next {
-            self.session.measure(request);
-        }
-    }
-
-    /// Makes the phase's request unless it is under way or was accepted.
-    fn request(&mut self, command: Command) {
-        if self.awaited.is_none() && !self.accepted && self.now_ms >= self.retry_ms {
-            self.awaited = Some(self.session.command(command));
-        }
+fn measure_of(task: &Task, config: &Config) -> PathMeasure {
+    match task {
+        Task::Draw(drawing) => PathMeasure::new(&drawing.vertices, config),
+        _ => PathMeasure::default(),
     }
 }
 

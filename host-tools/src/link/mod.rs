@@ -1,10 +1,10 @@
 //! The host's end of the link: session, drawing job, ports and texts.
 //!
-//! [`Session`](session::Session) and [`DrawJob`](job::DrawJob) are state machines without clock or input and output:
+//! [`Session`](session::Session) and [`Job`](job::Job) are state machines without clock or input and output:
 //! the emulator's lockstep loop and a real [`port`] drive the same code, and a run in virtual time repeats exactly.
 
 #[cfg(test)]
-mod bench;
+pub(crate) mod bench;
 pub mod error;
 pub mod job;
 pub mod measurement;

@@ -5,7 +5,7 @@
 //! error with its name and what to try, never a wait.
 
 use super::error::JobError;
-use super::job::{Control, DrawJob, JobEvent};
+use super::job::{Control, Job, JobEvent};
 use super::progress::Progress;
 use etherpen::link::device::LINE_BYTES_PER_MS;
 use std::fmt;
@@ -300,7 +300,7 @@ impl Drop for Line {
     }
 }
 
-/// Runs a job over a port by the wall clock until it ends; [`DrawJob::into_report`] tells what was collected.
+/// Runs a job over a port by the wall clock until it ends; [`Job::into_report`] tells what was collected.
 ///
 /// What comes in `control` is done at once; a closed `control` means that nobody interferes.
 ///
@@ -308,7 +308,7 @@ impl Drop for Line {
 /// The job's reason, or the port's.
 pub fn run_job(
     port: Port,
-    job: &mut DrawJob,
+    job: &mut Job,
     control: &Receiver<Control>,
     show: &mut dyn FnMut(Show<'_>),
 ) -> Result<(), RunError> {
@@ -317,7 +317,9 @@ pub fn run_job(
     loop {
         let now_ms = line
             .exchange(|now_ms, incoming, outgoing, room| {
-                control.try_iter().for_each(|control| job.control(control));
+                for control in control.try_iter() {
+                    job.control(control);
+                }
                 job.step(now_ms, incoming, outgoing, room);
             })
             .map_err(RunError::Port)?;
@@ -360,42 +362,15 @@ fn is_pause(error: &io::Error) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bench::{Bench, path};
+    use super::super::bench::{Bench, path, serve};
     use super::super::job::JobOptions;
     use super::*;
     use etherpen::config::Config;
     use std::net::TcpListener;
     use std::os::unix::net::UnixListener;
 
-    fn job(count: usize) -> DrawJob {
-        DrawJob::new(Config::default(), path(count), JobOptions::default())
-    }
-
-    /// The bench's firmware behind a stream, by the wall clock, until the stream is closed.
-    fn serve(stream: UnixStream) -> Bench {
-        let (mut bench, begun) = (Bench::new(1, 0), Instant::now());
-        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
-        let mut waiting = Vec::new();
-        for now_ms in 0.. {
-            let mut block = [0; 1024];
-            match (&stream).read(&mut block) {
-                Ok(0) => break,
-                Ok(length) => waiting.extend_from_slice(&block[..length]),
-                Err(error) if is_pause(&error) => {}
-                // The other side has closed with bytes unread.
-                Err(_) => break,
-            }
-            let mut written = Ok(());
-            bench.step(now_ms, |bytes, room| {
-                written = (&stream).write_all(bytes);
-                waiting.drain(..waiting.len().min(room)).collect()
-            });
-            if written.is_err() {
-                break;
-            }
-            thread::sleep(Duration::from_millis(now_ms).saturating_sub(begun.elapsed()));
-        }
-        bench
+    fn job(count: usize) -> Job {
+        Job::draw(Config::default(), path(count), JobOptions::default())
     }
 
     #[test]
@@ -403,7 +378,11 @@ mod tests {
         let place = std::env::temp_dir().join(format!("etherpen-port-{}", std::process::id()));
         let _ = std::fs::remove_file(&place);
         let listener = UnixListener::bind(&place).unwrap();
-        let firmware = thread::spawn(move || serve(listener.accept().unwrap().0));
+        let firmware = thread::spawn(move || {
+            let mut bench = Bench::new(1, 0);
+            serve(&mut bench, &listener.accept().unwrap().0);
+            bench
+        });
         let port = Port::open(&format!("unix:{}", place.display()).parse().unwrap()).unwrap();
         let (mut job, mut last) = (job(100), Progress::default());
         let (_, control) = mpsc::channel();

@@ -7,12 +7,13 @@
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
+use serde::{Deserialize, Serialize};
 
 /// Share of the path after which the time it took corrects the estimate.
 const CALIBRATED_FROM: f64 = 0.02;
 
 /// How far a drawing is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Vertices executed.
     pub vertices: usize,
@@ -22,21 +23,34 @@ pub struct Progress {
     pub executed_mm: f64,
     /// Length of the path, mm.
     pub total_mm: f64,
+    /// Length executed with the pen down, mm.
+    pub pen_down_mm: f64,
     /// Strokes begun.
     pub strokes: u32,
     /// Strokes of the path.
     pub strokes_total: u32,
-    /// Time since the drawing began, s.
+    /// Time since the drawing began, or was taken up, without the time in which it was held, s.
     pub elapsed_s: f64,
     /// Estimated time left, s.
     pub left_s: f64,
 }
 
 /// Lengths and times along a path, measured once.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct PathMeasure {
-    /// For each number of executed vertices: length so far in mm, estimated time so far in s, strokes begun.
-    marks: Vec<(f64, f64, u32)>,
+    /// For each number of executed vertices.
+    marks: Vec<Mark>,
+}
+
+/// What a number of executed vertices comes to.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mark {
+    length_mm: f64,
+    pen_down_mm: f64,
+    /// Estimated.
+    time_s: f64,
+    /// Begun.
+    strokes: u32,
 }
 
 impl PathMeasure {
@@ -44,8 +58,8 @@ impl PathMeasure {
     pub fn new(vertices: &[PathVertex], config: &Config) -> Self {
         let motion = &config.motion;
         let lift_s = 2.0 * (config.paper.pen_lift_mm / motion.acceleration_mm_s2).sqrt();
-        let mut marks = vec![(0.0, 0.0, 0)];
-        let (mut length_mm, mut time_s, mut strokes) = (0.0, 0.0, 0u32);
+        let mut mark = Mark::default();
+        let mut marks = vec![mark];
         let mut last: Option<&PathVertex> = None;
         for vertex in vertices {
             let leg_mm = last.map_or(0.0, |last| distance_mm(last, vertex));
@@ -54,35 +68,38 @@ impl PathMeasure {
                 Pen::Up => motion.travel_speed_mm_s,
             };
             let pen_moves = last.is_some_and(|last| last.pen != vertex.pen);
-            length_mm += leg_mm;
-            time_s += leg_mm / speed_mm_s + if pen_moves { lift_s } else { 0.0 };
-            strokes = strokes.max(vertex.stroke.saturating_add(1));
-            marks.push((length_mm, time_s, strokes));
+            mark.length_mm += leg_mm;
+            mark.pen_down_mm += if vertex.pen == Pen::Down { leg_mm } else { 0.0 };
+            mark.time_s += leg_mm / speed_mm_s + if pen_moves { lift_s } else { 0.0 };
+            mark.strokes = mark.strokes.max(vertex.stroke.saturating_add(1));
+            marks.push(mark);
             last = Some(vertex);
         }
         Self { marks }
     }
 
-    /// Progress with this many vertices executed, `elapsed_s` after the beginning.
-    pub fn progress(&self, executed: u32, elapsed_s: f64) -> Progress {
-        let total = self.marks.last().copied().unwrap_or_default();
+    /// Progress with this many vertices executed, `elapsed_s` after it was taken up with `before` of them executed.
+    pub fn progress(&self, before: u32, executed: u32, elapsed_s: f64) -> Progress {
         let vertices_total = self.marks.len().saturating_sub(1);
-        let vertices = usize::try_from(executed).unwrap_or(usize::MAX).min(vertices_total);
-        let done = self.marks.get(vertices).copied().unwrap_or_default();
-        let scale = if done.1 > CALIBRATED_FROM * total.1 && elapsed_s > 0.0 {
-            elapsed_s / done.1
+        let within = |vertices: u32| usize::try_from(vertices).unwrap_or(usize::MAX).min(vertices_total);
+        let at = |vertices: usize| self.marks.get(vertices).copied().unwrap_or_default();
+        let (begun, done, total) = (at(within(before)), at(within(executed)), at(vertices_total));
+        let estimated_s = done.time_s - begun.time_s;
+        let scale = if estimated_s > CALIBRATED_FROM * total.time_s && elapsed_s > 0.0 {
+            elapsed_s / estimated_s
         } else {
             1.0
         };
         Progress {
-            vertices,
+            vertices: within(executed),
             vertices_total,
-            executed_mm: done.0,
-            total_mm: total.0,
-            strokes: done.2,
-            strokes_total: total.2,
+            executed_mm: done.length_mm,
+            total_mm: total.length_mm,
+            pen_down_mm: done.pen_down_mm,
+            strokes: done.strokes,
+            strokes_total: total.strokes,
             elapsed_s,
-            left_s: (total.1 - done.1) * scale,
+            left_s: (total.time_s - done.time_s) * scale,
         }
     }
 }
@@ -118,7 +135,7 @@ mod tests {
     fn lengths_and_strokes_follow_the_executed_vertices() {
         let measure = PathMeasure::new(&path(), &Config::default());
         let at = |executed| {
-            let progress = measure.progress(executed, 0.0);
+            let progress = measure.progress(0, executed, 0.0);
             (progress.executed_mm, progress.strokes)
         };
         assert_eq!(
@@ -127,17 +144,20 @@ mod tests {
         );
         assert_eq!(at(4), (180.0, 2));
         assert_eq!(at(99), at(4), "more than the path has is the whole path");
-        assert_eq!(measure.progress(0, 0.0).total_mm, 180.0);
+        assert_eq!(measure.progress(0, 0, 0.0).total_mm, 180.0);
     }
 
     #[test]
     fn the_time_left_is_corrected_by_the_time_taken_and_ends_at_zero() {
         let measure = PathMeasure::new(&path(), &Config::default());
-        let before = measure.progress(0, 0.0).left_s;
-        let estimated_done = before - measure.progress(2, 0.0).left_s;
-        let slow = measure.progress(2, 2.0 * estimated_done);
+        let before = measure.progress(0, 0, 0.0).left_s;
+        let estimated_done = before - measure.progress(0, 2, 0.0).left_s;
+        let slow = measure.progress(0, 2, 2.0 * estimated_done);
         assert!((slow.left_s - 2.0 * (before - estimated_done)).abs() < 1e-9, "{slow:?}");
-        assert_eq!(measure.progress(4, 3.0).left_s, 0.0);
-        assert_eq!(PathMeasure::new(&[], &Config::default()).progress(5, 1.0).left_s, 0.0);
+        assert_eq!(measure.progress(0, 4, 3.0).left_s, 0.0);
+        assert_eq!(
+            PathMeasure::new(&[], &Config::default()).progress(0, 5, 1.0).left_s,
+            0.0
+        );
     }
 }

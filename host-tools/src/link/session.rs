@@ -247,13 +247,19 @@ impl Session {
         self.inquire = true;
     }
 
-    /// Streams a path as the firmware gives credit, once it has accepted [`Command::Draw`] of the same job.
+    /// Streams a path as the firmware gives credit, once it has accepted [`Command::Draw`] of the same job; a path that
+    /// it has from another session goes on with the vertex that it wants.
     pub fn start_path(&mut self, job: u16, vertices: Arc<[PathVertex]>) {
         let mut path = PathSender::new(job, vertices);
         if let Some(ack) = self.early.take_if(|ack| ack.job == job) {
             path.acknowledge(&ack, 0);
         }
         self.path = Some(path);
+    }
+
+    /// What the firmware says of the path that it has, while this session sends none.
+    pub fn held_path(&self) -> Option<&PathAck> {
+        self.early.as_ref()
     }
 
     /// Sends no more of the path.
@@ -344,7 +350,9 @@ impl Session {
             DeviceMessage::Answer { id, result } => {
                 if let Some(Body::Command(command)) = take_answered(&mut self.requests, id) {
                     // Acknowledgements so far belong to a drawing before.
-                    self.early = None;
+                    if matches!(command, Command::Draw { .. }) {
+                        self.early = None;
+                    }
                     self.events.push_back(Event::Answered { id, command, result });
                 }
             }

@@ -1,4 +1,4 @@
-//! What goes into a drawing job and what comes out of it.
+//! What goes into a job and what comes out of it.
 //!
 //! Plain data, so that a terminal, a web page and a test can show and steer a job without knowing how it works.
 
@@ -7,28 +7,104 @@ use super::measurement::Readings;
 use super::progress::Progress;
 use super::session::SessionCounts;
 use etherpen::application::{Mode, Refusal};
-use etherpen::link::protocol::{Command, Sample, Status, Welcome};
+use etherpen::ethercat::service::ServiceResult;
+use etherpen::link::protocol::{Command, PathVertex, Sample, Status, Welcome};
+use etherpen::measurement::MeasurementAnswer;
+use etherpen::motion::Pen;
+use etherpen::robot::Position;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
-/// What a job is given besides configuration and path.
+/// What a job is given besides configuration and task.
 #[derive(Clone, Copy, Debug)]
 pub struct JobOptions {
     /// Number of the connection, see [`Session::new`](super::session::Session::new).
     pub session: u32,
-    /// Number of the job, repeated in acknowledgements.
-    pub job: u16,
     /// Longest wait for the firmware's answer to the greeting, ms.
     pub connect_max_ms: u64,
     /// Whether a fault that was latched before is acknowledged, and a drawing left behind cancelled.
     pub acknowledge: bool,
+    /// Whether samples are handed on as [`JobEvent::Samples`] instead of being kept for the report.
+    pub forward_samples: bool,
 }
 
 impl Default for JobOptions {
     fn default() -> Self {
         Self {
             session: 1,
-            job: 1,
             connect_max_ms: 5_000,
             acknowledge: false,
+            forward_samples: false,
+        }
+    }
+}
+
+/// What a job is for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Task {
+    /// Find out where the machine stands; nothing is commanded.
+    Look,
+    /// End what goes on and give up the power.
+    Rest,
+    /// One command as it is, whatever the machine does; done when its effect is reported.
+    Tell(Command),
+    /// Make the machine ready.
+    Prepare(Ready),
+    /// Make ready, move, leave the power as it was found.
+    Motion(Motion),
+    /// Make ready, draw, give up the power.
+    Draw(Drawing),
+}
+
+/// How ready a machine is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Ready {
+    /// Configured, the bus is operational.
+    Bus,
+    /// The joint angles are referenced too, at the marks.
+    Referenced,
+    /// The drives hold the pose too.
+    Enabled,
+}
+
+/// A motion that needs no path.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Motion {
+    /// To a position, pen up.
+    Move(Position),
+    /// The pen up or down where it stands.
+    Pen(Pen),
+    /// With a velocity for a while.
+    Jog {
+        /// Velocity of the platform, mm/s.
+        velocity_mm_s: [f32; 3],
+        /// For how long, ms.
+        for_ms: u32,
+    },
+}
+
+/// A path to be drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drawing {
+    /// Number of the drawing, repeated in acknowledgements; [`path_number`](super::job::path_number) makes one of a path.
+    pub number: u16,
+    /// The path.
+    pub vertices: Arc<[PathVertex]>,
+    /// Whether the firmware holds this drawing since another connection, and is to go on with it.
+    pub held: bool,
+    /// Whether a machine that is not referenced may take the reference at its marks.
+    pub may_reference: bool,
+}
+
+impl Drawing {
+    /// A drawing from its beginning.
+    pub fn new(vertices: impl Into<Arc<[PathVertex]>>) -> Self {
+        let vertices = vertices.into();
+        Self {
+            number: super::job::path_number(super::job::path_hash(&vertices)),
+            vertices,
+            held: false,
+            may_reference: true,
         }
     }
 }
@@ -38,6 +114,8 @@ impl Default for JobOptions {
 pub enum Control {
     /// Decelerate on the path, lift the pen, wait.
     Hold,
+    /// The same as soon as the pen is up.
+    HoldAtPenUp,
     /// Go on.
     Resume,
     /// End the drawing, park, take the power.
@@ -68,6 +146,28 @@ pub enum JobEvent {
         /// Firmware time of the first sample after the gap, ms.
         t_ms: u32,
     },
+    /// A status has come.
+    Status(Arc<Status>),
+    /// Samples have come; only with [`JobOptions::forward_samples`].
+    Samples {
+        /// Samples that were lost right before these.
+        missing: u32,
+        /// One a millisecond, in order.
+        samples: Arc<[Sample]>,
+    },
+    /// A command of [`Job::command`](super::job::Job::command) was answered.
+    Told {
+        /// The command's number.
+        id: u16,
+        /// The command.
+        command: Command,
+        /// Accepted, or why not.
+        result: Result<(), Refusal>,
+    },
+    /// A question to the bus was answered; answers come in the order of the questions.
+    Bus(ServiceResult),
+    /// A question about the measurements was answered, in order as well.
+    Measured(MeasurementAnswer),
 }
 
 /// What a job leaves behind, also when it failed.
@@ -83,8 +183,12 @@ pub struct JobReport {
     pub link: SessionCounts,
     /// The last status, with the firmware's counters.
     pub status: Option<Status>,
+    /// The last status before the drawing began.
+    pub status_before: Option<Status>,
     /// How far the drawing came.
     pub progress: Progress,
-    /// Time from the accepted start to the end of the path, s.
+    /// Time from the accepted start to the end of the path, s, without the time in which it was held.
     pub drawn_s: f64,
+    /// Time in which the drawing was held, s.
+    pub held_s: f64,
 }

@@ -4,12 +4,12 @@ use super::super::bench::{Bench, path};
 use super::*;
 use etherpen::application::Fault;
 
-fn job(count: usize) -> DrawJob {
-    DrawJob::new(Config::default(), path(count), JobOptions::default())
+fn job(count: usize) -> Job {
+    Job::draw(Config::default(), path(count), JobOptions::default())
 }
 
 /// Runs until the job ends, with `at` called every millisecond before the job's step.
-fn run(bench: &mut Bench, job: &mut DrawJob, limit_ms: u64, mut at: impl FnMut(u64, &mut Bench, &mut DrawJob)) {
+fn run(bench: &mut Bench, job: &mut Job, limit_ms: u64, mut at: impl FnMut(u64, &mut Bench, &mut Job)) {
     for now_ms in 0..limit_ms {
         at(now_ms, bench, job);
         bench.step(now_ms, |arrived, room| {
@@ -24,7 +24,7 @@ fn run(bench: &mut Bench, job: &mut DrawJob, limit_ms: u64, mut at: impl FnMut(u
     panic!("still {} after {limit_ms} ms", job.phase());
 }
 
-fn events(job: &mut DrawJob) -> Vec<JobEvent> {
+fn events(job: &mut Job) -> Vec<JobEvent> {
     std::iter::from_fn(|| job.next_event()).collect()
 }
 
@@ -42,7 +42,9 @@ fn a_whole_drawing_ends_without_power_and_leaves_every_sample() {
     let expected = [
         Command::Reference,
         Command::Enable,
-        Command::Draw { job: 1 },
+        Command::Draw {
+            job: path_number(path_hash(&path(2_000))),
+        },
         Command::Disable,
     ];
     assert_eq!(bench.commands, expected);
@@ -113,7 +115,7 @@ fn a_fault_from_before_is_acknowledged_when_the_person_says_so() {
         acknowledge: true,
         ..JobOptions::default()
     };
-    let (mut bench, mut job) = (Bench::new(1, 0), DrawJob::new(Config::default(), path(10), options));
+    let (mut bench, mut job) = (Bench::new(1, 0), Job::draw(Config::default(), path(10), options));
     (bench.mode, bench.fault) = (Mode::Fault, Some(Fault::SlaveLost { slave: 0 }));
     run(&mut bench, &mut job, 5_000, |_, _, _| {});
     assert_eq!(job.outcome(), Some(&Ok(())));
@@ -192,9 +194,9 @@ fn a_drawing_that_another_program_ended_is_noticed() {
 fn hold_waits_without_a_limit_and_resume_completes() {
     let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
     run(&mut bench, &mut job, 60_000, |now_ms, bench, job| match now_ms {
-        500 => job.control(Control::Hold),
+        500 => drop(job.control(Control::Hold)),
         600..40_000 => assert_eq!(bench.mode, Mode::Holding),
-        40_000 => job.control(Control::Resume),
+        40_000 => drop(job.control(Control::Resume)),
         _ => {}
     });
     assert_eq!(job.outcome(), Some(&Ok(())));
@@ -207,10 +209,10 @@ fn stop_is_a_fault_and_an_operators_refused_command_is_only_told() {
     run(&mut bench, &mut job, 10_000, |now_ms, _, job| {
         match now_ms {
             // A resume is sent only to a robot that holds; a second hold is refused.
-            300 => job.control(Control::Resume),
-            310 => job.control(Control::Hold),
-            400 => job.control(Control::Hold),
-            500 => job.control(Control::Stop),
+            300 => drop(job.control(Control::Resume)),
+            310 => drop(job.control(Control::Hold)),
+            400 => drop(job.control(Control::Hold)),
+            500 => drop(job.control(Control::Stop)),
             _ => {}
         }
         let told = events(job);
@@ -236,7 +238,7 @@ fn a_silent_port_another_configuration_in_bounds_and_a_busy_robot_are_told() {
     assert_eq!(silent.outcome(), Some(&Err(JobError::NoAnswer { waited_ms: 5_001 })));
     let mut config = Config::default();
     config.axes[0].gear = 0.0;
-    let (mut bench, mut refused) = (Bench::new(1, 0), DrawJob::new(config, path(1), JobOptions::default()));
+    let (mut bench, mut refused) = (Bench::new(1, 0), Job::draw(config, path(1), JobOptions::default()));
     run(&mut bench, &mut refused, 1_000, |_, _, _| {});
     assert!(matches!(refused.outcome(), Some(Err(JobError::Config(_)))));
     let (mut bench, mut busy) = (Bench::new(1, 0), job(1));
@@ -312,7 +314,7 @@ fn a_drawing_left_behind_is_cancelled_when_the_person_says_so() {
         acknowledge: true,
         ..JobOptions::default()
     };
-    let (mut bench, mut job) = (Bench::new(1, 0), DrawJob::new(Config::default(), path(10), options));
+    let (mut bench, mut job) = (Bench::new(1, 0), Job::draw(Config::default(), path(10), options));
     (bench.mode, bench.referenced) = (Mode::Holding, true);
     run(&mut bench, &mut job, 10_000, |_, _, _| {});
     assert_eq!(bench.commands.first(), Some(&Command::Cancel));

@@ -1,0 +1,373 @@
+//! What a job waits for in each phase, and what ends a phase otherwise.
+
+use super::super::error::{JobError, Phase};
+use super::super::measurement::Reader;
+use super::super::terms::{Drawing, Motion, Ready, Task};
+use super::Job;
+use etherpen::application::Mode;
+use etherpen::link::protocol::Command;
+
+/// Longest silence of the firmware once connected, ms.
+pub const SILENCE_MAX_MS: u64 = 3_000;
+/// Longest wait for the bus, ms.
+pub const BUS_MAX_MS: u64 = 60_000;
+/// Longest wait for an answer, a reference, power or a standstill, ms.
+pub const STEP_MAX_MS: u64 = 15_000;
+/// Time between two inquiries while a mode is waited for, ms.
+const INQUIRE_MS: u64 = 250;
+/// Longest time at rest without the path's end before a drawing counts as ended early, ms.
+const EARLY_END_MS: u64 = 3_000;
+/// Longest wait for what the firmware says by itself after a greeting, ms: samples, and the state of a path.
+const ARRIVAL_MAX_MS: u64 = 500;
+/// Time between two repetitions of a jog, ms; less than half the firmware's dead-man time.
+const JOG_REPEAT_MS: u64 = 40;
+
+impl Job {
+    /// Notices a firmware that has fallen silent, with or without a task.
+    pub(super) fn watch_connection(&mut self) {
+        if self.phase == Phase::Connecting || self.broken.is_some() {
+            return;
+        }
+        if let Some(silent_ms) = self.session.silence_ms(self.now_ms).filter(|ms| *ms > SILENCE_MAX_MS) {
+            self.lose(JobError::LinkLost { silent_ms });
+        }
+    }
+
+    /// Whether an early end has to bring the robot to rest.
+    fn has_to_rest(&self) -> bool {
+        let touches = !matches!(self.task, Task::Look | Task::Tell(_));
+        touches && !matches!(self.phase, Phase::Inspecting | Phase::Resting)
+    }
+
+    /// Limits of time, and faults: what ends any phase.
+    pub(super) fn supervise(&mut self) {
+        let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
+        if self.phase == Phase::Connecting {
+            if self.ending.is_some() {
+                return self.fail(JobError::Cancelled);
+            }
+            if waited_ms > self.options.connect_max_ms {
+                self.lose(JobError::NoAnswer { waited_ms });
+            }
+            return;
+        }
+        if self.faulted() {
+            return;
+        }
+        if let Some(error) = self.ending
+            && self.phase != Phase::Resting
+        {
+            if !self.has_to_rest() {
+                return self.fail(error);
+            }
+            self.session.end_path();
+            self.enter(Phase::Resting);
+            return;
+        }
+        let limit_ms = match (self.phase, &self.task) {
+            (Phase::Drawing, _) => return,
+            (Phase::BusUp, _) => BUS_MAX_MS,
+            (Phase::Moving, Task::Motion(Motion::Jog { for_ms, .. })) => STEP_MAX_MS + u64::from(*for_ms),
+            _ => STEP_MAX_MS,
+        };
+        if waited_ms > limit_ms {
+            let late = JobError::Timeout {
+                phase: self.phase,
+                waited_ms,
+            };
+            let error = self.ending.take().unwrap_or(late);
+            if self.phase == Phase::Resting {
+                self.fail(error);
+            } else {
+                self.ending = Some(error);
+            }
+        }
+    }
+
+    /// Whether there is a fault that ends the task; it does once the robot stands.
+    fn faulted(&mut self) -> bool {
+        if matches!(self.task, Task::Look | Task::Rest | Task::Tell(_)) {
+            return false;
+        }
+        if self.options.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging) {
+            return false;
+        }
+        let Some(status) = self.status.as_ref().filter(|_| self.fresh) else {
+            return self.fault_since_ms.is_some();
+        };
+        let mode = status.mode;
+        let Some(fault) = status.fault else {
+            self.fault_since_ms = None;
+            return false;
+        };
+        let since_ms = *self.fault_since_ms.get_or_insert(self.now_ms);
+        if mode == Mode::Fault || self.now_ms.saturating_sub(since_ms) > STEP_MAX_MS {
+            let before = self.phase == Phase::Inspecting;
+            self.fail(JobError::Fault { fault, before });
+        }
+        true
+    }
+
+    pub(super) fn advance(&mut self) {
+        if self.phase == Phase::Connecting || self.fault_since_ms.is_some() {
+            return;
+        }
+        if self.now_ms.saturating_sub(self.inquired_ms) >= INQUIRE_MS && self.phase != Phase::Drawing {
+            self.inquired_ms = self.now_ms;
+            self.session.inquire();
+        }
+        if self.phase == Phase::Moving {
+            self.repeat_jog();
+        }
+        let Some(status) = self.status.as_ref().filter(|_| self.fresh) else {
+            return;
+        };
+        let (mode, referenced) = (status.mode, status.referenced);
+        match self.phase {
+            Phase::Connecting | Phase::Configuring => {}
+            Phase::Inspecting => self.inspect(mode),
+            Phase::Acknowledging => match mode {
+                Mode::Fault => self.request(Command::Acknowledge),
+                Mode::Drawing | Mode::Holding | Mode::Moving => self.request(Command::Cancel),
+                Mode::Stopping => {}
+                _ => self.enter(Phase::Inspecting),
+            },
+            Phase::Telling => self.tell(mode),
+            Phase::BusUp => {
+                if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
+                    self.ready(Ready::Bus, Phase::Referencing);
+                }
+            }
+            Phase::Referencing if referenced => self.ready(Ready::Referenced, Phase::Enabling),
+            Phase::Referencing => self.reference(),
+            Phase::Enabling if mode == Mode::Idle => self.ready(Ready::Enabled, Phase::Starting),
+            Phase::Enabling => self.request(Command::Enable),
+            Phase::Starting => match &self.task {
+                Task::Draw(drawing) if drawing.held => self.request(Command::Resume),
+                Task::Draw(drawing) => {
+                    let job = drawing.number;
+                    self.request(Command::Draw { job });
+                }
+                _ => self.enter(Phase::Moving),
+            },
+            Phase::Moving => self.watch_motion(mode),
+            Phase::Drawing => self.watch_drawing(mode),
+            Phase::Resting => self.rest(mode),
+        }
+    }
+
+    fn inspect(&mut self, mode: Mode) {
+        let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
+        match &self.task {
+            Task::Look if self.sample.is_some() || waited_ms > ARRIVAL_MAX_MS => return self.succeed(),
+            Task::Look => return,
+            Task::Tell(_) => return self.enter(Phase::Telling),
+            Task::Rest => {
+                self.ending = Some(JobError::Cancelled);
+                return self.enter(Phase::Resting);
+            }
+            Task::Draw(drawing) if drawing.held => {
+                let drawing = drawing.clone();
+                return self.take_up(mode, &drawing, waited_ms);
+            }
+            Task::Prepare(_) | Task::Motion(_) | Task::Draw(_) => {}
+        }
+        let busy = matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping);
+        if busy && !self.options.acknowledge {
+            return self.fail(JobError::Busy(mode));
+        }
+        if busy || mode == Mode::Fault {
+            return self.enter(Phase::Acknowledging);
+        }
+        self.found_powered = matches!(mode, Mode::Idle | Mode::Unreferenced);
+        let in_force = self.status.as_ref().and_then(|status| status.config);
+        if in_force.is_some() && in_force == self.config.hash() {
+            return self.enter(Phase::BusUp);
+        }
+        self.enter(Phase::Configuring);
+        self.session.configure(self.config.clone());
+    }
+
+    /// Takes up a drawing that the firmware holds since another connection, if it is this one.
+    fn take_up(&mut self, mode: Mode, drawing: &Drawing, waited_ms: u64) {
+        let in_force = self.status.as_ref().and_then(|status| status.config);
+        let held = self
+            .session
+            .held_path()
+            .filter(|ack| ack.job == drawing.number && ack.next as usize <= drawing.vertices.len());
+        match (mode, held) {
+            (_, None) if waited_ms <= ARRIVAL_MAX_MS => {}
+            (Mode::Stopping, _) => {}
+            (_, Some(_)) if in_force != self.config.hash() => self.fail(JobError::ConfigHash {
+                ours: self.config.hash(),
+                firmware: in_force.unwrap_or_default(),
+            }),
+            (Mode::Holding, Some(_)) => self.enter(Phase::Starting),
+            (Mode::Drawing, Some(_)) => {
+                self.status_before = self.status.clone();
+                self.start_path();
+            }
+            // Everything was on its way when the line broke.
+            (Mode::Idle, Some(ack)) if ack.finished => {
+                self.ack = *ack;
+                self.enter(Phase::Resting);
+            }
+            _ => self.fail(JobError::NotHeld(mode)),
+        }
+    }
+
+    /// The machine is as ready as `ready`: done, or on to the next phase.
+    fn ready(&mut self, ready: Ready, next: Phase) {
+        match self.task {
+            Task::Prepare(wanted) if wanted <= ready => self.succeed(),
+            _ => self.enter(next),
+        }
+    }
+
+    fn reference(&mut self) {
+        match &self.task {
+            Task::Draw(drawing) if !drawing.may_reference => {
+                self.ending.get_or_insert(JobError::NotReferenced);
+            }
+            _ => self.request(Command::Reference),
+        }
+    }
+
+    /// Waits for what a command brings about.
+    fn tell(&mut self, mode: Mode) {
+        let Task::Tell(command) = self.task else { return };
+        if !self.accepted {
+            return self.request(command);
+        }
+        let under_way = match command {
+            Command::Acknowledge => mode == Mode::Fault,
+            Command::Enable => mode == Mode::DrivesOff,
+            Command::Disable | Command::Cancel => {
+                matches!(mode, Mode::Stopping | Mode::Drawing | Mode::Holding | Mode::Moving)
+            }
+            Command::Move { .. } | Command::Pen { .. } => mode == Mode::Moving,
+            _ => false,
+        };
+        match self.status.as_ref().and_then(|status| status.fault) {
+            _ if !under_way => self.succeed(),
+            // The firmware gives its recovery up before this job does.
+            Some(fault) if self.now_ms.saturating_sub(self.entered_ms) > STEP_MAX_MS - INQUIRE_MS => {
+                self.fail(JobError::Fault { fault, before: true });
+            }
+            _ => {}
+        }
+    }
+
+    /// Repeats a jog within the firmware's dead-man time until its time is over.
+    fn repeat_jog(&mut self) {
+        let Task::Motion(Motion::Jog { velocity_mm_s, for_ms }) = self.task else {
+            return;
+        };
+        let over = self.now_ms.saturating_sub(self.entered_ms) >= u64::from(for_ms);
+        if self.awaited.is_some() || self.now_ms < self.retry_ms || self.ending.is_some() {
+            return;
+        }
+        if !over {
+            self.retry_ms = self.now_ms + JOG_REPEAT_MS;
+            self.awaited = Some(self.session.command(Command::Jog { velocity_mm_s }));
+        } else if !self.found_still() {
+            self.awaited = Some(self.session.command(Command::Jog {
+                velocity_mm_s: [0.0; 3],
+            }));
+            self.retry_ms = u64::MAX;
+        }
+    }
+
+    /// Whether the robot is known to stand.
+    fn found_still(&self) -> bool {
+        let status = self.status.as_ref().filter(|_| self.fresh);
+        status.is_some_and(|status| status.mode == Mode::Idle)
+    }
+
+    fn watch_motion(&mut self, mode: Mode) {
+        let Task::Motion(motion) = self.task else { return };
+        let done = match motion {
+            Motion::Move(position) => {
+                self.request(Command::Move { position });
+                self.accepted
+            }
+            Motion::Pen(pen) => {
+                self.request(Command::Pen { pen });
+                self.accepted
+            }
+            Motion::Jog { for_ms, .. } => self.now_ms.saturating_sub(self.entered_ms) >= u64::from(for_ms),
+        };
+        if done && mode == Mode::Idle && self.awaited.is_none() && self.fresh {
+            self.enter(Phase::Resting);
+        }
+    }
+
+    fn watch_drawing(&mut self, mode: Mode) {
+        let Task::Draw(drawing) = &self.task else { return };
+        if self.ack.finished && mode != Mode::Holding {
+            return self.enter(Phase::Resting);
+        }
+        if !matches!(mode, Mode::Idle | Mode::DrivesOff | Mode::Unreferenced) {
+            self.over_since_ms = None;
+            return;
+        }
+        let since_ms = *self.over_since_ms.get_or_insert(self.now_ms);
+        if self.now_ms.saturating_sub(since_ms) > EARLY_END_MS {
+            self.ending.get_or_insert(JobError::EndedEarly {
+                executed: self.ack.executed,
+                total: drawing.vertices.len(),
+            });
+        }
+    }
+
+    /// Whether the drives keep their power when the task ends.
+    fn keeps_power(&self) -> bool {
+        self.found_powered && !matches!(self.task, Task::Draw(_))
+    }
+
+    /// Brings the robot to rest, without power unless it had some before, whatever it does now.
+    fn rest(&mut self, mode: Mode) {
+        match mode {
+            Mode::Drawing | Mode::Holding | Mode::Moving if self.ending.is_some() => {
+                self.request(Command::Cancel);
+            }
+            Mode::Idle | Mode::Unreferenced if self.keeps_power() => self.end(),
+            Mode::Idle | Mode::Unreferenced => {
+                self.accepted = false;
+                self.request(Command::Disable);
+            }
+            // Power may still be on its way; the firmware accepts this only when it is not.
+            Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
+            Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
+                if self.ending.is_some() || !matches!(self.task, Task::Draw(_)) || self.measured() {
+                    self.end();
+                }
+            }
+            Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Stopping => {}
+        }
+    }
+
+    fn end(&mut self) {
+        let result = self.ending.take().map_or(Ok(()), Err);
+        self.outcome.get_or_insert(result);
+    }
+
+    /// Whether the measurements have been read; asks for them if not.
+    fn measured(&mut self) -> bool {
+        if self.reader.is_none() {
+            let reader = Reader::new();
+            if let Some(request) = reader.request() {
+                self.own_question(request);
+            }
+            self.reader = Some(reader);
+        }
+        self.reader.as_ref().is_none_or(|reader| reader.request().is_none())
+    }
+
+    /// Makes the phase's request unless it is under way or was accepted.
+    fn request(&mut self, command: Command) {
+        if self.awaited.is_none() && !self.accepted && self.now_ms >= self.retry_ms {
+            self.awaited = Some(self.session.command(command));
+        }
+    }
+}

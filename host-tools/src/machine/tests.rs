@@ -1,0 +1,152 @@
+//! A machine over a socket against the bench that answers as the firmware does.
+
+use super::*;
+use crate::link::bench::{Bench, path, serve};
+use crate::link::job::Drawing;
+use etherpen::application::Mode;
+use std::os::unix::net::UnixListener;
+use std::path::PathBuf;
+
+/// Longest wait for anything; what is tested does not depend on it.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A port at which one bench after the other answers, each until its line is cut.
+struct Place(PathBuf, UnixListener);
+
+impl Place {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("etherpen-machine-{name}-{}", std::process::id()));
+        // A test before may have been killed.
+        let _ = std::fs::remove_file(&path);
+        let listener = UnixListener::bind(&path).expect("the socket can be made");
+        Self(path, listener)
+    }
+
+    fn start(&self) -> Machine {
+        let options = MachineOptions::default();
+        Machine::start(PortName::Unix(self.0.clone()), Config::default(), options).expect("somebody listens")
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+fn wait(news: &Subscription, mut wanted: impl FnMut(&News) -> bool) {
+    loop {
+        let next = news.next_within(PATIENCE).expect("the machine has something to say");
+        if wanted(&next) {
+            return;
+        }
+    }
+}
+
+fn draw(count: usize) -> Order {
+    Order::Draw(DrawOrder {
+        drawing: Drawing::new(path(count)),
+        name: "a path".into(),
+        keep_samples: true,
+    })
+}
+
+#[test]
+fn a_drawing_is_drawn_while_others_watch_ask_and_hold() {
+    let place = Place::new("draw");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let (news, slow) = (machine.subscribe(10_000), machine.subscribe(2));
+    let drawn = machine.order(draw(300));
+    assert!(
+        machine.carry_out(Order::Prepare(Ready::Enabled)).is_err(),
+        "one task at a time"
+    );
+    wait(
+        &news,
+        |news| matches!(news, News::Progress(progress) if progress.vertices > 20),
+    );
+    assert_eq!(machine.carry_out(Order::Hold), Ok(Reply::Done));
+    wait(
+        &news,
+        |news| matches!(news, News::Status(status) if status.mode == Mode::Holding),
+    );
+    assert!(machine.carry_out(Order::Hold).is_err(), "it holds already");
+    assert!(matches!(
+        machine.carry_out(Order::Bus(ServiceRequest::Bus)),
+        Ok(Reply::Bus(Ok(_)))
+    ));
+    assert_eq!(machine.carry_out(Order::Resume), Ok(Reply::Done));
+    assert_eq!(drawn.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
+    let mut report = None;
+    wait(&news, |news| match news {
+        News::Ended { report: ended, .. } => {
+            report = ended.clone();
+            true
+        }
+        _ => false,
+    });
+    let report = report.expect("a drawing leaves a report");
+    assert!(report.samples.len() >= 300 && report.held_s > 0.0);
+    assert_eq!(report.progress.vertices, 300);
+    assert!(slow.take_lost() > 0);
+    drop(machine);
+    firmware.join().unwrap();
+}
+
+#[test]
+fn a_broken_line_is_told_and_the_drawing_goes_on_by_an_order_only() {
+    let place = Place::new("broken");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let news = machine.subscribe(10_000);
+    let (cut, until_cut) = (stream.try_clone().unwrap(), stream);
+    let mut bench = Bench::new(1, 0);
+    let firmware = std::thread::spawn(move || {
+        serve(&mut bench, &until_cut);
+        bench
+    });
+    let drawn = machine.order(draw(500));
+    wait(
+        &news,
+        |news| matches!(news, News::Progress(progress) if progress.vertices > 50),
+    );
+    cut.shutdown(std::net::Shutdown::Both).unwrap();
+    let mut bench = firmware.join().unwrap();
+    wait(&news, |news| matches!(news, News::Lost(_)));
+    let stream = place.1.accept().unwrap().0;
+    let firmware = std::thread::spawn(move || {
+        serve(&mut bench, &stream);
+        bench
+    });
+    wait(
+        &news,
+        |news| matches!(news, News::Status(status) if status.mode == Mode::Holding),
+    );
+    assert!(machine.snapshot().interrupted);
+    assert_eq!(machine.carry_out(Order::Resume), Ok(Reply::Done));
+    assert_eq!(drawn.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
+    drop(machine);
+    let bench = firmware.join().unwrap();
+    assert_eq!(bench.vertices, path(500));
+    let draws = bench
+        .commands
+        .iter()
+        .filter(|command| matches!(command, Command::Draw { .. }));
+    assert_eq!(draws.count(), 1, "the drawing was begun once");
+}
+
+#[test]
+fn a_machine_that_cannot_be_opened_is_an_error_or_waited_for() {
+    let absent = PortName::Unix("/absent/socket".into());
+    assert!(Machine::start(absent.clone(), Config::default(), MachineOptions::default()).is_err());
+    let patient = MachineOptions {
+        patient: true,
+        ..MachineOptions::default()
+    };
+    let machine = Machine::start(absent, Config::default(), patient).unwrap();
+    let news = machine.subscribe(10);
+    wait(&news, |news| matches!(news, News::Reconnecting { .. }));
+    let refused = machine.carry_out(Order::Stop).unwrap_err();
+    assert_eq!(refused.code, crate::commands::code::CONNECTION);
+    assert!(refused.text.contains("etherpen emulate"), "{refused}");
+}

@@ -1,0 +1,441 @@
+//! What the machine's thread does with orders and events, without clock, port or thread.
+//!
+//! Invariants: every order gets exactly one answer; a broken connection ends every order but a drawing that the firmware
+//! may hold, which goes on with an order and with nothing else.
+
+use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
+use crate::commands::code;
+use crate::link::error::{JobError, Phase};
+use crate::link::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Task};
+use etherpen::application::{Mode, Refusal};
+use etherpen::config::Config;
+use etherpen::ethercat::service::ServiceResult;
+use etherpen::link::protocol::{Command, Sample};
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+
+/// Time between two reports of progress, ms.
+const PROGRESS_MS: u64 = 100;
+
+/// A task that was ordered.
+struct Active {
+    reply: Sender<Answer>,
+    /// What a drawing needs to go on.
+    drawing: Option<Underway>,
+}
+
+/// A drawing, across connections.
+struct Underway {
+    order: DrawOrder,
+    /// Whether the connection broke while the firmware had it.
+    interrupted: bool,
+    samples: Vec<Sample>,
+    /// Reports of the connections before.
+    before: Option<JobReport>,
+}
+
+/// Jogs are coalesced: one is under way, the newest one waits.
+#[derive(Default)]
+struct Jogging {
+    under_way: Option<u16>,
+    next: Option<[f32; 3]>,
+}
+
+/// The machine's orders and its connection.
+pub(super) struct Work {
+    config: Config,
+    options: MachineOptions,
+    shared: Arc<Shared>,
+    job: Option<Job>,
+    active: Option<Active>,
+    told: HashMap<u16, Sender<Answer>>,
+    asked: VecDeque<Sender<Answer>>,
+    measured: VecDeque<Sender<Answer>>,
+    jogging: Jogging,
+    shown_ms: u64,
+}
+
+impl Work {
+    pub(super) fn new(config: Config, options: MachineOptions, shared: Arc<Shared>) -> Self {
+        Self {
+            config,
+            options,
+            shared,
+            job: None,
+            active: None,
+            told: HashMap::new(),
+            asked: VecDeque::new(),
+            measured: VecDeque::new(),
+            jogging: Jogging::default(),
+            shown_ms: 0,
+        }
+    }
+
+    /// A port is open: greets the firmware. The time of [`step`](Self::step) begins anew.
+    pub(super) fn connect(&mut self, session: u32) {
+        let options = JobOptions {
+            session,
+            acknowledge: self.options.acknowledge,
+            forward_samples: true,
+            ..JobOptions::default()
+        };
+        self.job = Some(Job::new(self.config.clone(), Task::Look, options));
+        self.shown_ms = 0;
+    }
+
+    /// Whether the firmware has answered.
+    pub(super) fn is_connected(&self) -> bool {
+        self.job.as_ref().is_some_and(|job| job.phase() != Phase::Connecting)
+    }
+
+    /// Why there is no connection any more.
+    pub(super) fn broken(&self) -> Option<&JobError> {
+        self.job.as_ref().and_then(Job::broken)
+    }
+
+    /// The connection has broken.
+    pub(super) fn lose(&mut self, why: &Failure) {
+        let job = self.job.take();
+        self.jogging = Jogging::default();
+        let orders = self.told.drain().map(|(_, reply)| reply);
+        for reply in orders.chain(self.asked.drain(..)).chain(self.measured.drain(..)) {
+            // Who gave the order may have gone.
+            let _ = reply.send(Err(why.clone()));
+        }
+        let had_begun = job.as_ref().is_some_and(|job| job.phase() == Phase::Drawing);
+        if let Some(mut active) = self.active.take() {
+            match &mut active.drawing {
+                Some(underway) if had_begun || underway.interrupted => {
+                    underway.interrupted = true;
+                    if let Some(mut job) = job {
+                        underway.before = Some(merged(underway.before.take(), job.take_report()));
+                    }
+                    self.active = Some(active);
+                }
+                _ => {
+                    let report = job.map(|mut job| job.take_report());
+                    finish(&self.shared, active, Err(why.clone()), report);
+                }
+            }
+        }
+        let interrupted = self.is_interrupted();
+        self.shared.change(|snapshot| {
+            snapshot.welcome = None;
+            snapshot.lost = Some(why.clone());
+            snapshot.phase = None;
+            snapshot.interrupted = interrupted;
+        });
+        self.shared.publish(News::Lost(why.clone()));
+    }
+
+    fn underway(&mut self) -> Option<&mut Underway> {
+        self.active.as_mut().and_then(|active| active.drawing.as_mut())
+    }
+
+    fn is_interrupted(&self) -> bool {
+        let drawing = self.active.as_ref().and_then(|active| active.drawing.as_ref());
+        drawing.is_some_and(|underway| underway.interrupted)
+    }
+
+    /// Answers an order that comes while there is no connection.
+    pub(super) fn refuse(&mut self, order: Order, reply: &Sender<Answer>, why: &Failure) {
+        let ended = match order {
+            Order::Cancel => self.active.take(),
+            _ => None,
+        };
+        if let Some(active) = ended {
+            finish(&self.shared, active, Err(why.clone()), None);
+        }
+        let _ = reply.send(Err(why.clone()));
+    }
+
+    /// Takes an order.
+    pub(super) fn order(&mut self, order: Order, reply: Sender<Answer>) {
+        let Some(job) = &mut self.job else {
+            let why = Failure::new(code::CONNECTION, "there is no connection to the machine");
+            return self.refuse(order, &reply, &why);
+        };
+        match order {
+            Order::Tell(Command::Stop) | Order::Stop => self.stop(reply),
+            Order::Tell(command) => {
+                let id = job.command(command);
+                self.told.insert(id, reply);
+            }
+            Order::Hold => self.control(Control::Hold, reply),
+            Order::HoldAtPenUp => self.control(Control::HoldAtPenUp, reply),
+            Order::Resume => self.resume(reply),
+            Order::Cancel => self.cancel(reply),
+            Order::Override(percent) => self.control(Control::Override(percent), reply),
+            Order::Jog(velocity_mm_s) => self.jog(velocity_mm_s, reply),
+            Order::Prepare(ready) => self.begin(Task::Prepare(ready), None, reply),
+            Order::Motion(motion) => self.begin(Task::Motion(motion), None, reply),
+            Order::Draw(order) => self.begin(Task::Draw(order.drawing.clone()), Some(order), reply),
+            Order::Bus(request) => {
+                job.bus(request);
+                self.asked.push_back(reply);
+            }
+            Order::Measure(request) => {
+                job.question(request);
+                self.measured.push_back(reply);
+            }
+        }
+    }
+
+    fn begin(&mut self, task: Task, order: Option<DrawOrder>, reply: Sender<Answer>) {
+        let Some(job) = &mut self.job else { return };
+        if self.active.is_some() {
+            let busy = "the machine is at work for another order; wait for it, or end it (etherpen cancel)";
+            let _ = reply.send(Err(Failure::new(code::FAILED, busy)));
+            return;
+        }
+        job.begin(task);
+        if let Some(order) = &order {
+            self.shared.publish(News::Begun {
+                name: order.name.clone(),
+                drawing: order.drawing.clone(),
+            });
+        }
+        let name = order.as_ref().map(|order| order.name.clone());
+        self.shared.change(|snapshot| {
+            snapshot.drawing = name;
+            snapshot.progress = None;
+        });
+        let drawing = order.map(|order| Underway {
+            order,
+            interrupted: false,
+            samples: Vec::new(),
+            before: None,
+        });
+        self.active = Some(Active { reply, drawing });
+    }
+
+    fn control(&mut self, control: Control, reply: Sender<Answer>) {
+        let Some(job) = &mut self.job else { return };
+        match job.control(control) {
+            Some(id) => drop(self.told.insert(id, reply)),
+            None => drop(reply.send(Ok(Reply::Done))),
+        }
+    }
+
+    fn stop(&mut self, reply: Sender<Answer>) {
+        let Some(job) = &mut self.job else { return };
+        let id = job.command(Command::Stop);
+        let overtaken = Failure::new(code::FAILED, "a stop has overtaken it");
+        for (_, reply) in self.told.drain() {
+            let _ = reply.send(Err(overtaken.clone()));
+        }
+        self.jogging = Jogging::default();
+        self.told.insert(id, reply);
+    }
+
+    /// Goes on with what is held; a drawing of a connection before is streamed again from where the firmware wants it.
+    fn resume(&mut self, reply: Sender<Answer>) {
+        let (Some(job), Some(active)) = (&mut self.job, &mut self.active) else {
+            return self.tell(Command::Resume, reply);
+        };
+        let Some(underway) = active.drawing.as_mut().filter(|underway| underway.interrupted) else {
+            return self.tell(Command::Resume, reply);
+        };
+        underway.interrupted = false;
+        let drawing = Drawing {
+            held: true,
+            ..underway.order.drawing.clone()
+        };
+        job.begin(Task::Draw(drawing.clone()));
+        self.shared.publish(News::Begun {
+            name: underway.order.name.clone(),
+            drawing,
+        });
+        self.shared.change(|snapshot| snapshot.interrupted = false);
+        let _ = reply.send(Ok(Reply::Done));
+    }
+
+    fn tell(&mut self, command: Command, reply: Sender<Answer>) {
+        if let Some(job) = &mut self.job {
+            let id = job.command(command);
+            self.told.insert(id, reply);
+        }
+    }
+
+    fn cancel(&mut self, reply: Sender<Answer>) {
+        let interrupted = self.is_interrupted();
+        let Some(job) = &mut self.job else { return };
+        if !interrupted {
+            return self.control(Control::Cancel, reply);
+        }
+        job.begin(Task::Rest);
+        if let Some(underway) = self.underway() {
+            underway.interrupted = false;
+        }
+        self.shared.change(|snapshot| snapshot.interrupted = false);
+        let _ = reply.send(Ok(Reply::Done));
+    }
+
+    fn jog(&mut self, velocity_mm_s: [f32; 3], reply: Sender<Answer>) {
+        let Some(job) = &mut self.job else { return };
+        if self.active.is_some() {
+            let busy = "the machine is at work for another order; wait for it, or end it (etherpen cancel)";
+            let _ = reply.send(Err(Failure::new(code::FAILED, busy)));
+        } else if self.jogging.under_way.is_some() {
+            self.jogging.next = Some(velocity_mm_s);
+            let _ = reply.send(Ok(Reply::Done));
+        } else {
+            let id = job.command(Command::Jog { velocity_mm_s });
+            self.jogging.under_way = Some(id);
+            self.told.insert(id, reply);
+        }
+    }
+
+    /// One millisecond or so of the connection.
+    pub(super) fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
+        let Some(job) = &mut self.job else { return };
+        job.step(now_ms, incoming, outgoing, room);
+        while let Some(event) = self.job.as_mut().and_then(Job::next_event) {
+            self.take(event);
+        }
+        self.show(now_ms);
+        self.end_task();
+    }
+
+    fn take(&mut self, event: JobEvent) {
+        match event {
+            JobEvent::Connected(welcome) => {
+                self.shared.change(|snapshot| {
+                    snapshot.welcome = Some(welcome.clone());
+                    snapshot.lost = None;
+                });
+                self.shared.publish(News::Connected(welcome));
+            }
+            JobEvent::Status(status) => {
+                self.keep_held(status.mode);
+                self.shared.change(|snapshot| snapshot.status = Some((*status).clone()));
+                self.shared.publish(News::Status(status));
+            }
+            JobEvent::Samples { missing, samples } => {
+                let last = samples.last().copied();
+                self.shared
+                    .change(|snapshot| snapshot.sample = last.or(snapshot.sample));
+                if let Some(underway) = self.underway().filter(|underway| underway.order.keep_samples) {
+                    underway.samples.extend_from_slice(&samples);
+                }
+                self.shared.publish(News::Samples { missing, samples });
+            }
+            JobEvent::Told { id, command, result } => self.answer(id, command, result),
+            JobEvent::Bus(result) => self.answer_bus(result),
+            JobEvent::Measured(answer) => {
+                if let Some(reply) = self.measured.pop_front() {
+                    let _ = reply.send(Ok(Reply::Measured(answer)));
+                }
+            }
+            other => self.shared.publish(News::Job(other)),
+        }
+    }
+
+    /// A drawing that still runs on what the firmware had when the line broke is held: it goes on by an order only.
+    fn keep_held(&mut self, mode: Mode) {
+        let looking = self.job.as_ref().is_some_and(|job| job.phase() == Phase::Inspecting);
+        if self.is_interrupted()
+            && looking
+            && mode == Mode::Drawing
+            && let Some(job) = &mut self.job
+        {
+            job.command(Command::Hold);
+        }
+    }
+
+    fn answer(&mut self, id: u16, command: Command, result: Result<(), Refusal>) {
+        if self.jogging.under_way == Some(id) {
+            self.jogging.under_way = None;
+            if let (Some(velocity_mm_s), Some(job)) = (self.jogging.next.take(), &mut self.job) {
+                self.jogging.under_way = Some(job.command(Command::Jog { velocity_mm_s }));
+            }
+        }
+        let Some(reply) = self.told.remove(&id) else { return };
+        let answer = result.map(|()| Reply::Done).map_err(|refusal| {
+            let error = JobError::Refused(command, refusal);
+            Failure::from(&error)
+        });
+        let _ = reply.send(answer);
+    }
+
+    fn answer_bus(&mut self, result: ServiceResult) {
+        let Some(reply) = self.asked.pop_front() else { return };
+        let _ = reply.send(Ok(Reply::Bus(result)));
+    }
+
+    /// Shows how far a drawing is.
+    fn show(&mut self, now_ms: u64) {
+        let drawing = self.active.as_ref().is_some_and(|active| active.drawing.is_some());
+        let Some(job) = &self.job else { return };
+        let over = job.outcome().is_some();
+        if !over && now_ms.saturating_sub(self.shown_ms) < PROGRESS_MS {
+            return;
+        }
+        self.shown_ms = now_ms;
+        let phase = (!over).then(|| job.phase().to_string());
+        let progress = (drawing && matches!(job.task(), Task::Draw(_))).then(|| job.progress());
+        self.shared.change(|snapshot| {
+            snapshot.phase = phase;
+            snapshot.progress = progress.or(snapshot.progress);
+        });
+        if let Some(progress) = progress {
+            self.shared.publish(News::Progress(progress));
+        }
+    }
+
+    /// Answers the task's order when it has ended; an interrupted drawing waits.
+    fn end_task(&mut self) {
+        if self.is_interrupted() {
+            return;
+        }
+        let Some(job) = &mut self.job else { return };
+        let Some(outcome) = job.outcome().copied() else { return };
+        // A broken connection is told by its loss, which knows what the port says.
+        if job.broken().is_some() {
+            return;
+        }
+        let Some(active) = self.active.take() else { return };
+        let result = outcome.map_err(|error| Failure::from(&error));
+        let report = active.drawing.is_some().then(|| job.take_report());
+        self.shared.change(|snapshot| {
+            snapshot.phase = None;
+            snapshot.drawing = None;
+        });
+        finish(&self.shared, active, result, report);
+    }
+}
+
+/// Answers a task's order and tells everybody.
+fn finish(shared: &Shared, active: Active, result: Result<(), Failure>, report: Option<JobReport>) {
+    let report = active.drawing.map(|mut underway| {
+        let last = report.unwrap_or_default();
+        let mut report = merged(underway.before.take(), last);
+        report.samples = std::mem::take(&mut underway.samples);
+        Arc::new(report)
+    });
+    shared.publish(News::Ended {
+        result: result.clone(),
+        report,
+    });
+    let _ = active.reply.send(result.map(|()| Reply::Done));
+}
+
+/// One report of a drawing that went over several connections.
+fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
+    let Some(before) = before else { return last };
+    let mut progress = last.progress;
+    if progress.vertices_total == 0 {
+        progress = before.progress;
+    }
+    progress.elapsed_s = before.drawn_s + last.drawn_s;
+    JobReport {
+        progress,
+        drawn_s: before.drawn_s + last.drawn_s,
+        held_s: before.held_s + last.held_s,
+        welcome: last.welcome.or(before.welcome),
+        status: last.status.or(before.status),
+        status_before: before.status_before.or(last.status_before),
+        ..last
+    }
+}
