@@ -3,8 +3,8 @@
 
 use clap::Parser;
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, doctor, draw, emulate, flash, identify, kinematics, plan, reference, segment,
-    simulate, verify,
+    self, CommandError, bench, bus, demo, doctor, draw, emulate, flash, identify, kinematics, order, plan, preview,
+    reference, segment, simulate, vectorize, verify,
 };
 use std::process::ExitCode;
 
@@ -39,6 +39,10 @@ enum Subcommand {
     Flash(flash::Arguments),
     /// Turn positions into arm angles and back.
     Kinematics(kinematics::Arguments),
+    /// Put the lines of an SVG into an order that costs little drawing time; true scale, no line lost.
+    Order(order::Arguments),
+    /// Show how a file would be drawn: order, ways with the pen up, what is refused, time from the firmware's planner.
+    Preview(preview::Arguments),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
     /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
@@ -49,6 +53,8 @@ enum Subcommand {
     Segment(segment::Arguments),
     /// Draw a file in virtual time in this process, with the same tasks and the same cell.
     Simulate(simulate::Arguments),
+    /// Turn a photograph into the lines of an SVG.
+    Vectorize(vectorize::Arguments),
     /// Set up, format, lint, test and build everything, as continuous integration does.
     Verify(verify::Arguments),
 }
@@ -63,11 +69,14 @@ fn main() -> ExitCode {
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
         Subcommand::Flash(arguments) => flash::run(&arguments),
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
+        Subcommand::Order(arguments) => order::run(&arguments),
+        Subcommand::Preview(arguments) => preview::run(&arguments),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),
         Subcommand::Reference(arguments) => reference::run(&arguments),
         Subcommand::Segment(arguments) => segment::run(&arguments),
         Subcommand::Simulate(arguments) => simulate::run(&arguments),
+        Subcommand::Vectorize(arguments) => vectorize::run(&arguments),
         Subcommand::Verify(arguments) => verify::run(&arguments),
     };
     match result {

@@ -2,7 +2,7 @@
 
 use super::display::Display;
 use super::outputs::{create, make_folder, summarise};
-use super::prepare::prepare;
+use super::prepare::prepare_with;
 use super::run::{capture, conclude, image_hash, run_error, task};
 use super::{CommandError, DrawingArguments};
 use crate::emulator::LogLine;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// Options of `etherpen demo`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG) or CSV to draw; without it the bundled portrait. Results go to target/demo, or to --out.
+    /// Photograph (PNG, JPEG), vectors (SVG) or CSV to draw; without it the bundled portrait. Results go to target/demo, or to --out.
     #[arg(long, value_name = "FILE")]
     photo: Option<PathBuf>,
     #[command(flatten)]
@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .clone()
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
     eprintln!("Vectorising {}", photo.display());
-    let prepared = prepare(&photo, &config)?;
+    let prepared = prepare_with(&photo, &config, &arguments.drawing.source)?;
     setup::ensure_qemu()?;
     make_folder(&dir)?;
     eprintln!("Building the firmware for the emulated board");

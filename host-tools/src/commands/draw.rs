@@ -2,7 +2,7 @@
 
 use super::display::Display;
 use super::outputs::{Outcome, make_folder, summarise};
-use super::prepare::{planned_s, prepare, to_wire};
+use super::prepare::{planned_s, prepare_with, to_wire};
 use super::{CommandError, DrawingArguments, code, job_error, session_number};
 use crate::link::job::{Control, Job, JobOptions};
 use crate::link::port::{Port, PortName, RunError, run_job};
@@ -16,7 +16,7 @@ use std::sync::mpsc::{self, Receiver};
 /// Options of `etherpen draw`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG) or CSV to draw.
+    /// Photograph (PNG, JPEG), vectors (SVG) or CSV to draw; - reads it from standard input.
     file: PathBuf,
     /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]
@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .port
         .parse()
         .map_err(|cause| CommandError::new(code::USAGE, cause))?;
-    let prepared = prepare(&arguments.file, &config)?;
+    let prepared = prepare_with(&arguments.file, &config, &arguments.drawing.source)?;
     if let Some(dir) = &arguments.drawing.out {
         make_folder(dir)?;
     }

@@ -14,13 +14,17 @@ pub mod flash;
 pub mod identify;
 pub mod kinematics;
 mod latency;
+pub mod order;
 mod outputs;
 pub mod plan;
 pub mod prepare;
+pub mod preview;
 pub mod reference;
 pub mod run;
 pub mod segment;
 pub mod simulate;
+pub mod source;
+pub mod vectorize;
 pub mod verify;
 
 use crate::link::error::JobError;
@@ -102,6 +106,9 @@ pub struct DrawingArguments {
     /// The configuration.
     #[command(flatten)]
     pub config: ConfigArguments,
+    /// How the file becomes strokes.
+    #[command(flatten)]
+    pub source: source::SourceArguments,
 }
 
 impl ConfigArguments {

@@ -1,6 +1,7 @@
 //! `etherpen plan`: a path through the firmware's planner, with its duration, peaks, violations and references.
 
-use super::prepare::prepare;
+use super::prepare::{prepare_with, unusable};
+use super::source::SourceArguments;
 use super::{CommandError, ConfigArguments, code, print_json};
 use crate::drawing::{Input, Path3d, load};
 use crate::link::text;
@@ -31,7 +32,7 @@ const LIMIT_MAX: f64 = 1.0e12;
 /// what exceeds a limit by more than a thousandth is a violation.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// CSV of coordinates, or a photograph (PNG, JPEG).
+    /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG).
     file: PathBuf,
     /// Print the findings as JSON on stdout.
     #[arg(long)]
@@ -43,6 +44,8 @@ pub struct Arguments {
     config: ConfigArguments,
     #[command(flatten)]
     limits: LimitArguments,
+    #[command(flatten)]
+    source: SourceArguments,
 }
 
 /// Limits given by hand; they override the configuration, and its bounds too: nothing moves.
@@ -118,7 +121,7 @@ struct Answer {
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
-    let (path, vertices_merged) = read(&arguments.file, &config)?;
+    let (path, vertices_merged) = read(&arguments.file, &config, &arguments.source)?;
     let mut table = arguments.samples.as_deref().map(Table::new).transpose()?;
     let mut analysis = None;
     let mut failed = None;
@@ -130,7 +133,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             failed.get_or_insert(cause);
         }
     })
-    .map_err(|cause| refused(&arguments.file, &cause))?;
+    .map_err(|cause| unusable(&arguments.file, &cause))?;
     if let (Some(cause), Some(file)) = (
         failed.or(table.and_then(|table| table.finish().err())),
         &arguments.samples,
@@ -154,18 +157,16 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .map_err(|cause| CommandError::failed("stdout", cause))
 }
 
-fn refused(file: &Path, cause: &dyn std::fmt::Display) -> CommandError {
-    CommandError::new(code::INPUT, format!("{}: {cause}", file.display()))
-}
-
 /// The path of a file, every vertex admitted, and how many vertices were merged.
-fn read(file: &Path, config: &Config) -> Result<(Vec<Vertex>, usize), CommandError> {
-    match load(file).map_err(|cause| refused(file, &cause))? {
+fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), CommandError> {
+    match load(file).map_err(|cause| unusable(file, &cause))? {
         Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
             Refused::Geometry(refusal) => CommandError::new(code::USAGE, text::config_refusal(&refusal)),
-            Refused::Path(cause) => refused(file, &cause),
+            Refused::Path(cause) => unusable(file, &cause),
         }),
-        Input::Photograph(_) | Input::Drawing(_) => Ok((prepare(file, config)?.path, 0)),
+        Input::Photograph(_) | Input::Drawing(_) | Input::Artwork(_) => {
+            Ok((prepare_with(file, config, source)?.path, 0))
+        }
     }
 }
 

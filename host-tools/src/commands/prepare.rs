@@ -1,13 +1,19 @@
 //! From a file to an admitted path: the part of a drawing that needs no machine.
+//!
+//! Every command that draws, plans or shows a file comes through here, so that what is shown is what is drawn.
 
+use super::source::SourceArguments;
 use super::{CommandError, code};
-use crate::drawing::{Drawing, Input, OrderOptions, VectorizeOptions, load, order, to_path, vectorize_image};
+use crate::drawing::{
+    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, load, off_sheet, order, to_path,
+    vectorize_image,
+};
 use crate::link::text;
 use etherpen::config::Config;
 use etherpen::link::protocol::{ConfigRefusal, PathVertex};
 use etherpen::motion::{Admission, Pen, Vertex};
 use etherpen::robot::Position;
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use std::path::Path;
 
 /// A file made ready for drawing.
@@ -18,48 +24,226 @@ pub struct Prepared {
     pub path: Vec<Vertex>,
 }
 
+/// A file as strokes on the sheet, not yet checked.
+pub struct Composed {
+    /// The picture it was made of, and where it lies on the sheet: left, top, width and height, mm.
+    pub photograph: Option<(RgbImage, [f64; 4])>,
+    /// Layers and their strokes in the order of drawing; none for a path in the robot's frame.
+    pub parts: Vec<(Layer, Drawing)>,
+    /// The path in the robot's frame, coordinates as the link carries them, without repetitions.
+    pub path: Vec<Vertex>,
+}
+
+/// A stroke that would not be drawn.
+pub struct Refused {
+    /// Its number in the order of drawing, the first is 0.
+    pub stroke: u32,
+    /// Where, in the robot's frame.
+    pub position: Position,
+    /// Why, and what to try.
+    pub reason: String,
+}
+
+/// Reads, vectorises, orders and checks a file, with the default options.
+///
+/// # Errors
+/// As [`prepare_with`].
+pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
+    prepare_with(file, config, &SourceArguments::default())
+}
+
 /// Reads, vectorises, orders and checks a file.
 ///
 /// # Errors
-/// The file cannot be used, or a vertex is outside what the robot may use.
-pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
+/// The file cannot be used, or a stroke leaves the sheet or what the robot may use.
+pub fn prepare_with(file: &Path, config: &Config, options: &SourceArguments) -> Result<Prepared, CommandError> {
+    let composed = compose(file, config, options)?;
+    if let Some(first) = refused(&composed, config)?.first() {
+        return Err(unusable(
+            file,
+            &format!("stroke {}: {}", first.stroke + 1, first.reason),
+        ));
+    }
+    Ok(Prepared {
+        photograph: composed.photograph,
+        path: composed.path,
+    })
+}
+
+/// An error of the input file.
+pub(super) fn unusable(file: &Path, cause: &dyn std::fmt::Display) -> CommandError {
     let shown = file.display();
-    let refused = |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{shown}: {cause}"));
-    let input = load(file).map_err(|cause| refused(&cause))?;
-    let (photograph, path) = match input {
+    let shown = if file.as_os_str() == "-" {
+        "standard input".to_owned()
+    } else {
+        shown.to_string()
+    };
+    CommandError::new(code::INPUT, format!("{shown}: {cause}"))
+}
+
+/// Reads, vectorises and orders a file; says on stderr what a person should know about it.
+///
+/// # Errors
+/// The file cannot be used, or there is nothing to draw in it.
+pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Result<Composed, CommandError> {
+    let refused = |cause: DrawingError| unusable(file, &cause);
+    let mut photograph = None;
+    let mut parts = Vec::new();
+    let path = match load(file).map_err(refused)? {
         Input::Photograph(picture) => {
-            let options = VectorizeOptions {
-                sheet_mm: config.paper.size_mm,
-                ..VectorizeOptions::default()
-            };
-            let drawing = vectorize_image(&picture, &options).map_err(|cause| refused(&cause))?;
-            let place_mm = options
-                .picture_mm(picture.width(), picture.height())
-                .map_err(|cause| refused(&cause))?;
-            (Some((picture, place_mm)), ordered(drawing, config))
+            let (picture, place_mm, drawing) = from_photograph(picture, config, options).map_err(refused)?;
+            photograph = Some((picture, place_mm));
+            parts.push((Layer::default(), drawing));
+            Vec::new()
         }
-        Input::Drawing(drawing) => (None, ordered(drawing, config)),
-        Input::Path(path) => (None, path.vertices),
+        Input::Drawing(drawing) => {
+            parts = on_sheet(file, &artwork_of(drawing), config, options)?;
+            Vec::new()
+        }
+        Input::Artwork(artwork) => {
+            parts = on_sheet(file, &artwork, config, options)?;
+            Vec::new()
+        }
+        Input::Path(path) => path.vertices,
+    };
+    let order_options = OrderOptions {
+        join_gap_mm: options.pen_width_mm(),
+        keep_order: options.keeps_order(),
+    };
+    for (_, drawing) in &mut parts {
+        order(drawing, &order_options);
+    }
+    let path = if parts.is_empty() {
+        path
+    } else {
+        to_path(&in_sequence(&parts), &config.paper)
     };
     if !path.iter().skip(1).any(|vertex| vertex.pen == Pen::Down) {
-        return Err(refused(&"there is nothing to draw in it"));
+        return Err(refused(DrawingError::NothingDrawn));
     }
     // What travels is what is checked: coordinates as the link carries them, without repetitions.
     let mut path: Vec<Vertex> = path.iter().map(|vertex| from_wire(&to_wire(vertex))).collect();
     path.dedup_by(|next, last| next.position == last.position);
-    let mut admission = Admission::new(config)
-        .map_err(|cause| CommandError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
-    for (index, vertex) in (0u32..).zip(&path) {
-        admission
-            .check(index, vertex)
-            .map_err(|refusal| refused(&format!("stroke {}: {}", vertex.stroke + 1, text::vertex(&refusal))))?;
-    }
-    Ok(Prepared { photograph, path })
+    Ok(Composed {
+        photograph,
+        parts,
+        path,
+    })
 }
 
-fn ordered(mut drawing: Drawing, config: &Config) -> Vec<Vertex> {
-    order(&mut drawing, &OrderOptions::default());
-    to_path(&drawing, &config.paper)
+/// All layers' strokes, one layer after the other.
+pub(super) fn in_sequence(parts: &[(Layer, Drawing)]) -> Drawing {
+    Drawing {
+        sheet_mm: parts.first().map_or([0.0; 2], |(_, drawing)| drawing.sheet_mm),
+        strokes: parts
+            .iter()
+            .flat_map(|(_, drawing)| drawing.strokes.iter().cloned())
+            .collect(),
+    }
+}
+
+type FromPhotograph = (RgbImage, [f64; 4], Drawing);
+
+/// A photograph's strokes; the picture as it was turned, and its place on the sheet.
+pub(super) fn from_photograph(
+    picture: RgbImage,
+    config: &Config,
+    options: &SourceArguments,
+) -> Result<FromPhotograph, DrawingError> {
+    let picture = match options.quarters().ok_or(DrawingError::BadRotation)? {
+        0 => picture,
+        1 => imageops::rotate90(&picture),
+        2 => imageops::rotate180(&picture),
+        _ => imageops::rotate270(&picture),
+    };
+    let options = options.vectorize_options(config);
+    let drawing = vectorize_image(&picture, &options)?;
+    let place_mm = options.picture_mm(picture.width(), picture.height())?;
+    Ok((picture, place_mm, drawing))
+}
+
+/// Strokes on a sheet as artwork whose page is that sheet.
+pub(super) fn artwork_of(drawing: Drawing) -> Artwork {
+    Artwork {
+        page_mm: Some(drawing.sheet_mm),
+        layers: vec![Layer::default()],
+        strokes: (drawing
+            .strokes
+            .into_iter()
+            .filter(|stroke: &Stroke| stroke.points.len() > 1))
+        .map(|stroke| LayerStroke { layer: 0, stroke })
+        .collect(),
+        ..Artwork::default()
+    }
+}
+
+fn on_sheet(
+    file: &Path,
+    artwork: &Artwork,
+    config: &Config,
+    options: &SourceArguments,
+) -> Result<Vec<(Layer, Drawing)>, CommandError> {
+    artwork.warnings.iter().for_each(|text| eprintln!("etherpen: {text}"));
+    let placed = artwork
+        .placed(config.paper.size_mm, &options.placement())
+        .map_err(|cause| unusable(file, &cause))?;
+    let ([width, height], [sheet_width, sheet_height]) = (placed.size_mm, config.paper.size_mm);
+    eprintln!(
+        "etherpen: {width:.1} x {height:.1} mm at scale {:.3} on a sheet of {sheet_width} x {sheet_height} mm",
+        placed.scale
+    );
+    if placed.parts.len() > 1 {
+        let names: Vec<&str> = placed.parts.iter().map(|(layer, _)| layer.name.as_str()).collect();
+        eprintln!(
+            "etherpen: {} layers, drawn one after the other with one pen: {}; --layer draws one of them",
+            names.len(),
+            names.join(", ")
+        );
+    }
+    Ok(placed.parts)
+}
+
+/// The strokes that leave the sheet or what the robot may use, each with its first place.
+///
+/// # Errors
+/// The configured geometry is no delta robot.
+pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, CommandError> {
+    let mut result: Vec<Refused> = Vec::new();
+    let mut admission = Admission::new(config)
+        .map_err(|cause| CommandError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
+    for (index, vertex) in (0u32..).zip(&composed.path) {
+        if let Err(refusal) = admission.check(index, vertex)
+            && result.last().is_none_or(|known| known.stroke != vertex.stroke)
+        {
+            result.push(Refused {
+                stroke: vertex.stroke,
+                position: vertex.position,
+                reason: text::vertex(&refusal),
+            });
+        }
+    }
+    let strokes = composed.parts.iter().flat_map(|(_, drawing)| &drawing.strokes);
+    for (number, stroke) in (0_u32..).zip(strokes) {
+        let Some(at) = off_sheet(stroke, config.paper.size_mm) else {
+            continue;
+        };
+        let reason = DrawingError::OffSheet {
+            x_um: (at[0] * 1_000.0) as i64,
+            y_um: (at[1] * 1_000.0) as i64,
+        };
+        result.push(Refused {
+            stroke: number,
+            position: Position {
+                x_mm: config.paper.centre_mm[0] + at[0] - 0.5 * config.paper.size_mm[0],
+                y_mm: config.paper.centre_mm[1] - at[1] + 0.5 * config.paper.size_mm[1],
+                z_mm: config.paper.pen_down_z_mm,
+            },
+            reason: reason.to_string(),
+        });
+    }
+    result.sort_by_key(|refused| refused.stroke);
+    result.dedup_by_key(|refused| refused.stroke);
+    Ok(result)
 }
 
 /// A vertex as it travels: micrometres.

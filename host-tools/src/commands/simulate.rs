@@ -2,7 +2,7 @@
 
 use super::display::Display;
 use super::outputs::{make_folder, summarise};
-use super::prepare::prepare;
+use super::prepare::prepare_with;
 use super::run::{capture, conclude, run_error, task};
 use super::{CommandError, DrawingArguments};
 use crate::run;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// Options of `etherpen simulate`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG) or CSV to draw.
+    /// Photograph (PNG, JPEG), vectors (SVG) or CSV to draw; - reads it from standard input.
     file: PathBuf,
     #[command(flatten)]
     drawing: DrawingArguments,
@@ -23,7 +23,7 @@ pub struct Arguments {
 /// The file, the configuration or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
-    let prepared = prepare(&arguments.file, &config)?;
+    let prepared = prepare_with(&arguments.file, &config, &arguments.drawing.source)?;
     let dir = arguments.drawing.out.as_deref();
     if let Some(dir) = dir {
         make_folder(dir)?;

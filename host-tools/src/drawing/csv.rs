@@ -3,7 +3,7 @@
 //! The heading says which of the two it is. A pen of 1 means that the leg leading to the point is drawn; a first drawn
 //! point starts where it is, so a list of drawn points alone is one stroke. Errors name the line.
 
-use super::photo::Input;
+use super::input::Input;
 use super::{Drawing, DrawingError, Stroke};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;

@@ -49,6 +49,47 @@ pub enum DrawingError {
     Blank,
     /// The sheet has no room inside its margins, or a number of the options is not positive and finite.
     BadOptions,
+    /// No photograph, where one is needed.
+    NoPhotograph,
+    /// No vector file, where one is needed.
+    NoArtwork,
+    /// A vector file is no well-formed XML, or no SVG.
+    SvgSyntax {
+        /// Line of the file, the first is 1.
+        line: u32,
+        /// Column, the first is 1.
+        column: u32,
+    },
+    /// References of a vector file lead back to themselves.
+    SvgCycle,
+    /// A vector file's width or height is zero or no number.
+    SvgSize,
+    /// A vector file has more elements than are accepted.
+    SvgElements {
+        /// Most elements accepted.
+        elements_max: usize,
+    },
+    /// The lines of a file have more points than are accepted.
+    TooManyPoints {
+        /// Most points accepted.
+        points_max: usize,
+    },
+    /// A photograph is turned by something else than quarters.
+    BadRotation,
+    /// A vector file without a line.
+    NothingDrawn,
+    /// None of the layers has the wanted name or number.
+    NoSuchLayer {
+        /// How many layers there are.
+        layers: usize,
+    },
+    /// A stroke does not lie on the sheet.
+    OffSheet {
+        /// Where it is off the sheet, from the sheet's left edge, micrometres.
+        x_um: i64,
+        /// The same from its upper edge.
+        y_um: i64,
+    },
     /// A line of a coordinate file has another number of columns than its heading.
     CsvColumns {
         /// Line of the file, the first is 1.
@@ -85,7 +126,7 @@ impl fmt::Display for DrawingError {
             Self::UnknownContent => {
                 write!(
                     f,
-                    "neither a PNG or JPEG picture nor a CSV of coordinates; convert the picture to PNG or JPEG"
+                    "neither a PNG or JPEG picture nor an SVG nor a CSV of coordinates; convert it to one of them"
                 )
             }
             Self::Damaged => write!(f, "the picture is damaged or cut off; copy or export it again"),
@@ -123,6 +164,44 @@ impl fmt::Display for DrawingError {
                     "sheet, margin, pen width and budgets must be positive and leave room inside the margins"
                 )
             }
+            Self::NoPhotograph => write!(f, "a photograph (PNG, JPEG) is needed here"),
+            Self::NoArtwork => write!(
+                f,
+                "a vector file (SVG) is needed here; `vectorize` makes one of a photograph"
+            ),
+            Self::SvgSyntax { line, column } => write!(
+                f,
+                "line {line}, column {column}: this is no well-formed SVG; export it again"
+            ),
+            Self::SvgCycle => write!(
+                f,
+                "its references go round in circles (an element that uses itself), or are nested too deeply; export it \
+                 again"
+            ),
+            Self::SvgSize => write!(f, "width, height or viewBox is zero or no number; give the page a size"),
+            Self::SvgElements { elements_max } => write!(
+                f,
+                "more than {elements_max} elements, or nested too deeply; join lines into paths, or split the file"
+            ),
+            Self::TooManyPoints { points_max } => {
+                write!(
+                    f,
+                    "more than {points_max} points; simplify the lines, or split the file"
+                )
+            }
+            Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
+            Self::NothingDrawn => write!(f, "there is nothing to draw in it"),
+            Self::NoSuchLayer { layers } => write!(
+                f,
+                "no layer has that name or number; it has {layers}, and `preview --json` lists them"
+            ),
+            Self::OffSheet { x_um, y_um } => write!(
+                f,
+                "it leaves the sheet at x {:.2} mm, y {:.2} mm; --fit or --size makes it smaller, \
+                 --origin or --rotate moves it",
+                x_um as f64 / 1_000.0,
+                y_um as f64 / 1_000.0
+            ),
             Self::CsvColumns { line, expected, actual } => {
                 write!(f, "line {line}: {actual} columns where the heading has {expected}")
             }

@@ -8,26 +8,36 @@
 //! Invariant: a [`Drawing`] that leaves this module has finite points inside its sheet, and every stroke has at least
 //! two of them.
 
+mod artwork;
+mod clip;
 mod csv;
 mod edges;
 mod error;
 mod focus;
+mod input;
 mod join;
+mod length;
 mod line;
 mod order;
 mod path;
 mod photo;
+mod preview;
 mod raster;
 mod render;
+mod svg;
 mod tone;
 mod vectorize;
 
+pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
 pub use csv::{Path3d, read_csv};
 pub use error::DrawingError;
+pub use input::{Input, load};
+pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
 pub use order::{OrderOptions, OrderReport, order};
 pub use path::to_path;
-pub use photo::{Input, load};
-pub use render::{render_png, render_rgb, tone_correlation, write_svg};
+pub use preview::PreviewScene;
+pub use render::{render_png, render_rgb, tone_correlation, write_artwork, write_svg};
+pub use svg::read_svg;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 
 /// One line drawn without lifting the pen.

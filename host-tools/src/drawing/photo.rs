@@ -1,17 +1,13 @@
-//! Files by their content: photographs and lists of coordinates.
+//! Photographs: decoded within limits, upright, on white.
 //!
-//! What a file is follows from its bytes, never from its name. Sizes are checked before anything is decoded, and
-//! decoding has limits of its own, so that no file can take more than a known amount of memory.
+//! Sizes are checked before anything is decoded, and decoding has limits of its own, so that no file can take more than
+//! a known amount of memory.
 
-use super::csv::{Path3d, read_csv};
-use super::{Drawing, DrawingError};
+use super::DrawingError;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits, RgbImage};
 use std::io::Cursor;
-use std::path::Path;
 
-/// Largest file read, bytes.
-const FILE_BYTES_MAX: u64 = 256 << 20;
 /// Most pixels decoded.
 const PIXELS_MAX: u64 = 64_000_000;
 /// Most memory a decoder may take, bytes.
@@ -24,55 +20,8 @@ const JPEG_END: [u8; 2] = [0xFF, 0xD9];
 
 const _: () = assert!(PIXELS_MAX * 8 <= DECODER_BYTES_MAX);
 
-/// What a file holds.
-#[derive(Clone, Debug)]
-pub enum Input {
-    /// A picture, upright, on white where it was transparent.
-    Photograph(RgbImage),
-    /// Strokes on a sheet.
-    Drawing(Drawing),
-    /// A path in the robot's frame.
-    Path(Path3d),
-}
-
-/// Reads a file: a PNG or JPEG picture, or a CSV of coordinates.
-///
-/// # Errors
-///
-/// [`DrawingError`] says what is wrong with the file and what to try.
-pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
-    let path = path.as_ref();
-    let metadata = std::fs::metadata(path)?;
-    if metadata.len() > FILE_BYTES_MAX {
-        return Err(DrawingError::FileTooLarge {
-            bytes: metadata.len(),
-            bytes_max: FILE_BYTES_MAX,
-        });
-    }
-    let bytes = std::fs::read(path)?;
-    if bytes.is_empty() {
-        return Err(DrawingError::Empty);
-    }
-    match image::guess_format(&bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => decode(&bytes, format).map(Input::Photograph),
-        Ok(_) => Err(DrawingError::Unsupported),
-        Err(_) => match std::str::from_utf8(&bytes) {
-            Ok(text) if is_csv(path, text) => read_csv(text),
-            _ => Err(DrawingError::UnknownContent),
-        },
-    }
-}
-
-/// Whether a text is meant as a list of coordinates: by its heading, or by its name where the heading is wrong.
-fn is_csv(path: &Path, text: &str) -> bool {
-    text.trim_start_matches('\u{feff}').trim_start().starts_with("x_mm")
-        || path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
-}
-
 /// Decodes a picture within limits, turns it upright and lays it on white.
-fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, DrawingError> {
+pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, DrawingError> {
     if format == ImageFormat::Jpeg && !is_jpeg_complete(bytes) {
         return Err(DrawingError::Damaged);
     }
@@ -137,6 +86,7 @@ fn on_white(picture: DynamicImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::drawing::{Input, load};
     use image::{GrayImage, ImageBuffer, Luma, Rgba, RgbaImage};
 
     fn sample() -> Vec<u8> {

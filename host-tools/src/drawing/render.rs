@@ -5,7 +5,7 @@
 
 use super::line::{self, Point};
 use super::raster::Plane;
-use super::{DrawingError, Stroke};
+use super::{Artwork, DrawingError, Layer, Stroke, UserSpace};
 use image::imageops::{FilterType, resize};
 use image::{ImageFormat, Rgb, RgbImage};
 use std::fmt::Write as _;
@@ -15,6 +15,8 @@ use std::io::Cursor;
 const PAPER: [f32; 3] = [252.0, 251.0, 247.0];
 /// Colour of a single layer of ink.
 const INK: [f32; 3] = [24.0, 26.0, 38.0];
+/// Width of the lines of written artwork, mm.
+const LINE_MM: f64 = 0.3;
 /// Largest side of a rendered picture, pixels.
 const SIDE_PX_MAX: f64 = 20_000.0;
 /// Width at which tones are compared, pixels.
@@ -90,8 +92,7 @@ pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> S
     let [width, height] = sheet_mm;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" \
-         viewBox=\"0 0 {width} {height}\">\n<rect width=\"{width}\" height=\"{height}\" fill=\"#fcfbf7\"/>\n\
-         <g fill=\"none\" stroke=\"#181a26\" stroke-width=\"{pen_width_mm}\" stroke-linecap=\"round\" \
+         viewBox=\"0 0 {width} {height}\" style=\"background:#fcfbf7\">\n<g fill=\"none\" stroke=\"#181a26\" stroke-width=\"{pen_width_mm}\" stroke-linecap=\"round\" \
          stroke-linejoin=\"round\">\n"
     );
     for stroke in strokes {
@@ -105,6 +106,74 @@ pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> S
     }
     svg.push_str("</g>\n</svg>\n");
     svg
+}
+
+/// Artwork as an SVG in the coordinates of the file that it came from: the same width, height and box, one group for each run of
+/// strokes of one layer.
+#[must_use]
+pub fn write_artwork(artwork: &Artwork) -> String {
+    let UserSpace {
+        attributes,
+        units_per_mm,
+        origin,
+    } = &artwork.user_space;
+    let mut svg = String::from(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:inkscape=\"http://www.inkscape.org/namespaces/inkscape\"",
+    );
+    // Writing into a string cannot fail.
+    for (name, value) in attributes {
+        let _ = write!(svg, " {name}=\"{}\"", escaped(value));
+    }
+    if let (true, Some([width, height])) = (attributes.is_empty(), artwork.page_mm) {
+        let _ = write!(
+            svg,
+            " width=\"{width}mm\" height=\"{height}mm\" viewBox=\"0 0 {width} {height}\""
+        );
+    }
+    let width = LINE_MM * units_per_mm[0];
+    let _ = writeln!(
+        svg,
+        ">\n<g fill=\"none\" stroke-width=\"{width:.4}\" stroke-linecap=\"round\" stroke-linejoin=\"round\">"
+    );
+    // A thousandth of a millimetre, whatever the unit.
+    let places = (3.0 - units_per_mm[0].min(units_per_mm[1]).log10())
+        .ceil()
+        .clamp(0.0, 9.0) as usize;
+    for run in artwork.strokes.chunk_by(|before, after| before.layer == after.layer) {
+        let layer = run.first().and_then(|stroke| artwork.layers.get(stroke.layer));
+        let Layer { name, colour } = layer.cloned().unwrap_or_default();
+        let [red, green, blue] = colour;
+        let _ = writeln!(
+            svg,
+            "<g inkscape:groupmode=\"layer\" inkscape:label=\"{}\" stroke=\"#{red:02x}{green:02x}{blue:02x}\">",
+            escaped(&name)
+        );
+        for stroke in run {
+            svg.push_str("<polyline points=\"");
+            for (k, point) in stroke.stroke.points.iter().enumerate() {
+                let [x, y] = [0, 1].map(|axis| origin[axis] + point[axis] * units_per_mm[axis]);
+                let _ = write!(svg, "{}{x:.places$},{y:.places$}", if k == 0 { "" } else { " " });
+            }
+            svg.push_str("\"/>\n");
+        }
+        svg.push_str("</g>\n");
+    }
+    svg.push_str("</g>\n</svg>\n");
+    svg
+}
+
+/// A text as the value of an attribute.
+fn escaped(text: &str) -> String {
+    let mut result = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => result.push_str("&amp;"),
+            '<' => result.push_str("&lt;"),
+            '"' => result.push_str("&quot;"),
+            other => result.push(other),
+        }
+    }
+    result
 }
 
 /// How well the tones of a drawing follow a photograph: correlation (-1 to 1) of both in grey, blurred.

@@ -50,6 +50,10 @@ pub struct VectorizeOptions {
     pub sheet_mm: [f64; 2],
     /// White border on all sides, mm; the picture keeps its shape and is centred.
     pub margin_mm: f64,
+    /// Largest width and height of the picture, mm; `None`: the sheet inside its margin.
+    pub size_mm: Option<[f64; 2]>,
+    /// Where the picture's upper left corner lies on the sheet, mm; `None`: the picture is centred.
+    pub origin_mm: Option<[f64; 2]>,
     /// Width of the pen's line, mm.
     pub pen_width_mm: f64,
     /// Most strokes.
@@ -66,6 +70,8 @@ impl Default for VectorizeOptions {
         Self {
             sheet_mm: [200.0, 200.0],
             margin_mm: 4.0,
+            size_mm: None,
+            origin_mm: None,
             pen_width_mm: 0.5,
             strokes_max: 900,
             time_max_s: 110.0,
@@ -117,11 +123,11 @@ pub fn estimate(drawing: &Drawing) -> Estimate {
 ///
 /// # Errors
 ///
-/// What [`load`] refuses; [`DrawingError::UnknownContent`] for a list of coordinates; what [`vectorize_image`] refuses.
+/// What [`load`] refuses; [`DrawingError::NoPhotograph`] for anything else; what [`vectorize_image`] refuses.
 pub fn vectorize(path: impl AsRef<Path>, options: &VectorizeOptions) -> Result<Drawing, DrawingError> {
     match load(path)? {
         Input::Photograph(picture) => vectorize_image(&picture, options),
-        Input::Drawing(_) | Input::Path(_) => Err(DrawingError::UnknownContent),
+        Input::Drawing(_) | Input::Path(_) | Input::Artwork(_) => Err(DrawingError::NoPhotograph),
     }
 }
 
@@ -157,11 +163,13 @@ impl Frame {
         let VectorizeOptions {
             sheet_mm,
             margin_mm,
+            size_mm,
+            origin_mm,
             pen_width_mm,
             time_max_s,
             ..
         } = *options;
-        let room = sheet_mm.map(|side| side - 2.0 * margin_mm);
+        let room = size_mm.unwrap_or(sheet_mm.map(|side| side - 2.0 * margin_mm));
         let numbers = [room[0], room[1], pen_width_mm, time_max_s];
         let usable = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
         let margin_usable = margin_mm.is_finite() && margin_mm >= 0.0;
@@ -173,7 +181,7 @@ impl Frame {
         let size_mm = [width * scale, height * scale];
         let mm_per_px = (pen_width_mm / PX_PER_PEN).max(size_mm[0].max(size_mm[1]) / WORK_SIDE_MAX);
         let work_px = size_mm.map(|side| (side / mm_per_px).round().max(8.0) as u32);
-        let corner_mm = [0, 1].map(|k| 0.5 * (sheet_mm[k] - size_mm[k]));
+        let corner_mm = origin_mm.unwrap_or([0, 1].map(|k| 0.5 * (sheet_mm[k] - size_mm[k])));
         Ok(Self {
             corner_mm,
             size_mm,

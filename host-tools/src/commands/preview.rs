@@ -1,0 +1,212 @@
+//! `etherpen preview`: how a file would be drawn, as a picture and in figures.
+
+use super::order::{write_bytes, write_text};
+use super::prepare::{Composed, compose, in_sequence, planned_s, refused};
+use super::source::SourceArguments;
+use super::{CommandError, ConfigArguments, code, print_json};
+use crate::drawing::{Drawing, PreviewScene, Stroke};
+use etherpen::config::Config;
+use etherpen::motion::{Pen, Vertex};
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Options of `etherpen preview`.
+///
+/// The picture shows the sheet and the work area's border, the strokes coloured in the order of drawing (first blue, last
+/// red), the ways with the pen up as thin grey lines, and what would be refused in thick red. The time is the one that
+/// the firmware's planner computes for the very path that `draw` would send, from above the first stroke's start.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Photograph (PNG, JPEG), vectors (SVG) or CSV; - reads it from standard input.
+    file: PathBuf,
+    /// The picture to write, by its name an SVG or a PNG.
+    #[arg(short, long, value_name = "OUT.svg|png")]
+    out: PathBuf,
+    /// Print strokes, lengths, lifts, time and refusals as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+    #[command(flatten)]
+    source: SourceArguments,
+}
+
+/// What the command prints.
+#[derive(Debug, Serialize)]
+struct Answer {
+    strokes: usize,
+    pen_down_mm: f64,
+    /// From the first stroke's start to the last one's end.
+    pen_up_mm: f64,
+    lifts: usize,
+    /// Planned duration of what would be drawn; nothing where that is nothing.
+    estimated_s: Option<f64>,
+    /// How many strokes would be refused.
+    refused: usize,
+    /// The first of them.
+    refusals: Vec<Refusal>,
+    layers: Vec<LayerAnswer>,
+}
+
+#[derive(Debug, Serialize)]
+struct Refusal {
+    /// Number in the order of drawing, the first is 1.
+    stroke: u32,
+    /// Place in the robot's frame.
+    x_mm: f64,
+    y_mm: f64,
+    z_mm: f64,
+    reason: String,
+}
+
+#[derive(Debug, Serialize)]
+struct LayerAnswer {
+    name: String,
+    strokes: usize,
+    pen_down_mm: f64,
+}
+
+/// Most refusals listed.
+const REFUSALS_LISTED: usize = 100;
+/// Resolution of a PNG, pixels a millimetre.
+const PX_PER_MM: f64 = 6.0;
+
+/// Runs the command.
+///
+/// # Errors
+/// The file or the configuration cannot be used, or the picture cannot be written. A refused stroke is no error.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let is_png = match arguments.out.extension().and_then(|extension| extension.to_str()) {
+        Some(extension) if extension.eq_ignore_ascii_case("png") => true,
+        Some(extension) if extension.eq_ignore_ascii_case("svg") => false,
+        _ if arguments.out.as_os_str() == "-" => false,
+        _ => {
+            let shown = arguments.out.display();
+            return Err(CommandError::new(
+                code::USAGE,
+                format!("{shown}: the picture's name ends in .svg or .png"),
+            ));
+        }
+    };
+    let config = arguments.config.load()?;
+    let composed = compose(&arguments.file, &config, &arguments.source)?;
+    let drawing = if composed.parts.is_empty() {
+        drawing_of(&composed.path, &config)
+    } else {
+        in_sequence(&composed.parts)
+    };
+    let refused = refused(&composed, &config)?;
+    let numbers: BTreeSet<u32> = refused.iter().map(|refused| refused.stroke).collect();
+    let centre = config.paper.centre_mm;
+    let scene = PreviewScene {
+        drawing: &drawing,
+        refused: &numbers,
+        pen_width_mm: arguments.source.pen_width_mm(),
+        work_area: (
+            [
+                0.5 * drawing.sheet_mm[0] - centre[0],
+                0.5 * drawing.sheet_mm[1] + centre[1],
+            ],
+            config.work_area.radius_mm,
+        ),
+    };
+    if is_png {
+        let png = scene
+            .png(PX_PER_MM)
+            .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
+        write_bytes(&arguments.out, &png)?;
+    } else {
+        write_text(&arguments.out, &scene.svg())?;
+    }
+    let kept: Vec<Vertex> = (composed.path.iter().copied())
+        .filter(|vertex| !numbers.contains(&vertex.stroke))
+        .collect();
+    let listed = refused.iter().take(REFUSALS_LISTED);
+    let answer = Answer {
+        strokes: drawing.strokes.len(),
+        pen_down_mm: drawing.pen_down_mm(),
+        pen_up_mm: drawing.pen_up_mm(),
+        lifts: drawing.strokes.len(),
+        estimated_s: Some(planned_s(&config, &kept)).filter(|seconds| seconds.is_finite()),
+        refused: refused.len(),
+        refusals: listed
+            .map(|refused| Refusal {
+                stroke: refused.stroke + 1,
+                x_mm: refused.position.x_mm,
+                y_mm: refused.position.y_mm,
+                z_mm: refused.position.z_mm,
+                reason: refused.reason.clone(),
+            })
+            .collect(),
+        layers: layers(&composed),
+    };
+    if arguments.json {
+        return print_json(&answer);
+    }
+    show(&answer, &arguments.out);
+    Ok(())
+}
+
+fn layers(composed: &Composed) -> Vec<LayerAnswer> {
+    let answer = |name: &str, drawing: &Drawing| LayerAnswer {
+        name: name.to_owned(),
+        strokes: drawing.strokes.len(),
+        pen_down_mm: drawing.pen_down_mm(),
+    };
+    (composed
+        .parts
+        .iter()
+        .map(|(layer, drawing)| answer(&layer.name, drawing)))
+    .collect()
+}
+
+/// A path's drawn parts as strokes on the sheet.
+fn drawing_of(path: &[Vertex], config: &Config) -> Drawing {
+    let paper = &config.paper;
+    let place = |vertex: &Vertex| {
+        [
+            vertex.position.x_mm - paper.centre_mm[0] + 0.5 * paper.size_mm[0],
+            paper.centre_mm[1] - vertex.position.y_mm + 0.5 * paper.size_mm[1],
+        ]
+    };
+    let mut strokes: Vec<Stroke> = Vec::new();
+    let mut was_down = false;
+    for ends in path.windows(2) {
+        let [from, to] = ends else { continue };
+        let is_down = to.pen == Pen::Down;
+        if is_down && !was_down {
+            strokes.push(Stroke {
+                points: vec![place(from)],
+            });
+        }
+        if let (true, Some(stroke)) = (is_down, strokes.last_mut()) {
+            stroke.points.push(place(to));
+        }
+        was_down = is_down;
+    }
+    Drawing {
+        sheet_mm: paper.size_mm,
+        strokes,
+    }
+}
+
+fn show(answer: &Answer, out: &Path) {
+    let time = answer
+        .estimated_s
+        .map_or("no time".to_owned(), |seconds| format!("{seconds:.1} s"));
+    eprintln!(
+        "etherpen: {} strokes, {:.2} m drawn, {:.2} m with the pen up, {} lifts, {time}; shown in {}",
+        answer.strokes,
+        answer.pen_down_mm / 1_000.0,
+        answer.pen_up_mm / 1_000.0,
+        answer.lifts,
+        out.display()
+    );
+    for refusal in answer.refusals.iter().take(5) {
+        eprintln!("etherpen: refused: stroke {}: {}", refusal.stroke, refusal.reason);
+    }
+    if answer.refused > 5 {
+        eprintln!("etherpen: {} strokes refused in all", answer.refused);
+    }
+}

@@ -1,0 +1,97 @@
+//! Options that say how a file becomes strokes on the sheet; the same for every command that draws or shows one.
+
+use crate::drawing::{Placement, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
+use etherpen::config::Config;
+
+/// How a file becomes strokes on the sheet. Lengths take a unit (mm, cm, in, pt, px); without one they are millimetres.
+#[derive(clap::Args, Clone, Debug, Default)]
+#[command(next_help_heading = "From the file to strokes")]
+pub struct SourceArguments {
+    /// Scale vectors to the sheet inside its margin, instead of keeping their true size.
+    #[arg(long, conflicts_with = "size")]
+    fit: bool,
+    /// Largest width and height on the sheet: 120x80mm, 90mm, a6, a6-landscape; the shape is kept.
+    #[arg(long, value_name = "SIZE", value_parser = parse_size_mm)]
+    size: Option<Size>,
+    /// White border of the sheet that photographs and --fit leave [default: 4mm].
+    #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
+    margin: Option<f64>,
+    /// Turn clockwise; photographs by quarters only.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    rotate: f64,
+    /// Where the upper left corner lies on the sheet, from the sheet's own; without it the drawing is centred.
+    #[arg(long, value_name = "X,Y", value_parser = parse_point_mm, allow_hyphen_values = true)]
+    origin: Option<Size>,
+    /// Only the vectors' layer of this name or number (Inkscape's label, or the colour as #rrggbb); can be repeated.
+    #[arg(long, value_name = "LAYER")]
+    layer: Vec<String>,
+    /// Keep the file's order and directions; only gaps under the pen's width are closed.
+    #[arg(long)]
+    keep_order: bool,
+    /// Width of the pen's line [default: 0.5mm].
+    #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
+    pen_width: Option<f64>,
+    /// Photographs: longest drawing time, about: 90s, 3m [default: 110s].
+    #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
+    max_time: Option<f64>,
+    /// Photographs: most strokes [default: 900].
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    max_strokes: Option<u32>,
+    /// Photographs: seed of everything random [default: 1].
+    #[arg(long, value_name = "NUMBER")]
+    seed: Option<u64>,
+}
+
+/// Two lengths, mm.
+type Size = [f64; 2];
+
+impl SourceArguments {
+    /// Where vectors go on the sheet.
+    #[must_use]
+    pub fn placement(&self) -> Placement {
+        let plain = Placement::default();
+        Placement {
+            fit: self.fit,
+            size_mm: self.size,
+            margin_mm: self.margin.unwrap_or(plain.margin_mm),
+            rotate_deg: self.rotate,
+            origin_mm: self.origin,
+            layers: self.layer.clone(),
+        }
+    }
+
+    /// How a photograph becomes strokes on the configured sheet.
+    #[must_use]
+    pub fn vectorize_options(&self, config: &Config) -> VectorizeOptions {
+        let plain = VectorizeOptions::default();
+        VectorizeOptions {
+            sheet_mm: config.paper.size_mm,
+            margin_mm: self.margin.unwrap_or(plain.margin_mm),
+            size_mm: self.size,
+            origin_mm: self.origin,
+            pen_width_mm: self.pen_width.unwrap_or(plain.pen_width_mm),
+            strokes_max: self.max_strokes.map_or(plain.strokes_max, |count| count as usize),
+            time_max_s: self.max_time.unwrap_or(plain.time_max_s),
+            seed: self.seed.unwrap_or(plain.seed),
+        }
+    }
+
+    /// Quarters by which a photograph is turned clockwise, 0 to 3; `None` where it is turned by anything else.
+    #[must_use]
+    pub fn quarters(&self) -> Option<u8> {
+        let quarters = self.rotate / 90.0;
+        (quarters.fract() == 0.0).then(|| quarters.rem_euclid(4.0) as u8)
+    }
+
+    /// Width of the pen's line, mm.
+    #[must_use]
+    pub fn pen_width_mm(&self) -> f64 {
+        self.pen_width.unwrap_or(VectorizeOptions::default().pen_width_mm)
+    }
+
+    /// Whether the file's order stays.
+    #[must_use]
+    pub fn keeps_order(&self) -> bool {
+        self.keep_order
+    }
+}

@@ -1,0 +1,94 @@
+//! Files by their content: photographs, vector files, lists of coordinates.
+//!
+//! What a file is follows from its bytes; a name only helps where the bytes fit several kinds of text. A file is read to
+//! a known size and no further, from a disk or from standard input.
+
+use super::artwork::Artwork;
+use super::csv::{Path3d, read_csv};
+use super::photo::decode;
+use super::svg::read_svg;
+use super::{Drawing, DrawingError};
+use image::{ImageFormat, RgbImage};
+use std::io::Read;
+use std::path::Path;
+
+/// Largest file read, bytes.
+const FILE_BYTES_MAX: u64 = 256 << 20;
+
+/// What a file holds.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A picture, upright, on white where it was transparent.
+    Photograph(RgbImage),
+    /// Strokes on a sheet.
+    Drawing(Drawing),
+    /// A path in the robot's frame.
+    Path(Path3d),
+    /// Lines with a page of their own.
+    Artwork(Artwork),
+}
+
+/// Reads a file, `-` for standard input: a PNG or JPEG picture, an SVG, or a CSV of coordinates.
+///
+/// # Errors
+///
+/// [`DrawingError`] says what is wrong with the file and what to try.
+pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
+    let path = path.as_ref();
+    let bytes = read(path)?;
+    if bytes.is_empty() {
+        return Err(DrawingError::Empty);
+    }
+    match image::guess_format(&bytes) {
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => return decode(&bytes, format).map(Input::Photograph),
+        Ok(_) => return Err(DrawingError::Unsupported),
+        Err(_) => {}
+    }
+    let text = std::str::from_utf8(&bytes).map_err(|_| DrawingError::UnknownContent)?;
+    let text = text.trim_start_matches('\u{feff}');
+    match kind(path, text) {
+        Some(Kind::Svg) => read_svg(text).map(Input::Artwork),
+        Some(Kind::Csv) => read_csv(text),
+        None => Err(DrawingError::UnknownContent),
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, DrawingError> {
+    let mut bytes = Vec::new();
+    let most = FILE_BYTES_MAX + 1;
+    if path.as_os_str() == "-" {
+        std::io::stdin().lock().take(most).read_to_end(&mut bytes)?;
+    } else {
+        std::fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
+    }
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        return Err(DrawingError::FileTooLarge {
+            bytes: std::fs::metadata(path).map_or(bytes.len() as u64, |metadata| metadata.len()),
+            bytes_max: FILE_BYTES_MAX,
+        });
+    }
+    Ok(bytes)
+}
+
+/// Kinds of text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Svg,
+    Csv,
+}
+
+/// What a text is meant as: by its beginning, or by its name where the beginning is wrong.
+fn kind(path: &Path, text: &str) -> Option<Kind> {
+    let begins = text.trim_start();
+    let named = |names: &[&str]| {
+        path.extension()
+            .is_some_and(|extension| names.iter().any(|name| extension.eq_ignore_ascii_case(name)))
+    };
+    if begins.starts_with('<') || named(&["svg"]) {
+        Some(Kind::Svg)
+    } else if begins.starts_with("x_mm") || named(&["csv"]) {
+        Some(Kind::Csv)
+    } else {
+        None
+    }
+}

@@ -1,0 +1,176 @@
+//! Vector files as programs write them, and as nobody should.
+
+use super::*;
+
+fn svg(head: &str, body: &str) -> String {
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" xmlns:xlink=\"http://www.w3.org/1999/xlink\" \
+         xmlns:inkscape=\"{INKSCAPE}\" {head}>{body}</svg>"
+    )
+}
+
+fn read(head: &str, body: &str) -> Artwork {
+    read_svg(&svg(head, body)).expect("an SVG")
+}
+
+fn points(artwork: &Artwork) -> Vec<Vec<[f64; 2]>> {
+    let rounded = |point: &Point| point.map(|mm| (mm * 1e3).round() / 1e3);
+    let line = |stroke: &LayerStroke| stroke.stroke.points.iter().map(rounded).collect();
+    artwork.strokes.iter().map(line).collect()
+}
+
+#[test]
+fn units_and_boxes_give_millimetres() {
+    let line = "<line x1='10' y1='20' x2='30' y2='20' stroke='red'/>";
+    for (head, expected) in [
+        (
+            "width='100mm' height='100mm' viewBox='0 0 100 100'",
+            [[10.0, 20.0], [30.0, 20.0]],
+        ),
+        (
+            "width='10cm' height='10cm' viewBox='0 0 50 50'",
+            [[20.0, 40.0], [60.0, 40.0]],
+        ),
+        ("width='960' height='960'", [[2.646, 5.292], [7.938, 5.292]]),
+        ("viewBox='0 0 100 100'", [[2.646, 5.292], [7.938, 5.292]]),
+        (
+            "width='100mm' height='100mm' viewBox='10 20 100 100'",
+            [[0.0, 0.0], [20.0, 0.0]],
+        ),
+    ] {
+        assert_eq!(points(&read(head, line)), [expected], "{head}");
+    }
+    let warned = |head: &str| read(head, line).warnings.iter().any(|text| text.contains("no size"));
+    assert!(warned("viewBox='0 0 100 100'") && warned(""));
+    assert!(!warned("width='10cm' height='10cm'"));
+}
+
+#[test]
+fn user_units_are_found_again() {
+    for head in [
+        "width='100mm' height='80mm' viewBox='0 0 1000 800'",
+        "width='100mm' height='80mm' viewBox='-5 7 50 50'",
+        "width='300' height='300'",
+        "viewBox='3 4 300 200'",
+        "width='100mm' height='80mm' viewBox='0 0 10 10' preserveAspectRatio='none'",
+        "width='100mm' height='80mm' viewBox='0 0 10 10' preserveAspectRatio='xMinYMax slice'",
+    ] {
+        let artwork = read(head, "<path d='M4 5L8 6' stroke='red'/>");
+        let space = &artwork.user_space;
+        let back: Vec<Point> = (artwork.strokes[0].stroke.points.iter())
+            .map(|point| [0, 1].map(|k| space.origin[k] + point[k] * space.units_per_mm[k]))
+            .collect();
+        for (at, wanted) in back.iter().zip([[4.0, 5.0], [8.0, 6.0]]) {
+            assert!(line::distance(*at, wanted) < 1e-4, "{head}: {at:?}");
+        }
+    }
+}
+
+#[test]
+fn every_shape_is_drawn_whatever_its_style() {
+    let body = "<style>.a{fill:none;stroke:blue}</style><g transform='translate(10 0) scale(2)'>\
+        <line x1='0' y1='0' x2='1' y2='0'/><polyline points='0,0 1,1 2,0' fill='none'/>\
+        <polygon points='0,0 1,1 2,0' class='a'/><rect width='3' height='2' fill='red' stroke='none'/></g>\
+        <circle r='5' cx='9' cy='9'/><ellipse rx='5' ry='2'/><path d='M0 0h5m1 0h4'/>\
+        <defs><path id='p' d='M0 0v3'/></defs><use xlink:href='#p' x='7'/>\
+        <path d='M1 1h8' stroke-width='0.01'/>";
+    let artwork = read("width='100mm' height='100mm' viewBox='0 0 100 100'", body);
+    let all = points(&artwork);
+    assert_eq!(all.len(), 10, "{all:?}");
+    assert_eq!(all[0], [[10.0, 0.0], [12.0, 0.0]]);
+    assert_eq!(all[1], [[10.0, 0.0], [12.0, 2.0], [14.0, 0.0]]);
+    assert_eq!((all[2].len(), all[3].len()), (4, 5));
+    assert_eq!(all[6], [[0.0, 0.0], [5.0, 0.0]]);
+    assert_eq!(all[8], [[7.0, 0.0], [7.0, 3.0]]);
+    for point in &all[4] {
+        assert!(
+            (line::distance(*point, [9.0, 9.0]) - 5.0).abs() < TOLERANCE_MM + 0.002,
+            "{point:?}"
+        );
+    }
+    let hidden = "<g display='none'><path d='M0 0h5'/></g><path d='M0 0h5' visibility='hidden'/>";
+    assert_eq!(read("width='10' height='10'", hidden).strokes.len(), 0);
+}
+
+#[test]
+fn layers_are_groups_with_labels_or_colours() {
+    let body = "<g inkscape:groupmode='layer' inkscape:label='Empty'/>\
+        <g inkscape:groupmode='layer' inkscape:label='Ink' id='l1'><path d='M0 0h5' stroke='#00f'/></g>\
+        <g inkscape:groupmode='layer' inkscape:label='Wash'><g><path d='M0 0h6'/></g></g>";
+    let names = |artwork: &Artwork| {
+        artwork
+            .layers
+            .iter()
+            .map(|layer| layer.name.clone())
+            .collect::<Vec<_>>()
+    };
+    let artwork = read("width='10' height='10'", body);
+    assert_eq!(names(&artwork), ["Ink", "Wash"]);
+    assert_eq!(artwork.layers[0].colour, [0, 0, 255]);
+    assert_eq!(
+        artwork.strokes.iter().map(|stroke| stroke.layer).collect::<Vec<_>>(),
+        [0, 1]
+    );
+    let body = "<path d='M0 0h5' stroke='#00f'/><path d='M0 0h6' stroke='red'/><path d='M0 0h7' stroke='blue'/>";
+    let artwork = read("width='10' height='10'", body);
+    assert_eq!(names(&artwork), ["#0000ff", "#ff0000"]);
+}
+
+#[test]
+fn dashes_clips_and_paper_are_what_they_look_like() {
+    let head = "width='100mm' height='100mm' viewBox='0 0 100 100'";
+    let dashed = read(
+        head,
+        "<path d='M0 0h10' stroke='red' stroke-dasharray='3 1' stroke-dashoffset='1'/>",
+    );
+    assert_eq!(
+        points(&dashed),
+        [
+            [[0.0, 0.0], [2.0, 0.0]],
+            [[3.0, 0.0], [6.0, 0.0]],
+            [[7.0, 0.0], [10.0, 0.0]]
+        ]
+    );
+    let body = "<clipPath id='c'><rect x='2' y='-1' width='3' height='9'/></clipPath>\
+        <g clip-path='url(#c)' transform='scale(2)'><path d='M0 0h10'/></g>";
+    assert_eq!(points(&read(head, body)), [[[4.0, 0.0], [10.0, 0.0]]]);
+    let paper = read(
+        head,
+        "<rect width='100%' height='100%' fill='#fff'/><rect width='100' height='100' stroke='red'/>",
+    );
+    assert_eq!(paper.strokes.len(), 1);
+    assert!(paper.warnings.iter().any(|text| text.contains("paper")));
+}
+
+#[test]
+fn what_is_left_out_is_said() {
+    let body = "<path d='M0 0 L NaN 5'/><polyline points='0,0 nan,3 4,5'/><text>hello</text>\
+        <image href='no/such.png' width='3' height='3'/><path d='M0 0h5'/>";
+    let artwork = read("width='10' height='10'", body);
+    assert_eq!(artwork.strokes.len(), 1, "{:?}", points(&artwork));
+    for part in ["path parsing", "Polyline", "<text>", "<image>"] {
+        assert!(
+            artwork.warnings.iter().any(|text| text.contains(part)),
+            "{part}: {:?}",
+            artwork.warnings
+        );
+    }
+}
+
+#[test]
+fn files_that_go_round_in_circles_end() {
+    let cycles = "<g id='a'><use xlink:href='#b'/></g><g id='b'><use xlink:href='#a'/></g><path d='M0 0h5'/>";
+    let head = "width='10' height='10'";
+    assert_eq!(read_svg(&svg(head, cycles)).err(), Some(DrawingError::SvgCycle));
+    let clips = "<clipPath id='c' clip-path='url(#c)'><path d='M0 0h9v9z'/></clipPath>\
+        <g clip-path='url(#c)'><path d='M0 0h5'/></g><path d='M0 0h5'/>";
+    assert!((1..=2).contains(&read(head, clips).strokes.len()));
+    let deep = format!("{}<path d='M0 0h5'/>{}", "<g>".repeat(100_000), "</g>".repeat(100_000));
+    assert!(read_svg(&svg("width='10' height='10'", &deep)).is_err());
+    let bomb = "<!DOCTYPE svg [<!ENTITY a 'x'><!ENTITY b '&a;&b;'>]><svg xmlns='http://www.w3.org/2000/svg'>&b;</svg>";
+    assert!(read_svg(bomb).is_err());
+    assert_eq!(
+        read_svg("<svg").err(),
+        Some(DrawingError::SvgSyntax { line: 1, column: 5 })
+    );
+}
