@@ -46,6 +46,7 @@
 extern crate std;
 
 pub mod application;
+pub mod board;
 pub mod config;
 pub mod control;
 pub mod controller;

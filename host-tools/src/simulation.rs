@@ -5,6 +5,7 @@
 
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
+use etherpen::board::{BoardState, EmergencyStopInput, Interlock};
 use etherpen::controller::{Channels, Parts};
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::transport::raw::RawTransport;
@@ -21,6 +22,19 @@ const ROUND_TRIP_US: u64 = 50;
 /// When the input reply is given up, us after the release.
 const DEADLINE_US: u64 = 300;
 
+/// What a board meets beside bus and link.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Surroundings {
+    /// Whether the emergency-stop input reads open.
+    pub stop_shows_open: bool,
+    /// Whether the board runs on its substitute clock.
+    pub substitute_clock: bool,
+    /// Whether something keeps the trajectory task from running.
+    pub trajectory_waits: bool,
+    /// What the board sees of itself.
+    pub board: BoardState,
+}
+
 /// The host's end of the link.
 pub trait Host {
     /// One millisecond: takes what the firmware sent and appends what it is to receive, at most `room` bytes.
@@ -28,6 +42,11 @@ pub trait Host {
 
     /// What the exchange with the bus has counted by the end of a millisecond, the last telegrams not yet settled.
     fn counted(&mut self, _counters: &BusCounters) {}
+
+    /// What the board meets in this millisecond.
+    fn surroundings(&mut self) -> Surroundings {
+        Surroundings::default()
+    }
 
     /// Whether the run is over.
     fn is_over(&self) -> bool;
@@ -119,12 +138,19 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];
     let mut release_ns = 0;
+    // Releases that come while one is owed merge, as those of an interrupt do.
+    let mut trajectory_due = false;
+    let mut emergency_stop = EmergencyStopInput::new();
     for ms in 1..=limit_ms {
         let period_ns = MILLISECOND_NS.saturating_add_signed(sampler.take_timer_correction_ns().into());
         release_ns += period_ns;
         transport.driver_mut().time_ns = release_ns;
         transport.driver_mut().cell.advance_to(release_ns / 1_000);
-        let trajectory_due = sampler.sample(&mut transport, 0, 0);
+        let around = host.surroundings();
+        let stopped = emergency_stop.step(around.stop_shows_open);
+        sampler.set_interlock(Interlock::of(stopped, around.substitute_clock));
+        link.set_board(around.board);
+        trajectory_due |= sampler.sample(&mut transport, 0, 0);
         for time_us in [ROUND_TRIP_US, 2 * ROUND_TRIP_US] {
             transport.driver_mut().time_ns = release_ns + time_us * 1_000;
             sampler.bus_frame(&mut transport, (time_us * 1_000) as u32);
@@ -138,8 +164,9 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         host.exchange(ms, &from_firmware[..sent], &mut to_firmware, LINE_BYTES_PER_MS);
         host_bytes.received(&to_firmware);
         to_firmware.clear();
-        if trajectory_due {
+        if trajectory_due && !around.trajectory_waits {
             trajectory.release();
+            trajectory_due = false;
         }
         link.tick();
         let poll = watch.as_mut().poll(&mut Context::from_waker(Waker::noop()));

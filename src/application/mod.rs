@@ -13,6 +13,7 @@ mod terms;
 
 pub use terms::{Fault, Mode, Refusal, StopSource};
 
+use crate::board::Interlock;
 use crate::motion::MotionCommand;
 use crate::robot::{AXES, JointAngles};
 use heapless::Vec;
@@ -95,6 +96,8 @@ pub struct Condition {
     pub inputs_valid: bool,
     /// Fault latched by the critical tasks; the drives are in quick stop already.
     pub fault: Option<Fault>,
+    /// What on the board keeps the drives in quick stop.
+    pub interlock: Option<Interlock>,
 }
 
 /// What the bus's supervisor reports.
@@ -187,6 +190,7 @@ impl Application {
                 drive_fault: false,
                 inputs_valid: false,
                 fault: None,
+                interlock: None,
             },
             bus: None,
             epoch: 0,
@@ -444,9 +448,12 @@ impl Application {
         if self.stop.is_some() || self.recovering_since_ms.is_some() {
             return Err(Refusal::Moving);
         }
+        if let Some(interlock) = self.condition.interlock {
+            return Err(Refusal::CauseRemains(interlock.fault()));
+        }
+        self.recovering_since_ms = Some(self.now_ms);
         if !self.has_configuration {
-            self.fault = None;
-            self.mode = Mode::Startup;
+            self.act(Action::ClearFault);
             return Ok(());
         }
         if !matches!(self.bus, Some(BusCondition::Operational)) || !self.condition.inputs_valid {
@@ -459,7 +466,6 @@ impl Application {
         } else {
             Power::Off
         }));
-        self.recovering_since_ms = Some(self.now_ms);
         Ok(())
     }
 
@@ -563,6 +569,12 @@ impl Application {
         if self.waited_ms(since_ms) < RESET_MS {
             return;
         }
+        if !self.has_configuration {
+            self.recovering_since_ms = None;
+            self.fault = None;
+            self.mode = Mode::Startup;
+            return;
+        }
         let bus_is_well = match self.bus {
             Some(BusCondition::Operational) => self.condition.inputs_valid,
             Some(BusCondition::Failed(_)) | None => false,
@@ -605,6 +617,13 @@ fn names_better(fault: &Fault, known: &Fault) -> bool {
         Fault::SlaveLost { slave } | Fault::SlaveState { slave, .. } => Some(*slave),
         _ => None,
     };
+    if matches!(fault, Fault::NoLink { .. }) {
+        // Whatever the bus is missed for, this is why.
+        return matches!(
+            known,
+            Fault::Blind { .. } | Fault::SlaveLost { .. } | Fault::SlaveState { .. } | Fault::UnexpectedBus { .. }
+        );
+    }
     let is_specific = !matches!(fault, Fault::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
     let is_vague = matches!(known, Fault::Blind { .. } | Fault::SlaveState { slave: u8::MAX, .. });
     is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(fault))

@@ -1,5 +1,6 @@
 //! Modes, faults and refusals: the words in which the firmware tells where it stands.
 
+use crate::board::PortState;
 use serde::{Deserialize, Serialize};
 
 /// Operating mode.
@@ -137,6 +138,13 @@ pub enum Fault {
         /// The limit, ns.
         limit_ns: u32,
     },
+    /// The bus' Ethernet port has no link.
+    NoLink {
+        /// What its PHY says.
+        port: PortState,
+    },
+    /// The board's exact clock has failed; it runs on a substitute.
+    ClockFailure,
 }
 
 /// Why a command was refused; nothing has changed.

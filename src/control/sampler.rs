@@ -13,6 +13,7 @@
 //! following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
+use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
 use crate::control::limited;
 use crate::control::position::PositionController;
@@ -127,6 +128,8 @@ pub struct CycleReport {
     pub clock_error_ns: Option<i32>,
     /// The latched fault.
     pub fault: Option<Fault>,
+    /// What on the board keeps the drives in quick stop.
+    pub interlock: Option<Interlock>,
     /// The sampler's counters.
     pub counters: SamplerCounters,
     /// The bus' counters.
@@ -178,6 +181,7 @@ pub struct Sampler<'a> {
     timer_correction_ns: i32,
     /// Whether the telegram that began this cycle was late or not sent.
     first_late: bool,
+    interlock: Option<Interlock>,
     counters: SamplerCounters,
 }
 
@@ -224,6 +228,7 @@ impl<'a> Sampler<'a> {
             released_late_ns: 0,
             timer_correction_ns: 0,
             first_late: false,
+            interlock: None,
             counters: SamplerCounters::default(),
         }
     }
@@ -286,6 +291,35 @@ impl<'a> Sampler<'a> {
     /// Whether the reply to this millisecond's input telegram is still to come, and the output telegram to be sent.
     pub fn awaits_input(&self) -> bool {
         self.phase == Phase::Input
+    }
+
+    /// What on the board keeps the drives in quick stop from this millisecond on; to be told before [`Self::sample`].
+    pub fn set_interlock(&mut self, interlock: Option<Interlock>) {
+        self.interlock = interlock;
+    }
+
+    /// Whether foreign frames have no business on the wire: EtherCAT has it for itself.
+    pub fn has_the_wire_alone(&self) -> bool {
+        self.bus.transport == Transport::Raw
+    }
+
+    /// The firmware ends: one last telegram tells drives that have power to stop, velocities zero. Nothing may follow.
+    pub fn say_last_word<D: Driver>(&mut self, transport: &mut RawTransport<D>) {
+        let target = match self.power {
+            Power::On | Power::QuickStop => DriveTarget::QuickStop,
+            Power::Off | Power::FaultReset => DriveTarget::Off,
+        };
+        let demand = Demand::Velocity(0.0);
+        self.robot
+            .write(&mut self.exchange, &[AxisCommand { target, demand }; AXES]);
+        let telegram = match self.exchange.plan().exchange {
+            ExchangeKind::Split => self.exchange.output_telegram(),
+            ExchangeKind::Combined => self.exchange.input_telegram(),
+        };
+        if may_send(&self.bus, self.has_path) {
+            // A port without room has frames to send that are as good as this one.
+            let _ = transport.send(telegram);
+        }
     }
 
     /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
@@ -473,6 +507,7 @@ impl<'a> Sampler<'a> {
             following: following || underrun,
             underrun,
             late: self.late,
+            interlock: self.interlock,
         };
         for axis in 0..AXES {
             let status = self.status[axis];
@@ -557,6 +592,7 @@ impl<'a> Sampler<'a> {
             al: self.exchange.al_status(),
             clock_error_ns: self.clock.map(|_| self.steering.error_ns()),
             fault: self.supervision.fault(),
+            interlock: self.interlock,
             counters: self.counters,
             bus: self.exchange.counters(),
         };

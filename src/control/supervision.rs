@@ -4,6 +4,7 @@
 //! first cause is latched and stays until it is cleared from below; later causes do not replace it.
 
 use crate::application::Fault;
+use crate::board::Interlock;
 use crate::config::{Axis, Bus};
 use crate::robot::AXES;
 
@@ -39,6 +40,8 @@ pub struct Observation {
     pub underrun: bool,
     /// Output telegrams since the last cycle that were late or not sent at all.
     pub late: u16,
+    /// What on the board keeps the drives in quick stop.
+    pub interlock: Option<Interlock>,
 }
 
 /// AL state OP without the error flag.
@@ -89,6 +92,9 @@ impl Supervision {
 
     /// One millisecond: returns the latched cause, if there is one.
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
+        if let Some(interlock) = seen.interlock {
+            self.latch(interlock.fault());
+        }
         self.count_late(bus, seen.late, seen.following);
         for (axis, number) in (0..AXES).zip(0u8..) {
             self.blind_ms[axis] = if seen.valid[axis] {
@@ -213,6 +219,7 @@ mod tests {
             following: true,
             underrun: false,
             late: 0,
+            interlock: None,
         }
     }
 
@@ -258,6 +265,26 @@ mod tests {
         assert_eq!(run(1, &lost), Some(fault));
         let off = Observation { power: false, ..lost };
         assert_eq!(run(100, &off), None);
+    }
+
+    #[test]
+    fn an_interlock_is_latched_with_or_without_power_and_again_after_it_was_cleared() {
+        for power in [true, false] {
+            let open = Observation {
+                interlock: Some(Interlock::EmergencyStop),
+                power,
+                following: power,
+                ..well()
+            };
+            let expected = Some(Interlock::EmergencyStop.fault());
+            let mut supervision = Supervision::new();
+            let (axes, bus) = ([Axis::default(); AXES], Bus::default());
+            for _ in 0..3 {
+                assert_eq!(supervision.step(&axes, &bus, &open), expected);
+                supervision.clear();
+            }
+            assert_eq!(supervision.step(&axes, &bus, &well()), None);
+        }
     }
 
     #[test]

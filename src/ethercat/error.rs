@@ -6,6 +6,7 @@
 //! Invariant: every variant carries what was expected and what was found, or what was tried for how long.
 
 use super::wire::coe::Object;
+use crate::board::PortState;
 use serde::{Deserialize, Serialize};
 
 /// Why a step of bring-up or repair failed.
@@ -184,6 +185,11 @@ pub enum BusError {
     NoInputs {
         /// How long was waited, ms.
         waited_ms: u32,
+    },
+    /// The Ethernet port has no link.
+    NoLink {
+        /// What its PHY says.
+        port: PortState,
     },
     /// A slave's clock does not follow the reference.
     ClockDifference {

@@ -7,6 +7,7 @@ use super::state::AlReport;
 use super::wire::coe::Emergency;
 use super::wire::sii::Identity;
 use crate::application::{BusCondition, Fault};
+use crate::board::PortState;
 use crate::config::{Axis, Bus};
 use crate::robot::AXES;
 
@@ -29,6 +30,8 @@ pub enum BusCommand {
     Recover,
     /// Take all slaves out of OP, after safe outputs, and leave the bus alone.
     Stop,
+    /// The Ethernet port's link came or went.
+    Port(PortState),
 }
 
 /// A step of bring-up or repair.
@@ -149,6 +152,10 @@ impl BusEvent {
                 al_state: report.status,
                 al_code: report.code,
             },
+            Self::Refused {
+                error: BusError::NoLink { port },
+                ..
+            } => Fault::NoLink { port },
             Self::Refused {
                 error: BusError::DriveCount { expected, actual },
                 ..

@@ -6,6 +6,8 @@
 //!
 //! Registers: IEEE 802.3 clause 22; nothing here is particular to one PHY.
 
+use crate::board::PortState;
+
 /// Addresses on the management bus.
 pub const ADDRESSES: u8 = 32;
 /// Steps between two looks at the link.
@@ -89,6 +91,15 @@ impl Phy {
     /// Whether the link was up, negotiated, at the last look.
     pub const fn link_is_up(&self) -> bool {
         self.link_is_up
+    }
+
+    /// What is known of the port.
+    pub fn port(&self) -> PortState {
+        match (self.state, self.link_is_up) {
+            (State::Searching, _) => PortState::NoPhy,
+            (_, true) => PortState::Up,
+            (_, false) => PortState::Down,
+        }
     }
 
     /// One step, at most one register access; call it every millisecond.

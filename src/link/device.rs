@@ -12,6 +12,7 @@ use super::protocol::{
     Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, SAMPLES_PER_MESSAGE, Sample, Status, Welcome,
 };
 use crate::application::Refusal;
+use crate::board::{PreviousRun, RunEnd};
 use crate::config::Config;
 use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
@@ -150,6 +151,7 @@ impl<T> Single<T> {
 /// The firmware's end of the link; `SAMPLES` is the length of the telemetry queue.
 pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     identity: Identity,
+    previous: PreviousRun,
     decoder: Decoder,
     counts: LinkCounts,
     session: Option<u32>,
@@ -174,6 +176,10 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     pub const fn new(identity: Identity) -> Self {
         Self {
             identity,
+            previous: PreviousRun {
+                end: RunEnd::PowerOff,
+                fault: None,
+            },
             decoder: Decoder::new(),
             counts: LinkCounts {
                 frames: FrameCounts { good: 0, bad: 0 },
@@ -198,6 +204,11 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             frame_length: 0,
             frame_sent: 0,
         }
+    }
+
+    /// What every greeting is told of the run before this one.
+    pub fn set_previous_run(&mut self, previous: PreviousRun) {
+        self.previous = previous;
     }
 
     /// What was counted.
@@ -449,6 +460,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             board: shortened(self.identity.board),
             config: self.config,
             capacity: self.identity.capacity,
+            previous: self.previous.clone(),
         }
     }
 

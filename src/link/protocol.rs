@@ -4,6 +4,7 @@
 //! version is refused with both versions named; [`Hello`] and [`Welcome`] never change their first field.
 
 use crate::application::{Fault, Mode, Refusal};
+use crate::board::{Interlock, PortState, PreviousRun};
 use crate::config::{Config, ConfigError};
 use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
@@ -13,7 +14,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 5;
+pub const PROTOCOL_VERSION: u16 = 6;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -48,6 +49,8 @@ pub struct Welcome {
     pub config: Option<u64>,
     /// Vertices the firmware can hold when nothing is queued.
     pub capacity: u16,
+    /// How the run before this one ended.
+    pub previous: PreviousRun,
 }
 
 /// A vertex of the path on the wire: micrometres in the robot's frame.
@@ -210,6 +213,8 @@ pub struct Counters {
     pub telemetry_dropped: u32,
     /// Damaged frames received on the link.
     pub link_errors: u32,
+    /// Frames that the board's Ethernet controller dropped or could not send, and errors of its DMA.
+    pub ethernet_errors: u32,
 }
 
 /// One slave on the bus.
@@ -234,6 +239,10 @@ pub struct Status {
     pub mode: Mode,
     /// The latched fault.
     pub fault: Option<Fault>,
+    /// What on the board keeps the drives in quick stop.
+    pub interlock: Option<Interlock>,
+    /// The bus' Ethernet port.
+    pub port: PortState,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
     /// What each axis' resolver shows within its motor turn, increments; `None` where no position arrives.

@@ -9,6 +9,7 @@ use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
 use crate::application::reference::{PoseCheck, positions_arrive};
 use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
+use crate::board::{BoardState, Interlock, PortState, PreviousRun};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::drives::cia402::{DriveState, StatusWord};
@@ -75,7 +76,20 @@ pub struct LinkTask<'a> {
     /// Number of the request that the bus is working on.
     asked: Option<u16>,
     now_ms: u64,
-    told: (Mode, Option<Fault>, u32),
+    board: BoardState,
+    /// The port as the supervisor knows it.
+    port_passed_on: PortState,
+    told: Told,
+    told_ms: u32,
+}
+
+/// What the host knows, and since when.
+#[derive(Clone, Copy, PartialEq)]
+struct Told {
+    mode: Mode,
+    fault: Option<Fault>,
+    interlock: Option<Interlock>,
+    port: PortState,
 }
 
 impl<'a> LinkTask<'a> {
@@ -105,7 +119,15 @@ impl<'a> LinkTask<'a> {
             orders_sent: 0,
             asked: None,
             now_ms: 0,
-            told: (Mode::Startup, None, 0),
+            board: BoardState::default(),
+            port_passed_on: PortState::Unknown,
+            told: Told {
+                mode: Mode::Startup,
+                fault: None,
+                interlock: None,
+                port: PortState::Unknown,
+            },
+            told_ms: 0,
         }
     }
 
@@ -114,10 +136,27 @@ impl<'a> LinkTask<'a> {
         self.application.mode()
     }
 
+    /// The latched fault.
+    pub fn fault(&self) -> Option<Fault> {
+        self.application.fault()
+    }
+
+    /// What the host is told of the run before this one.
+    pub fn set_previous_run(&mut self, previous: PreviousRun) {
+        self.endpoint.set_previous_run(previous);
+    }
+
+    /// What the board sees of itself; to be told at every change before [`Self::tick`].
+    pub fn set_board(&mut self, board: BoardState) {
+        self.board = board;
+        self.counters.ethernet_errors = board.ethernet_errors;
+    }
+
     /// One millisecond.
     pub fn tick(&mut self) {
         self.take_events();
         self.take_reports();
+        self.pass_port_on();
         self.tell_time();
         self.take_bytes();
         let up_to_date = self.motion.orders == self.orders_sent;
@@ -134,6 +173,14 @@ impl<'a> LinkTask<'a> {
             self.carry_out(action);
         }
         self.tell();
+    }
+
+    /// Tells the supervisor what became of the port; again in the next millisecond when its queue is full.
+    fn pass_port_on(&mut self) {
+        let port = self.board.port;
+        if port != self.port_passed_on && self.ends.bus.commands.enqueue(BusCommand::Port(port)).is_ok() {
+            self.port_passed_on = port;
+        }
     }
 
     /// Time is the sampler's: releases of this task that come while it is kept waiting merge into one.
@@ -416,9 +463,8 @@ impl<'a> LinkTask<'a> {
         let finished = motion.finished && motion.orders == self.orders_sent && self.application.mode() != Mode::Drawing;
         let followed = self.report.map_or(0, |report| report.reference.vertex);
         self.endpoint.acknowledge(motion.executed.min(followed), free, finished);
-        let (mode, fault, since_ms) = self.told;
-        let changed = mode != self.application.mode() || fault != self.application.fault();
-        if changed || (self.now_ms as u32).wrapping_sub(since_ms) >= STATUS_PERIOD_MS {
+        let changed = self.told != self.to_tell();
+        if changed || (self.now_ms as u32).wrapping_sub(self.told_ms) >= STATUS_PERIOD_MS {
             self.tell_status();
         }
         let room = SENT_AHEAD_BYTES.saturating_sub(self.ends.sent.len());
@@ -432,8 +478,17 @@ impl<'a> LinkTask<'a> {
         }
     }
 
+    fn to_tell(&self) -> Told {
+        Told {
+            mode: self.application.mode(),
+            fault: self.application.fault(),
+            interlock: self.condition.interlock,
+            port: self.board.port,
+        }
+    }
+
     fn tell_status(&mut self) {
-        self.told = (self.application.mode(), self.application.fault(), self.now_ms as u32);
+        (self.told, self.told_ms) = (self.to_tell(), self.now_ms as u32);
         if let Some(report) = &self.report {
             for (slave, status_word) in self.slaves.iter_mut().zip(report.status_word) {
                 slave.status_word = status_word;
@@ -442,6 +497,8 @@ impl<'a> LinkTask<'a> {
         self.endpoint.status(Status {
             mode: self.application.mode(),
             fault: self.application.fault(),
+            interlock: self.condition.interlock,
+            port: self.board.port,
             referenced: self.condition.referenced,
             increments: self.increments(),
             config: self.config_hash,
@@ -477,5 +534,6 @@ fn condition(report: &CycleReport) -> Condition {
         drive_fault: answering().any(|status| status.is_fault()),
         inputs_valid: valid,
         fault: report.fault,
+        interlock: report.interlock,
     }
 }

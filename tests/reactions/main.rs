@@ -3,6 +3,7 @@
 //! Everything runs in virtual time. The cell tells the truth about the drives; the operator knows only what the
 //! firmware says over the link.
 
+mod board;
 mod robot;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};

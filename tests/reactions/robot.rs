@@ -1,12 +1,13 @@
 //! A robot in virtual time and an operator at its link, one millisecond at a time.
 
 use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, ConfigRefusal, PathAck, PathVertex, Sample, Status};
 use etherpen::motion::Pen;
 use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
 use host_tools::link::session::{Event, Session};
-use host_tools::simulation::{self, Host};
+use host_tools::simulation::{self, Host, Surroundings};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
@@ -18,6 +19,7 @@ const LINE_BYTES_PER_MS: usize = simulation::LINE_BYTES_PER_MS;
 struct Bridge {
     up: SyncSender<(u32, Vec<u8>)>,
     down: Receiver<Vec<u8>>,
+    surroundings: Arc<Mutex<Surroundings>>,
     over: bool,
 }
 
@@ -30,6 +32,10 @@ impl Host for Bridge {
         }
     }
 
+    fn surroundings(&mut self) -> Surroundings {
+        *self.surroundings.lock().unwrap()
+    }
+
     fn is_over(&self) -> bool {
         self.over
     }
@@ -40,6 +46,7 @@ pub(crate) struct Robot {
     up: Receiver<(u32, Vec<u8>)>,
     down: SyncSender<Vec<u8>>,
     cell: Arc<Mutex<Cell>>,
+    surroundings: Arc<Mutex<Surroundings>>,
     session: Session,
     /// Whether the operator's cable is plugged in.
     pub(crate) plugged: bool,
@@ -62,10 +69,13 @@ impl Robot {
         let cell = Arc::new(Mutex::new(Cell::new(&Config::default(), CellOptions::default())));
         let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
         let mut segment = cell.clone();
+        let surroundings = Arc::new(Mutex::new(Surroundings::default()));
+        let met = surroundings.clone();
         std::thread::spawn(move || {
             let mut bridge = Bridge {
                 up: up_in,
                 down: down_out,
+                surroundings: met,
                 over: false,
             };
             simulation::run(&mut segment, &mut bridge, u32::MAX - 1);
@@ -76,6 +86,7 @@ impl Robot {
             up,
             down,
             cell,
+            surroundings,
             session,
             plugged: true,
             status: None,
@@ -136,6 +147,21 @@ impl Robot {
     /// Lets a fault happen in the cell.
     pub(crate) fn inject(&mut self, fault: CellFault) {
         self.cell.lock().unwrap().inject(fault);
+    }
+
+    /// Changes what the board meets.
+    pub(crate) fn surround(&mut self, change: impl FnOnce(&mut Surroundings)) {
+        change(&mut self.surroundings.lock().unwrap());
+    }
+
+    /// Opens or closes the board's emergency-stop input.
+    pub(crate) fn emergency_stop(&mut self, open: bool) {
+        self.surround(|around| around.stop_shows_open = open);
+    }
+
+    /// Changes what the PHY of the board's Ethernet port says.
+    pub(crate) fn port(&mut self, state: PortState) {
+        self.surround(|around| around.board.port = state);
     }
 
     /// The cell as it is.

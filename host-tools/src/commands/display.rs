@@ -95,10 +95,15 @@ impl Display {
 
 fn event_text(event: &JobEvent) -> Option<String> {
     match event {
-        JobEvent::Connected(welcome) => Some(format!(
-            "connected: firmware {} on board {}",
-            welcome.firmware, welcome.board
-        )),
+        JobEvent::Connected(welcome) => {
+            let mut line = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
+            if let Some(previous) = text::previous_run(&welcome.previous) {
+                line.push('\n');
+                line.push_str(&previous);
+            }
+            Some(line)
+        }
+        JobEvent::Port(port) => Some(text::port_state(*port).to_owned()),
         JobEvent::Phase(phase) => Some(format!("{phase}")),
         JobEvent::Fault(fault) => Some(format!("FAULT: {}", text::fault(fault))),
         JobEvent::Refused(command, refusal) => Some(format!(

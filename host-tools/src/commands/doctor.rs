@@ -333,6 +333,7 @@ fn firmware(name: &PortName) -> Vec<Check> {
                     welcome.firmware, welcome.board, welcome.protocol
                 ),
             ));
+            checks.extend(text::previous_run(&welcome.previous).map(previous));
             checks.extend(status.as_ref().map(state));
         }
         Err(error) => {
@@ -352,6 +353,14 @@ fn firmware(name: &PortName) -> Vec<Check> {
         }
     }
     checks
+}
+
+fn previous(text: String) -> Check {
+    Check::warning(
+        "previous run",
+        text,
+        "nothing now; look into it if it comes again (the firmware's log says more: probe-rs attach)",
+    )
 }
 
 /// Where the controller stands.

@@ -17,6 +17,7 @@ use super::progress::{PathMeasure, Progress};
 use super::session::{Event, Session, SessionCounts};
 pub use super::terms::{Control, Drawing, JobEvent, JobOptions, JobReport, Motion, Ready, Task};
 use etherpen::application::{Mode, Refusal};
+use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::ethercat::service::ServiceRequest;
 use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
@@ -449,6 +450,10 @@ impl Job {
             && before.and_then(|before| before.fault) != status.fault
         {
             self.events.push_back(JobEvent::Fault(fault));
+        }
+        let known_port = before.map_or(PortState::Unknown, |before| before.port);
+        if known_port != status.port {
+            self.events.push_back(JobEvent::Port(status.port));
         }
         self.events.push_back(JobEvent::Status(Arc::new(status.clone())));
         self.fresh = true;

@@ -137,6 +137,8 @@ pub enum JobEvent {
     Mode(Mode),
     /// A fault was latched; the job ends when the robot stands.
     Fault(etherpen::application::Fault),
+    /// The link of the bus' Ethernet port came or went.
+    Port(etherpen::board::PortState),
     /// An operator's command was refused.
     Refused(Command, Refusal),
     /// Samples of the telemetry were lost right before the one with this time.

@@ -3,6 +3,7 @@
 //! Axes and slaves are counted from 1 here, as they are labelled on the machine; the protocol counts from 0.
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
+use etherpen::board::{PortState, PreviousRun, RunEnd};
 use etherpen::config::ConfigError;
 use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::event::Step;
@@ -250,11 +251,45 @@ pub fn fault(fault: &Fault) -> String {
             f64::from(error_ns) / 1e3,
             f64::from(limit_ns) / 1e3
         ),
+        Fault::NoLink { port } => format!("{}; {PORT_HINT}, then acknowledge", port_state(port)),
+        Fault::ClockFailure => {
+            "the board's 8 MHz from its ST-LINK fail and it runs on a clock that is not exact enough to \
+                                move anything; check the board's USB supply, then reset the board"
+                .into()
+        }
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"
         ),
     }
+}
+
+/// The bus' Ethernet port in a few words.
+pub fn port_state(port: PortState) -> &'static str {
+    match port {
+        PortState::Unknown => "nothing is known of the bus' Ethernet port",
+        PortState::NoPhy => "no PHY answers at the bus' Ethernet port",
+        PortState::Down => "the bus' Ethernet port has no link",
+        PortState::Up => "the bus' Ethernet port has a link",
+    }
+}
+
+/// What to try when the port has no link.
+pub const PORT_HINT: &str = "check the cable to the first drive and that drive's supply";
+
+/// How the run before this one ended, if that is worth a word.
+pub fn previous_run(previous: &PreviousRun) -> Option<String> {
+    let end = match &previous.end {
+        RunEnd::PowerOff | RunEnd::Reset if previous.fault.is_none() => return None,
+        RunEnd::PowerOff => "the firmware was switched off".into(),
+        RunEnd::Reset => "the firmware was reset".into(),
+        RunEnd::Watchdog => "the watchdog ended the firmware's last run: a task that has to run did not".into(),
+        RunEnd::Panic(cause) => format!("the firmware's last run ended by itself: {cause}; please report it"),
+    };
+    Some(match &previous.fault {
+        Some(last) => format!("{end}; its last fault was: {}", fault(last)),
+        None => end,
+    })
 }
 
 /// A slave by its place in the chain; the critical tasks see that one has left OP before it is known which.
@@ -355,6 +390,22 @@ mod tests {
             text,
             "axes.gear of axis 2 is 0, allowed is 0.1 to 1000; correct it in etherpen.toml"
         );
+    }
+
+    #[test]
+    fn an_earlier_end_is_told_only_when_there_is_something_to_tell() {
+        assert_eq!(previous_run(&PreviousRun::default()), None);
+        let previous = PreviousRun {
+            end: PreviousRun::panicked("src/a.rs:7: no"),
+            fault: Some(Fault::ReferenceLost { axis: 2 }),
+        };
+        let text = previous_run(&previous).unwrap();
+        assert!(text.contains("src/a.rs:7: no") && text.contains("axis 3"), "{text}");
+        let reset = PreviousRun {
+            end: RunEnd::Watchdog,
+            fault: None,
+        };
+        assert!(previous_run(&reset).unwrap().contains("watchdog"));
     }
 
     #[test]

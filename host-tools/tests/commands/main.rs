@@ -16,6 +16,7 @@ mod plan;
 mod program;
 mod segment;
 
+use etherpen::board::PreviousRun;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
 use etherpen::link::protocol::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Welcome};
 use host_tools::commands::code;
@@ -279,6 +280,7 @@ fn other_version(listener: &TcpListener, protocol: u16) {
             board: "emulated".try_into().expect("short"),
             config: None,
             capacity: 64,
+            previous: PreviousRun::default(),
         });
         let mut frame = [0; FRAME_BYTES_MAX];
         let length = encode(&welcome, &mut frame).expect("it fits");

@@ -12,11 +12,15 @@ mod device;
 mod disturb;
 mod health;
 mod lan9118;
+#[path = "../shared/last_word.rs"]
+mod last_word;
 #[path = "../shared/load.rs"]
 mod load;
 mod lockstep;
 mod log;
 mod metronome;
+#[path = "../shared/modes.rs"]
+mod modes;
 mod panic;
 #[cfg(feature = "primask")]
 mod primask;
@@ -28,6 +32,18 @@ mod timer;
 mod uart;
 mod wire;
 
+use device::Interrupt;
+
+/// The Ethernet port.
+pub(crate) type Port = wire::Wire;
+/// Interrupts of the tasks that nothing may mask.
+const CRITICAL: [Interrupt; 4] = [
+    Interrupt::TIMER0,
+    Interrupt::TIMER1,
+    Interrupt::DUAL_TIMER,
+    Interrupt::LAN9118,
+];
+
 #[rtic::app(device = crate::device, peripherals = false, dispatchers = [FREE6])]
 mod app {
 
@@ -37,14 +53,16 @@ mod app {
     use crate::lockstep::{self, Bus};
     use crate::log::{self, Drain};
     use crate::metronome::Metronome;
+    use crate::modes::Modes;
     use crate::serial::{Route, Serial};
     use crate::timer::Clock;
     use crate::uart::Uart;
     use crate::wire::Wire;
-    use crate::{critical, disturb, load, time};
+    use crate::{CRITICAL, critical, disturb, last_word, load, time};
     use core::future::poll_fn;
     use core::pin::pin;
     use core::sync::atomic::{AtomicU32, Ordering};
+    use etherpen::application::Mode;
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
     use etherpen::ethercat::transport::raw::RawTransport;
@@ -54,14 +72,6 @@ mod app {
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
     use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
-
-    /// Interrupts of the tasks that nothing may mask.
-    const CRITICAL: [Interrupt; 4] = [
-        Interrupt::TIMER0,
-        Interrupt::TIMER1,
-        Interrupt::DUAL_TIMER,
-        Interrupt::LAN9118,
-    ];
 
     static SUPERVISOR: Metronome = Metronome::new();
     static NETWORK: Metronome = Metronome::new();
@@ -155,6 +165,7 @@ mod app {
         let began_at = free_run();
         load::woke();
         let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        last_word::prepare(sampler, transport);
         let wire = transport.driver_mut();
         wire.clock.release(sampler.take_timer_correction_ns());
         let delay = wire.clock.counts_to(began_at);
@@ -328,13 +339,24 @@ mod app {
     ///
     /// Period: 1 ms, pended by `host_bytes`. Priority: 3. Deadline: none. Overrun: pends merge while the trajectory
     /// task runs.
-    #[task(binds = FREE16, priority = 3, local = [link, health])]
+    #[task(binds = FREE16, priority = 3, local = [link, health, modes: Modes = Modes::new(), drawn_ms: u32 = 0])]
     fn link(cx: link::Context) {
-        cx.local.link.tick();
+        let link = cx.local.link;
+        link.tick();
+        let _ = cx.local.modes.watch(link.mode(), link.fault());
+        panic_on_request(link, cx.local.drawn_ms);
         cx.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
         SUPERVISOR.tick();
         NETWORK.tick();
         rtic::pend(Interrupt::FREE17);
+    }
+
+    /// The variant for the test of a panic ends in the middle of a drawing.
+    fn panic_on_request(link: &LinkTask, drawn_ms: &mut u32) {
+        if cfg!(feature = "panic-while-drawing") && link.mode() == Mode::Drawing {
+            *drawn_ms = drawn_ms.wrapping_add(1);
+            assert!(*drawn_ms < 1_000, "this image was built to end here");
+        }
     }
 
     /// Brings the bus up and watches it.

@@ -1,25 +1,37 @@
 //! The end of the firmware: the cause goes to the emulator's console, and the emulator ends with a failure.
 //!
-//! No logger and no queue takes part, since one of them may be the cause. Cyclic frames stop with the emulator; the drives'
-//! own watchdogs stop the motors.
+//! No logger and no queue takes part, since one of them may be the cause. One last telegram tells the drives to stop; cyclic
+//! frames end with the emulator, and the drives' own watchdogs stop the motors.
 
-use crate::semihosting::{EXIT_PANIC, fail};
+use crate::semihosting::{EXIT_PANIC, exit, say};
+use crate::wire::Wire;
+use crate::{CRITICAL, last_word};
+use core::fmt;
 use core::panic::PanicInfo;
 use cortex_m_rt::{ExceptionFrame, exception};
 
+fn end(cause: fmt::Arguments) -> ! {
+    cortex_m::interrupt::disable();
+    // Before anything else can go wrong.
+    say(cause);
+    // SAFETY: interrupts are masked, and nothing returns from here.
+    unsafe { last_word::say(&CRITICAL, Wire::wait_no_more) };
+    exit(EXIT_PANIC)
+}
+
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
-    fail(EXIT_PANIC, format_args!("{info}"))
+    end(format_args!("{info}"))
 }
 
 // SAFETY: cortex-m-rt calls this as the HardFault handler, once, and it does not return.
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    fail(EXIT_PANIC, format_args!("hard fault: {frame:?}"))
+    end(format_args!("hard fault: {frame:?}"))
 }
 
 // SAFETY: cortex-m-rt calls this for every exception and interrupt without a handler, and it does not return.
 #[exception]
 unsafe fn DefaultHandler(number: i16) -> ! {
-    fail(EXIT_PANIC, format_args!("interrupt {number} has no task"))
+    end(format_args!("interrupt {number} has no task"))
 }

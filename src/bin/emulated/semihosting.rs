@@ -83,6 +83,12 @@ pub(crate) fn exit(code: u32) -> ! {
 
 /// Says `message` on the emulator's console and ends it with `code`.
 pub(crate) fn fail(code: u32, message: fmt::Arguments) -> ! {
+    say(message);
+    exit(code)
+}
+
+/// Says `message` on the emulator's console.
+pub(crate) fn say(message: fmt::Arguments) {
     let mut text = Text {
         bytes: [0; TEXT_BYTES],
         length: 0,
@@ -92,7 +98,6 @@ pub(crate) fn fail(code: u32, message: fmt::Arguments) -> ! {
     let _ = text.write_str("\n");
     // SAFETY: the last byte of the text is never written, so the host finds the terminating zero inside the array.
     unsafe { call(SYS_WRITE0, text.bytes.as_ptr() as u32) };
-    exit(code)
 }
 
 const TEXT_BYTES: usize = 512;

@@ -23,6 +23,7 @@ pub(crate) struct Wire {
     mac: Lan9118<Mmio>,
     bus: Option<Bus>,
     lockstep_counts: u32,
+    waits: bool,
     /// The clock that stamps outgoing frames.
     pub(crate) clock: Clock,
 }
@@ -33,6 +34,7 @@ impl Wire {
             mac,
             bus,
             lockstep_counts: 0,
+            waits: true,
             clock,
         }
     }
@@ -45,6 +47,11 @@ impl Wire {
     /// Counts spent on the lockstep since the last call: no firmware on silicon has that work.
     pub(crate) fn take_lockstep_counts(&mut self) -> u32 {
         core::mem::take(&mut self.lockstep_counts)
+    }
+
+    /// From here on no reply is waited for: the firmware ends, and what waits would let tasks run again.
+    pub(crate) fn wait_no_more(&mut self) {
+        self.waits = false;
     }
 
     /// Frames that were damaged or not sent.
@@ -62,6 +69,7 @@ impl Driver for Wire {
         let token = TxToken {
             inner,
             lockstep_counts: &mut self.lockstep_counts,
+            waits: self.waits,
             clock: &mut self.clock,
             bus: self.bus.as_ref(),
         };
@@ -72,6 +80,7 @@ impl Driver for Wire {
         Some(TxToken {
             inner: self.mac.transmit(context)?,
             lockstep_counts: &mut self.lockstep_counts,
+            waits: self.waits,
             clock: &mut self.clock,
             bus: self.bus.as_ref(),
         })
@@ -94,6 +103,7 @@ impl Driver for Wire {
 pub(crate) struct TxToken<'a> {
     inner: lan9118::TxToken<'a, Mmio>,
     lockstep_counts: &'a mut u32,
+    waits: bool,
     clock: &'a mut Clock,
     bus: Option<&'a Bus>,
 }
@@ -128,7 +138,7 @@ impl embassy_net_driver::TxToken for TxToken<'_> {
         if sent {
             let sent_at = free_run();
             let replies = bus.frame_sent(self.clock.time_us());
-            if replies > 0 {
+            if replies > 0 && self.waits {
                 self.await_replies(waiting + u32::from(replies));
             }
             *self.lockstep_counts = self.lockstep_counts.wrapping_add(free_run().wrapping_sub(sent_at));

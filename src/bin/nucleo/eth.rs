@@ -5,6 +5,12 @@
 //! tells of a sent frame, and wakers are ignored: the caller polls from the interrupt of a received frame. Which
 //! descriptors are whose is the library's `ethernet::descriptors`; here are the memory, the registers and their order.
 //!
+//! Foreign frames. What the MAC's filter lets through is what EtherCAT's own master has sent (`keep_foreign_frames_out`);
+//! with EtherCAT in UDP, where other frames are wanted, a run of `bus_frame` takes at most a ring of them, and the timer's
+//! tasks come first: of interrupts of one priority that wait, the core takes the one with the lower number, and ETH's
+//! is higher than both of TIM1's. So foreign frames cost a critical task at most one such run, and a reply that they push out
+//! of the ring is a lost frame like any other.
+//!
 //! Register layouts: RM0433, chapter "Ethernet (ETH)".
 
 use crate::phy;
@@ -13,6 +19,8 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Context;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 use embassy_stm32::pac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
+use etherpen::board::PortState;
+use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethernet::descriptors::{DESCRIPTOR_BYTES, Descriptor, Place, ReceiveRing, Received, TransmitRing};
 
 /// Descriptors of a ring. A cycle exchanges two frames; the rest is room for foreign frames until the next interrupt.
@@ -24,6 +32,9 @@ const FRAME_LENGTH_MAX: usize = 1514;
 /// Transfers of a bus burst of the DMA: short, so that it shares the bus matrix with the processor.
 const BURST_LENGTH: u8 = 8;
 
+/// Mask of an address filter: the first byte on the wire, the lowest of the address' low half.
+const FIRST_BYTE_IGNORED: u8 = 1;
+
 const _: () = assert!(FRAME_LENGTH_MAX + 4 <= BUFFER_SIZE && BUFFER_SIZE.is_multiple_of(32));
 
 /// Received frames that were dropped: damaged, cut, or longer than a buffer.
@@ -32,6 +43,13 @@ pub(crate) static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 pub(crate) static RING_EXHAUSTED: AtomicU32 = AtomicU32::new(0);
 /// Fatal errors of the DMA on the bus; each resets the MAC, which starts anew with empty rings.
 pub(crate) static BUS_ERRORS: AtomicU32 = AtomicU32::new(0);
+
+/// All of them. Safe in any task.
+pub(crate) fn errors() -> u32 {
+    [&FRAMES_DROPPED, &RING_EXHAUSTED, &BUS_ERRORS]
+        .iter()
+        .fold(0, |sum, count| sum.wrapping_add(count.load(Ordering::Relaxed)))
+}
 
 #[repr(C, align(32))]
 struct Buffer(UnsafeCell<[u8; BUFFER_SIZE]>);
@@ -90,6 +108,8 @@ struct Rings {
 /// The MAC, its DMA and both rings. One exists.
 pub(crate) struct Ethernet {
     hardware_address: [u8; 6],
+    /// Whether frames that did not begin here are dropped.
+    own_frames_only: bool,
     /// None until the DMA's reset has ended.
     rings: Option<Rings>,
 }
@@ -115,8 +135,27 @@ impl Ethernet {
         reset();
         Ethernet {
             hardware_address,
+            own_frames_only: false,
             rings: None,
         }
+    }
+
+    /// Whether frames that the EtherCAT master has not sent itself are dropped by the MAC: they then cost no descriptor, no
+    /// interrupt and no time of a critical task. Nothing else has business on a wire that EtherCAT has for itself.
+    pub(crate) fn keep_foreign_frames_out(&mut self, own_frames_only: bool) {
+        if self.own_frames_only != own_frames_only {
+            self.own_frames_only = own_frames_only;
+            self.filter();
+        }
+    }
+
+    /// Own address and broadcast, which EtherCAT frames have; of these, where it is asked for, only frames whose sender is
+    /// the master: a slave sets a bit of the sender's first byte, so that byte is not compared. Multicast has no use here,
+    /// and the check sequence is always verified.
+    fn filter(&self) {
+        ETH.ethernet_mac()
+            .macpfr()
+            .write(|filter| filter.set_saf(self.own_frames_only));
     }
 
     /// Ends the interrupt's request and counts what went wrong. Call before looking for frames, so that none that
@@ -155,8 +194,16 @@ impl Ethernet {
             control.set_acs(true);
             control.set_cst(true);
         });
-        // Own address, broadcast (which EtherCAT frames use) and multicast; the check sequence is always verified.
-        mac.macpfr().write(|filter| filter.set_pm(true));
+        let [_, b, c, d, e, f] = MASTER_ADDRESS;
+        mac.macahr(0).write(|high| {
+            high.set_addrhi(u16::from_le_bytes([e, f]));
+            high.set_mbc(FIRST_BYTE_IGNORED);
+            high.set_sa(true);
+            high.set_ae(true);
+        });
+        mac.macalr(0)
+            .write(|low| low.set_addrlo(u32::from_le_bytes([0, b, c, d])));
+        self.filter();
         let [a, b, c, d, e, f] = self.hardware_address;
         // The write of the low half takes both over, so it is the last.
         mac.maca0hr().modify(|high| high.set_addrhi(u16::from_le_bytes([e, f])));
@@ -278,7 +325,7 @@ impl Driver for Ethernet {
     }
 
     fn link_state(&mut self, _context: &mut Context) -> LinkState {
-        if self.rings.is_some() && phy::link_is_up() {
+        if self.rings.is_some() && phy::port() == PortState::Up {
             LinkState::Up
         } else {
             LinkState::Down

@@ -39,6 +39,11 @@ impl Periods {
     }
 }
 
+/// Releases of the trajectory task that it has not completed. Safe in a critical task.
+pub(crate) fn trajectories_due() -> u32 {
+    TRAJECTORIES_DUE.load(Ordering::Relaxed)
+}
+
 /// Notes a release of the trajectory task.
 pub(crate) fn trajectory_released() {
     TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);

@@ -22,9 +22,15 @@ mod clocks;
 mod critical;
 mod eth;
 mod health;
+mod kept;
+mod lamps;
+#[path = "../shared/last_word.rs"]
+mod last_word;
 #[path = "../shared/load.rs"]
 mod load;
 mod memory;
+#[path = "../shared/modes.rs"]
+mod modes;
 mod panic;
 mod phy;
 mod pins;
@@ -33,26 +39,35 @@ mod serial;
 #[path = "../shared/time.rs"]
 mod time;
 mod timer;
+mod watchdog;
 
 use defmt_rtt as _;
+use embassy_stm32::pac::Interrupt;
 
 /// Name by which the host knows the board.
 const BOARD: &str = "nucleo";
+/// The Ethernet port.
+pub(crate) type Port = eth::Ethernet;
+/// Interrupts of the critical tasks.
+const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
 
 #[rtic::app(device = embassy_stm32::pac, peripherals = false, dispatchers = [LPTIM5])]
 mod app {
+    use crate::clocks::Source;
     use crate::critical::{self, CRITICAL_PRIORITY};
-    use crate::eth::Ethernet;
+    use crate::eth::{self, Ethernet};
     use crate::health::{self, Health, Periods};
+    use crate::modes::Modes;
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
-    use crate::{BOARD, clocks, load, memory, panic, pins, time, timer};
+    use crate::{BOARD, CRITICAL, clocks, kept, lamps, last_word, load, memory, pins, time, timer, watchdog};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
     use embassy_stm32::pac::Interrupt;
     use embassy_stm32::uid;
+    use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, Lamps};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
     use etherpen::ethercat::clock::steering::CountCorrection;
@@ -64,16 +79,13 @@ mod app {
     use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
 
-    /// Interrupts of the critical tasks.
-    const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
-
     /// What the critical tasks share: they have one priority, so no lock exists.
     #[shared]
     struct Shared {
         #[lock_free]
         sampler: &'static mut Sampler<'static>,
         #[lock_free]
-        wire: RawTransport<Ethernet>,
+        wire: &'static mut RawTransport<Ethernet>,
         #[lock_free]
         watch: CycleWatch<'static>,
         measurements: &'static Measurements,
@@ -87,21 +99,28 @@ mod app {
         supervisor: &'static mut RobotSupervisor<'static>,
         network: &'static mut NetworkTask<'static>,
         phy: Phy,
+        clock_source: Source,
     }
 
     /// Runs once with interrupts disabled: memory and clocks, drivers, then the check of all priorities.
-    #[init(local = [channels: Channels = Channels::new(), parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit()])]
+    #[init(local = [
+        channels: Channels = Channels::new(),
+        parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),
+        wire: MaybeUninit<RawTransport<Ethernet>> = MaybeUninit::uninit()
+    ])]
     fn init(mut context: init::Context) -> (Shared, Local) {
-        let cause = panic::take();
+        let previous = kept::take();
         let core = &mut context.core;
         memory::start(&mut core.MPU, &mut core.SCB, &mut core.CPUID);
-        pins::start(clocks::start());
-        if let Some(cause) = cause {
-            defmt::error!("the previous run ended in a panic: {=str}", cause.text());
-        }
-        let (channels, space) = (context.local.channels, context.local.parts);
-        let parts = space.write(channels.split(BOARD));
-        let wire = RawTransport::new(Ethernet::new(hardware_address(uid::uid())));
+        let (chip, clock_source) = clocks::start();
+        pins::start(chip);
+        defmt::info!("previous run: {}", defmt::Debug2Format(&previous));
+        let init::LocalResources {
+            channels, parts, wire, ..
+        } = context.local;
+        let parts = parts.write(channels.split(BOARD));
+        parts.link.set_previous_run(previous);
+        let wire = wire.write(RawTransport::new(Ethernet::new(hardware_address(uid::uid()))));
         parts.network.set_hardware_address(wire.mac_address());
         let serial = Serial::new(&mut parts.host_bytes);
         critical::start_up_check(&mut core.SYST, &CRITICAL);
@@ -113,7 +132,12 @@ mod app {
             clocks::CORE_HZ / 1_000_000,
             serial::BAUD
         );
+        if clock_source == Source::Substitute {
+            defmt::error!("no 8 MHz from the ST-LINK: nothing will move");
+        }
+        last_word::prepare(&mut parts.sampler, wire);
         timer::start();
+        watchdog::start();
         parts.measurements.set_counts_per_s(clocks::TIMER_HZ);
         (
             Shared {
@@ -129,6 +153,7 @@ mod app {
                 supervisor: &mut parts.supervisor,
                 network: &mut parts.network,
                 phy: Phy::new(),
+                clock_source,
             },
         )
     }
@@ -149,7 +174,12 @@ mod app {
         binds = TIM1_UP,
         priority = 15,
         shared = [sampler, wire, watch],
-        local = [periods: Periods = Periods::new(), correction: CountCorrection = timer::correction()]
+        local = [
+            clock_source,
+            emergency_stop: EmergencyStopInput = EmergencyStopInput::new(),
+            periods: Periods = Periods::new(),
+            correction: CountCorrection = timer::correction()
+        ]
     )]
     fn sample(context: sample::Context) {
         const { assert!(CRITICAL_PRIORITY == 15) };
@@ -158,6 +188,14 @@ mod app {
         timer::acknowledge_sample();
         let missed = context.local.periods.released();
         let resources = context.shared;
+        if board::may_feed(health::trajectories_due()) {
+            watchdog::feed();
+        }
+        let stopped = context.local.emergency_stop.step(pins::emergency_stop_shows_open());
+        let substitute = *context.local.clock_source == Source::Substitute;
+        resources.sampler.set_interlock(Interlock::of(stopped, substitute));
+        let alone = resources.sampler.has_the_wire_alone();
+        resources.wire.driver_mut().keep_foreign_frames_out(alone);
         let correction_ns = resources.sampler.take_timer_correction_ns();
         timer::steer(context.local.correction, correction_ns);
         if resources.sampler.sample(resources.wire, timer::elapsed_ns(), missed) {
@@ -242,9 +280,20 @@ mod app {
     /// Messages of the host, telemetry; then releases the serial port, the supervisor and the PHY.
     ///
     /// Period: 1 ms. Priority: 3. Deadline: 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
-    #[task(binds = LPTIM3, priority = 3, local = [link])]
+    #[task(binds = LPTIM3, priority = 3, local = [link, modes: Modes = Modes::new(), ms: u32 = 0])]
     fn link(context: link::Context) {
-        context.local.link.tick();
+        let link::LocalResources { link, modes, ms, .. } = context.local;
+        let port = link_state::port();
+        link.set_board(BoardState {
+            port,
+            ethernet_errors: eth::errors(),
+        });
+        link.tick();
+        *ms = ms.wrapping_add(1);
+        lamps::show(Lamps::show(link.mode(), port, *ms));
+        if let Some(fault) = modes.watch(link.mode(), link.fault()) {
+            kept::keep_fault(&fault);
+        }
         rtic::pend(Interrupt::USART3);
         rtic::pend(Interrupt::LPTIM4);
         SUPERVISOR.now();
@@ -289,7 +338,7 @@ mod app {
     #[task(binds = LPTIM4, priority = 1, local = [phy, health: Health = Health::new()])]
     fn phy(context: phy::Context) {
         if let Some(event) = context.local.phy.step(&mut Sma) {
-            link_state::publish(context.local.phy.link_is_up());
+            link_state::publish(context.local.phy.port());
             defmt::info!("PHY: {}", defmt::Debug2Format(&event));
         }
         context.local.health.step();

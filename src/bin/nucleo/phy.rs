@@ -1,10 +1,11 @@
-//! The MAC's management interface, and the link's state for the critical tasks.
+//! The MAC's management interface, and the port's state for the other tasks.
 //!
 //! The task that polls the PHY publishes the state in an atomic; the Ethernet driver reads it and waits for nobody.
 
 use crate::clocks::BUS_HZ;
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicU8, Ordering};
 use embassy_stm32::pac::ETH;
+use etherpen::board::PortState;
 use etherpen::ethernet::phy::Management;
 
 /// Clock range field: bus clock / 102, for a management clock of at most 2.5 MHz (RM0433, ETH_MACMDIOAR).
@@ -15,16 +16,22 @@ const _: () = assert!(BUS_HZ >= 150_000_000 && BUS_HZ <= 250_000_000 && BUS_HZ /
 const WRITE: u8 = 0b01;
 const READ: u8 = 0b11;
 
-static LINK_IS_UP: AtomicBool = AtomicBool::new(false);
+/// Until a PHY has answered, none is there.
+static PORT: AtomicU8 = AtomicU8::new(PortState::NoPhy as u8);
 
-/// The link as last published. Safe in a critical task.
-pub(crate) fn link_is_up() -> bool {
-    LINK_IS_UP.load(Ordering::Relaxed)
+/// The port as last published. Safe in a critical task.
+pub(crate) fn port() -> PortState {
+    let code = PORT.load(Ordering::Relaxed);
+    let known = [PortState::Down, PortState::Up];
+    known
+        .into_iter()
+        .find(|state| *state as u8 == code)
+        .unwrap_or(PortState::NoPhy)
 }
 
-/// Tells the driver the link's state.
-pub(crate) fn publish(link_is_up: bool) {
-    LINK_IS_UP.store(link_is_up, Ordering::Relaxed);
+/// Tells the driver and the link task the port's state.
+pub(crate) fn publish(port: PortState) {
+    PORT.store(port as u8, Ordering::Relaxed);
 }
 
 /// The station management agent of the MAC; one exists, in the task that polls the PHY.

@@ -9,12 +9,16 @@
 
 use core::mem;
 use embassy_stm32::gpio::{AfType, AnyPin, Flex, OutputType, Pull, Speed};
+use embassy_stm32::pac::GPIOG;
 use embassy_stm32::{Peri, Peripherals};
 
 /// Alternate function of the Ethernet MAC on every pin used here (datasheet, alternate function tables).
 const ETHERNET_FUNCTION: u8 = 11;
 /// Alternate function of USART3 on port D.
 const SERIAL_FUNCTION: u8 = 7;
+
+/// Bit of the emergency-stop input, D2 on the board's connector: PG14.
+const EMERGENCY_STOP: u32 = 1 << 14;
 
 /// Gives every pin to its peripheral, for good.
 pub(crate) fn start(chip: Peripherals) {
@@ -40,6 +44,21 @@ pub(crate) fn start(chip: Peripherals) {
     );
     // Pulled up: an open line reads idle instead of a stream of breaks.
     assign(chip.PD9.into(), SERIAL_FUNCTION, AfType::input(Pull::Up));
+    // Pulled up: an open wire reads high, which is a stop.
+    let mut emergency_stop = Flex::new(chip.PG14);
+    emergency_stop.set_as_input(Pull::Up);
+    mem::forget(emergency_stop);
+    let lamps: [Peri<'static, AnyPin>; 3] = [chip.PB0.into(), chip.PE1.into(), chip.PB14.into()];
+    for pin in lamps {
+        let mut lamp = Flex::new(pin);
+        lamp.set_as_output(Speed::Low);
+        mem::forget(lamp);
+    }
+}
+
+/// Whether the emergency-stop input reads open at this moment. Safe in a critical task: one register read.
+pub(crate) fn emergency_stop_shows_open() -> bool {
+    GPIOG.idr().read().0 & EMERGENCY_STOP != 0
 }
 
 fn assign(pin: Peri<'static, AnyPin>, function: u8, kind: AfType) {

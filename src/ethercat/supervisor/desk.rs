@@ -10,6 +10,7 @@ use super::super::cyclic::Observation;
 use super::super::event::BusCommand;
 use super::super::service::{ServiceError, ServiceRequest, ServiceResult};
 use super::super::wire::register;
+use crate::board::PortState;
 use crate::queue::front;
 use core::future::{Future, poll_fn};
 use core::pin::Pin;
@@ -75,6 +76,8 @@ pub(super) struct Desk<'a> {
     pub(super) answers: Producer<'a, ServiceResult>,
     pub(super) seen: Option<Observation>,
     pub(super) suspicion_ms: u32,
+    /// The Ethernet port.
+    pub(super) port: PortState,
 }
 
 impl Desk<'_> {
@@ -83,11 +86,21 @@ impl Desk<'_> {
         while let Some(observation) = self.observations.dequeue() {
             self.seen = Some(observation);
         }
+        self.take_port();
         self.suspicion_ms = if self.seen.is_some_and(|seen| expected.differs(&seen)) {
             self.suspicion_ms.saturating_add(1)
         } else {
             0
         };
+    }
+
+    /// Takes what became of the port, so that no other command waits behind it.
+    fn take_port(&mut self) {
+        while let Some(BusCommand::Port(port)) = front(&self.commands) {
+            self.port = *port;
+            // It is the one that was just looked at.
+            let _ = self.commands.dequeue();
+        }
     }
 
     /// Slaves that answered last.
@@ -97,7 +110,8 @@ impl Desk<'_> {
 
     /// Lets `work` go on as long as the bus is as `expected` and no command makes it pointless.
     ///
-    /// With `refuse`, requests that come meanwhile are answered by [`ServiceError::Busy`].
+    /// With `refuse`, as in bring-up and repair, requests that come meanwhile are answered by [`ServiceError::Busy`], and
+    /// the work ends when the port loses its link.
     pub(super) async fn guard<T>(
         &mut self,
         mut expected: Expectation,
@@ -121,6 +135,9 @@ impl Desk<'_> {
             if refuse && self.answers.ready() && self.services.dequeue().is_some() {
                 // There is room, as was just asked.
                 let _ = self.answers.enqueue(Err(ServiceError::Busy));
+            }
+            if refuse && self.port.is_down() {
+                return Poll::Ready(Err(Interruption::Bus));
             }
             if self.suspicion_ms >= WORK_SUSPICION_MS {
                 return Poll::Ready(Err(Interruption::Bus));

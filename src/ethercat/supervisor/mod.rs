@@ -25,6 +25,7 @@ use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::service::{ServiceError, ServiceRequest, ServiceResult};
 use super::slave::Condition;
+use crate::board::PortState;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
 use bus::Bus;
 use core::pin::pin;
@@ -36,6 +37,8 @@ use heapless::spsc::{Consumer, Producer};
 const INSPECTION_PAUSE_MS: u32 = 50;
 /// Period of the supervisor's own look at some slaves after the others, ms.
 const LOOK_PERIOD_MS: u32 = 20;
+/// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
+pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is begun again after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
 
@@ -115,6 +118,8 @@ pub struct Supervisor<'a, const SLAVES: usize, const MESSAGE: usize> {
     inspected_ms: u32,
     looked_ms: u32,
     look_next: usize,
+    /// Whether the running bus' lost link was reported.
+    port_missed: bool,
 }
 
 impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSAGE> {
@@ -138,7 +143,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                 answers,
                 seen: None,
                 suspicion_ms: 0,
+                port: PortState::Unknown,
             },
+            port_missed: false,
             phase: Phase::Stopped,
             slaves_sorted: 0,
             inspected_ms: 0,
@@ -161,6 +168,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                     self.bus.setup = setup;
                     self.start().await;
                 }
+                (Some(BusCommand::Port(port)), _) => self.desk.port = port,
+                (Some(BusCommand::Recover), Phase::Running) if self.desk.port.is_down() => self.miss_link().await,
                 (Some(BusCommand::Recover), Phase::Running) => self.recover().await,
                 (Some(BusCommand::Recover), Phase::Failed) => self.start().await,
                 (Some(BusCommand::Recover), Phase::Stopped) => {}
@@ -183,6 +192,13 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
     /// Brings the whole bus up.
     async fn start(&mut self) {
         self.phase = Phase::Failed;
+        if self.link_stays_away().await {
+            // A command that came meanwhile is carried out instead.
+            if !self.desk.commands.ready() {
+                self.miss_link().await;
+            }
+            return;
+        }
         let result = self.bring_up().await;
         match result {
             Ok(Ok(())) => {
@@ -192,6 +208,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             }
             Ok(Err(failure)) => self.bus.refuse(failure).await,
             Err(Interruption::Command) => {}
+            Err(Interruption::Bus) if self.desk.port.is_down() => self.miss_link().await,
             Err(Interruption::Bus) => {
                 self.bus.inspect(0..SLAVES).await;
                 let error = BusError::SlaveCount {
@@ -201,6 +218,26 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                 self.bus.refuse(Failure::bus(Step::Watch)(error)).await;
             }
         }
+    }
+
+    /// Waits for the port's link, which takes its time when everything is switched on at once; ends early when another
+    /// command comes.
+    async fn link_stays_away(&mut self) -> bool {
+        let began_ms = self.bus.port.now_ms();
+        while self.desk.port.is_down()
+            && !self.desk.commands.ready()
+            && self.bus.port.now_ms().wrapping_sub(began_ms) < LINK_TIMEOUT_MS
+        {
+            self.bus.port.wait_ms(1).await;
+            self.desk.observe(&Expectation::ANYTHING);
+        }
+        self.desk.port.is_down()
+    }
+
+    /// Reports that the port has no link.
+    async fn miss_link(&mut self) {
+        let error = BusError::NoLink { port: self.desk.port };
+        self.bus.refuse(Failure::bus(Step::Discover)(error)).await;
     }
 
     /// The steps of a bring-up, each of them guarded.
@@ -244,6 +281,11 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         self.bus.port.wait_ms(1).await;
         let expected = self.bus.expectation(None);
         self.desk.observe(&expected);
+        let missed = self.desk.port.is_down();
+        if missed && !self.port_missed {
+            self.miss_link().await;
+        }
+        self.port_missed = missed;
         let now_ms = self.bus.port.now_ms();
         let paused = now_ms.wrapping_sub(self.inspected_ms) < INSPECTION_PAUSE_MS;
         if self.desk.suspicion_ms >= SUSPICION_MS && !paused {

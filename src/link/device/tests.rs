@@ -2,7 +2,8 @@
 
 use super::super::protocol::{Counters, Hello, PathVertex, SLAVES_REPORTED, SlaveStatus};
 use super::*;
-use crate::application::Mode;
+use crate::application::{Fault, Mode};
+use crate::board::{Interlock, PortState};
 use crate::motion::Pen;
 
 const IDENTITY: Identity = Identity {
@@ -107,6 +108,24 @@ fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_r
 }
 
 #[test]
+fn every_greeting_is_told_how_the_run_before_ended() {
+    let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
+    let previous = PreviousRun {
+        end: PreviousRun::panicked("panicked at src/main.rs:1:1"),
+        fault: Some(Fault::ReferenceUnderrun),
+    };
+    endpoint.set_previous_run(previous.clone());
+    for session in 1..3 {
+        say(&mut endpoint, 0, 9, &hello(session));
+        let answer = hear(&mut endpoint, 0);
+        assert!(
+            matches!(&answer[..], [DeviceMessage::Welcome(welcome)] if welcome.previous == previous),
+            "{answer:?}"
+        );
+    }
+}
+
+#[test]
 fn a_repeated_request_is_answered_again_but_handed_out_once() {
     let mut endpoint = endpoint();
     hear(&mut endpoint, 0);
@@ -160,6 +179,8 @@ fn full_status() -> Status {
     Status {
         mode: Mode::Drawing,
         fault: None,
+        interlock: Some(Interlock::Clock),
+        port: PortState::Up,
         referenced: true,
         increments: [Some(u32::MAX); 4],
         config: Some(u64::MAX),

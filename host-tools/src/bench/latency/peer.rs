@@ -283,6 +283,7 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
         trajectory_overruns: after.trajectory_overruns.wrapping_sub(before.trajectory_overruns),
         telemetry_dropped: after.telemetry_dropped.wrapping_sub(before.telemetry_dropped),
         link_errors: after.link_errors.wrapping_sub(before.link_errors),
+        ethernet_errors: after.ethernet_errors.wrapping_sub(before.ethernet_errors),
     }
 }
 

@@ -70,6 +70,7 @@ pub fn service_error(error: &ServiceError) -> String {
 /// Why a step on the bus failed, and what to try.
 pub fn bus_error(error: &BusError) -> String {
     match *error {
+        BusError::NoLink { port } => format!("{}; {}", text::port_state(port), text::PORT_HINT),
         BusError::SdoAbort { object: at, code } => format!(
             "the slave aborted the access to {}: {code:#010x}, {}; {}",
             object(at),

@@ -1,0 +1,171 @@
+//! What memory keeps over a reset: what ended the firmware, and the last fault.
+//!
+//! Invariant: a record is either whole or none: its mark is removed first and written last.
+
+use core::cell::UnsafeCell;
+use core::fmt;
+use core::mem::MaybeUninit;
+use core::ptr;
+use core::sync::atomic::{Ordering, compiler_fence};
+use embassy_stm32::pac::RCC;
+use etherpen::application::Fault;
+use etherpen::board::{CAUSE_BYTES_MAX, PreviousRun, RunEnd};
+
+/// Bytes of a fault as it is kept.
+const FAULT_BYTES_MAX: usize = 32;
+/// Distinguishes a written record from memory after power-on.
+const WRITTEN: u32 = 0x7061_6E63;
+
+/// A record as it lies in memory; cache lines of its own, so that cleaning writes nothing else back.
+#[derive(Clone, Copy)]
+#[repr(C, align(32))]
+struct Record<const BYTES: usize> {
+    written: u32,
+    length: u32,
+    bytes: [u8; BYTES],
+    /// Written once more after the rest: the RAM's error correction holds the latest write that is shorter than its word
+    /// back until the next one, and a reset would lose it (ST AN5342).
+    flush: u32,
+}
+
+struct Kept<const BYTES: usize>(UnsafeCell<MaybeUninit<Record<BYTES>>>);
+
+// SAFETY: `take` runs before interrupts are enabled; after that one context at a time reaches a record: the link task the
+// last fault, and whoever has masked all interrupts for good the cause.
+unsafe impl<const BYTES: usize> Sync for Kept<BYTES> {}
+
+impl<const BYTES: usize> Kept<BYTES> {
+    const fn new() -> Self {
+        Kept(UnsafeCell::new(MaybeUninit::uninit()))
+    }
+
+    fn record(&self) -> *mut Record<BYTES> {
+        self.0.get().cast()
+    }
+
+    /// # Safety
+    /// No other context may reach the record meanwhile.
+    unsafe fn is_written(&self) -> bool {
+        // SAFETY: any bit pattern is valid; volatile, because it comes from before the reset and the compiler must not take
+        // the static for undefined. The caller keeps others away.
+        unsafe { ptr::read_volatile(&raw const (*self.record()).written) == WRITTEN }
+    }
+
+    /// The record, which is then none.
+    ///
+    /// # Safety
+    /// No other context may reach the record meanwhile.
+    unsafe fn take(&self) -> Option<([u8; BYTES], usize)> {
+        // SAFETY: as the caller promises; any bit pattern is valid.
+        unsafe {
+            if !self.is_written() {
+                return None;
+            }
+            let record = ptr::read_volatile(self.record());
+            ptr::write_volatile(&raw mut (*self.record()).written, 0);
+            Some((record.bytes, (record.length as usize).min(BYTES)))
+        }
+    }
+
+    /// Replaces the record.
+    ///
+    /// # Safety
+    /// No other context may reach the record meanwhile.
+    unsafe fn keep(&self, bytes: &[u8; BYTES], length: usize) {
+        let record = self.record();
+        // SAFETY: as the caller promises. The core's peripherals are stolen for the cache's maintenance of these lines alone,
+        // which nobody else does after the start.
+        unsafe {
+            ptr::write_volatile(&raw mut (*record).written, 0);
+            ptr::write_volatile(&raw mut (*record).bytes, *bytes);
+            ptr::write_volatile(&raw mut (*record).length, length as u32);
+            compiler_fence(Ordering::SeqCst);
+            ptr::write_volatile(&raw mut (*record).written, WRITTEN);
+            cortex_m::asm::dsb();
+            ptr::write_volatile(&raw mut (*record).flush, 0);
+            let mut core = cortex_m::Peripherals::steal();
+            core.SCB
+                .clean_dcache_by_address(record as usize, size_of::<Record<BYTES>>());
+        }
+    }
+}
+
+/// Outside .data and .bss, which a start overwrites.
+#[unsafe(link_section = ".uninit.kept_cause")]
+static CAUSE: Kept<CAUSE_BYTES_MAX> = Kept::new();
+#[unsafe(link_section = ".uninit.kept_fault")]
+static FAULT: Kept<FAULT_BYTES_MAX> = Kept::new();
+
+/// What is known of the run before this one. Call once, before interrupts are enabled.
+pub(crate) fn take() -> PreviousRun {
+    let flags = RCC.rsr().read();
+    RCC.rsr().modify(|status| status.set_rmvf(true));
+    // SAFETY: interrupts are not enabled yet, so no other context exists.
+    let (cause, fault) = unsafe { (CAUSE.take(), FAULT.take()) };
+    let end = match cause {
+        Some((bytes, length)) => PreviousRun::panicked(readable(bytes.get(..length).unwrap_or_default())),
+        None if flags.iwdg1rstf() => RunEnd::Watchdog,
+        None if flags.porrstf() || flags.borrstf() => RunEnd::PowerOff,
+        None => RunEnd::Reset,
+    };
+    PreviousRun {
+        end,
+        fault: fault.and_then(|(bytes, length)| postcard::from_bytes(bytes.get(..length)?).ok()),
+    }
+}
+
+fn readable(bytes: &[u8]) -> &str {
+    match core::str::from_utf8(bytes) {
+        Ok(text) => text,
+        Err(error) => bytes
+            .get(..error.valid_up_to())
+            .and_then(|valid| core::str::from_utf8(valid).ok())
+            .unwrap_or_default(),
+    }
+}
+
+/// Keeps the first cause that ends the firmware; a second one does not replace it.
+///
+/// # Safety
+///
+/// All interrupts are masked and stay so until the reset.
+pub(crate) unsafe fn keep_cause(cause: fmt::Arguments) {
+    // SAFETY: nothing preempts this any more, and what was interrupted never goes on.
+    if unsafe { CAUSE.is_written() } {
+        return;
+    }
+    let mut text = Text {
+        bytes: [0; CAUSE_BYTES_MAX],
+        length: 0,
+    };
+    // A text that does not fit is cut; what fits is kept.
+    let _ = fmt::write(&mut text, cause);
+    // SAFETY: as above.
+    unsafe { CAUSE.keep(&text.bytes, text.length) };
+}
+
+/// Keeps a fault; for the link task alone.
+pub(crate) fn keep_fault(fault: &Fault) {
+    let mut bytes = [0; FAULT_BYTES_MAX];
+    let length = postcard::to_slice(fault, &mut bytes).map_or(0, |used| used.len());
+    // SAFETY: the link task is one context and does not nest.
+    unsafe { FAULT.keep(&bytes, length) };
+}
+
+struct Text {
+    bytes: [u8; CAUSE_BYTES_MAX],
+    length: usize,
+}
+
+impl fmt::Write for Text {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for byte in text.bytes() {
+            let Some(slot) = self.bytes.get_mut(self.length) else {
+                return Err(fmt::Error);
+            };
+            *slot = byte;
+            self.length += 1;
+        }
+        Ok(())
+    }
+}
