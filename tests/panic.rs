@@ -4,7 +4,7 @@ use etherpen::config::Config;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
 use host_tools::commands::prepare::{prepare, to_wire};
 use host_tools::emulator::{Emulator, EmulatorError, LINK_BYTES_MAX, Link, LogLine, Options, Segment};
-use host_tools::link::job::{DrawJob, JobOptions};
+use host_tools::link::job::{Job, JobOptions};
 use host_tools::setup;
 use std::sync::{Arc, Mutex};
 
@@ -17,7 +17,7 @@ const STANDS_WITHIN_US: u64 = 1_000_000;
 const STILL_RAD_S: f64 = 1.0e-3;
 
 /// The drawing job at the link, for as long as there is a firmware.
-struct Host(DrawJob);
+struct Host(Job);
 
 impl Link for Host {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
@@ -51,7 +51,7 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
     let file = setup::workspace().join("samples/strokes.csv");
     let prepared = prepare(&file, &config).unwrap_or_else(|error| panic!("{}", error.message));
     let path: Vec<_> = prepared.path.iter().map(to_wire).collect();
-    let job = DrawJob::new(config.clone(), path, JobOptions::default());
+    let job = Job::draw(config.clone(), path, JobOptions::default());
     let watched = Arc::new(Mutex::new(Watched {
         cell: Cell::new(&config, CellOptions::default()),
         last_frame_us: 0,

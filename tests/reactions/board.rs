@@ -49,7 +49,7 @@ fn a_pulse_on_the_emergency_stop_wire_stops_nothing() {
     let mut robot = Robot::drawing();
     for _ in 0..20 {
         robot.emergency_stop(true);
-        robot.run(2);
+        robot.run(1);
         robot.emergency_stop(false);
         robot.run(20);
     }

@@ -1,6 +1,7 @@
 //! Both ends on one bench: a line with faults and a small firmware around the real endpoint, in virtual time.
 
 use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::board::PortState;
 use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
@@ -264,6 +265,8 @@ impl Bench {
             self.endpoint.status(Status {
                 mode: self.mode,
                 fault: self.fault,
+                interlock: None,
+                port: PortState::Unknown,
                 referenced: self.referenced,
                 increments: self.increments,
                 config: self.config,
