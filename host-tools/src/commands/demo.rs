@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// Options of `etherpen demo`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG) or CSV to draw; without it the bundled portrait. Results go to target/demo, or to --out.
+    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; without it the bundled portrait. Results go to target/demo, or to --out.
     #[arg(long, value_name = "FILE")]
     photo: Option<PathBuf>,
     #[command(flatten)]

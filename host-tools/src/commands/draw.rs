@@ -16,7 +16,7 @@ use std::sync::mpsc::{self, Receiver};
 /// Options of `etherpen draw`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG) or CSV to draw; - reads it from standard input.
+    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
     file: PathBuf,
     /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]

@@ -32,7 +32,7 @@ const LIMIT_MAX: f64 = 1.0e12;
 /// what exceeds a limit by more than a thousandth is a violation.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG).
+    /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG, G-code, HPGL).
     file: PathBuf,
     /// Print the findings as JSON on stdout.
     #[arg(long)]

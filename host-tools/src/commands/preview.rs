@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// the firmware's planner computes for the very path that `draw` would send, from above the first stroke's start.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG) or CSV; - reads it from standard input.
+    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.
     file: PathBuf,
     /// The picture to write, by its name an SVG or a PNG.
     #[arg(short, long, value_name = "OUT.svg|png")]

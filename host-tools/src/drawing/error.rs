@@ -74,6 +74,30 @@ pub enum DrawingError {
         /// Most points accepted.
         points_max: usize,
     },
+    /// A line of G-code has something that is no word: a letter and a number.
+    GcodeWord {
+        /// Line of the file, the first is 1.
+        line: usize,
+    },
+    /// A line of G-code asks for a motion that is not known.
+    GcodeMotion {
+        /// Line of the file, the first is 1.
+        line: usize,
+        /// Ten times the G word's number.
+        tenths: u32,
+    },
+    /// An arc of G-code has no radius, or its ends do not lie on one circle.
+    GcodeArc {
+        /// Line of the file, the first is 1.
+        line: usize,
+    },
+    /// An instruction of HPGL lacks a number, or has something that is none.
+    HpglNumber {
+        /// Which one, the first is 1.
+        instruction: usize,
+    },
+    /// A coordinate is more than a kilometre away.
+    FarAway,
     /// A photograph is turned by something else than quarters.
     BadRotation,
     /// A vector file without a line.
@@ -126,7 +150,7 @@ impl fmt::Display for DrawingError {
             Self::UnknownContent => {
                 write!(
                     f,
-                    "neither a PNG or JPEG picture nor an SVG nor a CSV of coordinates; convert it to one of them"
+                    "neither a PNG or JPEG picture nor an SVG, G-code, HPGL or a CSV of coordinates; convert it to one of them"
                 )
             }
             Self::Damaged => write!(f, "the picture is damaged or cut off; copy or export it again"),
@@ -189,6 +213,27 @@ impl fmt::Display for DrawingError {
                     "more than {points_max} points; simplify the lines, or split the file"
                 )
             }
+            Self::GcodeWord { line } => write!(
+                f,
+                "line {line}: this is no G-code, which is letters with numbers; expressions and macros are not read"
+            ),
+            Self::GcodeMotion { line, tenths } => write!(
+                f,
+                "line {line}: G{} is not understood (known are G0 to G4, G17, G20, G21, G90 to G92); leave it out or \
+                 export for a pen plotter",
+                f64::from(tenths) / 10.0
+            ),
+            Self::GcodeArc { line } => write!(
+                f,
+                "line {line}: the arc has no radius, or its ends do not lie on one circle; check I, J, R and units"
+            ),
+            Self::HpglNumber { instruction } => {
+                write!(
+                    f,
+                    "instruction {instruction}: a number is missing or wrong; export it again"
+                )
+            }
+            Self::FarAway => write!(f, "a coordinate is more than a kilometre away; check the file's units"),
             Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
             Self::NothingDrawn => write!(f, "there is nothing to draw in it"),
             Self::NoSuchLayer { layers } => write!(

@@ -5,6 +5,8 @@
 
 use super::artwork::Artwork;
 use super::csv::{Path3d, read_csv};
+use super::gcode::read_gcode;
+use super::hpgl::read_hpgl;
 use super::photo::decode;
 use super::svg::read_svg;
 use super::{Drawing, DrawingError};
@@ -28,7 +30,8 @@ pub enum Input {
     Artwork(Artwork),
 }
 
-/// Reads a file, `-` for standard input: a PNG or JPEG picture, an SVG, or a CSV of coordinates.
+/// Reads a file, `-` for standard input: a PNG or JPEG picture, an SVG, G-code, HPGL, or a CSV of
+/// coordinates.
 ///
 /// # Errors
 ///
@@ -49,6 +52,8 @@ pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
     match kind(path, text) {
         Some(Kind::Svg) => read_svg(text).map(Input::Artwork),
         Some(Kind::Csv) => read_csv(text),
+        Some(Kind::Gcode) => read_gcode(text).map(Input::Artwork),
+        Some(Kind::Hpgl) => read_hpgl(text).map(Input::Artwork),
         None => Err(DrawingError::UnknownContent),
     }
 }
@@ -75,6 +80,8 @@ fn read(path: &Path) -> Result<Vec<u8>, DrawingError> {
 enum Kind {
     Svg,
     Csv,
+    Gcode,
+    Hpgl,
 }
 
 /// What a text is meant as: by its beginning, or by its name where the beginning is wrong.
@@ -88,7 +95,33 @@ fn kind(path: &Path, text: &str) -> Option<Kind> {
         Some(Kind::Svg)
     } else if begins.starts_with("x_mm") || named(&["csv"]) {
         Some(Kind::Csv)
+    } else if named(&["gcode", "gco", "nc", "ngc", "tap", "g"]) || is_gcode(begins) {
+        Some(Kind::Gcode)
+    } else if named(&["hpgl", "plt", "hpg"]) || is_hpgl(begins) {
+        Some(Kind::Hpgl)
     } else {
         None
     }
+}
+
+/// Whether the first line that is no comment begins with a word of G-code.
+fn is_gcode(text: &str) -> bool {
+    let begins_comment = |line: &&str| line.is_empty() || line.starts_with([';', '(', '%']);
+    let first = text
+        .lines()
+        .map(str::trim)
+        .find(|line| !begins_comment(line))
+        .unwrap_or_default();
+    let mut letters = first.chars().map(|c| c.to_ascii_uppercase());
+    matches!(letters.next(), Some('G' | 'M' | 'N' | 'T' | 'F')) && letters.next().is_some_and(|c| c.is_ascii_digit())
+}
+
+/// Whether a text begins with an instruction that HPGL files begin with.
+fn is_hpgl(text: &str) -> bool {
+    let name: String = text.chars().take(2).collect::<String>().to_ascii_uppercase();
+    let is_followed = text
+        .chars()
+        .nth(2)
+        .is_some_and(|c| matches!(c, ';' | '-' | ',' | ' ') || c.is_ascii_digit());
+    ["IN", "DF", "SP", "PU", "PD", "PA"].contains(&name.as_str()) && is_followed
 }
