@@ -106,7 +106,7 @@ impl Axis {
 
 impl Config {
     /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
-    fn scalars(&self) -> [Bound; 43] {
+    fn scalars(&self) -> [Bound; 45] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
         let reach = geometry.upper_arm_mm + geometry.forearm_mm;
@@ -146,6 +146,8 @@ impl Config {
             bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
             bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
             bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
+            bound("geometry.turn_range_rad[0]", geometry.turn_range_rad[0], -6300.0, 0.0),
+            bound("geometry.turn_range_rad[1]", geometry.turn_range_rad[1], 0.0, 6300.0),
             bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
             bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
             bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),

@@ -32,6 +32,8 @@ pub struct Geometry {
     pub arm_range_rad: [f64; 2],
     /// Margin kept from both ends of the arm range, radians.
     pub arm_margin_rad: f64,
+    /// Lowest and highest angle of the fourth axis, radians; it has no end stop, its cables and its counter have.
+    pub turn_range_rad: [f64; 2],
 }
 
 impl Default for Geometry {
@@ -45,6 +47,7 @@ impl Default for Geometry {
             arm_azimuths_deg: [0.0, 120.0, 240.0],
             arm_range_rad: [-0.7034, 1.7453],
             arm_margin_rad: 0.01745,
+            turn_range_rad: [-6_283.0, 6_283.0],
         }
     }
 }

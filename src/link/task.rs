@@ -271,13 +271,9 @@ impl<'a> LinkTask<'a> {
         }
         if let Command::Move { position } = command {
             let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured)?;
-            admission.restart_at(&self.condition.pose);
-            let vertex = Vertex {
-                position,
-                pen: Pen::Up,
-                stroke: 0,
-            };
-            admission.check(0, &vertex).map_err(Refusal::Target)?;
+            admission
+                .check_move(&self.condition.pose, &position)
+                .map_err(Refusal::Target)?;
         }
         self.check_reference(command)?;
         self.application.command(command)?;

@@ -3,11 +3,15 @@
 //! A vertex is admitted when it lies in the work area and so does its leg, checked every 5 mm. The same check runs
 //! on the host before a path is sent and in the firmware when it arrives.
 //!
+//! Where the fourth axis follows the path, its turns add up over a drawing: the angle that the path has wound it to is
+//! kept, and a vertex whose leg would turn it out of its range is refused.
+//!
 //! The shaped path is inside too: it stays in the hull of its vertices, which is enough for cylinder and planes, and
 //! within the tolerance of its legs, which is the room that the checked points keep from what the arms allow.
 
+use super::heading::Winding;
 use super::{Refusal, RefusalReason, Vertex};
-use crate::config::Config;
+use crate::config::{Config, Orientation};
 use crate::robot::vector::{Vector, add_scaled, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
 
@@ -29,6 +33,10 @@ pub struct Admission {
     previous: Option<Position>,
     /// Where the robot stands when the path begins.
     start: Option<Position>,
+    /// The fourth axis follows the path: where it is, the place that belongs to it, and what it may do.
+    winding: Option<Winding>,
+    wound_at: Option<Position>,
+    turn_range_rad: [f64; 2],
 }
 
 impl Admission {
@@ -42,13 +50,24 @@ impl Admission {
             room_mm: config.motion.travel_tolerance_mm.max(config.motion.tolerance_mm) + LEG_ROOM_MM,
             previous: None,
             start: None,
+            winding: (config.motion.orientation == Orientation::Path).then(Winding::default),
+            wound_at: None,
+            turn_range_rad: config.geometry.turn_range_rad,
         })
     }
 
-    /// Begins a new path from anywhere.
+    /// Begins a new path from anywhere, with the fourth axis at 0.
     pub fn restart(&mut self) {
         self.previous = None;
         self.start = None;
+        self.wind_from(None, 0.0);
+    }
+
+    fn wind_from(&mut self, place: Option<Position>, angle_rad: f64) {
+        self.wound_at = place;
+        if let Some(winding) = &mut self.winding {
+            *winding = Winding::new(angle_rad);
+        }
     }
 
     /// Begins a new path from a pose: the way to its first vertex is checked too, unless the robot stands outside the
@@ -56,6 +75,8 @@ impl Admission {
     pub fn restart_at(&mut self, pose: &JointAngles) {
         self.previous = None;
         let position = self.area.delta().forward(pose).ok();
+        let [_, _, _, fourth_rad] = pose.0;
+        self.wind_from(position, fourth_rad);
         self.start = position.filter(|position| self.area.check(position).is_ok());
     }
 
@@ -64,10 +85,42 @@ impl Admission {
     /// # Errors
     /// The index with the first reason found.
     pub fn check(&mut self, index: u32, vertex: &Vertex) -> Result<(), Refusal> {
-        self.reason(&vertex.position)
-            .map_err(|reason| Refusal { index, reason })?;
+        let refused = |reason| Refusal { index, reason };
+        self.reason(&vertex.position).map_err(refused)?;
+        let winding = self.wound(&vertex.position).map_err(refused)?;
+        self.winding = winding;
+        self.wound_at = Some(vertex.position);
         self.previous = Some(vertex.position);
         Ok(())
+    }
+
+    /// Checks a straight move from a pose, on which the fourth axis keeps its angle.
+    ///
+    /// # Errors
+    /// Index 0 with the first reason found.
+    pub fn check_move(&mut self, pose: &JointAngles, target: &Position) -> Result<(), Refusal> {
+        self.restart_at(pose);
+        self.reason(target).map_err(|reason| Refusal { index: 0, reason })
+    }
+
+    /// Where the leg to a position winds the fourth axis to.
+    fn wound(&self, position: &Position) -> Result<Option<Winding>, RefusalReason> {
+        let (Some(winding), Some(from)) = (self.winding, self.wound_at) else {
+            return Ok(self.winding);
+        };
+        let after = winding.over(&subtract(&(*position).into(), &from.into()));
+        let [low_rad, high_rad] = self.turn_range_rad;
+        let angle_rad = after.angle_rad();
+        // An axis that stands outside may come in.
+        let leaves = angle_rad > high_rad.max(winding.angle_rad()) || angle_rad < low_rad.min(winding.angle_rad());
+        if leaves || angle_rad.is_nan() {
+            return Err(RefusalReason::Wound {
+                angle_rad,
+                low_rad,
+                high_rad,
+            });
+        }
+        Ok(Some(after))
     }
 
     fn reason(&self, position: &Position) -> Result<(), RefusalReason> {
@@ -118,6 +171,7 @@ pub(crate) fn check_leg(
 mod tests {
     use super::*;
     use crate::motion::Pen;
+    use crate::robot::Delta;
 
     fn vertex(x_mm: f64, y_mm: f64, z_mm: f64) -> Vertex {
         Vertex {
@@ -138,6 +192,56 @@ mod tests {
         let refusal = admission.check(3, &vertex(900.0, 0.0, -850.0)).unwrap_err();
         assert!(matches!(refusal.reason, RefusalReason::Outside(Outside::Radius { .. })));
         assert_eq!(admission.check(4, &vertex(11.0, 0.0, -850.0)), Ok(()));
+    }
+
+    #[test]
+    fn a_leg_that_winds_the_fourth_axis_out_of_its_range_is_refused() {
+        let mut config = Config::default();
+        config.motion.orientation = Orientation::Path;
+        config.geometry.turn_range_rad = [-7.0, 10.0];
+        let square = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
+        let corner = |index: u32, left: bool| {
+            let (x, y) = square[index as usize % 4];
+            vertex(x, if left { y } else { -y }, -850.0)
+        };
+        let refusal = |admission: &mut Admission, left: bool| {
+            (0..20).find_map(|index| admission.check(index, &corner(index, left)).err())
+        };
+        let mut admission = Admission::new(&config).unwrap();
+        // The first leg has the direction 0; leg k turns to k quarters.
+        let quarter = core::f64::consts::FRAC_PI_2;
+        let wound = |index: u32, quarters: f64| {
+            Some(Refusal {
+                index,
+                reason: RefusalReason::Wound {
+                    angle_rad: quarters * quarter,
+                    low_rad: -7.0,
+                    high_rad: 10.0,
+                },
+            })
+        };
+        assert_eq!(refusal(&mut admission, true), wound(8, 7.0));
+        admission.restart();
+        assert_eq!(refusal(&mut admission, false), wound(6, -5.0));
+        let [a, b, c] = Delta::new(&config.geometry)
+            .unwrap()
+            .inverse(&Position {
+                x_mm: -5.0,
+                y_mm: 0.0,
+                z_mm: -850.0,
+            })
+            .unwrap();
+        let pose = JointAngles([a, b, c, 4.0 * quarter]);
+        admission.restart_at(&pose);
+        assert_eq!(
+            refusal(&mut admission, true),
+            wound(4, 7.0),
+            "it goes on from where the axis is"
+        );
+        let target = corner(2, true).position;
+        assert_eq!(admission.check_move(&JointAngles([a, b, c, 9.9]), &target), Ok(()));
+        config.motion.orientation = Orientation::Constant;
+        assert_eq!(refusal(&mut Admission::new(&config).unwrap(), true), None);
     }
 
     #[test]

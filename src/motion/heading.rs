@@ -10,7 +10,7 @@
 
 use super::limits::Limits;
 use super::shaping::Piece;
-use crate::robot::vector::{Vector, root};
+use crate::robot::vector::{Vector, length, root, scale};
 use core::f64::consts::{PI, TAU};
 
 /// Smallest horizontal part of a unit tangent that has a direction seen from above.
@@ -44,6 +44,35 @@ pub(crate) fn turn_to(angle: f64, direction: f64) -> f64 {
 fn slope(tangent: &Vector, bend: &Vector) -> f64 {
     let across = tangent[0] * bend[1] - tangent[1] * bend[0];
     across / (tangent[0] * tangent[0] + tangent[1] * tangent[1])
+}
+
+/// Where a path winds the axis to, leg by leg. The shaped path turns at a vertex as its legs do, so [`Course`] comes to
+/// the same angle at the end of each leg.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Winding {
+    angle: f64,
+}
+
+impl Winding {
+    /// From an angle, rad.
+    pub(crate) fn new(angle: f64) -> Self {
+        Self { angle }
+    }
+
+    /// The axis' angle, rad.
+    pub(crate) fn angle_rad(&self) -> f64 {
+        self.angle
+    }
+
+    /// After a leg.
+    pub(crate) fn over(self, leg: &Vector) -> Self {
+        let whole = length(leg);
+        let tangent = scale(leg, if whole > 0.0 { 1.0 / whole } else { 0.0 });
+        let turn = direction(&tangent).map_or(0.0, |direction| turn_to(self.angle, direction));
+        Self {
+            angle: self.angle + turn,
+        }
+    }
 }
 
 /// The axis' angle along one interval of the grid.

@@ -24,8 +24,9 @@ const POLYGON: f64 = 0.980_785_280_403_230_4;
 const ACCELERATION_PART: f64 = 0.9998;
 /// Part of the speed limits that the scan uses.
 const SPEED_PART: f64 = 0.9998;
-/// The same of the pen's vertical limits, which hold at the points of the grid only, and blends bend much between them.
-const PEN_PART: f64 = 0.92;
+/// The same of the pen's vertical limits: on 250 random paths with lifts the 1 ms references exceed the part by 0.4 % of
+/// the limit at most.
+const PEN_PART: f64 = 0.985;
 
 /// Limits of the scan.
 #[derive(Clone, Copy, Debug)]

@@ -96,6 +96,15 @@ pub enum RefusalReason {
         /// Why it is.
         outside: Outside,
     },
+    /// The fourth axis follows the path, and the leg to the vertex turns it out of its range.
+    Wound {
+        /// The angle, rad.
+        angle_rad: f64,
+        /// Lowest, rad.
+        low_rad: f64,
+        /// Highest, rad.
+        high_rad: f64,
+    },
 }
 
 /// What the trajectory can be told.

@@ -47,7 +47,7 @@ impl Outline {
     /// A geometry that is no delta robot.
     pub fn new(config: &Config, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
-        shaper.configure(tolerances(config), config.motion.pen_dwell_ms > 0);
+        shaper.configure(tolerances(config), &config.motion);
         let mut outline = Self {
             delta: Delta::new(&config.geometry)?,
             shaper,

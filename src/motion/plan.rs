@@ -48,7 +48,9 @@ struct Span {
     turn_change: f64,
     /// The pen is lifted or lowered.
     lifts: bool,
-    middle: Option<Middle>,
+    /// It lies on a curve, whose limits in the middle hold too.
+    curved: bool,
+    middle: Middle,
 }
 
 impl Span {
@@ -60,7 +62,8 @@ impl Span {
         heading: 0.0,
         turn_change: 0.0,
         lifts: false,
-        middle: None,
+        curved: false,
+        middle: Middle::NONE,
     };
 }
 
@@ -91,6 +94,7 @@ impl GridPoint {
 
     /// The interval that begins here, or `offset_mm` later.
     fn interval<'a>(&self, limits: &'a Limits, start: &'a Row, next: &'a Self, offset_mm: f64) -> Interval<'a> {
+        let ahead_mm = 0.5 * self.span.length_mm - offset_mm;
         Interval {
             limits,
             start,
@@ -99,7 +103,7 @@ impl GridPoint {
             end_squared: next.reach,
             turn_change: self.span.turn_change,
             lifts: self.span.lifts,
-            middle: self.span.middle.and_then(|middle| middle.from(offset_mm)),
+            middle: (self.span.curved && ahead_mm > 0.0).then_some((self.span.middle, ahead_mm)),
         }
     }
 
@@ -271,17 +275,24 @@ impl Plan {
             stretch: [piece.curve.stretch(from), piece.curve.stretch(to)],
             heading: self.course.angle,
             turn_change: 0.0,
-            middle: None,
-            lifts: self.limits.pen_limited && !(piece.entry.pen == Pen::Down && piece.exit.pen == Pen::Down),
+            lifts: self.limits.pen_limited && piece.lifts(),
+            curved: !piece.curve.is_straight(),
+            middle: Middle::NONE,
         };
-        if !piece.curve.is_straight() {
+        if span.curved {
             let row = self.row_at(piece, span.middle_parameter());
-            span.middle = Some(Middle {
+            let cap = self.limits.cap(&row);
+            span.middle = Middle {
                 joints: row.joints,
                 curvature: row.curvature,
-                cap: self.limits.cap(&row),
-                ahead_mm: 0.5 * span.length_mm,
-            });
+                cap: if span.lifts {
+                    self.limits.cap_pen(cap, &row)
+                } else {
+                    cap
+                },
+                rise: row.rise,
+                rise_change: row.rise_change,
+            };
         }
         let (limits, course) = (&self.limits, &mut self.course);
         if let Some(last) = self.points.last_mut() {

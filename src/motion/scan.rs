@@ -96,8 +96,8 @@ pub(crate) struct Interval<'a> {
     pub(crate) turn_change: f64,
     /// The pen's vertical limits hold.
     pub(crate) lifts: bool,
-    /// What the arms and the curvature have in the middle of a curve, where that lies ahead.
-    pub(crate) middle: Option<Middle>,
+    /// What holds in the middle of a curve, and how far ahead that is, mm.
+    pub(crate) middle: Option<(Middle, f64)>,
 }
 
 /// Limits in the middle of an interval: on a curve they can be tighter there than at both ends.
@@ -108,16 +108,20 @@ pub(crate) struct Middle {
     pub(crate) curvature: f64,
     /// Largest squared speed, mm2/s2.
     pub(crate) cap: f64,
-    /// Way from the interval's start, mm.
-    pub(crate) ahead_mm: f64,
+    /// Vertical part of the tangent, and its change with arc length, 1/mm.
+    pub(crate) rise: f64,
+    pub(crate) rise_change: f64,
 }
 
 impl Middle {
-    /// The same for an interval that begins later.
-    pub(crate) fn from(mut self, offset_mm: f64) -> Option<Self> {
-        self.ahead_mm -= offset_mm;
-        (self.ahead_mm > 0.0).then_some(self)
-    }
+    /// Nothing moves.
+    pub(crate) const NONE: Self = Self {
+        joints: JointRows::NONE,
+        curvature: 0.0,
+        cap: 0.0,
+        rise: 0.0,
+        rise_change: 0.0,
+    };
 }
 
 impl Interval<'_> {
@@ -166,13 +170,17 @@ impl Interval<'_> {
             range.restrict(cosine + turned, b, limits.acceleration, x);
             range.restrict(turned - cosine, b, limits.acceleration, x);
         }
-        if let Some(middle) = &self.middle {
-            let double = 2.0 * middle.ahead_mm;
+        if let Some((middle, ahead_mm)) = &self.middle {
+            let double = 2.0 * ahead_mm;
             range.restrict(double, 1.0, middle.cap, x);
             for arm in 0..ARMS {
                 let b = middle.joints.bend[arm];
                 let a = middle.joints.slope[arm] + b * double;
                 range.restrict_both(a, b, limits.joint_acceleration[arm], x);
+            }
+            if self.lifts {
+                let b = middle.rise_change;
+                range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
             }
             for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
                 let b = sine * middle.curvature;
@@ -220,9 +228,11 @@ impl Interval<'_> {
             low_slope: 0.0,
             high_slope: 0.0,
         };
-        let middle = self.middle.as_ref().map(|middle| &middle.joints);
+        let middle = self.middle.as_ref().map(|(middle, _)| &middle.joints);
         let curvature = self.start.curvature.max(self.end.curvature);
-        let curvature = self.middle.map_or(curvature, |middle| curvature.max(middle.curvature));
+        let curvature = self
+            .middle
+            .map_or(curvature, |(middle, _)| curvature.max(middle.curvature));
         for arm in 0..ARMS {
             let limit = limits.joint_acceleration[arm];
             for joints in [Some(&self.start.joints), Some(&self.end.joints), middle]
@@ -293,12 +303,16 @@ mod tests {
                 end_squared: 1.0e5 * number().abs(),
                 turn_change: 0.05 * number(),
                 lifts: number() > 0.0,
-                middle: (number() > 0.0).then_some(Middle {
-                    joints: middle.joints,
-                    curvature: middle.curvature,
-                    cap: 1.6e5,
-                    ahead_mm: 0.5 * length_mm,
-                }),
+                middle: (number() > 0.0).then_some((
+                    Middle {
+                        joints: middle.joints,
+                        curvature: middle.curvature,
+                        cap: 1.6e5,
+                        rise: middle.rise,
+                        rise_change: middle.rise_change,
+                    },
+                    0.5 * length_mm,
+                )),
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);

@@ -11,6 +11,7 @@ use super::Pen;
 use super::curve::{BlendShape, Curve};
 use super::heading;
 use super::ring::Ring;
+use crate::config::Motion;
 use crate::robot::vector::{Vector, add, dot, length, scale, subtract};
 use heapless::Vec;
 
@@ -52,6 +53,9 @@ const SPAN_EVEN: f64 = 1.5;
 /// Intervals of a line at least; even, so that a move from rest to rest can change from speeding up to slowing down in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
+/// What a curve's intervals are divided into where the pen's vertical limits hold: these are often small beside the
+/// acceleration along the path, whose vertical part changes between two points.
+const LIFT_REFINEMENT: u16 = 2;
 /// Length of an interval on a line, mm.
 const LINE_STEP_MM: f64 = 2.0;
 
@@ -124,6 +128,13 @@ impl Piece {
     };
 }
 
+impl Piece {
+    /// Whether the pen may be lifted or lowered on it.
+    pub(crate) fn lifts(&self) -> bool {
+        !(self.entry.pen == Pen::Down && self.exit.pen == Pen::Down)
+    }
+}
+
 /// Tolerances of the shape, with the moving average's share taken off, mm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tolerances {
@@ -159,6 +170,8 @@ pub(crate) struct Shaper {
     tolerances: Tolerances,
     /// The pen dwells where it meets the paper and where it leaves it.
     dwells: bool,
+    /// The pen has vertical limits of its own.
+    pen_limited: bool,
     node: Node,
     start: Start,
 }
@@ -172,14 +185,16 @@ impl Shaper {
                 travel_mm: 0.0,
             },
             dwells: false,
+            pen_limited: false,
             node: Node::NONE,
             start: Start::Straight { trim: 0.0 },
         }
     }
 
-    pub(crate) fn configure(&mut self, tolerances: Tolerances, dwells: bool) {
+    pub(crate) fn configure(&mut self, tolerances: Tolerances, motion: &Motion) {
         self.tolerances = tolerances;
-        self.dwells = dwells;
+        self.dwells = motion.pen_dwell_ms > 0;
+        self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;
     }
 
     /// Begins anew from a point at rest.
@@ -369,6 +384,14 @@ impl Shaper {
         for piece in [first, second, third].into_iter().flatten() {
             // The capacity is that of the three.
             let _ = pieces.push(piece);
+        }
+        if self.pen_limited {
+            for piece in pieces
+                .iter_mut()
+                .filter(|piece| piece.lifts() && !piece.curve.is_straight())
+            {
+                piece.intervals = piece.intervals.saturating_mul(LIFT_REFINEMENT);
+            }
         }
         if let Some(last) = pieces.last_mut() {
             last.vertex_after = end.count;

@@ -140,9 +140,7 @@ impl Trajectory {
         motion.pen_lift_mm = config.paper.pen_lift_mm;
         motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
         motion.dead_man_ms = config.bus.dead_man_ms;
-        motion
-            .shaper
-            .configure(tolerances(config), config.motion.pen_dwell_ms > 0);
+        motion.shaper.configure(tolerances(config), &config.motion);
         motion.plan.reconfigure(*area.delta(), limits, &config.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;

@@ -98,6 +98,16 @@ pub fn vertex(refusal: &etherpen::motion::Refusal) -> String {
             ),
             MOVE_OR_SCALE,
         ),
+        RefusalReason::Wound {
+            angle_rad,
+            low_rad,
+            high_rad,
+        } => (
+            format!(
+                "the path has wound axis 4 up: it would turn to {angle_rad:.1} rad (allowed {low_rad:.1} to {high_rad:.1} rad)"
+            ),
+            "draw it in parts and take the reference before each, or set motion.orientation = \"constant\"",
+        ),
     };
     format!("vertex {} of the path was refused: {why}; {hint}", refusal.index)
 }

@@ -16,6 +16,8 @@ const EXCESS: f64 = 1.0e-3;
 const LISTED_MAX: usize = 1_000;
 /// One millisecond, s.
 const TICK_S: f64 = 1.0e-3;
+/// Difference of heights that is none, mm.
+const LEVEL_MM: f64 = 1.0e-6;
 /// Rounding of the forward kinematics in an acceleration, mm/s2.
 const ROUNDING_MM_S2: f64 = 0.1;
 
@@ -39,6 +41,10 @@ pub struct Limits {
     pub travel_speed_mm_s: f64,
     /// Of the platform, mm/s2.
     pub acceleration_mm_s2: f64,
+    /// Vertical, where the pen is lifted or lowered, mm/s; absent where the limits of all motion are enough.
+    pub pen_speed_mm_s: Option<f64>,
+    /// The same, mm/s2.
+    pub pen_acceleration_mm_s2: Option<f64>,
     /// Distance from the path with the pen down, mm.
     pub tolerance_mm: f64,
     /// The same with the pen up, mm.
@@ -49,6 +55,7 @@ pub struct Limits {
 
 impl Limits {
     fn new(motion: &Motion, jerk_window_ms: u16) -> Self {
+        let given = |limit: f64| (limit > 0.0).then_some(limit);
         let jerk = |acceleration: f64| 2.0 * acceleration / (f64::from(jerk_window_ms) * TICK_S);
         Self {
             joint_speed_rad_s: motion.joint_speed_rad_s,
@@ -57,6 +64,8 @@ impl Limits {
             speed_mm_s: motion.speed_mm_s,
             travel_speed_mm_s: motion.travel_speed_mm_s,
             acceleration_mm_s2: motion.acceleration_mm_s2,
+            pen_speed_mm_s: given(motion.pen_speed_mm_s),
+            pen_acceleration_mm_s2: given(motion.pen_acceleration_mm_s2),
             tolerance_mm: motion.tolerance_mm,
             travel_tolerance_mm: motion.travel_tolerance_mm,
             jerk_window_ms,
@@ -79,6 +88,10 @@ pub struct Peaks {
     pub travel_speed_mm_s: f64,
     /// Of the platform, mm/s2.
     pub acceleration_mm_s2: f64,
+    /// Vertical, where the pen is lifted or lowered, mm/s.
+    pub pen_speed_mm_s: f64,
+    /// The same, mm/s2.
+    pub pen_acceleration_mm_s2: f64,
     /// Of the platform, mm/s3.
     pub jerk_mm_s3: f64,
 }
@@ -146,6 +159,8 @@ pub struct Analysis {
     limits: Limits,
     motion: Motion,
     track: Track,
+    /// What is drawn is level, so that all vertical motion lifts or lowers the pen.
+    level: bool,
     peaks: Peaks,
     violations: Vec<Violation>,
     violation_count: u64,
@@ -161,6 +176,10 @@ impl Analysis {
             limits: Limits::new(&config.motion, jerk_window_ms),
             motion: config.motion,
             track: Track::new(path),
+            level: path.windows(2).all(|ends| match ends {
+                [from, to] => to.pen == Pen::Up || (to.position.z_mm - from.position.z_mm).abs() < LEVEL_MM,
+                _ => true,
+            }),
             peaks: Peaks::default(),
             violations: Vec::new(),
             violation_count: 0,
@@ -233,7 +252,18 @@ impl Analysis {
             length(&subtract(&here.change, &last.change)) / TICK_S,
         );
         // The millisecond in which the pen changes belongs to both.
-        if here.pen == Pen::Down && last.pen == Pen::Down {
+        let drawn = here.pen == Pen::Down && last.pen == Pen::Down;
+        if self.level || !drawn {
+            let vertical = [here.speed, here.change].map(|[_, _, z]| z.abs());
+            let [speed, acceleration] = vertical;
+            raise(&mut self.peaks.pen_speed_mm_s, speed);
+            raise(&mut self.peaks.pen_acceleration_mm_s2, acceleration);
+            let limit = self.limits.pen_speed_mm_s.unwrap_or(f64::INFINITY);
+            self.check(Some(t_ms), "pen_speed_mm_s", None, None, speed, limit);
+            let limit = self.limits.pen_acceleration_mm_s2.unwrap_or(f64::INFINITY) + ROUNDING_MM_S2;
+            self.check(Some(t_ms), "pen_acceleration_mm_s2", None, None, acceleration, limit);
+        }
+        if drawn {
             raise(&mut self.peaks.speed_mm_s, speed);
             self.check(Some(t_ms), "speed_mm_s", None, None, speed, self.limits.speed_mm_s);
         } else {
@@ -336,6 +366,34 @@ mod tests {
         assert!(findings.deviation_max_mm > 0.01 && findings.deviation_max_mm <= 0.05);
         assert!(findings.corner_distance_max_mm > 0.02);
         assert_eq!(findings.limits.joint_jerk_rad_s3.unwrap()[0], 2.0 * 250.0 / 0.004);
+    }
+
+    #[test]
+    fn the_pens_vertical_limits_are_reported_and_kept() {
+        let mut config = Config::default();
+        config.motion.pen_speed_mm_s = 60.0;
+        config.motion.pen_acceleration_mm_s2 = 2_000.0;
+        let up = |mut vertex: Vertex| {
+            vertex.pen = Pen::Up;
+            vertex
+        };
+        let mut path = vertices(&[
+            [-30.0, 0.0, -845.0],
+            [-30.0, 0.0, -850.0],
+            [30.0, 0.0, -850.0],
+            [30.0, 0.0, -845.0],
+        ]);
+        for index in [0, 1, 3] {
+            path[index] = up(path[index]);
+        }
+        let kept = findings(&config, &path, &config);
+        assert_eq!((kept.violations.as_slice(), kept.violation_count), (&[][..], 0));
+        assert_eq!(kept.limits.pen_speed_mm_s, Some(60.0));
+        assert!(kept.peaks.pen_speed_mm_s > 55.0 && kept.peaks.pen_acceleration_mm_s2 > 1_800.0);
+        let mut tighter = config.clone();
+        tighter.motion.pen_speed_mm_s = 50.0;
+        let over = findings(&config, &path, &tighter);
+        assert!(over.violations.iter().all(|v| v.limit_of == "pen_speed_mm_s") && over.violation_count > 0);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! the ink on the virtual paper; nothing is taken from the planner's own word.
 
 mod deviation;
+mod platform;
 mod tables;
 mod timing;
 mod tracking_plot;
@@ -18,6 +19,7 @@ use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::{AXES, Delta, JointAngles, Position};
+use platform::platform_limits;
 use serde::Serialize;
 
 /// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references.
@@ -252,7 +254,7 @@ impl Report {
             ink_missing_mm,
             following_error_max_rad: following_error(evidence.config, &drawing),
             limits: limits(evidence.config, &drawing),
-            platform: platform_limits(evidence.config, &rows),
+            platform: platform_limits(evidence.config, &drawing),
             cycles: counters.cycles,
             cycles_late: counters.cycles_late,
             frames_lost: counters.frames_lost,
@@ -345,29 +347,6 @@ fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
             jerk_limit_rad_s3: (window_s > 0.0).then(|| 2.0 * motion.joint_acceleration_rad_s2[axis] / window_s),
         }
     })
-}
-
-fn platform_limits(config: &Config, rows: &[Row]) -> PlatformLimits {
-    let change = |from: &[f64; 3], to: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|k| (to[k] - from[k]) * 1_000.0) };
-    let largest = |vectors: &[[f64; 3]]| {
-        let lengths = vectors
-            .iter()
-            .map(|vector| vector.iter().map(|v| v * v).sum::<f64>().sqrt());
-        lengths.fold(0.0, f64::max)
-    };
-    let places = rows
-        .iter()
-        .map(|row| [row.reference.x_mm, row.reference.y_mm, row.reference.z_mm]);
-    let places: Vec<[f64; 3]> = places.collect();
-    let speeds: Vec<[f64; 3]> = places.windows(2).map(|pair| change(&pair[0], &pair[1])).collect();
-    let accelerations: Vec<[f64; 3]> = speeds.windows(2).map(|pair| change(&pair[0], &pair[1])).collect();
-    PlatformLimits {
-        speed_mm_s: largest(&speeds),
-        speed_limit_mm_s: config.motion.speed_mm_s,
-        travel_speed_limit_mm_s: config.motion.travel_speed_mm_s,
-        acceleration_mm_s2: largest(&accelerations),
-        acceleration_limit_mm_s2: config.motion.acceleration_mm_s2,
-    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Requirements on the fourth axis where it follows the path.
 
-use super::super::heading::turn_to;
+use super::super::heading::{Winding, turn_to};
 use super::*;
 use crate::config::Orientation;
 
@@ -97,6 +97,34 @@ fn on_a_circle_the_fourth_axis_turns_on_and_on() {
         run.duration_s(),
         constant.duration_s()
     );
+}
+
+#[test]
+fn the_angle_that_admission_expects_is_the_angle_of_the_references() {
+    let (mut worst, mut widest) = (0.0_f64, 0.0_f64);
+    for seed in 1..=100 {
+        let path = random_path(&mut Random::new(seed), 2);
+        let run = Run::new(&following(), &path).whole();
+        let mut winding = Winding::new(0.0);
+        let mut range = (0.0_f64, 0.0_f64);
+        for leg in path.windows(2) {
+            winding = winding.over(&subtract(&leg[1].position.into(), &leg[0].position.into()));
+            range = (range.0.min(winding.angle_rad()), range.1.max(winding.angle_rad()));
+        }
+        let end = run.references.last().unwrap().position_rad[3];
+        worst = worst.max((end - winding.angle_rad()).abs());
+        for reference in &run.references {
+            let angle = reference.position_rad[3];
+            assert!(
+                range.0 - 1.0e-3 < angle && angle < range.1 + 1.0e-3,
+                "seed {seed}: {angle} rad is not within {range:?}"
+            );
+        }
+        widest = widest.max(range.1 - range.0);
+    }
+    println!("ends differ by {worst:e} rad at most, the widest range is {widest} rad");
+    assert!(worst < 1.0e-6, "{worst} rad");
+    assert!(widest > TAU);
 }
 
 #[test]

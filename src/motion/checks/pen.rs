@@ -57,6 +57,64 @@ fn the_pen_has_limits_of_its_own() {
 }
 
 #[test]
+fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
+    let (mut worst, mut samples) = ((0.0_f64, 0.0_f64), 0);
+    for seed in 1..=250 {
+        let mut random = Random::new(seed);
+        let mut config = Config::default();
+        let motion = &mut config.motion;
+        motion.pen_speed_mm_s = random.between(5.0, 300.0);
+        motion.pen_acceleration_mm_s2 = random.between(200.0, 9_000.0);
+        motion.travel_tolerance_mm = random.between(0.2, 1.0);
+        motion.tolerance_mm = random.between(0.03, 0.2);
+        motion.jerk_window_ms = random.below(9) as u16;
+        config.paper.pen_lift_mm = random.between(0.5, 10.0);
+        let (speed_max, acceleration_max) = (motion.pen_speed_mm_s, motion.pen_acceleration_mm_s2);
+        let (down, up) = (
+            config.paper.pen_down_z_mm,
+            config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+        );
+        let mut path = Vec::new();
+        for stroke in 0..4 {
+            let mut point = [random.between(-20.0, 20.0), random.between(-20.0, 20.0), up];
+            // Straight down, on a slant, or over a hump.
+            let slant = [0.0, random.between(-6.0, 6.0), random.between(-0.5, 0.5)][random.below(3)];
+            path.push(vertex(point, Pen::Up, stroke));
+            if random.below(3) == 0 {
+                path.push(vertex([point[0] + slant, point[1], 0.5 * (up + down)], Pen::Up, stroke));
+            }
+            point = [point[0] + 2.0 * slant, point[1], down];
+            path.push(vertex(point, Pen::Up, stroke));
+            for _ in 0..1 + random.below(6) {
+                point[0] += random.between(-5.0, 5.0);
+                point[1] += random.between(-5.0, 5.0);
+                path.push(vertex(point, Pen::Down, stroke));
+            }
+            path.push(vertex([point[0] + slant, point[1] - slant, up], Pen::Up, stroke));
+        }
+        let name = format!("seed {seed}");
+        let run = Run::new(&config, &path).whole();
+        run.check_limits(&name);
+        run.check_deviation(&name);
+        let (speed, acceleration) = vertical(&run);
+        worst = (
+            worst.0.max(speed / speed_max),
+            worst.1.max(acceleration / acceleration_max),
+        );
+        samples += run.references.len();
+        assert!(
+            speed <= speed_max * (1.0 + EXCESS),
+            "{name}: {speed} of {speed_max} mm/s"
+        );
+        assert!(
+            acceleration <= acceleration_max * (1.0 + EXCESS) + 0.1,
+            "{name}: {acceleration} of {acceleration_max} mm/s2"
+        );
+    }
+    println!("worst parts of the vertical limits in {samples} samples: {worst:?}");
+}
+
+#[test]
 fn the_pen_changes_without_a_stop_unless_it_dwells() {
     let (path, _) = portrait(&mut Random::new(2), 5);
     let rests = |dwell_ms: u16| {
