@@ -24,7 +24,8 @@ const ANSWER_MAX_MS: u64 = 3_000;
 /// not work. Exit codes: 0 nothing failed; 1 something failed; 2 wrong usage.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Greet the firmware here: /dev/tty.., tcp:host:port or unix:path.
+    /// Greet the firmware here: /dev/tty.., tcp:host:port or unix:path. A program that is connected there loses its
+    /// connection, and a drawing of its is held.
     #[arg(long)]
     port: Option<String>,
     /// Print the checks as a JSON array on stdout.

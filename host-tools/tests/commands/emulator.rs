@@ -1,6 +1,6 @@
 //! The command line with the emulator: a drawing over the port, and ends that leave nothing behind.
 
-use crate::program::{Folder, Running, emulator_of, etherpen, runs, strokes, wait_until};
+use crate::program::{Folder, Running, emulator_of, etherpen, run, runs, strokes, wait_until};
 use host_tools::commands::code;
 use host_tools::setup;
 use rustix::process::{Pid, Signal, kill_process};
@@ -77,6 +77,20 @@ fn a_drawing_goes_over_the_port_that_the_emulator_prints_also_after_one_that_was
     }
     for name in ["report.json", "telemetry.csv", "intended.csv"] {
         assert!(folder.join("out").join(name).is_file(), "{name}");
+    }
+    let (_, stdout, stderr) = run(etherpen(&folder).args(["doctor", "--json", "--port", &port]));
+    let checks: serde_json::Value = serde_json::from_str(&stdout).expect("a JSON array and nothing else");
+    for (name, part) in [
+        ("port", port.as_str()),
+        ("firmware", "on emulated"),
+        ("machine", "without power"),
+    ] {
+        let mut named = checks.as_array().expect("an array").iter();
+        let check = named
+            .find(|check| check["check"] == name)
+            .expect("a check of this name");
+        let found = check["found"].as_str().expect("a text");
+        assert!(check["verdict"] == "ok" && found.contains(part), "{check} {stderr}");
     }
     send(emulate.id(), Signal::INT);
     assert_eq!(emulate.end().code(), None, "the signal ends it: {}", emulate.stderr());

@@ -63,6 +63,7 @@ mod app {
     use core::pin::pin;
     use core::sync::atomic::{AtomicU32, Ordering};
     use etherpen::application::Mode;
+    use etherpen::board::{BoardState, PortState};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
     use etherpen::ethercat::transport::raw::RawTransport;
@@ -342,6 +343,10 @@ mod app {
     #[task(binds = FREE16, priority = 3, local = [link, health, modes: Modes = Modes::new(), drawn_ms: u32 = 0])]
     fn link(cx: link::Context) {
         let link = cx.local.link;
+        link.set_board(BoardState {
+            port: PortState::Unknown,
+            ethernet_errors: FRAMES_FAILED.load(Ordering::Relaxed),
+        });
         link.tick();
         let _ = cx.local.modes.watch(link.mode(), link.fault());
         panic_on_request(link, cx.local.drawn_ms);

@@ -12,9 +12,14 @@
 //!
 //! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
 //! `Cargo.toml` (with its `embassy-stm32` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
-//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins and the serial port's), `memory.rs` (the SRAM
-//! that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every chip whose MAC embassy calls
-//! `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare vectors.
+//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins, the serial port's, the emergency-stop input's),
+//! `lamps.rs`, `memory.rs` (the SRAM that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every
+//! chip whose MAC embassy calls `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare
+//! vectors, `kept.rs` and `watchdog.rs` the reset flags and the watchdog of an H7. What the inputs and lamps mean is
+//! `etherpen::board`, the same for all. `tests/images.rs` gets the addresses that its memory must have, and
+//! `etherpen flash` the chip's.
+//!
+//! Wiring and first start: `docs/nucleo.md`.
 #![no_std]
 #![no_main]
 
