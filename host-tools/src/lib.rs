@@ -14,6 +14,7 @@ pub mod machine;
 pub mod master;
 pub mod planning;
 pub mod probe;
+pub mod recording;
 pub mod report;
 pub mod run;
 pub mod settings;

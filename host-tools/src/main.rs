@@ -4,7 +4,7 @@
 use clap::Parser;
 use host_tools::commands::{
     self, CommandError, bench, bus, demo, doctor, draw, emulate, flash, identify, kinematics, order, plan, preview,
-    reference, segment, simulate, vectorize, verify,
+    record, recorded, reference, segment, simulate, vectorize, verify,
 };
 use std::process::ExitCode;
 
@@ -37,6 +37,8 @@ enum Subcommand {
     Emulate(emulate::Arguments),
     /// Build the firmware of the board NUCLEO-H743ZI2, write it into the board and verify it.
     Flash(flash::Arguments),
+    /// Write a recording as a table: CSV or Parquet.
+    Export(recorded::ExportArguments),
     /// Turn positions into arm angles and back.
     Kinematics(kinematics::Arguments),
     /// Put the lines of an SVG into an order that costs little drawing time; true scale, no line lost.
@@ -45,6 +47,12 @@ enum Subcommand {
     Preview(preview::Arguments),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
+    /// Draw signals of a recording: SVG or PNG, without a display.
+    Plot(recorded::PlotArguments),
+    /// Record everything the firmware sends into an MCAP file, for export, plot, stats, Foxglove or PlotJuggler.
+    Record(record::Arguments),
+    /// Print what a recording amounts to: duration, gaps, extremes of each signal, following errors, modes.
+    Stats(recorded::StatsArguments),
     /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
     Identify(identify::Arguments),
     /// Take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
@@ -68,6 +76,10 @@ fn main() -> ExitCode {
         Subcommand::Draw(arguments) => draw::run(&arguments),
         Subcommand::Emulate(arguments) => emulate::run(&arguments),
         Subcommand::Flash(arguments) => flash::run(&arguments),
+        Subcommand::Export(arguments) => recorded::export(&arguments),
+        Subcommand::Plot(arguments) => recorded::plot(&arguments),
+        Subcommand::Record(arguments) => record::run(&arguments),
+        Subcommand::Stats(arguments) => recorded::stats(&arguments),
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Order(arguments) => order::run(&arguments),
         Subcommand::Preview(arguments) => preview::run(&arguments),

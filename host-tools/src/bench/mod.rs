@@ -10,6 +10,7 @@ pub mod ethercat;
 pub mod latency;
 pub mod motion;
 mod programs;
+pub mod recording;
 
 use crate::setup::SetupError;
 use serde::Serialize;

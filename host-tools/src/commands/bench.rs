@@ -1,7 +1,7 @@
 //! `etherpen bench`: the project's figures beside those of its peers, measured in one run.
 
 use super::{CommandError, code, print_json};
-use crate::bench::{BenchError, Report, Row, Selection, ethercat, motion};
+use crate::bench::{BenchError, Report, Row, Selection, ethercat, motion, recording};
 use std::io::Write;
 
 /// Options of `etherpen bench`.
@@ -20,6 +20,25 @@ enum Bench {
     /// The planner beside copp (TOPP2-RA), Klipper's and grbl's formulas: durations at the same limits, largest values of
     /// the 1 ms references, planning times, instructions of a period. A row meets its target or misses it.
     Motion(MotionOptions),
+    /// A long recording through writer and reader: samples lost, bytes of a sample, growth of memory.
+    Recording(RecordingOptions),
+}
+
+/// Options of the recorder's benchmark.
+#[derive(clap::Args, Debug)]
+struct RecordingOptions {
+    /// Hours of samples, at most a thousand; an hour takes some seconds.
+    #[arg(long, default_value_t = 1.0, value_parser = hours)]
+    hours: f64,
+    #[command(flatten)]
+    options: Options,
+}
+
+fn hours(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(hours) if hours > 0.0 && hours <= 1_000.0 => Ok(hours),
+        _ => Err("give more than 0 and at most 1000 hours".into()),
+    }
 }
 
 /// Options of the planner's benchmark.
@@ -64,6 +83,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let (options, report) = match &arguments.bench {
         Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),
         Bench::Latency(arguments) => return super::latency::run(arguments),
+        Bench::Recording(RecordingOptions { hours, options }) => (options, recording::run(*hours)),
         Bench::Motion(MotionOptions { quick, options }) => {
             (options, motion::run(&options.selection(), *quick, progress))
         }

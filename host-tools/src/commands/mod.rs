@@ -19,6 +19,8 @@ mod outputs;
 pub mod plan;
 pub mod prepare;
 pub mod preview;
+pub mod record;
+pub mod recorded;
 pub mod reference;
 pub mod run;
 pub mod segment;

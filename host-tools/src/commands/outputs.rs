@@ -6,6 +6,7 @@ use crate::cell::{Cell, CellOptions, InkStroke};
 use crate::drawing::{Stroke, render_png, render_rgb, tone_correlation, write_svg};
 use crate::emulator;
 use crate::link::job::JobReport;
+use crate::recording::{About, Recorder};
 use crate::report::{Drives, Evidence, Report, Timing, rows, write_intended, write_telemetry, write_tracking};
 use etherpen::config::Config;
 use std::fs::File;
@@ -86,6 +87,21 @@ impl Outcome<'_> {
         (emulated && self.cell.is_some()).then(|| f64::from(1_u32 << shift))
     }
 
+    /// Writes the telemetry as a recording; its time axis is the device's.
+    fn write_recording(&self, out: &mut BufWriter<File>) -> std::io::Result<()> {
+        let about = About {
+            config: self.config,
+            source: &self.image,
+            begin_ns: 0,
+        };
+        let mut recorder = Recorder::new(out, &about)?;
+        recorder.samples(0, &self.job.samples)?;
+        if let Some(status) = &self.job.status {
+            recorder.status(status)?;
+        }
+        recorder.finish().map(|_| ())
+    }
+
     /// Writes pictures, tables and figures into a folder, which is made if it is missing.
     ///
     /// # Errors
@@ -104,6 +120,7 @@ impl Outcome<'_> {
         save(dir, "telemetry.csv", |out| {
             write_telemetry(&rows(self.config, &self.job.samples), out)
         })?;
+        save(dir, "telemetry.mcap", |out| self.write_recording(out))?;
         save(dir, "tracking.svg", |out| {
             write_tracking(self.config, &self.job.samples, out)
         })?;
@@ -243,7 +260,7 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
             ""
         };
         eprintln!(
-            "Written to {}: {pictures}report.json, telemetry.csv, tracking.svg, intended.csv",
+            "Written to {}: {pictures}report.json, telemetry.csv, telemetry.mcap, tracking.svg, intended.csv",
             dir.display()
         );
     }

@@ -40,6 +40,8 @@ pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_m
 pub use order::{OrderOptions, OrderReport, order};
 pub use path::to_path;
 pub use preview::PreviewScene;
+pub(crate) use raster::Plane;
+pub(crate) use render::draw_line;
 pub use render::{render_png, render_rgb, tone_correlation, write_artwork, write_svg};
 pub use svg::read_svg;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};

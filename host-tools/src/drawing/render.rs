@@ -61,7 +61,7 @@ pub fn render_png(
 }
 
 /// Covers what a round pen of `width` pixels covers on its way along the line; 1 is full ink.
-pub(super) fn draw_line(ink: &mut Plane, points: &[Point], width: f64) {
+pub(crate) fn draw_line(ink: &mut Plane, points: &[Point], width: f64) {
     let radius = 0.5 * width;
     let reach = radius + 1.0;
     let (columns, rows) = (ink.width() as f64, ink.height() as f64);

@@ -13,6 +13,7 @@ pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
 pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
+pub(crate) use tracking_plot::{marks, number};
 
 use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
 use etherpen::config::Config;

@@ -229,7 +229,7 @@ fn panel(svg: &mut String, [begin, end]: [f64; 2], panel: &Panel) {
 }
 
 /// Round values between two ends, 1, 2 or 5 times a power of ten apart.
-fn marks(low: f64, high: f64) -> Vec<f64> {
+pub(crate) fn marks(low: f64, high: f64) -> Vec<f64> {
     let rough = (high - low) / MARKS;
     if !(rough > 0.0 && rough.is_finite()) {
         return Vec::new();
@@ -246,7 +246,7 @@ fn marks(low: f64, high: f64) -> Vec<f64> {
 }
 
 /// A mark's text, with as many decimals as its scale needs.
-fn number(value: f64, span: f64) -> String {
+pub(crate) fn number(value: f64, span: f64) -> String {
     let decimals = (1.0 - (span / MARKS).log10().floor()).clamp(0.0, 6.0) as usize - usize::from(span / MARKS < 10.0);
     format!("{:.decimals$}", value + 0.0)
 }

@@ -14,6 +14,7 @@ mod ethercrab;
 mod network;
 mod plan;
 mod program;
+mod recording;
 mod segment;
 
 use etherpen::board::PreviousRun;
@@ -27,11 +28,12 @@ use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::process::Command;
 
-const FILES: [&str; 7] = [
+const FILES: [&str; 8] = [
     "drawn.png",
     "drawn.svg",
     "report.json",
     "telemetry.csv",
+    "telemetry.mcap",
     "tracking.svg",
     "intended.csv",
     "bus.pcapng",

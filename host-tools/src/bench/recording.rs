@@ -1,0 +1,112 @@
+//! A long recording in a short time: samples through writer and reader, and the memory that takes.
+//!
+//! One thread records, the other reads what it writes from a pipe: as many bytes as a day has need no disk. Every sample
+//! is looked for; memory is this process' resident size at the end against the one after the first minute.
+
+use super::{BenchError, Report, Row};
+use crate::recording::statistics::statistics;
+use crate::recording::{About, Playback, Recorder};
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::{SAMPLES_PER_MESSAGE, Sample};
+use etherpen::motion::Pen;
+use etherpen::robot::AXES;
+use std::io::{self, BufReader, PipeWriter};
+
+/// Samples after which memory is measured for the first time: a minute.
+const WARM_SAMPLES: u32 = 60_000;
+/// The most that memory may grow, MB for each hour: the recorder's table of chunks, 3 600 of some 70 bytes, and what the
+/// allocator adds when the table moves.
+const GROWTH_MAX_MB_PER_HOUR: f64 = 1.0;
+
+/// Records this many hours and reads them back.
+///
+/// # Errors
+/// The pipe, the recorder or the reader failed.
+pub fn run(hours: f64) -> Result<Report, BenchError> {
+    let samples = (hours * 3_600_000.0) as u32;
+    let failed = |cause: io::Error| BenchError::Program {
+        program: "the recorder".into(),
+        cause: cause.to_string(),
+    };
+    let (reader, writer) = io::pipe().map_err(failed)?;
+    let recording = std::thread::spawn(move || record(writer, samples));
+    let mut playback = Playback::new(BufReader::new(reader)).map_err(failed)?;
+    let figures = statistics(&mut playback).map_err(failed)?;
+    let recorded = recording.join().unwrap_or_else(|_| Err(io::ErrorKind::Other.into()));
+    let (bytes, warm_mb) = recorded.map_err(failed)?;
+    let growth_mb = memory_mb() - warm_mb;
+    let row = |case: &str, value: f64, unit: &'static str, target: Option<f64>| Row {
+        case: case.into(),
+        subject: "etherpen",
+        value,
+        unit,
+        target,
+    };
+    let lost = f64::from(samples) - figures.samples as f64;
+    Ok(Report {
+        bench: "recording",
+        rows: vec![
+            row("samples", f64::from(samples), "samples", None),
+            row("samples_lost", lost, "samples", Some(0.0)),
+            row("gaps", figures.gaps as f64, "gaps", Some(0.0)),
+            row("bytes_per_sample", bytes as f64 / f64::from(samples), "bytes", None),
+            row("memory", memory_mb(), "MB", None),
+            row(
+                "memory_growth",
+                growth_mb,
+                "MB",
+                Some((hours * GROWTH_MAX_MB_PER_HOUR).max(2.0)),
+            ),
+        ],
+    })
+}
+
+/// Length of the recording, bytes, and the memory after its first minute, MB.
+fn record(pipe: PipeWriter, samples: u32) -> io::Result<(u64, f64)> {
+    let config = Config::default();
+    let about = About {
+        config: &config,
+        source: "bench",
+        begin_ns: 0,
+    };
+    let mut recorder = Recorder::new(pipe, &about)?;
+    let mut warm_mb = memory_mb();
+    for first in (0..samples).step_by(SAMPLES_PER_MESSAGE) {
+        let several: [Sample; SAMPLES_PER_MESSAGE] = std::array::from_fn(|k| sample(first + k as u32));
+        let count = (samples - first).min(SAMPLES_PER_MESSAGE as u32) as usize;
+        recorder.samples(0, several.get(..count).unwrap_or(&several))?;
+        if first == WARM_SAMPLES {
+            warm_mb = memory_mb();
+        }
+    }
+    let written = recorder.finish()?;
+    Ok((written.bytes, warm_mb))
+}
+
+/// A robot that moves: no two samples are alike.
+fn sample(t_ms: u32) -> Sample {
+    let t = f64::from(t_ms) / 1_000.0;
+    let angle = |axis: usize, lag: f64| (0.4 + 0.2 * (t - lag + axis as f64).sin()) as f32;
+    let speed = |axis: usize, lag: f64| (0.2 * (t - lag + axis as f64).cos()) as f32;
+    let angles = |lag| -> [f32; AXES] { std::array::from_fn(|axis| angle(axis, lag)) };
+    let speeds = |lag| -> [f32; AXES] { std::array::from_fn(|axis| speed(axis, lag)) };
+    Sample {
+        t_ms,
+        mode: Mode::Drawing,
+        stroke: t_ms / 1_000,
+        pen: if t_ms % 1_000 < 800 { Pen::Down } else { Pen::Up },
+        reference_rad: angles(0.0),
+        measured_rad: angles(0.001),
+        reference_rad_s: speeds(0.0),
+        measured_rad_s: speeds(0.001),
+    }
+}
+
+/// Resident memory of this process, MB, as proc(5) tells it; not a number where there is no /proc.
+fn memory_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kilobytes = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok());
+    kilobytes.map_or(f64::NAN, |kilobytes| kilobytes / 1_000.0)
+}

@@ -1,0 +1,291 @@
+//! `etherpen record`: everything the firmware sends into an MCAP file, until Ctrl-C.
+//!
+//! Recording moves nothing: over a port it listens, and writes what others' commands lead to as well. Invariant: whatever
+//! ends it, the file can be read; the message says how much is in it.
+
+use super::prepare::prepare;
+use super::run::{run_error, task};
+use super::{CommandError, ConfigArguments, code, ended_by_a_signal, job_error};
+use crate::link::job::{Control, JobEvent};
+use crate::link::port::PortName;
+use crate::link::text;
+use crate::machine::{Machine, MachineOptions, News, NoNews};
+use crate::recording::messages::Level;
+use crate::recording::{About, Recorder};
+use crate::run;
+use etherpen::config::Config;
+use serde::Serialize;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// News that may wait while the disk does: a minute of samples, and more.
+const NEWS_MAX: usize = 16_384;
+/// Longest wait for news before it is looked whether the recording has ended.
+const WAIT: Duration = Duration::from_millis(100);
+/// Time between two flushes.
+const FLUSH: Duration = Duration::from_secs(1);
+/// Flushes between two lines of progress.
+const LINE_EVERY: u32 = 10;
+
+/// Options of `etherpen record`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// The recording, an MCAP file; one that exists is replaced.
+    #[arg(short, long, value_name = "FILE.mcap")]
+    output: PathBuf,
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long, required_unless_present = "simulate")]
+    port: Option<String>,
+    /// Record a drawing of this file (photograph or CSV) in virtual time instead.
+    #[arg(long, value_name = "FILE", conflicts_with = "port")]
+    simulate: Option<PathBuf>,
+    /// End after this many seconds; without it Ctrl-C ends the recording.
+    #[arg(long, value_name = "S", value_parser = super::recorded::seconds)]
+    duration: Option<f64>,
+    /// Print what was recorded as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// What the command prints.
+#[derive(Debug, Serialize)]
+struct Recorded {
+    file: String,
+    samples: u64,
+    missing: u64,
+    gaps: u64,
+    bytes: u64,
+    /// Largest resident memory of this process, MB.
+    memory_max_mb: Option<f64>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The file cannot be written, there is no connection, or the drawing failed.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    match (&arguments.simulate, &arguments.port) {
+        (Some(file), _) => simulate(arguments, &config, file),
+        (None, port) => listen(arguments, &config, port.as_deref().unwrap_or_default()),
+    }
+}
+
+/// A recording and the first thing that went wrong with it.
+struct Recording<'a> {
+    recorder: Recorder<File>,
+    path: &'a Path,
+    failed: Option<io::Error>,
+}
+
+impl<'a> Recording<'a> {
+    fn begin(path: &'a Path, about: &About) -> Result<Self, CommandError> {
+        let recorder = File::create(path).and_then(|file| Recorder::new(file, about));
+        Ok(Self {
+            recorder: recorder.map_err(|cause| unwritable(path, &cause))?,
+            path,
+            failed: None,
+        })
+    }
+
+    /// Writes, unless writing has failed before.
+    fn write(&mut self, write: impl FnOnce(&mut Recorder<File>) -> io::Result<()>) {
+        if self.failed.is_none() {
+            self.failed = write(&mut self.recorder).err();
+        }
+    }
+
+    /// Ends the file and tells what is in it.
+    fn end(mut self, json: bool) -> Result<(), CommandError> {
+        // After a failure too: there may be room for the end of a shorter file.
+        let finished = self.recorder.finish();
+        let (written, taken) = (self.recorder.written(), self.recorder.taken());
+        let shown = self.path.display();
+        if let Some(cause) = self.failed.or(finished.err()) {
+            let lost = taken.samples - written.samples;
+            return Err(CommandError::failed(
+                format!(
+                    "{shown} could not be written any further; it holds {} samples and can be read, {lost} were lost",
+                    written.samples
+                ),
+                format!("{cause}; make room on the disk, or record to another one"),
+            ));
+        }
+        eprintln!(
+            "{} samples in {shown}, {:.1} MB; {} missing in {} gaps.",
+            written.samples,
+            written.bytes as f64 / 1e6,
+            written.missing,
+            written.gaps
+        );
+        if !json {
+            return Ok(());
+        }
+        super::print_json(&Recorded {
+            file: shown.to_string(),
+            samples: written.samples,
+            missing: written.missing,
+            gaps: written.gaps,
+            bytes: written.bytes,
+            memory_max_mb: memory_max_mb(),
+        })
+    }
+}
+
+fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
+    CommandError::failed(format!("{} cannot be written", path.display()), cause)
+}
+
+/// Largest resident memory of this process, as proc(5) tells it.
+fn memory_max_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes / 1_000.0)
+}
+
+/// Draws in virtual time and records it.
+fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), CommandError> {
+    let prepared = prepare(file, config)?;
+    let about = About {
+        config,
+        source: "simulation",
+        begin_ns: 0,
+    };
+    let mut recording = Recording::begin(&arguments.output, &about)?;
+    let ended = ended_by_a_signal()?;
+    let longest = arguments.duration.map(|seconds| (seconds * 1_000.0) as usize);
+    let (mut seen, mut over) = (0, false);
+    let drawn = run::simulate(&task(config, &prepared), None, &mut |job| {
+        while let Some(event) = job.next_event() {
+            recording.write(|recorder| job_event(recorder, &event));
+        }
+        let samples = job.samples().get(seen..).unwrap_or(&[]);
+        let left = longest.map_or(samples.len(), |longest| longest.saturating_sub(seen));
+        let wanted = samples.get(..left).unwrap_or(samples);
+        recording.write(|recorder| recorder.samples(0, wanted));
+        seen += samples.len();
+        if let Some(status) = job.status() {
+            recording.write(|recorder| recorder.status(status));
+        }
+        let enough = longest.is_some_and(|longest| seen >= longest) || ended.load(Ordering::Relaxed);
+        if (recording.failed.is_some() || enough) && !over {
+            over = true;
+            job.control(Control::Cancel);
+        }
+    });
+    let drawn = drawn.map_err(|error| run_error(&error))?;
+    recording.end(arguments.json)?;
+    match drawn.outcome {
+        Some(Err(error)) if !over => Err(job_error(&error)),
+        _ => Ok(()),
+    }
+}
+
+/// Listens to a machine and records it.
+fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), CommandError> {
+    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    let machine = Machine::start(name, config.clone(), MachineOptions::default())
+        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let news = machine.subscribe(NEWS_MAX);
+    let about = About {
+        config,
+        source: port,
+        begin_ns: now_ns(),
+    };
+    let mut recording = Recording::begin(&arguments.output, &about)?;
+    let ended = ended_by_a_signal()?;
+    let until = arguments
+        .duration
+        .map(|seconds| Instant::now() + Duration::from_secs_f64(seconds));
+    let (mut connected, mut flushed, mut flushes) = (false, Instant::now(), 0_u32);
+    let is_over = || ended.load(Ordering::Relaxed) || until.is_some_and(|until| Instant::now() >= until);
+    while recording.failed.is_none() && !is_over() {
+        match news.next_within(WAIT) {
+            Ok(News::Lost(failure)) if !connected => {
+                recording.end(false)?;
+                return Err(CommandError::new(failure.code, failure.text));
+            }
+            Ok(thing) => {
+                connected |= matches!(thing, News::Connected(_));
+                recording.write(|recorder| take(recorder, &thing));
+            }
+            Err(NoNews::Timeout) => {}
+            Err(NoNews::Closed) => break,
+        }
+        if flushed.elapsed() >= FLUSH {
+            flushed = Instant::now();
+            flushes += 1;
+            let lost = news.take_lost();
+            recording.write(|recorder| {
+                recorder.set_time(now_ns());
+                if lost > 0 {
+                    let text = format!("{lost} messages were lost in this program: the disk is too slow");
+                    recorder.event(Level::Warning, "link", &text)?;
+                }
+                recorder.flush()
+            });
+            if flushes.is_multiple_of(LINE_EVERY) {
+                let taken = recording.recorder.taken();
+                eprintln!("{} samples, {} missing", taken.samples, taken.missing);
+            }
+        }
+    }
+    drop(machine);
+    while let Some(thing) = news.try_next() {
+        recording.write(|recorder| take(recorder, &thing));
+    }
+    recording.end(arguments.json)
+}
+
+/// Nanoseconds since 1970.
+fn now_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// Writes what has happened on a machine; what a person should see is printed too.
+fn take(recorder: &mut Recorder<File>, news: &News) -> io::Result<()> {
+    recorder.set_time(now_ns());
+    let (level, name, text) = match news {
+        News::Samples { missing, samples } => return recorder.samples(*missing, samples),
+        News::Status(status) => return recorder.status(status),
+        News::Job(event) => return job_event(recorder, event),
+        News::Progress(_) | News::Reconnecting { .. } => return Ok(()),
+        News::Connected(welcome) => {
+            let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
+            (Level::Info, "link", text)
+        }
+        News::Lost(failure) => (Level::Warning, "link", failure.text.clone()),
+        News::Begun { name, .. } => (Level::Info, "job", format!("{name} is drawn")),
+        News::Ended { result: Ok(()), .. } => (Level::Info, "job", "ended".to_owned()),
+        News::Ended {
+            result: Err(failure), ..
+        } => (Level::Warning, "job", failure.text.clone()),
+    };
+    eprintln!("{text}");
+    recorder.event(level, name, &text)
+}
+
+/// Writes what a job has to say.
+fn job_event(recorder: &mut Recorder<File>, event: &JobEvent) -> io::Result<()> {
+    let (level, text) = match event {
+        JobEvent::Connected(welcome) => {
+            let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
+            (Level::Info, text)
+        }
+        JobEvent::Phase(phase) => (Level::Info, phase.to_string()),
+        JobEvent::Refused(command, refusal) => {
+            let text = format!("refused {}: {}", text::command(command), text::refusal(refusal));
+            (Level::Warning, text)
+        }
+        // These are seen in the samples and the statuses.
+        _ => return Ok(()),
+    };
+    recorder.event(level, "job", &text)
+}

@@ -1,0 +1,227 @@
+//! `etherpen export`, `plot` and `stats`: what can be made of a recording.
+
+use super::{CommandError, code, print_json};
+use crate::recording::Playback;
+use crate::recording::export::{ExportError, Exported, table_columns, write_csv, write_parquet};
+use crate::recording::plot::{Form, plot as draw};
+use crate::recording::signals::{Signal, named};
+use crate::recording::statistics::{Statistics, statistics};
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// A number of seconds on the command line.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(seconds),
+        _ => Err("give seconds, for example 1.5".into()),
+    }
+}
+
+/// Which recording, and which part of it.
+#[derive(clap::Args, Debug)]
+struct Part {
+    /// The recording, an MCAP file; one without an end is read as far as it goes.
+    file: PathBuf,
+    /// Begin at this time, s since the recording began.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    from: Option<f64>,
+    /// End at this time, s since the recording began.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    to: Option<f64>,
+}
+
+impl Part {
+    fn open(&self) -> Result<Playback<BufReader<File>>, CommandError> {
+        if let (Some(from), Some(to)) = (self.from, self.to)
+            && from > to
+        {
+            return Err(CommandError::new(
+                code::USAGE,
+                format!("--from {from} is after --to {to}"),
+            ));
+        }
+        let mut playback = Playback::open(&self.file).map_err(|cause| unreadable(&self.file, &cause))?;
+        playback.select(self.from, self.to);
+        Ok(playback)
+    }
+
+    /// Says what is wrong with the file.
+    fn tell(&self, playback: &Playback<BufReader<File>>) {
+        for notice in playback.notices() {
+            eprintln!("{}: {notice}", self.file.display());
+        }
+    }
+}
+
+fn unreadable(path: &Path, cause: &io::Error) -> CommandError {
+    CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display()))
+}
+
+fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
+    CommandError::failed(format!("{} cannot be written", path.display()), cause)
+}
+
+fn signals(list: &str) -> Result<Vec<Signal>, CommandError> {
+    named(list).map_err(|cause| CommandError::new(code::USAGE, cause))
+}
+
+/// Options of `etherpen export`.
+#[derive(clap::Args, Debug)]
+pub struct ExportArguments {
+    #[command(flatten)]
+    part: Part,
+    /// Write a table as CSV, its columns as in telemetry.csv; - is stdout.
+    #[arg(long, value_name = "OUT", required_unless_present = "parquet")]
+    csv: Option<PathBuf>,
+    /// Write a table as Apache Parquet; a missing value is not a number.
+    #[arg(long, value_name = "OUT", conflicts_with = "csv")]
+    parquet: Option<PathBuf>,
+    /// Only these signals beside the time, separated by commas; * stands for any characters. q1_error_rad and so on are
+    /// the following errors.
+    #[arg(long, value_name = "LIST")]
+    signals: Option<String>,
+    /// Print the number of rows as JSON, on stdout, or on stderr where the table is on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `etherpen export`.
+///
+/// # Errors
+/// The recording cannot be read, the signals do not exist, or the table cannot be written.
+pub fn export(arguments: &ExportArguments) -> Result<(), CommandError> {
+    let chosen = arguments.signals.as_deref().map(signals).transpose()?;
+    let columns = table_columns(chosen);
+    let part = &arguments.part;
+    let mut playback = part.open()?;
+    let path = arguments.csv.as_ref().or(arguments.parquet.as_ref());
+    let path = path.map_or(Path::new("-"), PathBuf::as_path);
+    let on_stdout = arguments.csv.is_some() && path == Path::new("-");
+    let out: Box<dyn Write> = if on_stdout {
+        Box::new(io::stdout().lock())
+    } else {
+        Box::new(File::create(path).map_err(|cause| unwritable(path, &cause))?)
+    };
+    let out = BufWriter::new(out);
+    let exported = match arguments.csv {
+        Some(_) => write_csv(&mut playback, &columns, out),
+        None => write_parquet(&mut playback, &columns, out),
+    };
+    let exported = exported.map_err(|error| match error {
+        ExportError::Read(cause) => unreadable(&part.file, &cause),
+        ExportError::Write(cause) => unwritable(path, &cause),
+    })?;
+    part.tell(&playback);
+    let Exported { rows, missing } = exported;
+    eprintln!("{rows} rows, {} columns; {missing} samples are missing.", columns.len());
+    if arguments.json && on_stdout {
+        eprintln!("{}", serde_json::to_string(&exported).unwrap_or_default());
+    } else if arguments.json {
+        print_json(&exported)?;
+    }
+    Ok(())
+}
+
+/// Options of `etherpen plot`.
+#[derive(clap::Args, Debug)]
+pub struct PlotArguments {
+    #[command(flatten)]
+    part: Part,
+    /// The signals, separated by commas; * stands for any characters: q1_ref_rad,q1_rad,q*_error_rad,mode.
+    #[arg(long, value_name = "LIST")]
+    signals: String,
+    /// The picture, .svg or .png.
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+}
+
+/// Runs `etherpen plot`.
+///
+/// # Errors
+/// The recording cannot be read or has no sample, the signals do not exist, or the picture cannot be written.
+pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
+    let signals = signals(&arguments.signals)?;
+    let (part, path) = (&arguments.part, &arguments.output);
+    let form = match path.extension().and_then(|extension| extension.to_str()) {
+        Some("svg") => Form::Svg,
+        Some("png") => Form::Png,
+        _ => {
+            let text = format!("{}: a picture is a file .svg or .png", path.display());
+            return Err(CommandError::new(code::USAGE, text));
+        }
+    };
+    let mut playback = part.open()?;
+    let picture = draw(&mut playback, &signals, form).map_err(|cause| unreadable(&part.file, &cause))?;
+    part.tell(&playback);
+    let Some(picture) = picture else {
+        let text = format!("{}: there is no sample in this part of it", part.file.display());
+        return Err(CommandError::new(code::INPUT, text));
+    };
+    std::fs::write(path, picture).map_err(|cause| unwritable(path, &cause))
+}
+
+/// Options of `etherpen stats`.
+#[derive(clap::Args, Debug)]
+pub struct StatsArguments {
+    #[command(flatten)]
+    part: Part,
+    /// Print the figures as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `etherpen stats`.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn stats(arguments: &StatsArguments) -> Result<(), CommandError> {
+    let part = &arguments.part;
+    let mut playback = part.open()?;
+    let figures = statistics(&mut playback).map_err(|cause| unreadable(&part.file, &cause))?;
+    part.tell(&playback);
+    if arguments.json {
+        return print_json(&figures);
+    }
+    io::stdout()
+        .write_all(text(&figures).as_bytes())
+        .map_err(|cause| CommandError::failed("stdout", cause))
+}
+
+fn text(figures: &Statistics) -> String {
+    let mut text = String::new();
+    // Writing into a string cannot fail.
+    let _ = writeln!(
+        text,
+        "{:.3} s from {}: {} samples, {} missing in {} gaps; {} statuses, {} events\n",
+        figures.duration_s,
+        figures.source,
+        figures.samples,
+        figures.missing,
+        figures.gaps,
+        figures.statuses,
+        figures.events
+    );
+    for of in &figures.modes {
+        let _ = writeln!(text, "{:<16} {:>12.3} s", format!("{:?}", of.mode), of.seconds);
+    }
+    let _ = writeln!(
+        text,
+        "\n{:<16} {:>13} {:>13} {:>13} {:>13}",
+        "signal", "min", "max", "mean", "rms"
+    );
+    for of in &figures.signals {
+        let [min, max, mean, rms] = [of.min, of.max, of.mean, of.rms].map(|value| format!("{value:.6}"));
+        let _ = writeln!(text, "{:<16} {min:>13} {max:>13} {mean:>13} {rms:>13}", of.name);
+    }
+    let errors = figures
+        .following_error_max_rad
+        .map(|error| format!("{:.1}", error * 1e6));
+    let _ = writeln!(
+        text,
+        "\nlargest following error in motion, microradians: {}",
+        errors.join(", ")
+    );
+    text
+}

@@ -1,0 +1,138 @@
+//! Reads a recording, entry after entry.
+//!
+//! Invariant: what cannot be read is counted and told, what can be read is given.
+
+use super::mcap::{Ending, Notice, Reader, Source};
+use super::messages::{Event, Gap, Moment, State, TOPICS};
+use etherpen::config::Config;
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::Path;
+
+/// One entry of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Entry {
+    /// A millisecond.
+    Moment(Moment),
+    /// Samples are missing here.
+    Gap(Gap),
+    /// Where the controller stood.
+    State(State),
+    /// Something happened.
+    Event(Event),
+}
+
+/// A recording that is being read.
+pub struct Playback<R> {
+    reader: Reader<R>,
+    /// Messages that are none of a recording's.
+    foreign: u64,
+}
+
+impl Playback<BufReader<File>> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It cannot be read, or is no MCAP file without compression.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        Self::new(BufReader::new(File::open(path)?))
+    }
+}
+
+impl<R: Source> Playback<R> {
+    /// Reads from a source.
+    ///
+    /// # Errors
+    /// As [`open`](Playback::open).
+    pub fn new(source: R) -> io::Result<Self> {
+        let mut reader = Reader::new(source)?;
+        reader.begin()?;
+        Ok(Self { reader, foreign: 0 })
+    }
+
+    /// Leaves out what is earlier or later, s since the beginning of the recording.
+    pub fn select(&mut self, from_s: Option<f64>, to_s: Option<f64>) {
+        // The conversion ends at the largest number there is.
+        let ns = |seconds: f64| (seconds * 1e9).round() as u64;
+        self.reader.select(from_s.map_or(0, ns), to_s.map_or(u64::MAX, ns));
+    }
+
+    /// The configuration that was in force.
+    pub fn config(&self) -> Option<Config> {
+        let text = std::str::from_utf8(self.reader.attachment("etherpen.toml")?).ok()?;
+        toml::from_str(text).ok()
+    }
+
+    /// A fact about the recording: `source`, `config_hash`, `program`.
+    pub fn fact(&self, name: &str) -> Option<&str> {
+        let all = self.reader.metadata().iter().flat_map(|(_, entries)| entries);
+        all.into_iter()
+            .find(|(key, _)| key == name)
+            .map(|(_, value)| value.as_str())
+    }
+
+    /// The next entry and its time, s since the beginning of the recording; `None` at the end.
+    ///
+    /// # Errors
+    /// The file cannot be read any further.
+    pub fn next_entry(&mut self) -> io::Result<Option<(f64, Entry)>> {
+        loop {
+            let start_ns = self.reader.start_ns();
+            let Some(message) = self.reader.next_message()? else {
+                return Ok(None);
+            };
+            let entry = decode(message.topic, message.data);
+            let time_ns = message.time_ns;
+            let since_ns = time_ns.saturating_sub(start_ns.unwrap_or(time_ns));
+            match entry {
+                Some(entry) => return Ok(Some((since_ns as f64 / 1e9, entry))),
+                None => self.foreign += 1,
+            }
+        }
+    }
+
+    /// What was wrong with the file, in words; once there are no more entries.
+    pub fn notices(&self) -> Vec<String> {
+        let start_ns = self.reader.start_ns().unwrap_or(0);
+        let seconds = |ns: u64| ns.saturating_sub(start_ns) as f64 / 1e9;
+        let mut notices: Vec<String> = self
+            .reader
+            .notices()
+            .iter()
+            .map(|notice| match notice {
+                Notice::DamagedChunk { start_ns, end_ns } => format!(
+                    "{:.3} to {:.3} s are damaged and left out",
+                    seconds(*start_ns),
+                    seconds(*end_ns)
+                ),
+                Notice::Malformed { kind } => format!("a record of kind {kind} is damaged and left out"),
+            })
+            .collect();
+        if self.foreign > 0 {
+            notices.push(format!(
+                "{} messages are none of a recording and left out",
+                self.foreign
+            ));
+        }
+        if self.reader.ending() == Some(Ending::CutOff) {
+            notices.push("the file has no end (the recorder was stopped in the middle); all there is was read".into());
+        }
+        notices
+    }
+
+    /// Whether the file ends as it should, once there are no more entries.
+    pub fn is_complete(&self) -> bool {
+        self.reader.ending() == Some(Ending::Complete)
+    }
+}
+
+fn decode(topic: &str, data: &[u8]) -> Option<Entry> {
+    let [sample, gap, status, event] = TOPICS.map(|topic| topic.name);
+    match topic {
+        name if name == sample => Moment::decode(data).map(Entry::Moment),
+        name if name == gap => Gap::decode(data).map(Entry::Gap),
+        name if name == status => State::decode(data).map(Entry::State),
+        name if name == event => Event::decode(data).map(Entry::Event),
+        _ => None,
+    }
+}

@@ -1,0 +1,222 @@
+//! A picture of boxes, curves and text, as SVG or as PNG, without a display and without fonts on the machine.
+//!
+//! Text is set in a font of fixed pitch in both: in PNG it is Noto Sans Mono's raster from the crate
+//! `noto-sans-mono-bitmap`, the leanest way to readable letters (no dependencies, one size built in). Invariant: both
+//! forms show the same shapes at the same places.
+
+use crate::drawing::{Plane, draw_line};
+use image::{ImageFormat, Rgb, RgbImage};
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
+use std::fmt::Write as _;
+use std::io::{self, Cursor};
+
+/// A colour: red, green, blue.
+pub(super) type Colour = [u8; 3];
+
+/// Pixels of a PNG in a unit of the picture.
+const SCALE: f64 = 2.0;
+/// Height of the raster of a letter, pixels.
+const RASTER: RasterHeight = RasterHeight::Size32;
+/// From the top of a letter's raster to the line it stands on, pixels.
+const RASTER_ASCENT: f64 = 25.0;
+/// Width of a letter, units.
+pub(super) const LETTER_WIDTH: f64 = get_raster_width(FontWeight::Regular, RASTER) as f64 / SCALE;
+/// Size of the font in SVG: letters of the usual fonts with a fixed pitch are 0.6 of it wide.
+const FONT_SIZE: f64 = LETTER_WIDTH / 0.6;
+
+/// Farthest that a line covers anything from its points, pixels.
+const LINE_REACH: f64 = 8.0;
+
+/// Which part of a text is at its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+enum Shape {
+    /// Left, top, width, height.
+    Filled([f64; 4], Colour),
+    Curve(Vec<[f64; 2]>, f64, Colour),
+    Text([f64; 2], Anchor, String, Colour),
+}
+
+/// Shapes, the later over the earlier.
+pub(super) struct Picture {
+    width: f64,
+    height: f64,
+    shapes: Vec<Shape>,
+}
+
+impl Picture {
+    /// A white picture.
+    pub(super) fn new(width: f64, height: f64) -> Self {
+        let shapes = vec![Shape::Filled([0.0, 0.0, width, height], [255; 3])];
+        Self { width, height, shapes }
+    }
+
+    /// A box: left, top, width, height.
+    pub(super) fn fill(&mut self, area: [f64; 4], colour: Colour) {
+        self.shapes.push(Shape::Filled(area, colour));
+    }
+
+    /// A line along points.
+    pub(super) fn curve(&mut self, points: Vec<[f64; 2]>, width: f64, colour: Colour) {
+        self.shapes.push(Shape::Curve(points, width, colour));
+    }
+
+    /// A line of text that stands at a height.
+    pub(super) fn text(&mut self, place: [f64; 2], anchor: Anchor, text: impl Into<String>, colour: Colour) {
+        self.shapes.push(Shape::Text(place, anchor, text.into(), colour));
+    }
+
+    /// The picture as an SVG document.
+    pub(super) fn svg(&self) -> String {
+        let (width, height) = (self.width, self.height);
+        let mut svg = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\" font-family=\"'Noto Sans Mono', 'DejaVu Sans Mono', monospace\" \
+             font-size=\"{FONT_SIZE:.1}\">\n"
+        );
+        for shape in &self.shapes {
+            // Writing into a string cannot fail.
+            let _ = match shape {
+                Shape::Filled([x, y, width, height], colour) => writeln!(
+                    svg,
+                    "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"/>",
+                    hexadecimal(*colour)
+                ),
+                Shape::Curve(points, width, colour) => {
+                    let _ = write!(
+                        svg,
+                        "<polyline fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\" stroke-linejoin=\"round\" \
+                         stroke-linecap=\"round\" points=\"",
+                        hexadecimal(*colour)
+                    );
+                    for [x, y] in points {
+                        let _ = write!(svg, "{x:.1},{y:.1} ");
+                    }
+                    writeln!(svg, "\"/>")
+                }
+                Shape::Text([x, y], anchor, text, colour) => {
+                    let anchor = match anchor {
+                        Anchor::Start => "start",
+                        Anchor::Middle => "middle",
+                        Anchor::End => "end",
+                    };
+                    writeln!(
+                        svg,
+                        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" fill=\"{}\">{}</text>",
+                        hexadecimal(*colour),
+                        escaped(text)
+                    )
+                }
+            };
+        }
+        svg.push_str("</svg>\n");
+        svg
+    }
+
+    /// The picture as the bytes of a PNG file.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub(super) fn png(&self) -> io::Result<Vec<u8>> {
+        let side = |units: f64| (units * SCALE).round().clamp(1.0, 20_000.0) as u32;
+        let mut image = RgbImage::new(side(self.width), side(self.height));
+        let mut covered = Plane::filled(image.width() as usize, image.height() as usize, 0.0);
+        for shape in &self.shapes {
+            match shape {
+                Shape::Filled(area, colour) => fill(&mut image, area.map(|units| units * SCALE), *colour),
+                Shape::Curve(points, width, colour) => {
+                    let in_pixels = |point: &[f64; 2]| point.map(|units| units * SCALE - 0.5);
+                    let points: Vec<[f64; 2]> = points.iter().map(in_pixels).collect();
+                    draw_line(&mut covered, &points, width * SCALE);
+                    ink(&mut image, &mut covered, &points, *colour);
+                }
+                Shape::Text(place, anchor, text, colour) => letters(&mut image, *place, *anchor, text, *colour),
+            }
+        }
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
+        Ok(bytes.into_inner())
+    }
+}
+
+fn hexadecimal([red, green, blue]: Colour) -> String {
+    format!("#{red:02x}{green:02x}{blue:02x}")
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// Mixes a colour over a pixel; outside of the image nothing happens.
+fn blend(image: &mut RgbImage, x: i64, y: i64, colour: Colour, share: f32) {
+    let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else {
+        return;
+    };
+    if let Some(Rgb(pixel)) = image.get_pixel_mut_checked(x, y) {
+        for (old, new) in pixel.iter_mut().zip(colour) {
+            let (from, to) = (f32::from(*old), f32::from(new));
+            *old = (from + (to - from) * share).round() as u8;
+        }
+    }
+}
+
+/// Puts what a line covers into the image, and clears it. A line is within a few pixels of its points.
+fn ink(image: &mut RgbImage, covered: &mut Plane, points: &[[f64; 2]], colour: Colour) {
+    let span = |axis: usize, end: u32| {
+        let values = || points.iter().filter_map(|point| point.get(axis).copied());
+        let low = values().fold(f64::from(end), f64::min) - LINE_REACH;
+        let high = values().fold(0.0, f64::max) + LINE_REACH;
+        low.max(0.0) as isize..=high.min(f64::from(end) - 1.0) as isize
+    };
+    let rows = span(1, image.height());
+    for x in span(0, image.width()) {
+        for y in rows.clone() {
+            let share = covered.at(x, y);
+            if share > 0.0 {
+                blend(image, x as i64, y as i64, colour, share);
+                covered.set(x, y, 0.0);
+            }
+        }
+    }
+}
+
+/// Fills a box to whole pixels, at least one wide and high.
+fn fill(image: &mut RgbImage, [left, top, width, height]: [f64; 4], colour: Colour) {
+    let (x, y) = (left.round() as i64, top.round() as i64);
+    let (x_end, y_end) = ((left + width).round() as i64, (top + height).round() as i64);
+    for y in y..y_end.max(y + 1).min(image.height().into()) {
+        for x in x..x_end.max(x + 1).min(image.width().into()) {
+            blend(image, x, y, colour, 1.0);
+        }
+    }
+}
+
+fn letters(image: &mut RgbImage, [x, y]: [f64; 2], anchor: Anchor, text: &str, colour: Colour) {
+    let width = text.chars().count() as f64 * LETTER_WIDTH;
+    let left = match anchor {
+        Anchor::Start => x,
+        Anchor::Middle => x - 0.5 * width,
+        Anchor::End => x - width,
+    };
+    let top = (y * SCALE - RASTER_ASCENT).round() as i64;
+    let mut left = (left * SCALE).round() as i64;
+    for letter in text.chars() {
+        let raster = get_raster(letter, FontWeight::Regular, RASTER);
+        let Some(raster) = raster.or_else(|| get_raster('?', FontWeight::Regular, RASTER)) else {
+            continue;
+        };
+        for (y, row) in (top..).zip(raster.rows()) {
+            for (x, share) in (left..).zip(row) {
+                if *share > 0 {
+                    blend(image, x, y, colour, f32::from(*share) / 255.0);
+                }
+            }
+        }
+        left += raster.width() as i64;
+    }
+}

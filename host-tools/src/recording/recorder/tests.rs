@@ -1,0 +1,274 @@
+use super::super::playback::{Entry, Playback};
+use super::super::statistics::statistics;
+use super::*;
+use crate::recording::signals::columns;
+use crate::report::{rows, write_telemetry};
+use etherpen::robot::AXES;
+use std::sync::{Arc, Mutex};
+
+fn sample(t_ms: u32) -> Sample {
+    let t = t_ms as f32 / 1_000.0;
+    Sample {
+        t_ms,
+        mode: if t_ms % 4_000 < 1_000 {
+            Mode::Idle
+        } else {
+            Mode::Drawing
+        },
+        stroke: t_ms / 700,
+        pen: if t_ms % 700 < 500 { Pen::Down } else { Pen::Up },
+        reference_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t + k as f32).sin()),
+        measured_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t - 0.001 + k as f32).sin() + 1e-5),
+        reference_rad_s: [0.1 * t.cos(); AXES],
+        measured_rad_s: [0.1 * t.cos() + 1e-4; AXES],
+    }
+}
+
+fn about(config: &Config) -> About<'_> {
+    About {
+        config,
+        source: "test",
+        begin_ns: 0,
+    }
+}
+
+fn entries(bytes: &[u8]) -> Vec<(f64, Entry)> {
+    let mut playback = Playback::new(bytes).unwrap();
+    let mut entries = Vec::new();
+    while let Some(entry) = playback.next_entry().unwrap() {
+        entries.push(entry);
+    }
+    entries
+}
+
+fn times_ms(bytes: &[u8]) -> Vec<u32> {
+    let moments = entries(bytes).into_iter().filter_map(|(_, entry)| match entry {
+        Entry::Moment(moment) => Some(moment.sample.t_ms),
+        _ => None,
+    });
+    moments.collect()
+}
+
+/// A storage with a limited size, as a disk has it; or one that cannot be cut either.
+#[derive(Clone)]
+struct Disk {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    room: usize,
+    cuts: bool,
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut stored = self.bytes.lock().unwrap();
+        let taken = bytes.len().min(self.room - stored.len());
+        stored.extend(&bytes[..taken]);
+        if taken == 0 {
+            Err(io::ErrorKind::StorageFull.into())
+        } else {
+            Ok(taken)
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Storage for Disk {
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        if !self.cuts {
+            return Err(io::ErrorKind::Unsupported.into());
+        }
+        self.bytes.lock().unwrap().truncate(length as usize);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
+    let config = Config::default();
+    let samples: Vec<Sample> = (5..9_000).map(sample).collect();
+    let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
+    samples.chunks(4).for_each(|four| recorder.samples(0, four).unwrap());
+    let written = recorder.finish().unwrap();
+    assert_eq!((written.samples, written.missing, written.gaps), (8_995, 0, 0));
+    let bytes = std::mem::take(recorder.storage_mut());
+    assert_eq!(written.bytes, bytes.len() as u64);
+
+    let mut expected = Vec::new();
+    write_telemetry(&rows(&config, &samples), &mut expected).unwrap();
+    let mut playback = Playback::new(bytes.as_slice()).unwrap();
+    assert_eq!(playback.config(), Some(config));
+    let mut csv = Vec::new();
+    let exported = crate::recording::export::write_csv(&mut playback, &columns(), &mut csv).unwrap();
+    assert_eq!(exported.rows, 8_995);
+    assert!(csv == expected, "the tables differ");
+}
+
+#[test]
+fn missing_samples_and_a_new_start_are_stored_where_they_happened() {
+    let config = Config::default();
+    let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
+    recorder.samples(0, &[sample(10), sample(11)]).unwrap();
+    recorder.samples(3, &[sample(15)]).unwrap();
+    recorder.samples(0, &[sample(20)]).unwrap();
+    recorder.samples(0, &[sample(2), sample(3)]).unwrap();
+    let written = recorder.finish().unwrap();
+    assert_eq!((written.samples, written.missing, written.gaps), (6, 7, 2));
+    let bytes = std::mem::take(recorder.storage_mut());
+    let mut seen = Vec::new();
+    for (time_s, entry) in entries(&bytes) {
+        match entry {
+            Entry::Moment(moment) => seen.push(format!("{:.0} ms: sample {}", time_s * 1e3, moment.sample.t_ms)),
+            Entry::Gap(gap) => seen.push(format!("{} to {}: {} missing", gap.before_ms, gap.t_ms, gap.missing)),
+            Entry::Event(event) if event.name == "link" => seen.push(event.text),
+            Entry::Event(_) | Entry::State(_) => {}
+        }
+    }
+    assert_eq!(
+        seen,
+        [
+            "0 ms: sample 10",
+            "1 ms: sample 11",
+            "11 to 15: 3 missing",
+            "5 ms: sample 15",
+            "15 to 20: 4 missing",
+            "10 ms: sample 20",
+            "the device's time went from 20 ms to 2 ms: it has started again",
+            "11 ms: sample 2",
+            "12 ms: sample 3",
+        ]
+    );
+}
+
+#[test]
+fn a_recording_cut_anywhere_gives_all_but_its_last_second() {
+    let config = Config::default();
+    let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
+    // Length of the file when a sample had been taken.
+    let mut lengths = Vec::new();
+    for t_ms in 0..6_000 {
+        recorder.samples(0, &[sample(t_ms)]).unwrap();
+        lengths.push(recorder.written().bytes as usize);
+    }
+    recorder.finish().unwrap();
+    let bytes = std::mem::take(recorder.storage_mut());
+    let mut seed = 77_u64;
+    println!("seed {seed}");
+    let head = lengths[0];
+    for _ in 0..40 {
+        seed = seed
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let length = head + (seed >> 33) as usize % (bytes.len() - head);
+        let times = times_ms(&bytes[..length]);
+        // Whoever is killed when the file is this long has taken at most these samples.
+        let taken = lengths.iter().filter(|at| **at <= length).count();
+        assert!(
+            times.len() + 1_000 >= taken,
+            "{length} bytes: {} of {taken}",
+            times.len()
+        );
+        assert_eq!(times, (0..times.len() as u32).collect::<Vec<u32>>());
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_and_what_was_written_stays_readable() {
+    let config = Config::default();
+    for (room, cuts) in [(500_000, true), (500_000, false), (777_777, true), (777_777, false)] {
+        let disk = Disk {
+            bytes: Arc::default(),
+            room,
+            cuts,
+        };
+        let mut recorder = Recorder::new(disk.clone(), &about(&config)).unwrap();
+        let failed =
+            (0..100_000).find_map(|t_ms| recorder.samples(0, &[sample(t_ms)]).err().map(|error| (t_ms, error)));
+        let (t_ms, error) = failed.expect("the disk is full before");
+        assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+        let finished = recorder.finish();
+        let bytes = disk.bytes.lock().unwrap().clone();
+        let times = times_ms(&bytes);
+        println!(
+            "{room} bytes, cut {cuts}: {t_ms} ms, {} samples, end {finished:?}",
+            times.len()
+        );
+        assert!(times.len() as u32 + 1_100 > t_ms, "{} of {t_ms}", times.len());
+        assert_eq!(times, (0..times.len() as u32).collect::<Vec<u32>>());
+        let mut playback = Playback::new(bytes.as_slice()).unwrap();
+        let figures = statistics(&mut playback).unwrap();
+        assert_eq!(figures.complete, cuts && finished.is_ok());
+    }
+}
+
+#[test]
+fn figures_are_those_of_the_samples() {
+    let config = Config::default();
+    let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
+    recorder
+        .samples(0, &(0..2_000).map(sample).collect::<Vec<_>>())
+        .unwrap();
+    recorder
+        .samples(0, &(2_500..4_000).map(sample).collect::<Vec<_>>())
+        .unwrap();
+    recorder.finish().unwrap();
+    let bytes = std::mem::take(recorder.storage_mut());
+    let figures = statistics(&mut Playback::new(bytes.as_slice()).unwrap()).unwrap();
+    assert_eq!((figures.samples, figures.missing, figures.gaps), (3_500, 500, 1));
+    assert!(figures.complete && (figures.duration_s - 3.999).abs() < 1e-9);
+    let seconds: Vec<(Mode, f64)> = figures.modes.iter().map(|of| (of.mode, of.seconds)).collect();
+    assert_eq!(seconds, [(Mode::Idle, 1.0), (Mode::Drawing, 2.5)]);
+    let q1 = figures.signals.iter().find(|of| of.name == "q1_ref_rad").unwrap();
+    assert!((q1.max - 0.4).abs() < 1e-5 && q1.min > 0.2 && q1.rms >= q1.mean.abs());
+    // The measurement lags by its age and is 10 microradians off; nothing is compared across the gap.
+    for error in figures.following_error_max_rad {
+        assert!((0.9e-5..1.6e-5).contains(&error), "{error}");
+    }
+}
+
+#[test]
+fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_clock() {
+    let config = Config::default();
+    let begin_ns = 1_800_000_000_000_000_000;
+    let mut recorder = Recorder::new(
+        Vec::new(),
+        &About {
+            begin_ns,
+            ..about(&config)
+        },
+    )
+    .unwrap();
+    let wall = |ms: u64| begin_ns + ms * MILLISECOND_NS;
+    recorder.set_time(wall(10));
+    recorder.event(Level::Info, "link", "connected").unwrap();
+    // The device runs at half the wall's speed.
+    recorder.set_time(wall(20));
+    recorder.samples(0, &[sample(100)]).unwrap();
+    recorder.set_time(wall(220));
+    recorder.samples(0, &[sample(200)]).unwrap();
+    recorder.set_time(wall(250));
+    recorder.event(Level::Info, "job", "begun").unwrap();
+    recorder.set_time(wall(1_250));
+    recorder.samples(0, &[sample(1)]).unwrap();
+    recorder.finish().unwrap();
+    let bytes = std::mem::take(recorder.storage_mut());
+    let mut times_ms = Vec::new();
+    for (time_s, entry) in entries(&bytes) {
+        let what = match entry {
+            Entry::Moment(moment) => moment.sample.t_ms.to_string(),
+            Entry::Event(event) if event.name == "link" || event.name == "job" => event.text[..4].to_owned(),
+            _ => continue,
+        };
+        times_ms.push(format!("{what} at {:.0}", time_s * 1e3));
+    }
+    let expected = [
+        "conn at 0",
+        "100 at 10",
+        "200 at 110",
+        "begu at 140",
+        "the  at 1140",
+        "1 at 1140",
+    ];
+    assert_eq!(times_ms, expected);
+}

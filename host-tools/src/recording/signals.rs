@@ -1,0 +1,249 @@
+//! The signals of a recording by their names, which are the columns of `telemetry.csv`, and what follows from them.
+//!
+//! Beside the columns there is `q1_error_rad` and so on: the reference that a measured angle answers to minus the angle,
+//! which is what the controller acts on. Invariant: a value that needs samples before a gap is missing, not wrong.
+
+use super::messages::{Moment, axes, mode_number};
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::motion::Pen;
+use etherpen::robot::AXES;
+use std::collections::VecDeque;
+
+/// What a signal is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Quantity {
+    Time,
+    Mode,
+    Stroke,
+    Pen,
+    /// Coordinate of the platform.
+    Position(usize),
+    /// Column of an axis: reference angle, angle, reference speed, speed.
+    Axis(usize, usize),
+    /// Following error of an axis.
+    Error(usize),
+}
+
+/// One signal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Signal {
+    /// Its name, with its unit at the end.
+    pub name: String,
+    /// Its unit, empty for a number or a state.
+    pub unit: &'static str,
+    quantity: Quantity,
+}
+
+/// A value of a signal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// A count.
+    Whole(u32),
+    /// An operating mode.
+    Mode(Mode),
+    /// A measurement, with the decimals it is written with.
+    Real(f64, usize),
+    /// It needs samples that are missing.
+    Missing,
+}
+
+impl Value {
+    /// The value as a number: a mode's is its place in the list of modes.
+    pub fn number(self) -> Option<f64> {
+        match self {
+            Self::Whole(value) => Some(value.into()),
+            Self::Mode(mode) => Some(mode_number(mode).into()),
+            Self::Real(value, _) => Some(value),
+            Self::Missing => None,
+        }
+    }
+}
+
+impl Signal {
+    fn new(name: impl Into<String>, unit: &'static str, quantity: Quantity) -> Self {
+        Self {
+            name: name.into(),
+            unit,
+            quantity,
+        }
+    }
+
+    /// Whether it is a state: its values are no quantities between which there are others.
+    pub fn is_state(&self) -> bool {
+        matches!(self.quantity, Quantity::Mode | Quantity::Stroke | Quantity::Pen)
+    }
+
+    /// Whether it is the operating mode.
+    pub fn is_mode(&self) -> bool {
+        self.quantity == Quantity::Mode
+    }
+
+    /// Whether it is the device's time.
+    pub fn is_time(&self) -> bool {
+        self.quantity == Quantity::Time
+    }
+
+    /// Whether it is a count or a state, without a fraction.
+    pub fn is_whole(&self) -> bool {
+        self.is_time() || self.is_state()
+    }
+
+    /// Whether its values are measured or referenced in single precision.
+    pub fn is_single(&self) -> bool {
+        matches!(self.quantity, Quantity::Axis(..))
+    }
+}
+
+/// The columns of `telemetry.csv`, in order.
+pub fn columns() -> Vec<Signal> {
+    let mut signals = vec![
+        Signal::new("t_ms", "ms", Quantity::Time),
+        Signal::new("mode", "", Quantity::Mode),
+        Signal::new("stroke", "", Quantity::Stroke),
+        Signal::new("pen", "", Quantity::Pen),
+    ];
+    for (k, name) in ["x_mm", "y_mm", "z_mm"].into_iter().enumerate() {
+        signals.push(Signal::new(name, "mm", Quantity::Position(k)));
+    }
+    for axis in 0..AXES {
+        let number = axis + 1;
+        let of_axis = [
+            (format!("q{number}_ref_rad"), "rad"),
+            (format!("q{number}_rad"), "rad"),
+            (format!("v{number}_ref_rad_s"), "rad/s"),
+            (format!("v{number}_rad_s"), "rad/s"),
+        ];
+        for (k, (name, unit)) in of_axis.into_iter().enumerate() {
+            signals.push(Signal::new(name, unit, Quantity::Axis(axis, k)));
+        }
+    }
+    signals
+}
+
+/// The following errors of the axes.
+pub fn errors() -> [Signal; AXES] {
+    std::array::from_fn(|axis| Signal::new(format!("q{}_error_rad", axis + 1), "rad", Quantity::Error(axis)))
+}
+
+/// The signals with these names, separated by commas; `*` stands for any characters.
+///
+/// # Errors
+/// A name that no signal has, with all names there are.
+pub fn named(list: &str) -> Result<Vec<Signal>, String> {
+    let all: Vec<Signal> = columns().into_iter().chain(errors()).collect();
+    let mut chosen: Vec<Signal> = Vec::new();
+    for pattern in list.split(',').map(str::trim).filter(|name| !name.is_empty()) {
+        let matching: Vec<&Signal> = all.iter().filter(|signal| matches(pattern, &signal.name)).collect();
+        if matching.is_empty() {
+            let names: Vec<&str> = all.iter().map(|signal| signal.name.as_str()).collect();
+            return Err(format!("there is no signal {pattern}; there are {}", names.join(", ")));
+        }
+        for signal in matching {
+            if !chosen.contains(signal) {
+                chosen.push(signal.clone());
+            }
+        }
+    }
+    if chosen.is_empty() {
+        return Err("no signal was named; for example q1_ref_rad,q1_rad, or q*_error_rad".into());
+    }
+    Ok(chosen)
+}
+
+/// Whether a name is the pattern, in which `*` stands for any characters.
+fn matches(pattern: &str, name: &str) -> bool {
+    let Some((before, after)) = pattern.split_once('*') else {
+        return pattern == name;
+    };
+    let Some(rest) = name.strip_prefix(before) else {
+        return false;
+    };
+    (0..=rest.len()).any(|skipped| rest.get(skipped..).is_some_and(|tail| matches(after, tail)))
+}
+
+/// Gives the values of signals, sample after sample.
+pub struct Evaluator {
+    /// Age of each axis' measurement when it is compared with its reference, samples.
+    ages: [usize; AXES],
+    /// The last references, the latest first.
+    references_rad: VecDeque<[f32; AXES]>,
+}
+
+impl Evaluator {
+    /// Values under this configuration; the built-in one where a file has none.
+    pub fn new(config: Option<&Config>) -> Self {
+        let default = Config::default();
+        let axes = &config.unwrap_or(&default).axes;
+        let age = |axis: usize| {
+            axes.get(axis)
+                .map_or(0, |axis| axis.measurement_age_ms.round() as usize)
+        };
+        Self {
+            ages: std::array::from_fn(age),
+            references_rad: VecDeque::new(),
+        }
+    }
+
+    /// Samples are missing here.
+    pub fn interrupt(&mut self) {
+        self.references_rad.clear();
+    }
+
+    /// Takes the next sample.
+    pub fn take(&mut self, moment: &Moment) {
+        self.references_rad.push_front(moment.sample.reference_rad);
+        let oldest = self.ages.iter().copied().max().unwrap_or(0);
+        self.references_rad.truncate(oldest + 1);
+    }
+
+    /// The value of a signal in the sample that was taken last.
+    pub fn value(&self, signal: &Signal, moment: &Moment) -> Value {
+        let sample = &moment.sample;
+        match signal.quantity {
+            Quantity::Time => Value::Whole(sample.t_ms),
+            Quantity::Mode => Value::Mode(sample.mode),
+            Quantity::Stroke => Value::Whole(sample.stroke),
+            Quantity::Pen => Value::Whole((sample.pen == Pen::Down).into()),
+            Quantity::Position(k) => {
+                let position = [moment.position.x_mm, moment.position.y_mm, moment.position.z_mm];
+                position.get(k).map_or(Value::Missing, |value| Value::Real(*value, 4))
+            }
+            Quantity::Axis(axis, k) => {
+                let columns = axes(sample).nth(axis).unwrap_or_default();
+                let decimals = if k < 2 { 7 } else { 5 };
+                columns
+                    .get(k)
+                    .map_or(Value::Missing, |value| Value::Real(f64::from(*value), decimals))
+            }
+            Quantity::Error(axis) => self
+                .error(axis, moment)
+                .map_or(Value::Missing, |error| Value::Real(error, 7)),
+        }
+    }
+
+    /// Following error of an axis, rad; `None` where its reference is missing.
+    pub fn error(&self, axis: usize, moment: &Moment) -> Option<f64> {
+        let age = *self.ages.get(axis)?;
+        let reference = self.references_rad.get(age)?.get(axis)?;
+        Some(f64::from(reference - moment.sample.measured_rad.get(axis)?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_the_columns_of_the_telemetry_and_a_star_stands_for_any() {
+        let names =
+            |list: &str| -> Vec<String> { named(list).unwrap().into_iter().map(|signal| signal.name).collect() };
+        assert_eq!(names("q1_rad, x_mm"), ["q1_rad", "x_mm"]);
+        assert_eq!(names("q*_error_rad").len(), AXES);
+        assert_eq!(names("v2*,v2_rad_s"), ["v2_ref_rad_s", "v2_rad_s"]);
+        let error = named("q9_rad").unwrap_err();
+        assert!(error.contains("q9_rad") && error.contains("q4_error_rad"), "{error}");
+        assert!(named(" ,").is_err());
+        assert_eq!(columns().len(), 7 + 4 * AXES);
+    }
+}
