@@ -162,17 +162,25 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
          \x20 Fedora:          sudo dnf install {package}\n\
          \x20 Arch:            sudo pacman -S {package}"
     );
-    if !is_installed("apt-get") {
-        return error(by_hand);
+    if install(package) && is_installed(program) {
+        return Ok(());
     }
-    eprintln!("etherpen: installing {package}");
+    error(by_hand)
+}
+
+/// Installs a Debian package where the machine has such packages and allows it.
+fn install(package: &str) -> bool {
+    if !is_installed("apt-get") {
+        return false;
+    }
     let prefix: &[&str] = if is_root() {
         &[]
     } else if is_installed("sudo") && (std::io::stdin().is_terminal() || sudo_needs_no_password()) {
         &["sudo"]
     } else {
-        return error(by_hand);
+        return false;
     };
+    eprintln!("etherpen: installing {package}");
     let apt = |arguments: &[&str]| {
         let words: Vec<&str> = prefix
             .iter()
@@ -186,10 +194,43 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
         command.status().is_ok_and(|status| status.success())
     };
     let install = ["install", "-y", "--no-install-recommends", package];
-    if (apt(&install) || (apt(&["update"]) && apt(&install))) && is_installed(program) {
-        return Ok(());
+    apt(&install) || (apt(&["update"]) && apt(&install))
+}
+
+/// The version of vpype that the drawing is compared with.
+const VPYPE: &str = "vpype==1.15.0";
+
+/// A Python that has vpype, in a folder of its own below the target folder; it is set up where it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
+    let dir = target_dir().join("vpype");
+    let python = dir.join("bin/python");
+    let is_there = || output(Command::new(&python).args(["-c", "import vpype"])).is_some();
+    if is_there() {
+        return Ok(python);
     }
-    error(by_hand)
+    ensure_program("python3")?;
+    eprintln!("etherpen: setting up {VPYPE} in {}", dir.display());
+    let environment = || output(Command::new("python3").args(["-m", "venv"]).arg(&dir)).is_some();
+    if !environment() && !(install("python3-venv") && environment()) {
+        return error(
+            "Python's venv is needed and missing.\nTry: sudo apt-get install -y python3-venv, or your system's package",
+        );
+    }
+    let mut pip = Command::new(&python);
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", VPYPE]);
+    // Data goes to stdout; what a package manager says is no data.
+    let installed = pip.stdin(Stdio::null()).stdout(Stdio::null()).status();
+    if installed.is_ok_and(|status| status.success()) && is_there() {
+        return Ok(python);
+    }
+    error(format!(
+        "{VPYPE} could not be installed from PyPI.\nTry: {} -m pip install {VPYPE}; \
+         or leave vpype out: --subject etherpen",
+        python.display()
+    ))
 }
 
 fn is_root() -> bool {

@@ -6,6 +6,7 @@
 //! Invariant: a row is measured in this run or left out; none is remembered.
 
 mod bring_up;
+pub mod drawing;
 pub mod ethercat;
 pub mod latency;
 pub mod motion;
@@ -14,6 +15,9 @@ pub mod recording;
 
 use crate::setup::SetupError;
 use serde::Serialize;
+
+/// Units of figures that should be large.
+const MORE_IS_BETTER: [&str; 2] = ["correlation", "share"];
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -26,15 +30,28 @@ pub struct Row {
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// The most it may be, where that was decided.
+    /// The most it may be, where that was decided; the least, where more is better ([`Row::is_more_better`]).
     pub target: Option<f64>,
 }
 
 impl Row {
-    /// Whether the figure is no more than it may be; `None` without a target.
+    /// Whether the figure is within its target; `None` without a target.
     #[must_use]
     pub fn met(&self) -> Option<bool> {
-        self.target.map(|target| self.value <= target)
+        let is_met = |target| {
+            if self.is_more_better() {
+                self.value >= target
+            } else {
+                self.value <= target
+            }
+        };
+        self.target.map(is_met)
+    }
+
+    /// Whether a larger figure is a better one.
+    #[must_use]
+    pub fn is_more_better(&self) -> bool {
+        MORE_IS_BETTER.contains(&self.unit)
     }
 }
 

@@ -1,7 +1,7 @@
 //! `etherpen bench`: the project's figures beside those of its peers, measured in one run.
 
 use super::{CommandError, code, print_json};
-use crate::bench::{BenchError, Report, Row, Selection, ethercat, motion, recording};
+use crate::bench::{BenchError, Report, Row, Selection, drawing, ethercat, motion, recording};
 use std::io::Write;
 
 /// Options of `etherpen bench`.
@@ -13,6 +13,9 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand, Debug)]
 enum Bench {
+    /// The vectoriser on the sample photographs (time, strokes, tone, edges), and the order of the sample vectors beside
+    /// vpype's (linemerge linesort --two-opt; from PyPI, set up in a folder of its own below the target folder).
+    Drawing(Options),
     /// The EtherCAT master beside ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
     Ethercat(Options),
     /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
@@ -81,6 +84,7 @@ impl Options {
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
     let (options, report) = match &arguments.bench {
+        Bench::Drawing(options) => (options, drawing::run(&options.selection(), progress)),
         Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),
         Bench::Latency(arguments) => return super::latency::run(arguments),
         Bench::Recording(RecordingOptions { hours, options }) => (options, recording::run(*hours)),
@@ -157,9 +161,10 @@ fn figure(value: f64) -> String {
 }
 
 fn target(row: &Row) -> String {
+    let sign = if row.is_more_better() { ">=" } else { "<=" };
     match (row.target, row.met()) {
-        (Some(target), Some(true)) => format!("<= {} met", figure(target)),
-        (Some(target), _) => format!("<= {} missed", figure(target)),
+        (Some(target), Some(true)) => format!("{sign} {} met", figure(target)),
+        (Some(target), _) => format!("{sign} {} missed", figure(target)),
         (None, _) => String::new(),
     }
 }

@@ -37,12 +37,12 @@ pub use csv::{Path3d, read_csv};
 pub use error::DrawingError;
 pub use input::{Input, load};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
-pub use order::{OrderOptions, OrderReport, order};
+pub use order::{OrderOptions, OrderReport, order, order_with_effort};
 pub use path::to_path;
 pub use preview::PreviewScene;
 pub(crate) use raster::Plane;
 pub(crate) use render::draw_line;
-pub use render::{render_png, render_rgb, tone_correlation, write_artwork, write_svg};
+pub use render::{edge_coverage, render_png, render_rgb, tone_correlation, write_artwork, write_svg};
 pub use svg::read_svg;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 

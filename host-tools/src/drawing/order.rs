@@ -45,6 +45,11 @@ pub struct OrderReport {
 
 /// Puts the strokes of a drawing into an order that costs little time. Strokes of less than two points are dropped.
 pub fn order(drawing: &mut Drawing, options: &OrderOptions) -> OrderReport {
+    order_with_effort(drawing, options, 1)
+}
+
+/// [`order`], with `effort` times as many attempts at a shorter way: for comparisons.
+pub fn order_with_effort(drawing: &mut Drawing, options: &OrderOptions, effort: usize) -> OrderReport {
     drawing.strokes.retain(|stroke| stroke.points.len() > 1);
     let given = drawing.clone();
     let lines: Vec<Vec<Point>> = given.strokes.iter().map(|stroke| stroke.points.clone()).collect();
@@ -57,7 +62,7 @@ pub fn order(drawing: &mut Drawing, options: &OrderOptions) -> OrderReport {
     let sorted = if options.keep_order || joined.len() < 2 {
         joined
     } else {
-        sorted(joined)
+        sorted(joined, effort)
     };
     drawing.strokes = sorted.into_iter().map(|points| Stroke { points }).collect();
     if drawing.pen_up_mm() > given.pen_up_mm() {
@@ -97,7 +102,7 @@ fn bridges(lines: &[Vec<Point>], options: &OrderOptions) -> Vec<(f64, usize, usi
     bridges
 }
 
-fn sorted(lines: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
+fn sorted(lines: Vec<Vec<Point>>, effort: usize) -> Vec<Vec<Point>> {
     let turned = |entry: usize| {
         let mut points = lines.get(entry / 2).cloned().unwrap_or_default();
         if entry % 2 == 1 {
@@ -105,7 +110,7 @@ fn sorted(lines: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
         }
         points
     };
-    let tour = shortest_tour(&join::ends(&lines));
+    let tour = shortest_tour(&join::ends(&lines), effort);
     tour.iter().step_by(2).map(|&entry| turned(entry)).collect()
 }
 

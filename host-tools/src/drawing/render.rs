@@ -15,6 +15,9 @@ use std::io::Cursor;
 const PAPER: [f32; 3] = [252.0, 251.0, 247.0];
 /// Colour of a single layer of ink.
 const INK: [f32; 3] = [24.0, 26.0, 38.0];
+/// Share of pixels whose gradients are no strong edges, and how far ink may lie from an edge, pixels.
+const EDGE_PERCENTILE: f32 = 0.95;
+const EDGE_REACH_PX: isize = 2;
 /// Width of the lines of written artwork, mm.
 const LINE_MM: f64 = 0.3;
 /// Largest side of a rendered picture, pixels.
@@ -190,6 +193,36 @@ pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
         grey(&small).blurred(COMPARE_SIGMA_PX)
     };
     correlation(&tone(photograph), &tone(rendered))
+}
+
+/// Share of a photograph's strong edges that have ink beside them, 0 to 1.
+///
+/// Both pictures are resized as for [`tone_correlation`]. Strong edges are the twentieth of all pixels with the largest
+/// gradient of the photograph blurred by one pixel; an edge has ink when the drawing is dark within two pixels of it.
+#[must_use]
+pub fn edge_coverage(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
+    let (width, height) = photograph.dimensions();
+    let height = (u64::from(height) * u64::from(COMPARE_WIDTH_PX) / u64::from(width.max(1))).clamp(1, 8192) as u32;
+    let small = |picture: &RgbImage| grey(&resize(picture, COMPARE_WIDTH_PX, height, FilterType::Triangle));
+    let light = small(photograph).blurred(1.0);
+    let ink = small(rendered);
+    let steepness = Plane::from_fn(light.width(), light.height(), |x, y| {
+        let (x, y) = (x as isize, y as isize);
+        (light.at(x + 1, y) - light.at(x - 1, y)).hypot(light.at(x, y + 1) - light.at(x, y - 1))
+    });
+    let limit = steepness.percentile(EDGE_PERCENTILE);
+    let (mut strong, mut covered) = (0_u32, 0_u32);
+    for y in 0..steepness.height() as isize {
+        for x in 0..steepness.width() as isize {
+            if steepness.at(x, y) > limit {
+                strong += 1;
+                let around = (-EDGE_REACH_PX..=EDGE_REACH_PX)
+                    .flat_map(|dy| (-EDGE_REACH_PX..=EDGE_REACH_PX).map(move |dx| (dx, dy)));
+                covered += u32::from(around.into_iter().any(|(dx, dy)| ink.at(x + dx, y + dy) < 0.5));
+            }
+        }
+    }
+    f64::from(covered) / f64::from(strong.max(1))
 }
 
 /// Luma of a picture, 0 to 1 (Rec. 601 weights).

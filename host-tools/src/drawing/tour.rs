@@ -30,8 +30,9 @@ const KICK_RUN: usize = 30;
 /// A given order is a start of its own when it is at most this many times as long as the greedy one.
 const GIVEN_RATIO: f64 = 1.3;
 
-/// The ends in the order of a short tour; end `2 k` is the start of stroke `k`, end `2 k + 1` its last point.
-pub(super) fn shortest_tour(ends: &[Point]) -> Vec<usize> {
+/// The ends in the order of a short tour; end `2 k` is the start of stroke `k`, end `2 k + 1` its last point. `effort`
+/// multiplies the disturbances.
+pub(super) fn shortest_tour(ends: &[Point], effort: usize) -> Vec<usize> {
     let as_given: Vec<usize> = (0..ends.len()).collect();
     if ends.len() < 4 {
         return as_given;
@@ -49,7 +50,7 @@ pub(super) fn shortest_tour(ends: &[Point]) -> Vec<usize> {
             tour = given;
         }
     }
-    tour.disturb();
+    tour.disturb(effort);
     tour.tour
 }
 
@@ -177,7 +178,7 @@ impl<'a> Tour<'a> {
     }
 
     /// Disturbs the tour in many places, one after the other, and keeps what makes it shorter.
-    fn disturb(&mut self) {
+    fn disturb(&mut self, effort: usize) {
         let strokes = self.tour.len() / 2;
         let longest = KICK_RUN.min(strokes / 3);
         if longest == 0 {
@@ -191,7 +192,7 @@ impl<'a> Tour<'a> {
                 .wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as usize % limit
         };
-        for _ in 0..strokes.clamp(KICKS_MIN, KICKS_MAX) {
+        for _ in 0..effort.saturating_mul(strokes.clamp(KICKS_MIN, KICKS_MAX)) {
             let (first, second) = (1 + below(longest), 1 + below(longest));
             let start = below(strokes - first - second + 1);
             let (from, middle, after) = (2 * start, 2 * (start + first), 2 * (start + first + second));

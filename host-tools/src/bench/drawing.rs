@@ -1,0 +1,275 @@
+//! The drawing's figures: the vectoriser on photographs, the order of strokes beside vpype's.
+//!
+//! Both order the same files in this run, reading and writing left out, the fastest of three runs each. The best tour
+//! known is this program's own with forty times the effort, or vpype's where that is shorter. Seconds depend on the
+//! computer; the target is a share of what vpype takes on it.
+
+use super::{BenchError, Report, Row, Selection};
+use crate::drawing::{
+    Drawing, Input, OrderOptions, OrderReport, VectorizeOptions, edge_coverage, load, order, order_with_effort,
+    render_rgb, tone_correlation, vectorize_image,
+};
+use crate::setup;
+use image::{RgbImage, imageops};
+use serde::Deserialize;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+/// The photographs.
+const PHOTOGRAPHS: [&str; 2] = ["astronaut.png", "camera.png"];
+/// The vector files.
+const VECTORS: [&str; 4] = ["contours.svg", "grass.svg", "portrait.svg", "streets.svg"];
+/// Runs of which the fastest counts.
+const RUNS: usize = 3;
+/// Effort of the search for the best tour.
+const BEST_EFFORT: usize = 40;
+/// A way may be this many times the best one known.
+const PEN_UP_RATIO_MAX: f64 = 1.10;
+/// Share of vpype's time that the order may take.
+const TIME_SHARE_MAX: f64 = 0.1;
+/// linedraw's tone on portraits of this size is 0.83 to 0.94.
+const TONE_MIN: f64 = 0.83;
+/// A photograph of a megapixel may take about a second, and any photograph this.
+const SECONDS_PER_MEGAPIXEL: f64 = 1.0;
+const SECONDS_MIN: f64 = 1.0;
+/// Gaps that are closed on both sides, mm: vpype's default.
+const JOIN_MM: f64 = 0.05;
+/// Width of the pen's line and scale of the compared drawing.
+const PEN_MM: f64 = 0.5;
+const PX_PER_MM: f64 = 5.0;
+/// Orders files with vpype and prints a line of JSON for each.
+const VPYPE: &str = r#"
+import copy, json, sys, time
+import vpype
+from vpype_cli import execute
+for path in sys.argv[1:]:
+    given = execute(f'read "{path}"')
+    best = None
+    for _ in range(3):
+        begun = time.perf_counter()
+        ordered = execute('linemerge linesort --two-opt', copy.deepcopy(given))
+        seconds = time.perf_counter() - begun
+        best = seconds if best is None else min(best, seconds)
+    lifts = sum(len(layer) for layer in ordered.layers.values())
+    print(json.dumps({'seconds': best, 'lifts': lifts, 'pen_up_mm': ordered.pen_up_length() * 25.4 / 96}))
+"#;
+
+/// What vpype did to a file.
+#[derive(Clone, Copy, Debug, Deserialize)]
+struct Peer {
+    seconds: f64,
+    lifts: f64,
+    pen_up_mm: f64,
+}
+
+fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
+    BenchError::Program {
+        program: program.to_owned(),
+        cause: cause.to_string(),
+    }
+}
+
+/// Measures what is wanted; `progress` is told what is being done.
+///
+/// # Errors
+/// A sample cannot be read, or vpype cannot be set up or does not do its work.
+pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, BenchError> {
+    let mut rows = Vec::new();
+    let wants = |file: &str, names: &[&str], subject: &str| {
+        names
+            .iter()
+            .any(|name| selection.wants(&format!("{name}/{file}"), subject))
+    };
+    for file in PHOTOGRAPHS {
+        if wants(file, &["lifts", "seconds", "tone", "edges"], "etherpen") {
+            progress(&format!("vectorising {file}"));
+            photograph(file, &mut rows)?;
+        }
+    }
+    let ordered = ["pen_up_mm", "lifts", "seconds"];
+    let wanted = VECTORS.into_iter().filter(|file| {
+        ["etherpen", "vpype", "best known"]
+            .iter()
+            .any(|subject| wants(file, &ordered, subject))
+    });
+    let files: Vec<&str> = wanted.collect();
+    let has_peer = files.iter().any(|file| wants(file, &ordered, "vpype"));
+    let peers = if has_peer {
+        vpype(&files, &progress)?
+    } else {
+        Vec::new()
+    };
+    for (k, file) in files.into_iter().enumerate() {
+        progress(&format!("ordering {file}"));
+        vectors(file, peers.get(k).copied(), &mut rows)?;
+    }
+    mean_ratio(&mut rows);
+    rows.retain(|row: &Row| selection.wants(&row.case, row.subject));
+    Ok(Report { bench: "drawing", rows })
+}
+
+fn sample(file: &str) -> PathBuf {
+    let folder = setup::workspace().join("samples");
+    if file.ends_with(".svg") {
+        folder.join("vectors").join(file)
+    } else {
+        folder.join(file)
+    }
+}
+
+fn photograph(file: &str, rows: &mut Vec<Row>) -> Result<(), BenchError> {
+    let Input::Photograph(picture) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
+        return Err(failed(file, "this is no photograph"));
+    };
+    let options = VectorizeOptions::default();
+    let begun = Instant::now();
+    let drawing = vectorize_image(&picture, &options).map_err(|cause| failed(file, cause))?;
+    let seconds = begun.elapsed().as_secs_f64();
+    let megapixels = f64::from(picture.width()) * f64::from(picture.height()) / 1e6;
+    let rendered = rendered(&picture, &drawing, &options).map_err(|cause| failed(file, cause))?;
+    let figures = [
+        ("lifts", drawing.strokes.len() as f64, "lifts", None),
+        ("pen_up_mm", drawing.pen_up_mm(), "mm", None),
+        (
+            "seconds",
+            seconds,
+            "s",
+            Some((SECONDS_PER_MEGAPIXEL * megapixels).max(SECONDS_MIN)),
+        ),
+        (
+            "tone",
+            tone_correlation(&picture, &rendered),
+            "correlation",
+            Some(TONE_MIN),
+        ),
+        ("edges", edge_coverage(&picture, &rendered), "share", None),
+    ];
+    rows.extend(figures.map(|(name, value, unit, target)| Row {
+        case: format!("{name}/{file}"),
+        subject: "etherpen",
+        value,
+        unit,
+        target,
+    }));
+    Ok(())
+}
+
+/// The drawing as a picture of the photograph's part of the sheet.
+fn rendered(
+    picture: &RgbImage,
+    drawing: &Drawing,
+    options: &VectorizeOptions,
+) -> Result<RgbImage, crate::drawing::DrawingError> {
+    let place_mm = options.picture_mm(picture.width(), picture.height())?;
+    let whole = render_rgb(&drawing.strokes, drawing.sheet_mm, PEN_MM, PX_PER_MM);
+    let [left, top, width, height] = place_mm.map(|mm| (mm * PX_PER_MM).round() as u32);
+    Ok(imageops::crop_imm(&whole, left, top, width, height).to_image())
+}
+
+fn vectors(file: &str, peer: Option<Peer>, rows: &mut Vec<Row>) -> Result<(), BenchError> {
+    let Input::Artwork(artwork) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
+        return Err(failed(file, "this is no vector file"));
+    };
+    let given = Drawing {
+        sheet_mm: artwork.page_mm.unwrap_or_default(),
+        strokes: artwork.strokes.into_iter().map(|stroke| stroke.stroke).collect(),
+    };
+    let options = OrderOptions {
+        join_gap_mm: JOIN_MM,
+        keep_order: false,
+    };
+    let timed = |_| {
+        let mut drawing = given.clone();
+        let begun = Instant::now();
+        let report = order(&mut drawing, &options);
+        (begun.elapsed().as_secs_f64(), report)
+    };
+    let fastest = (0..RUNS).map(timed).min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((
+        seconds,
+        OrderReport {
+            lifts_after,
+            pen_up_mm_after,
+            ..
+        },
+    )) = fastest
+    else {
+        return Ok(());
+    };
+    let long = order_with_effort(&mut given.clone(), &options, BEST_EFFORT).pen_up_mm_after;
+    let best = peer.map_or(long, |peer| peer.pen_up_mm.min(long)).min(pen_up_mm_after);
+    let mut row = |name: &str, subject, value, unit, target| {
+        rows.push(Row {
+            case: format!("{name}/{file}"),
+            subject,
+            value,
+            unit,
+            target,
+        });
+    };
+    let lifts = lifts_after as f64;
+    row(
+        "pen_up_mm",
+        "etherpen",
+        pen_up_mm_after,
+        "mm",
+        Some(PEN_UP_RATIO_MAX * best),
+    );
+    row("pen_up_mm", "best known", best, "mm", None);
+    row("pen_up_mm", "as given", given.pen_up_mm(), "mm", None);
+    row("lifts", "etherpen", lifts, "lifts", peer.map(|peer| peer.lifts));
+    row("lifts", "as given", given.strokes.len() as f64, "lifts", None);
+    row(
+        "seconds",
+        "etherpen",
+        seconds,
+        "s",
+        peer.map(|peer| TIME_SHARE_MAX * peer.seconds),
+    );
+    if let Some(peer) = peer {
+        row("pen_up_mm", "vpype", peer.pen_up_mm, "mm", None);
+        row("lifts", "vpype", peer.lifts, "lifts", None);
+        row("seconds", "vpype", peer.seconds, "s", None);
+    }
+    Ok(())
+}
+
+/// The mean over all vector files of the way with the pen up, in best ones known.
+fn mean_ratio(rows: &mut Vec<Row>) {
+    for subject in ["etherpen", "vpype"] {
+        let ratio = |row: &Row| {
+            let best = rows
+                .iter()
+                .find(|best| best.case == row.case && best.subject == "best known")?;
+            (row.subject == subject).then_some(row.value / best.value)
+        };
+        let ratios: Vec<f64> = rows.iter().filter_map(ratio).collect();
+        if !ratios.is_empty() {
+            rows.push(Row {
+                case: "pen_up_ratio".to_owned(),
+                subject,
+                value: ratios.iter().sum::<f64>() / ratios.len() as f64,
+                unit: "best known",
+                target: (subject == "etherpen").then_some(PEN_UP_RATIO_MAX),
+            });
+        }
+    }
+}
+
+fn vpype(files: &[&str], progress: &impl Fn(&str)) -> Result<Vec<Peer>, BenchError> {
+    let python = setup::ensure_vpype()?;
+    progress("ordering the same files with vpype");
+    let mut command = Command::new(python);
+    command.args(["-c", VPYPE]).args(files.iter().map(|file| sample(file)));
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|cause| failed("vpype", cause))?;
+    if !output.status.success() {
+        return Err(failed("vpype", String::from_utf8_lossy(&output.stderr)));
+    }
+    let lines = String::from_utf8_lossy(&output.stdout).into_owned();
+    let read = |line: &str| serde_json::from_str(line).map_err(|cause| failed("vpype", cause));
+    lines.lines().map(read).collect()
+}
