@@ -1,6 +1,8 @@
 //! Options that say how a file becomes strokes on the sheet; the same for every command that draws or shows one.
 
-use crate::drawing::{Placement, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
+use crate::drawing::{
+    Placement, Style, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm,
+};
 use etherpen::config::Config;
 
 /// How a file becomes strokes on the sheet. Lengths take a unit (mm, cm, in, pt, px); without one they are millimetres.
@@ -31,6 +33,12 @@ pub struct SourceArguments {
     /// Width of the pen's line [default: 0.5mm].
     #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
     pen_width: Option<f64>,
+    /// Photographs: edges and hatching along the picture's flow; straight hatching; the flow alone; one single line.
+    #[arg(long, value_name = "STYLE", default_value = "sketch", value_parser = Style::NAMES)]
+    style: String,
+    /// Photographs: how fine edges and lines become, 0 (few) to 1 (many) [default: 0.5].
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    detail: Option<f64>,
     /// Photographs: longest drawing time, about: 90s, 3m [default: 110s].
     #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
     max_time: Option<f64>,
@@ -40,6 +48,13 @@ pub struct SourceArguments {
     /// Photographs: seed of everything random [default: 1].
     #[arg(long, value_name = "NUMBER")]
     seed: Option<u64>,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("a number from 0 to 1 is needed".to_owned()),
+    }
 }
 
 /// Two lengths, mm.
@@ -70,6 +85,8 @@ impl SourceArguments {
             size_mm: self.size,
             origin_mm: self.origin,
             pen_width_mm: self.pen_width.unwrap_or(plain.pen_width_mm),
+            style: Style::from_name(&self.style).unwrap_or_default(),
+            detail: self.detail.unwrap_or(plain.detail),
             strokes_max: self.max_strokes.map_or(plain.strokes_max, |count| count as usize),
             time_max_s: self.max_time.unwrap_or(plain.time_max_s),
             seed: self.seed.unwrap_or(plain.seed),

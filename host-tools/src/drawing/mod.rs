@@ -27,6 +27,7 @@ mod plot;
 mod preview;
 mod raster;
 mod render;
+mod styles;
 mod svg;
 mod tone;
 mod tour;
@@ -43,6 +44,7 @@ pub use preview::PreviewScene;
 pub(crate) use raster::Plane;
 pub(crate) use render::draw_line;
 pub use render::{edge_coverage, render_png, render_rgb, tone_correlation, write_artwork, write_svg};
+pub use styles::Style;
 pub use svg::read_svg;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 

@@ -10,6 +10,7 @@ use super::line::{self, Point};
 use super::photo::check_size;
 use super::raster::Plane;
 use super::render::{draw_line, grey};
+use super::styles::{Style, hatch as straight_hatch, one_line};
 use super::tone::{ToneGoal, hatch, join_serpentines};
 use super::{Drawing, DrawingError, Input, OrderOptions, Stroke, load, order};
 use image::RgbImage;
@@ -39,6 +40,8 @@ const FACE_GAIN: f32 = 0.9;
 const COARSE_IN_FACE: f32 = 0.4;
 /// Rounds of hatching to meet the time wanted.
 const TONE_ROUNDS: usize = 3;
+/// Rounds of the other styles to meet the time wanted.
+const FILL_ROUNDS: usize = 5;
 
 const _: () = assert!(COVERAGE_MAX <= 1.0, "the pitch is at least the pen's width");
 const _: () = assert!(COVERAGE_MIN < COVERAGE_MAX);
@@ -56,6 +59,10 @@ pub struct VectorizeOptions {
     pub origin_mm: Option<[f64; 2]>,
     /// Width of the pen's line, mm.
     pub pen_width_mm: f64,
+    /// How it is drawn.
+    pub style: Style,
+    /// How fine lines and edges become, 0 (few) to 1 (many).
+    pub detail: f64,
     /// Most strokes.
     pub strokes_max: usize,
     /// Longest estimated drawing time, s (see [`estimate`]).
@@ -73,6 +80,8 @@ impl Default for VectorizeOptions {
             size_mm: None,
             origin_mm: None,
             pen_width_mm: 0.5,
+            style: Style::Sketch,
+            detail: 0.5,
             strokes_max: 900,
             time_max_s: 110.0,
             seed: 1,
@@ -140,8 +149,14 @@ pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result
     check_size(picture.width(), picture.height())?;
     let frame = Frame::new(picture.width(), picture.height(), options)?;
     let study = Study::of(picture, &frame, options)?;
-    let lines = study.lines(options);
-    let mut drawing = study.drawing(&lines, options);
+    let mut drawing = match options.style {
+        Style::Sketch => study.drawing(&study.lines(options), options),
+        Style::Flow => study.drawing(&[], options),
+        Style::Hatch => study.filled(options, |density| straight_hatch(&study.ink, study.pen, density)),
+        Style::Tsp => study.filled(options, |density| {
+            one_line(&study.ink, study.pen, density, options.seed)
+        }),
+    };
     keep_within(&mut drawing, options);
     if drawing.strokes.is_empty() {
         Err(DrawingError::Blank)
@@ -172,7 +187,7 @@ impl Frame {
         let room = size_mm.unwrap_or(sheet_mm.map(|side| side - 2.0 * margin_mm));
         let numbers = [room[0], room[1], pen_width_mm, time_max_s];
         let usable = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
-        let margin_usable = margin_mm.is_finite() && margin_mm >= 0.0;
+        let margin_usable = margin_mm.is_finite() && margin_mm >= 0.0 && (0.0..=1.0).contains(&options.detail);
         if !usable || !margin_usable || room[0].min(room[1]) < 8.0 * pen_width_mm {
             return Err(DrawingError::BadOptions);
         }
@@ -263,14 +278,15 @@ impl Study {
             &self.focus,
         );
         let texture = mixed.blurred(sigma(8.0));
-        let high = self
-            .focus
-            .zip(&texture, |face, busy| 0.035 - 0.015 * face + 0.8 * (1.0 - face) * busy);
+        let strictness = 2.0_f32.powf(1.0 - 2.0 * options.detail as f32);
+        let high = self.focus.zip(&texture, |face, busy| {
+            strictness * (0.035 - 0.015 * face + 0.8 * (1.0 - face) * busy)
+        });
         let traced = edges::trace_lines(&mixed, &flow, &high, 0.45);
         let joined = edges::join_by_direction(traced, 2.5 * self.pen);
         let mut lines: Vec<Edge> = joined.into_iter().filter_map(|edge| self.finished(edge)).collect();
         lines.sort_by(|a, b| b.weight.total_cmp(&a.weight));
-        let mut time_s = LINE_SHARE * TIME_AIM * options.time_max_s;
+        let mut time_s = 2.0 * options.detail * LINE_SHARE * TIME_AIM * options.time_max_s;
         lines
             .into_iter()
             .take_while(|edge| {
@@ -322,6 +338,37 @@ impl Study {
                 break;
             }
             gain = (gain * ratio.powf(1.2)).min(1.2);
+        }
+        result
+    }
+
+    /// Lines as dense as the time allows.
+    fn filled(&self, options: &VectorizeOptions, lines: impl Fn(f64) -> Vec<Vec<Point>>) -> Drawing {
+        let aim_s = TIME_AIM * options.time_max_s;
+        let mut density = 1.0;
+        let mut result = Drawing::default();
+        for _ in 0..FILL_ROUNDS {
+            let lines = lines(density);
+            let strokes = lines.iter().map(|points| Stroke {
+                points: self.frame.on_sheet(points),
+            });
+            result = Drawing {
+                sheet_mm: options.sheet_mm,
+                strokes: strokes.collect(),
+            };
+            let join_gap_mm = options.pen_width_mm;
+            order(
+                &mut result,
+                &OrderOptions {
+                    join_gap_mm,
+                    keep_order: false,
+                },
+            );
+            let ratio = aim_s / estimate(&result).time_s.max(1e-3);
+            if ratio > 0.95 && (ratio < 1.1 || density >= 1.0) {
+                break;
+            }
+            density = (density * ratio).min(1.0);
         }
         result
     }
@@ -393,182 +440,4 @@ fn keep_within(drawing: &mut Drawing, options: &VectorizeOptions) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::drawing::{render_rgb, tone_correlation};
-    use image::Rgb;
-    use std::sync::OnceLock;
-
-    struct Sample {
-        name: &'static str,
-        picture: RgbImage,
-        drawing: Drawing,
-    }
-
-    /// The sample photographs, vectorised once with the default options.
-    fn samples() -> &'static [Sample] {
-        static SAMPLES: OnceLock<Vec<Sample>> = OnceLock::new();
-        SAMPLES.get_or_init(|| {
-            let sample = |name: &'static str| {
-                let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name);
-                let Ok(Input::Photograph(picture)) = load(path) else {
-                    panic!("{name} is no photograph")
-                };
-                let drawing = vectorize_image(&picture, &VectorizeOptions::default()).expect(name);
-                Sample { name, picture, drawing }
-            };
-            ["astronaut.png", "camera.png"].map(sample).into()
-        })
-    }
-
-    fn assert_inside(drawing: &Drawing, margin_mm: f64) {
-        for [x, y] in drawing.strokes.iter().flat_map(|stroke| stroke.points.iter().copied()) {
-            assert!((margin_mm..=drawing.sheet_mm[0] - margin_mm).contains(&x), "x {x}");
-            assert!((margin_mm..=drawing.sheet_mm[1] - margin_mm).contains(&y), "y {y}");
-        }
-        assert!(drawing.strokes.iter().all(|stroke| stroke.points.len() > 1));
-    }
-
-    #[test]
-    fn a_tall_picture_is_compared_where_it_lies_on_the_sheet() {
-        let Sample { picture, .. } = &samples()[0];
-        let tall = image::imageops::crop_imm(picture, 60, 0, 300, 400).to_image();
-        let options = VectorizeOptions {
-            sheet_mm: [140.0, 100.0],
-            ..VectorizeOptions::default()
-        };
-        let drawing = vectorize_image(&tall, &options).expect("a drawing");
-        let [left, top, width, height] = options.picture_mm(300, 400).expect("room");
-        assert_eq!([left, top, width, height], [35.5, 4.0, 69.0, 92.0]);
-        let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 5.0);
-        let window = [left, top, width, height].map(|mm| (mm * 5.0) as u32);
-        let part = image::imageops::crop_imm(&rendered, window[0], window[1], window[2], window[3]).to_image();
-        let (here, whole) = (tone_correlation(&tall, &part), tone_correlation(&tall, &rendered));
-        assert!(here > 0.85 && here > whole, "{here}, {whole}");
-    }
-
-    #[test]
-    fn the_tone_of_a_drawing_follows_its_photograph() {
-        for Sample { name, picture, drawing } in samples() {
-            let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 2.56);
-            let tone = tone_correlation(picture, &rendered);
-            assert!(tone > 0.85, "{name}: {tone}");
-        }
-    }
-
-    #[test]
-    fn a_portrait_takes_about_a_minute_and_a_half_and_stays_inside_its_margin() {
-        for Sample { name, drawing, .. } in samples() {
-            let estimate = estimate(drawing);
-            assert!((60.0..110.0).contains(&estimate.time_s), "{name}: {estimate:?}");
-            assert!((100..=900).contains(&estimate.lifts), "{name}: {estimate:?}");
-            assert!(estimate.pen_up_mm < 0.2 * estimate.pen_down_mm, "{name}: {estimate:?}");
-            assert_inside(drawing, 4.0);
-        }
-    }
-
-    #[test]
-    fn strokes_are_long_and_few_enough_to_be_worth_their_lifts() {
-        for Sample { name, drawing, .. } in samples() {
-            let short = drawing.strokes.iter().filter(|stroke| stroke.length_mm() < 2.0).count();
-            assert!(
-                short * 20 < drawing.strokes.len(),
-                "{name}: {short} of {}",
-                drawing.strokes.len()
-            );
-            assert!(drawing.pen_down_mm() / drawing.strokes.len() as f64 > 25.0, "{name}");
-        }
-    }
-
-    #[test]
-    fn the_same_photograph_and_seed_give_the_same_strokes() {
-        let Sample { picture, .. } = &samples()[0];
-        let small = resize(picture, 128, 128, FilterType::Triangle);
-        let options = VectorizeOptions {
-            sheet_mm: [60.0, 60.0],
-            ..VectorizeOptions::default()
-        };
-        let first = vectorize_image(&small, &options);
-        assert_eq!(first, vectorize_image(&small, &options));
-        assert_ne!(first, vectorize_image(&small, &VectorizeOptions { seed: 2, ..options }));
-    }
-
-    #[test]
-    fn budgets_are_kept() {
-        let Sample { picture, .. } = &samples()[1];
-        for (strokes_max, time_max_s) in [(900, 15.0), (40, 110.0), (5, 3.0)] {
-            let options = VectorizeOptions {
-                sheet_mm: [100.0, 100.0],
-                strokes_max,
-                time_max_s,
-                ..VectorizeOptions::default()
-            };
-            let drawing = vectorize_image(picture, &options).expect("a drawing within any budget");
-            let estimate = estimate(&drawing);
-            assert!(
-                estimate.lifts <= strokes_max && estimate.time_s <= time_max_s,
-                "{estimate:?}"
-            );
-        }
-    }
-
-    #[test]
-    fn every_shape_of_picture_and_sheet_stays_inside() {
-        let noise = |x: u32, y: u32| Rgb([(x.wrapping_mul(73) ^ y.wrapping_mul(151) ^ (x * y)) as u8; 3]);
-        for (width, height) in [(16, 16), (16, 700), (700, 16), (150, 100)] {
-            for sheet_mm in [[40.0, 40.0], [80.0, 30.0]] {
-                let picture = RgbImage::from_fn(width, height, noise);
-                let options = VectorizeOptions {
-                    sheet_mm,
-                    margin_mm: 2.0,
-                    ..VectorizeOptions::default()
-                };
-                match vectorize_image(&picture, &options) {
-                    Ok(drawing) => assert_inside(&drawing, 2.0),
-                    Err(error) => assert_eq!(error, DrawingError::Blank, "{width} x {height}"),
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn what_cannot_be_drawn_is_refused() {
-        let options = VectorizeOptions::default();
-        let grey = RgbImage::from_pixel(100, 100, Rgb([90; 3]));
-        assert_eq!(vectorize_image(&grey, &options).err(), Some(DrawingError::Blank));
-        let dot = RgbImage::new(1, 1);
-        assert!(matches!(
-            vectorize_image(&dot, &options),
-            Err(DrawingError::TooSmall { .. })
-        ));
-        let picture = RgbImage::from_fn(100, 100, |x, _| Rgb([x as u8; 3]));
-        for bad in [
-            VectorizeOptions {
-                margin_mm: 100.0,
-                ..options
-            },
-            VectorizeOptions {
-                margin_mm: f64::NAN,
-                ..options
-            },
-            VectorizeOptions {
-                pen_width_mm: 0.0,
-                ..options
-            },
-            VectorizeOptions {
-                time_max_s: -1.0,
-                ..options
-            },
-            VectorizeOptions {
-                sheet_mm: [f64::INFINITY, 200.0],
-                ..options
-            },
-        ] {
-            assert_eq!(
-                vectorize_image(&picture, &bad).err(),
-                Some(DrawingError::BadOptions),
-                "{bad:?}"
-            );
-        }
-    }
-}
+mod tests;

@@ -1,0 +1,179 @@
+//! Photographs as strokes: tone, lines, budgets, seeds, refusals.
+
+use super::*;
+use crate::drawing::{render_rgb, tone_correlation};
+use image::Rgb;
+use std::sync::OnceLock;
+
+struct Sample {
+    name: &'static str,
+    picture: RgbImage,
+    drawing: Drawing,
+}
+
+/// The sample photographs, vectorised once with the default options.
+fn samples() -> &'static [Sample] {
+    static SAMPLES: OnceLock<Vec<Sample>> = OnceLock::new();
+    SAMPLES.get_or_init(|| {
+        let sample = |name: &'static str| {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name);
+            let Ok(Input::Photograph(picture)) = load(path) else {
+                panic!("{name} is no photograph")
+            };
+            let drawing = vectorize_image(&picture, &VectorizeOptions::default()).expect(name);
+            Sample { name, picture, drawing }
+        };
+        ["astronaut.png", "camera.png"].map(sample).into()
+    })
+}
+
+fn assert_inside(drawing: &Drawing, margin_mm: f64) {
+    for [x, y] in drawing.strokes.iter().flat_map(|stroke| stroke.points.iter().copied()) {
+        assert!((margin_mm..=drawing.sheet_mm[0] - margin_mm).contains(&x), "x {x}");
+        assert!((margin_mm..=drawing.sheet_mm[1] - margin_mm).contains(&y), "y {y}");
+    }
+    assert!(drawing.strokes.iter().all(|stroke| stroke.points.len() > 1));
+}
+
+#[test]
+fn a_tall_picture_is_compared_where_it_lies_on_the_sheet() {
+    let Sample { picture, .. } = &samples()[0];
+    let tall = image::imageops::crop_imm(picture, 60, 0, 300, 400).to_image();
+    let options = VectorizeOptions {
+        sheet_mm: [140.0, 100.0],
+        ..VectorizeOptions::default()
+    };
+    let drawing = vectorize_image(&tall, &options).expect("a drawing");
+    let [left, top, width, height] = options.picture_mm(300, 400).expect("room");
+    assert_eq!([left, top, width, height], [35.5, 4.0, 69.0, 92.0]);
+    let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 5.0);
+    let window = [left, top, width, height].map(|mm| (mm * 5.0) as u32);
+    let part = image::imageops::crop_imm(&rendered, window[0], window[1], window[2], window[3]).to_image();
+    let (here, whole) = (tone_correlation(&tall, &part), tone_correlation(&tall, &rendered));
+    assert!(here > 0.85 && here > whole, "{here}, {whole}");
+}
+
+#[test]
+fn the_tone_of_a_drawing_follows_its_photograph() {
+    for Sample { name, picture, drawing } in samples() {
+        let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 2.56);
+        let tone = tone_correlation(picture, &rendered);
+        assert!(tone > 0.85, "{name}: {tone}");
+    }
+}
+
+#[test]
+fn a_portrait_takes_about_a_minute_and_a_half_and_stays_inside_its_margin() {
+    for Sample { name, drawing, .. } in samples() {
+        let estimate = estimate(drawing);
+        assert!((60.0..110.0).contains(&estimate.time_s), "{name}: {estimate:?}");
+        assert!((100..=900).contains(&estimate.lifts), "{name}: {estimate:?}");
+        assert!(estimate.pen_up_mm < 0.2 * estimate.pen_down_mm, "{name}: {estimate:?}");
+        assert_inside(drawing, 4.0);
+    }
+}
+
+#[test]
+fn strokes_are_long_and_few_enough_to_be_worth_their_lifts() {
+    for Sample { name, drawing, .. } in samples() {
+        let short = drawing.strokes.iter().filter(|stroke| stroke.length_mm() < 2.0).count();
+        assert!(
+            short * 20 < drawing.strokes.len(),
+            "{name}: {short} of {}",
+            drawing.strokes.len()
+        );
+        assert!(drawing.pen_down_mm() / drawing.strokes.len() as f64 > 25.0, "{name}");
+    }
+}
+
+#[test]
+fn the_same_photograph_and_seed_give_the_same_strokes() {
+    let Sample { picture, .. } = &samples()[0];
+    let small = resize(picture, 128, 128, FilterType::Triangle);
+    let options = VectorizeOptions {
+        sheet_mm: [60.0, 60.0],
+        ..VectorizeOptions::default()
+    };
+    let first = vectorize_image(&small, &options);
+    assert_eq!(first, vectorize_image(&small, &options));
+    assert_ne!(first, vectorize_image(&small, &VectorizeOptions { seed: 2, ..options }));
+}
+
+#[test]
+fn budgets_are_kept() {
+    let Sample { picture, .. } = &samples()[1];
+    for (strokes_max, time_max_s) in [(900, 15.0), (40, 110.0), (5, 3.0)] {
+        let options = VectorizeOptions {
+            sheet_mm: [100.0, 100.0],
+            strokes_max,
+            time_max_s,
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_image(picture, &options).expect("a drawing within any budget");
+        let estimate = estimate(&drawing);
+        assert!(
+            estimate.lifts <= strokes_max && estimate.time_s <= time_max_s,
+            "{estimate:?}"
+        );
+    }
+}
+
+#[test]
+fn every_shape_of_picture_and_sheet_stays_inside() {
+    let noise = |x: u32, y: u32| Rgb([(x.wrapping_mul(73) ^ y.wrapping_mul(151) ^ (x * y)) as u8; 3]);
+    for (width, height) in [(16, 16), (16, 700), (700, 16), (150, 100)] {
+        for sheet_mm in [[40.0, 40.0], [80.0, 30.0]] {
+            let picture = RgbImage::from_fn(width, height, noise);
+            let options = VectorizeOptions {
+                sheet_mm,
+                margin_mm: 2.0,
+                ..VectorizeOptions::default()
+            };
+            match vectorize_image(&picture, &options) {
+                Ok(drawing) => assert_inside(&drawing, 2.0),
+                Err(error) => assert_eq!(error, DrawingError::Blank, "{width} x {height}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused() {
+    let options = VectorizeOptions::default();
+    let grey = RgbImage::from_pixel(100, 100, Rgb([90; 3]));
+    assert_eq!(vectorize_image(&grey, &options).err(), Some(DrawingError::Blank));
+    let dot = RgbImage::new(1, 1);
+    assert!(matches!(
+        vectorize_image(&dot, &options),
+        Err(DrawingError::TooSmall { .. })
+    ));
+    let picture = RgbImage::from_fn(100, 100, |x, _| Rgb([x as u8; 3]));
+    for bad in [
+        VectorizeOptions {
+            margin_mm: 100.0,
+            ..options
+        },
+        VectorizeOptions {
+            margin_mm: f64::NAN,
+            ..options
+        },
+        VectorizeOptions {
+            pen_width_mm: 0.0,
+            ..options
+        },
+        VectorizeOptions {
+            time_max_s: -1.0,
+            ..options
+        },
+        VectorizeOptions {
+            sheet_mm: [f64::INFINITY, 200.0],
+            ..options
+        },
+    ] {
+        assert_eq!(
+            vectorize_image(&picture, &bad).err(),
+            Some(DrawingError::BadOptions),
+            "{bad:?}"
+        );
+    }
+}
