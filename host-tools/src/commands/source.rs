@@ -33,7 +33,7 @@ pub struct SourceArguments {
     /// Width of the pen's line [default: 0.5mm].
     #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
     pen_width: Option<f64>,
-    /// Photographs: edges and hatching along the picture's flow; straight hatching; the flow alone; one single line.
+    /// Photographs: edges with hatching along the picture's flow, or straight; the flow alone; one single line.
     #[arg(long, value_name = "STYLE", default_value = "sketch", value_parser = Style::NAMES)]
     style: String,
     /// Photographs: how fine edges and lines become, 0 (few) to 1 (many) [default: 0.5].

@@ -86,6 +86,7 @@ impl Drawing {
             (Some(&from), Some(&to)) => line::distance(from, to),
             _ => 0.0,
         };
-        self.strokes.windows(2).map(gap).sum()
+        // An empty sum is a negative zero.
+        self.strokes.windows(2).map(gap).sum::<f64>() + 0.0
     }
 }

@@ -188,6 +188,23 @@ mod tests {
     }
 
     #[test]
+    fn a_camera_held_sideways_gives_an_upright_picture() {
+        let picture = GrayImage::from_fn(40, 20, |x, _| Luma([if x < 20 { 20 } else { 230 }]));
+        let jpeg = encoded(&DynamicImage::ImageLuma8(picture), ImageFormat::Jpeg);
+        // Exif 2.3: a TIFF header and one directory with the tag Orientation, 6: turned a quarter clockwise.
+        let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
+        let mut turned = jpeg[..2].to_vec();
+        turned.extend([0xFF, 0xE1, 0, exif.len() as u8 + 2]);
+        turned.append(&mut exif);
+        turned.extend(&jpeg[2..]);
+        let Ok(Input::Photograph(loaded)) = load_bytes("turned.jpg", &turned) else {
+            panic!("the picture was refused");
+        };
+        assert_eq!(loaded.dimensions(), (20, 40));
+        assert!(loaded.get_pixel(10, 5).0[0] < 60 && loaded.get_pixel(10, 35).0[0] > 190);
+    }
+
+    #[test]
     fn sizes_out_of_range_are_refused_before_decoding() {
         let dot = encoded(&DynamicImage::new_luma8(1, 1), ImageFormat::Png);
         let expected = DrawingError::TooSmall {

@@ -13,7 +13,7 @@ pub enum Style {
     /// Edges and dark lines, and tone by strokes along the picture's flow.
     #[default]
     Sketch,
-    /// Tone by straight lines in up to four directions.
+    /// Edges and dark lines, and tone by straight lines in up to four directions.
     Hatch,
     /// Tone by strokes along the picture's flow, without edges.
     Flow,

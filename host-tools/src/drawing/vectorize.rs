@@ -342,19 +342,20 @@ impl Study {
         result
     }
 
-    /// Lines as dense as the time allows.
-    fn filled(&self, options: &VectorizeOptions, lines: impl Fn(f64) -> Vec<Vec<Point>>) -> Drawing {
+    /// Lines, and filling as dense as the time allows.
+    fn filled(&self, lines: &[Edge], options: &VectorizeOptions, filling: impl Fn(f64) -> Vec<Vec<Point>>) -> Drawing {
         let aim_s = TIME_AIM * options.time_max_s;
         let mut density = 1.0;
         let mut result = Drawing::default();
         for _ in 0..FILL_ROUNDS {
-            let lines = lines(density);
-            let strokes = lines.iter().map(|points| Stroke {
+            let filling = filling(density);
+            let filling = filling.iter().map(|points| Stroke {
                 points: self.frame.on_sheet(points),
             });
+            let outlines = lines.iter().map(|edge| self.stroke(&edge.points));
             result = Drawing {
                 sheet_mm: options.sheet_mm,
-                strokes: strokes.collect(),
+                strokes: outlines.chain(filling).collect(),
             };
             let join_gap_mm = options.pen_width_mm;
             order(
