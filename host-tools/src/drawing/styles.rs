@@ -41,6 +41,8 @@ const SPACING_PENS: f64 = 4.0;
 /// Gaps of a hatching line that are drawn over, and lines that are too short to be drawn, in pens.
 const GAP_PENS: f64 = 2.5;
 const LENGTH_PENS: f64 = 6.0;
+/// Distance of the one line's points where it is darkest, in pens.
+const STIPPLE_PENS: f64 = 1.4;
 /// Most points of the one line.
 const STIPPLES_MAX: f64 = 12_000.0;
 
@@ -119,7 +121,7 @@ fn level(ink: &Plane, pen: f64, spacing: f64, angle_deg: f64, threshold: f32) ->
         .collect()
 }
 
-/// One line through points that are as dense as the ink; `density` is 1 for a point on every second pen's width.
+/// One line through points that are as dense as the ink; `density` is 1 for the darkest.
 pub(super) fn one_line(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Vec<Point>> {
     let points = stipples(ink, pen, density, seed);
     if points.len() < 2 {
@@ -139,7 +141,7 @@ pub(super) fn one_line(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Ve
 fn stipples(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Point> {
     let total: f64 = ink.values().iter().map(|&value| f64::from(value)).sum();
     let finest = (total / STIPPLES_MAX).sqrt();
-    let cell = (2.0 * pen / density.clamp(0.01, 1.0).sqrt()).max(finest);
+    let cell = (STIPPLE_PENS * pen / density.clamp(0.01, 1.0).sqrt()).max(finest);
     let columns = (ink.width() as f64 / cell) as usize;
     let rows = (ink.height() as f64 / cell) as usize;
     let calm = ink.blurred(0.4 * cell as f32);
@@ -212,7 +214,7 @@ mod tests {
         assert_eq!(lines.len(), 1);
         let dark = lines[0].iter().filter(|point| point[0] < 152.0).count();
         assert_eq!(dark, lines[0].len());
-        let wanted = 0.45 * 150.0 * 300.0 / 16.0;
+        let wanted = 0.45 * 150.0 * 300.0 / (2.0 * STIPPLE_PENS).powi(2);
         assert!(
             (dark as f64 / wanted - 1.0).abs() < 0.1,
             "{dark} points, wanted {wanted}"
