@@ -152,8 +152,10 @@ pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result
     let mut drawing = match options.style {
         Style::Sketch => study.drawing(&study.lines(options), options),
         Style::Flow => study.drawing(&[], options),
-        Style::Hatch => study.filled(options, |density| straight_hatch(&study.ink, study.pen, density)),
-        Style::Tsp => study.filled(options, |density| {
+        Style::Hatch => study.filled(&study.lines(options), options, |density| {
+            straight_hatch(&study.ink, study.pen, density)
+        }),
+        Style::Tsp => study.filled(&[], options, |density| {
             one_line(&study.ink, study.pen, density, options.seed)
         }),
     };
