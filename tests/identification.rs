@@ -3,7 +3,6 @@
 //! The figures of each run are printed (`cargo test --test identification -- --nocapture`).
 
 use etherpen::config::Config;
-use etherpen::robot::ARMS;
 use host_tools::cell::CellOptions;
 use host_tools::commands::prepare::prepare;
 use host_tools::commands::run::{conclude, task};
@@ -67,7 +66,7 @@ fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
             axis.feed_forward_gain = 1.02;
         }
         let found = identified(&wrong, &cell);
-        for axis in found.axes.iter().take(ARMS) {
+        for axis in &found.axes {
             let (lead_ms, gain) = (axis.feed_forward_lead_ms, axis.feed_forward_gain);
             println!(
                 "{drive_bandwidth_hz} Hz, {input_delay_cycles}/{output_delay_cycles} cycles: lead {lead_ms:.4} ms of {truth_ms:.4}, Kff {gain:.5}, Kfb {:.1}",

@@ -17,7 +17,7 @@
 //! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
 
 use etherpen::application::Mode;
-use etherpen::config::{Axis, AxisMode, Config};
+use etherpen::config::{Axis, AxisMode, Config, Orientation};
 use etherpen::control::position::{PositionController, REFERENCES_AHEAD};
 use etherpen::link::protocol::{PathVertex, Sample};
 use etherpen::motion::Pen;
@@ -35,6 +35,8 @@ const WAVES_PER_TURN: f64 = 2.4;
 /// Turns, and vertices on each.
 const TURNS: usize = 5;
 const VERTICES_PER_TURN: usize = 72;
+/// Figures of eight after them, on which the path's direction swings to and fro: it is the fourth axis' motion.
+const EIGHTS: usize = 4;
 /// Strokes up and down at the end.
 const STROKES_UP: usize = 4;
 /// Highest speed and acceleration of the test motion, mm/s and mm/s2; the configuration's where they are lower.
@@ -105,17 +107,20 @@ impl std::fmt::Display for NoAnswer {
     }
 }
 
-/// The configuration that the test motion is driven with: the given one, no faster than a test should be.
+/// The configuration that the test motion is driven with: the given one, no faster than a test should be, and with the
+/// fourth axis along the path.
 pub fn test_config(config: &Config) -> Config {
     let mut test = config.clone();
     let motion = &mut test.motion;
+    motion.orientation = Orientation::Path;
     motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MAX_MM_S);
     motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MAX_MM_S);
     motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MAX_MM_S2);
     test
 }
 
-/// The test motion: circles above the paper that rise and fall, then strokes up and down, all with the pen lifted.
+/// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with the
+/// pen lifted.
 pub fn test_path(config: &Config) -> Vec<PathVertex> {
     let paper = &config.paper;
     let [x_mm, y_mm] = paper.centre_mm;
@@ -138,11 +143,16 @@ pub fn test_path(config: &Config) -> Vec<PathVertex> {
             middle_mm + wave_mm * wave,
         )
     });
+    let on_eights = (1..=EIGHTS * VERTICES_PER_TURN).map(|step| {
+        let (sine, cosine) = (TAU * step as f64 / VERTICES_PER_TURN as f64).sin_cos();
+        // The circles end in this direction.
+        vertex(x_mm + RADIUS_MM * cosine, y_mm + RADIUS_MM * sine * cosine, middle_mm)
+    });
     let up_and_down = (0..=2 * STROKES_UP).map(|stroke| {
         let sign = if stroke % 2 == 0 { -1.0 } else { 1.0 };
         vertex(x_mm, y_mm, middle_mm + sign * wave_mm)
     });
-    on_circle.chain(up_and_down).collect()
+    on_circle.chain(on_eights).chain(up_and_down).collect()
 }
 
 /// Estimates every axis from the telemetry of a motion that was driven with `config`.

@@ -8,12 +8,13 @@
 //! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the power is
 //! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged.
 
+mod exchange;
 pub mod reference;
 mod terms;
 
+pub use exchange::{Action, BusCondition, Condition, Power, Progress};
 pub use terms::{Fault, Mode, Refusal, StopSource};
 
-use crate::board::Interlock;
 use crate::motion::MotionCommand;
 use crate::robot::{AXES, JointAngles};
 use heapless::Vec;
@@ -30,93 +31,6 @@ pub const RECOVERY_MAX_MS: u32 = 10_000;
 const AL_OPERATIONAL: u8 = 8;
 /// Most actions of one step.
 pub const ACTIONS_MAX: usize = 8;
-
-/// What the drives are asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Power {
-    /// No power.
-    #[default]
-    Off,
-    /// Power, following the references of an epoch.
-    On,
-    /// Quick stop, then standstill under power.
-    QuickStop,
-    /// Reset of a drive's fault.
-    FaultReset,
-}
-
-/// What is to be done.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Action {
-    /// Power of the drives.
-    Power(Power),
-    /// Forget the latched fault of the critical tasks.
-    ClearFault,
-    /// Take the present resolver angles as the reference, on the turns nearest to a pose, or to the synchronisation marks.
-    TakeReference {
-        /// The pose.
-        near: Option<JointAngles>,
-    },
-    /// Start the trajectory from this pose; the references that follow carry the epoch.
-    Place {
-        /// The pose at rest.
-        pose: JointAngles,
-        /// Number of this start.
-        epoch: u8,
-    },
-    /// Follow the references of this epoch and of no other.
-    Follow {
-        /// Number of the start.
-        epoch: u8,
-    },
-    /// Begin a path.
-    BeginPath,
-    /// Pass a command to the trajectory.
-    Motion(MotionCommand),
-    /// Bring lost slaves back.
-    RecoverBus,
-}
-
-/// What the critical tasks report about a millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Condition {
-    /// Measured pose; joint angles are true only when `referenced`.
-    pub pose: JointAngles,
-    /// Whether the angles are referenced.
-    pub referenced: bool,
-    /// Whether all four drives are in operation enabled.
-    pub powered: bool,
-    /// Whether no drive has power.
-    pub unpowered: bool,
-    /// Whether all axes stand still.
-    pub standstill: bool,
-    /// Whether a drive reports a fault.
-    pub drive_fault: bool,
-    /// Whether valid inputs of all drives arrive.
-    pub inputs_valid: bool,
-    /// Fault latched by the critical tasks; the drives are in quick stop already.
-    pub fault: Option<Fault>,
-    /// What on the board keeps the drives in quick stop.
-    pub interlock: Option<Interlock>,
-}
-
-/// What the bus's supervisor reports.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum BusCondition {
-    /// All drives are operational.
-    Operational,
-    /// A slave is missing, in another state, or the bus could not be brought up.
-    Failed(Fault),
-}
-
-/// What the trajectory reports.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Progress {
-    /// Whether it is at rest with nothing left to do and has taken all orders.
-    pub idle: bool,
-    /// Whether it stands on a held path.
-    pub held: bool,
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Enabling {

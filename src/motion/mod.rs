@@ -9,6 +9,7 @@ mod admission;
 #[cfg(test)]
 mod checks;
 mod curve;
+mod grid;
 mod heading;
 mod jog;
 mod limits;

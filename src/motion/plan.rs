@@ -8,6 +8,7 @@
 //! Between two points of the grid the path acceleration is constant; it is chosen when the first of them is reached.
 
 use super::Pen;
+use super::grid::{ARRIVED_MM, GridPoint, Span};
 use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, Stretch};
@@ -26,92 +27,10 @@ pub(crate) const PIECES: usize = 128;
 pub(crate) const GROWTH: usize = 64;
 /// Change of a squared speed that counts as none, relative.
 const UNCHANGED: f64 = 1.0e-12;
-/// Newton steps from arc length to parameter.
-const ARC_STEPS: usize = 2;
 /// Points that begin the grid or continue it from a stop, beside the next interval's end.
 const STOP_POINTS: usize = 2;
-/// Remainder of an interval that counts as its end, mm.
-const ARRIVED_MM: f64 = 1.0e-9;
 
 const _: () = assert!(GROWTH < POINTS && PIECES_PER_LEG < PIECES);
-
-/// The interval that begins at a point of the grid.
-#[derive(Clone, Copy, Debug)]
-struct Span {
-    length_mm: f64,
-    piece: u32,
-    parameter: [f64; 2],
-    /// Arc length for a unit of the parameter at both ends, mm.
-    stretch: [f64; 2],
-    /// The fourth axis at its beginning, rad, and the change of its slope, rad/mm2.
-    heading: f64,
-    turn_change: f64,
-    /// The pen is lifted or lowered.
-    lifts: bool,
-    /// It lies on a curve, whose limits in the middle hold too.
-    curved: bool,
-    middle: Middle,
-}
-
-impl Span {
-    const NONE: Self = Self {
-        length_mm: 0.0,
-        piece: 0,
-        parameter: [0.0; 2],
-        stretch: [0.0; 2],
-        heading: 0.0,
-        turn_change: 0.0,
-        lifts: false,
-        curved: false,
-        middle: Middle::NONE,
-    };
-}
-
-#[derive(Clone, Copy, Debug)]
-struct GridPoint {
-    row: Row,
-    /// Largest squared speed that the robot allows, mm2/s2.
-    cap: f64,
-    /// Squared speed that the path asks for at 100 %, mm2/s2.
-    nominal: f64,
-    /// Largest squared speed from which the plan's end is reached at rest, mm2/s2.
-    reach: f64,
-    span: Span,
-    stop: bool,
-    dwell: bool,
-}
-
-impl GridPoint {
-    const NONE: Self = Self {
-        row: Row::NONE,
-        cap: 0.0,
-        nominal: 0.0,
-        reach: 0.0,
-        span: Span::NONE,
-        stop: false,
-        dwell: false,
-    };
-
-    /// The interval that begins here, or `offset_mm` later.
-    fn interval<'a>(&self, limits: &'a Limits, start: &'a Row, next: &'a Self, offset_mm: f64) -> Interval<'a> {
-        let ahead_mm = 0.5 * self.span.length_mm - offset_mm;
-        Interval {
-            limits,
-            start,
-            end: &next.row,
-            length_mm: self.span.length_mm - offset_mm,
-            end_squared: next.reach,
-            turn_change: self.span.turn_change,
-            lifts: self.span.lifts,
-            middle: (self.span.curved && ahead_mm > 0.0).then_some((self.span.middle, ahead_mm)),
-        }
-    }
-
-    /// Angle of the fourth axis on the interval, rad.
-    fn heading_at(&self, offset_mm: f64) -> f64 {
-        self.span.heading + offset_mm * (self.row.turn + 0.5 * self.span.turn_change * offset_mm)
-    }
-}
 
 /// How the motion goes on at the next point of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -598,43 +517,4 @@ fn interval_to_middle(interval: &Interval<'_>, half_mm: f64) -> f64 {
         f64::MAX
     };
     range.high.min(braking).min(turning)
-}
-
-impl Span {
-    /// Parameter in the middle of the arc length, by the cubic through both ends.
-    fn middle_parameter(&self) -> f64 {
-        let [from, to] = self.parameter;
-        let [stretch_from, stretch_to] = self.stretch;
-        let parameter = 0.5 * (from + to) + 0.125 * self.length_mm * (1.0 / stretch_from - 1.0 / stretch_to);
-        if from < parameter && parameter < to {
-            parameter
-        } else {
-            0.5 * (from + to)
-        }
-    }
-
-    /// Parameter at an arc length from the span's beginning: a cubic through both ends, then Newton's method.
-    fn parameter_at(&self, piece: &Piece, offset_mm: f64) -> f64 {
-        let [from, to] = self.parameter;
-        let [stretch_from, stretch_to] = self.stretch;
-        let part = offset_mm / self.length_mm;
-        let (square, cube) = (part * part, part * part * part);
-        let mut parameter = from
-            + (3.0 * square - 2.0 * cube) * (to - from)
-            + (cube - 2.0 * square + part) * (self.length_mm / stretch_from)
-            + (cube - square) * (self.length_mm / stretch_to);
-        for _ in 0..ARC_STEPS {
-            let error = piece.curve.arc(from, parameter) - offset_mm;
-            let stretch = piece.curve.stretch(parameter);
-            if error.abs() <= ARRIVED_MM || stretch <= 0.0 {
-                break;
-            }
-            parameter -= error / stretch;
-        }
-        if parameter.is_finite() {
-            parameter.clamp(from, to)
-        } else {
-            from
-        }
-    }
 }

@@ -49,6 +49,9 @@ pub struct Arguments {
     /// there is none; everything else in it stays.
     #[arg(long)]
     store: bool,
+    /// Acknowledge a fault that is latched from before; lost drives are brought back.
+    #[arg(long)]
+    acknowledge: bool,
     /// Print the result as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -142,7 +145,7 @@ fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> 
 }
 
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, CommandError> {
-    let mut job = ReferenceJob::new(config.clone(), wanted, session_number());
+    let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
     match &arguments.port {
         Some(port) => {
             let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;

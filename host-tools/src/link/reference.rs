@@ -80,6 +80,7 @@ pub struct ReferenceJob {
     session: Session,
     config: Config,
     wanted: Wanted,
+    acknowledge: bool,
     calibrated: bool,
     now_ms: u64,
     phase: Phase,
@@ -104,6 +105,7 @@ impl ReferenceJob {
             session,
             config,
             wanted,
+            acknowledge: false,
             calibrated: false,
             now_ms: 0,
             phase: Phase::Connecting,
@@ -117,6 +119,12 @@ impl ReferenceJob {
             sample: None,
             outcome: None,
         }
+    }
+
+    /// The same job, which acknowledges a fault that is latched from before when `acknowledge` says so.
+    #[must_use]
+    pub fn acknowledging(self, acknowledge: bool) -> Self {
+        Self { acknowledge, ..self }
     }
 
     /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
@@ -179,6 +187,7 @@ impl ReferenceJob {
         self.phase = phase;
         self.entered_ms = self.now_ms;
         self.retry_ms = self.now_ms;
+        self.accepted = false;
         self.status = None;
         self.inquire();
     }
@@ -203,7 +212,11 @@ impl ReferenceJob {
         if let Some(silent_ms) = self.session.silence_ms(self.now_ms).filter(|ms| *ms > SILENCE_MAX_MS) {
             return self.fail(JobError::LinkLost { silent_ms });
         }
-        let status = self.status.as_ref().filter(|status| status.mode == Mode::Fault);
+        let patient = self.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging);
+        let status = self
+            .status
+            .as_ref()
+            .filter(|status| status.mode == Mode::Fault && !patient);
         if let Some(fault) = status.and_then(|status| status.fault) {
             let before = self.phase == Phase::Inspecting;
             return self.fail(JobError::Fault { fault, before });
@@ -226,6 +239,10 @@ impl ReferenceJob {
         }
         let Some(status) = self.status.clone() else { return };
         match (self.phase, status.mode) {
+            (Phase::Inspecting, Mode::Fault) => self.enter(Phase::Acknowledging),
+            (Phase::Acknowledging, Mode::Fault) => self.acknowledge(),
+            (Phase::Acknowledging, Mode::Stopping) => {}
+            (Phase::Acknowledging, _) => self.enter(Phase::Inspecting),
             (_, Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping) => {
                 self.fail(JobError::Busy(status.mode));
             }
@@ -237,6 +254,12 @@ impl ReferenceJob {
             (Phase::Referencing, _) if self.accepted => self.read_back(&status),
             (Phase::Referencing, _) => self.reference(&status),
             _ => {}
+        }
+    }
+
+    fn acknowledge(&mut self) {
+        if self.awaited.is_none() && !self.accepted {
+            self.awaited = Some(self.session.command(Command::Acknowledge));
         }
     }
 

@@ -121,8 +121,8 @@ fn unknown_offsets_are_set_from_a_pose_and_marks_stored_there_give_the_same_angl
     assert!(Delta::new(&unknown.geometry).unwrap().forward(&found.pose).is_ok());
 }
 
-fn on_bench(bench: &mut Bench) -> JobError {
-    let mut job = ReferenceJob::new(Config::default(), MARKS, 1);
+fn on_bench(bench: &mut Bench, acknowledge: bool) -> JobError {
+    let mut job = ReferenceJob::new(Config::default(), MARKS, 1).acknowledging(acknowledge);
     for now_ms in 0..u64::from(LIMIT_MS) {
         bench.step(now_ms, |arrived, room| {
             let mut out = Vec::new();
@@ -140,18 +140,18 @@ fn on_bench(bench: &mut Bench) -> JobError {
 fn a_robot_that_moves_has_no_position_or_has_a_fault_is_not_referenced() {
     let mut bench = Bench::new(1, 0);
     bench.mode = Mode::Drawing;
-    assert_eq!(on_bench(&mut bench), JobError::Busy(Mode::Drawing));
+    assert_eq!(on_bench(&mut bench, false), JobError::Busy(Mode::Drawing));
 
     let mut bench = Bench::new(1, 0);
     bench.refuse_reference = Some(Refusal::Moving);
     assert_eq!(
-        on_bench(&mut bench),
+        on_bench(&mut bench, false),
         JobError::Refused(Command::Reference, Refusal::Moving)
     );
 
     let mut bench = Bench::new(1, 0);
     bench.increments[2] = None;
-    let error = on_bench(&mut bench);
+    let error = on_bench(&mut bench, false);
     assert_eq!(
         error,
         JobError::Refused(Command::Reference, Refusal::NoPosition { axis: 2 })
@@ -161,6 +161,25 @@ fn a_robot_that_moves_has_no_position_or_has_a_fault_is_not_referenced() {
     let mut bench = Bench::new(1, 0);
     let fault = Fault::EmergencyStop(StopSource::Link);
     (bench.mode, bench.fault) = (Mode::Fault, Some(fault));
-    assert_eq!(on_bench(&mut bench), JobError::Fault { fault, before: true });
+    assert_eq!(on_bench(&mut bench, false), JobError::Fault { fault, before: true });
     assert!(bench.commands.is_empty());
+}
+
+#[test]
+fn a_fault_from_before_is_acknowledged_where_that_is_asked_for() {
+    let mut bench = Bench::new(1, 0);
+    (bench.mode, bench.fault) = (Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link)));
+    // The bench counts no cycles, so that nothing can be read back.
+    let error = on_bench(&mut bench, true);
+    assert!(
+        matches!(
+            error,
+            JobError::Timeout {
+                phase: Phase::Referencing,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    assert_eq!(bench.commands, [Command::Acknowledge, Command::Reference]);
 }

@@ -1,0 +1,95 @@
+//! What the application is told once a millisecond, and what it answers.
+//!
+//! Plain data between the state machine and the tasks around it. Invariant: nothing here decides anything.
+
+use super::Fault;
+use crate::board::Interlock;
+use crate::motion::MotionCommand;
+use crate::robot::JointAngles;
+
+/// What the drives are asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Power {
+    /// No power.
+    #[default]
+    Off,
+    /// Power, following the references of an epoch.
+    On,
+    /// Quick stop, then standstill under power.
+    QuickStop,
+    /// Reset of a drive's fault.
+    FaultReset,
+}
+
+/// What is to be done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Power of the drives.
+    Power(Power),
+    /// Forget the latched fault of the critical tasks.
+    ClearFault,
+    /// Take the present resolver angles as the reference, on the turns nearest to a pose, or to the synchronisation marks.
+    TakeReference {
+        /// The pose.
+        near: Option<JointAngles>,
+    },
+    /// Start the trajectory from this pose; the references that follow carry the epoch.
+    Place {
+        /// The pose at rest.
+        pose: JointAngles,
+        /// Number of this start.
+        epoch: u8,
+    },
+    /// Follow the references of this epoch and of no other.
+    Follow {
+        /// Number of the start.
+        epoch: u8,
+    },
+    /// Begin a path.
+    BeginPath,
+    /// Pass a command to the trajectory.
+    Motion(MotionCommand),
+    /// Bring lost slaves back.
+    RecoverBus,
+}
+
+/// What the critical tasks report about a millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Condition {
+    /// Measured pose; joint angles are true only when `referenced`.
+    pub pose: JointAngles,
+    /// Whether the angles are referenced.
+    pub referenced: bool,
+    /// Whether all four drives are in operation enabled.
+    pub powered: bool,
+    /// Whether no drive has power.
+    pub unpowered: bool,
+    /// Whether all axes stand still.
+    pub standstill: bool,
+    /// Whether a drive reports a fault.
+    pub drive_fault: bool,
+    /// Whether valid inputs of all drives arrive.
+    pub inputs_valid: bool,
+    /// Fault latched by the critical tasks; the drives are in quick stop already.
+    pub fault: Option<Fault>,
+    /// What on the board keeps the drives in quick stop.
+    pub interlock: Option<Interlock>,
+}
+
+/// What the bus's supervisor reports.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BusCondition {
+    /// All drives are operational.
+    Operational,
+    /// A slave is missing, in another state, or the bus could not be brought up.
+    Failed(Fault),
+}
+
+/// What the trajectory reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Whether it is at rest with nothing left to do and has taken all orders.
+    pub idle: bool,
+    /// Whether it stands on a held path.
+    pub held: bool,
+}
