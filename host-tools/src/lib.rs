@@ -7,6 +7,7 @@ pub mod cell;
 pub mod commands;
 pub mod drawing;
 pub mod emulator;
+pub mod history;
 pub mod identification;
 pub mod image;
 pub mod link;

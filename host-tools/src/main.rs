@@ -1,10 +1,10 @@
 //! The `etherpen` program: from a photograph to a drawing, on the robot, in the emulator or in virtual time.
 #![forbid(unsafe_code)]
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use host_tools::commands::{
-    self, CommandError, bench, bus, demo, doctor, draw, emulate, flash, identify, kinematics, order, plan, preview,
-    record, recorded, reference, segment, simulate, vectorize, verify,
+    self, CommandError, bench, bus, configuration, demo, doctor, draw, emulate, flash, identify, kinematics, operate,
+    order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use std::process::ExitCode;
 
@@ -27,6 +27,10 @@ enum Subcommand {
     Bench(bench::Arguments),
     /// Look at the slaves on the bus and change them.
     Bus(bus::Arguments),
+    /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell.
+    Completions(shell::Completions),
+    /// Look at the configuration.
+    Config(configuration::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
     /// Look whether tools, debug probe, port, firmware and configuration are as they must be; says what to try.
@@ -45,6 +49,10 @@ enum Subcommand {
     Order(order::Arguments),
     /// Show how a file would be drawn: order, ways with the pen up, what is refused, time from the firmware's planner.
     Preview(preview::Arguments),
+    /// Write manual pages.
+    Man(shell::Man),
+    #[command(flatten)]
+    Operate(operate::Command),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
     /// Draw signals of a recording: SVG or PNG, without a display.
@@ -71,6 +79,8 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
+        Subcommand::Completions(arguments) => shell::completions(&arguments, Arguments::command()),
+        Subcommand::Config(arguments) => configuration::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
         Subcommand::Doctor(arguments) => doctor::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),
@@ -83,6 +93,8 @@ fn main() -> ExitCode {
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Order(arguments) => order::run(&arguments),
         Subcommand::Preview(arguments) => preview::run(&arguments),
+        Subcommand::Man(arguments) => shell::man(&arguments, Arguments::command()),
+        Subcommand::Operate(command) => operate::run(&command),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),
         Subcommand::Reference(arguments) => reference::run(&arguments),

@@ -6,12 +6,23 @@ use crate::link::progress::Progress;
 use crate::link::text;
 use etherpen::application::Mode;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 use std::io::IsTerminal;
 
 /// Shows what a job does.
 pub(super) struct Display {
     bar: Option<ProgressBar>,
     said_percent: u64,
+    /// Whether progress is said as lines of JSON.
+    json: bool,
+}
+
+/// How far a drawing is, as a line of JSON.
+#[derive(Serialize)]
+struct Line<'a> {
+    event: &'static str,
+    #[serde(flatten)]
+    progress: &'a Progress,
 }
 
 /// Parts into which the bar is divided.
@@ -33,7 +44,20 @@ impl Display {
             let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
             ProgressBar::new(PARTS).with_style(style)
         });
-        Self { bar, said_percent: 0 }
+        Self {
+            bar,
+            said_percent: 0,
+            json: false,
+        }
+    }
+
+    /// A display on stderr for programs: progress as lines of JSON.
+    pub(super) fn lines_of_json() -> Self {
+        Self {
+            bar: None,
+            said_percent: 0,
+            json: true,
+        }
     }
 
     /// Says a line above the bar.
@@ -66,6 +90,13 @@ impl Display {
     }
 
     fn advance(&mut self, progress: &Progress) {
+        if self.json {
+            let event = "progress";
+            if let Ok(line) = serde_json::to_string(&Line { event, progress }) {
+                eprintln!("{line}");
+            }
+            return;
+        }
         let share = progress.executed_mm / progress.total_mm.max(f64::MIN_POSITIVE);
         let message = format!(
             "stroke {}/{}, {:.0} s drawn, {:.0} s left",

@@ -1,30 +1,49 @@
 //! `etherpen draw`: a file to paper, on a running machine or emulator.
+//!
+//! The machine is shared while it draws, so that other terminals can hold, resume, cancel and stop. Every drawing is kept
+//! in the log of jobs, from which a broken one goes on.
 
+use super::broken::{self, Plan};
 use super::display::Display;
+use super::operator::{Key, Operator};
 use super::outputs::{Outcome, make_folder, summarise};
-use super::prepare::{planned_s, prepare_with, to_wire};
-use super::{CommandError, DrawingArguments, code, job_error, session_number};
-use crate::link::job::{Control, Job, JobOptions};
-use crate::link::port::{Port, PortName, RunError, run_job};
-use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
+use super::prepare::{Prepared, planned_s, prepare_with, to_wire};
+use super::{CommandError, DrawingArguments, PortArguments, code, print_json};
+use crate::history::{self, Entry, Record, hash_text};
+use crate::link::error::Phase;
+use crate::link::job::{JobEvent, JobReport, path_hash};
+use crate::link::port::Show;
+use crate::link::progress::{PathMeasure, Progress};
+use crate::machine::{DrawOrder, Failure, Machine, MachineOptions, News, NoNews, Order, Subscription};
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver};
+use std::time::{Duration, Instant};
+
+/// News that may wait while files are written; telemetry is several hundred a second.
+const NEWS_MAX: usize = 10_000;
+/// Time between two looks at the keyboard.
+const LOOK: Duration = Duration::from_millis(20);
+/// Time between two lines of the log.
+const LOG: Duration = Duration::from_millis(200);
 
 /// Options of `etherpen draw`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
     file: PathBuf,
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
-    #[arg(long)]
-    port: String,
+    #[command(flatten)]
+    port: PortArguments,
     /// Acknowledge a fault that is latched from before (lost drives are brought back), and cancel a drawing that was
     /// left behind.
     #[arg(long)]
     acknowledge: bool,
+    /// Go on with this drawing where it broke off: with what the firmware holds, else from the log of jobs (etherpen
+    /// jobs) with a small overlap. File, options and configuration must be the same.
+    #[arg(long, conflicts_with = "acknowledge")]
+    resume: bool,
     #[command(flatten)]
     drawing: DrawingArguments,
 }
@@ -35,39 +54,71 @@ pub struct Arguments {
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
-    let name: PortName = arguments
-        .port
-        .parse()
-        .map_err(|cause| CommandError::new(code::USAGE, cause))?;
     let prepared = prepare_with(&arguments.file, &config, &arguments.drawing.source)?;
     if let Some(dir) = &arguments.drawing.out {
         make_folder(dir)?;
     }
-    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
-    let vertices: Vec<_> = prepared.path.iter().map(to_wire).collect();
-    let options = JobOptions {
-        session: session_number(),
-        acknowledge: arguments.acknowledge,
-        ..JobOptions::default()
+    let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
+    let hash = hash_text(path_hash(&path));
+    let before = match arguments.resume {
+        true => Some(broken::find(&hash, &arguments.file)?),
+        false => None,
     };
-    let mut job = Job::draw(config.clone(), vertices, options);
-    let mut display = Display::new();
-    let result = run_job(port, &mut job, &operator()?, &mut |show| display.show(&show));
-    display.finish();
-    let job = job.into_report();
-    let planned_s = planned_s(&config, &prepared.path);
+    let options = MachineOptions {
+        acknowledge: arguments.acknowledge,
+        ..MachineOptions::default()
+    };
+    let machine = Machine::start(arguments.port.port.clone(), config.clone(), options)
+        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let plan = match before {
+        Some(record) => broken::plan(record, &machine, &config, &path)?,
+        None => Plan::whole(&path, begin_log(arguments, &config, &path, hash)),
+    };
+    let mut session = Session::new(&machine, &config, &path, plan, arguments.drawing.json);
+    let ended = session.draw(&arguments.file.display().to_string())?;
+    let (result, job) = (ended.result, ended.report);
+    let finished = finish(arguments, &config, &prepared, &job, result.is_ok());
+    result?;
+    finished
+}
+
+fn begin_log(arguments: &Arguments, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
+    let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
+    let entry = Entry {
+        file: std::fs::canonicalize(&arguments.file).unwrap_or_else(|_| arguments.file.clone()),
+        port: arguments.port.port.to_string(),
+        path_hash: hash,
+        config_hash: config.hash().map(hash_text).unwrap_or_default(),
+        vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
+        strokes_total: total.strokes_total,
+        ..Entry::default()
+    };
+    let begun = history::folder().and_then(|folder| Record::begin(&folder, entry));
+    begun
+        .map_err(|cause| eprintln!("this drawing is not in the log and cannot be resumed: {cause}"))
+        .ok()
+}
+
+/// Writes and prints what the drawing came to, also when it failed.
+fn finish(
+    arguments: &Arguments,
+    config: &Config,
+    prepared: &Prepared,
+    job: &JobReport,
+    completed: bool,
+) -> Result<(), CommandError> {
     let image = job
         .welcome
         .as_ref()
         .map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
     let outcome = Outcome {
-        config: &config,
-        prepared: &prepared,
-        job: &job,
+        config,
+        prepared,
+        job,
         cell: None,
         image,
-        planned_s,
-        completed: result.is_ok(),
+        planned_s: planned_s(config, &prepared.path),
+        completed,
     };
     let report = outcome.report();
     // A drawing that never began has nothing to show.
@@ -76,48 +127,203 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     {
         outcome.write(dir, &report)?;
     }
-    result.map_err(|error| match error {
-        RunError::Job(error) => job_error(&error),
-        RunError::Port(error) => CommandError::new(code::CONNECTION, error),
-    })?;
-    summarise(&report, arguments.drawing.out.as_deref());
+    if completed {
+        summarise(&report, arguments.drawing.out.as_deref());
+    }
     if arguments.drawing.json {
-        super::print_json(&report)?;
+        print_json(&report)?;
     }
     Ok(())
 }
 
-/// What the person at the keyboard asks for: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
-pub(super) fn operator() -> Result<Receiver<Control>, CommandError> {
-    let (sender, receiver) = mpsc::channel();
-    let mut signals =
-        Signals::new([SIGINT, SIGTERM]).map_err(|cause| CommandError::failed("watching for signals", cause))?;
-    let resume = sender.clone();
-    let held = Arc::new(AtomicBool::new(false));
-    let holding = held.clone();
-    std::thread::spawn(move || {
-        for signal in signals.forever() {
-            let again = holding.swap(true, Ordering::Relaxed);
-            let control = if again || signal == SIGTERM {
-                Control::Cancel
-            } else {
-                Control::Hold
-            };
-            if control == Control::Hold {
-                eprintln!("\nholding: Enter resumes, Ctrl-C again cancels");
+/// How a drawing ended.
+struct Ended {
+    result: Result<(), Failure>,
+    report: JobReport,
+}
+
+/// One drawing on the machine: what is shown, what is asked for and what is logged.
+struct Session<'a> {
+    machine: &'a Machine,
+    news: Subscription,
+    measure: PathMeasure,
+    plan: Plan,
+    display: Display,
+    operator: Operator,
+    begun: bool,
+    lost: bool,
+    logged: Instant,
+}
+
+impl<'a> Session<'a> {
+    fn new(machine: &'a Machine, config: &Config, path: &[PathVertex], plan: Plan, json: bool) -> Self {
+        Self {
+            machine,
+            news: machine.subscribe(NEWS_MAX),
+            measure: PathMeasure::new(path, config),
+            plan,
+            display: if json { Display::lines_of_json() } else { Display::new() },
+            operator: Operator::start(),
+            begun: false,
+            lost: false,
+            logged: Instant::now(),
+        }
+    }
+
+    fn draw(&mut self, name: &str) -> Result<Ended, CommandError> {
+        let order = Order::Draw(DrawOrder {
+            drawing: self.plan.drawing.clone(),
+            name: name.to_owned(),
+            keep_samples: true,
+        });
+        if let Some(record) = &mut self.plan.record {
+            record.entry.number = self.plan.drawing.number;
+            record.entry.result = None;
+            // A log that cannot be written any more does not keep the drawing from being drawn.
+            let _ = record.save();
+        }
+        let answer = self.machine.order(order);
+        let ended = loop {
+            while let Some(key) = self.operator.next_key() {
+                self.press(key);
             }
-            if sender.send(control).is_err() {
-                return;
+            match self.news.next_within(LOOK) {
+                Ok(News::Ended { result, report }) => {
+                    let report = report.and_then(std::sync::Arc::into_inner).unwrap_or_default();
+                    break Ended { result, report };
+                }
+                Ok(news) => self.take(&news),
+                // The drawing's end comes as news before it is the order's answer; an order that was refused has no end.
+                Err(NoNews::Timeout) => {
+                    if let Ok(Err(failure)) = answer.try_recv() {
+                        let (result, report) = (Err(failure), JobReport::default());
+                        break Ended { result, report };
+                    }
+                }
+                Err(NoNews::Closed) => return Err(CommandError::failed("drawing", "the machine's thread has ended")),
+            }
+        };
+        self.display.finish();
+        self.log_end(&ended);
+        Ok(ended)
+    }
+
+    fn take(&mut self, news: &News) {
+        match news {
+            News::Job(event) => {
+                self.begun |= *event == JobEvent::Phase(Phase::Drawing);
+                self.display.show(&Show::Event(event));
+            }
+            News::Connected(welcome) => {
+                if let Some(record) = &mut self.plan.record {
+                    record.entry.board = format!("{} {}", welcome.board, welcome.firmware);
+                }
+                self.display.show(&Show::Event(&JobEvent::Connected(welcome.clone())));
+            }
+            News::Progress(progress) => {
+                let whole = self.whole(progress);
+                self.display.show(&Show::Progress(&whole));
+                self.log(&whole);
+            }
+            News::Status(status) if self.lost && status.mode == Mode::Holding => {
+                self.lost = false;
+                self.display
+                    .say("connected again, the drawing is held: Enter goes on with it, Ctrl-C ends it");
+            }
+            News::Lost(failure) => self.lose(failure),
+            News::Reconnecting { .. }
+            | News::Status(_)
+            | News::Samples { .. }
+            | News::Begun { .. }
+            | News::Ended { .. } => {}
+        }
+    }
+
+    /// Progress of the whole path, from that of the part that the firmware was given.
+    fn whole(&self, progress: &Progress) -> Progress {
+        let executed = self.plan.executed(progress.vertices);
+        let before = self.plan.executed(0);
+        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
+        Progress {
+            left_s: progress.left_s,
+            ..self
+                .measure
+                .progress(number(before), number(executed), progress.elapsed_s)
+        }
+    }
+
+    fn lose(&mut self, failure: &Failure) {
+        if self.lost || !self.machine.snapshot().interrupted {
+            return;
+        }
+        self.lost = true;
+        self.display.say(&format!("CONNECTION LOST: {failure}"));
+        if std::io::stdin().is_terminal() {
+            self.display
+                .say("the robot holds by itself; trying to connect every second, Ctrl-C gives up");
+        } else {
+            self.display
+                .say("the robot holds by itself; `etherpen draw --resume` goes on with this drawing");
+            self.ask(Order::Cancel);
+        }
+    }
+
+    /// Gives an order whose refusal is shown as news, and whose effect is.
+    fn ask(&self, order: Order) {
+        drop(self.machine.order(order));
+    }
+
+    fn press(&mut self, key: Key) {
+        match key {
+            Key::Interrupt if self.begun && !self.lost && !self.operator.held => {
+                self.operator.held = true;
+                self.ask(Order::Hold);
+            }
+            Key::Interrupt | Key::Terminate => {
+                let what = if self.begun {
+                    "ending the drawing"
+                } else {
+                    "ended before anything was drawn"
+                };
+                self.display.say(what);
+                self.ask(Order::Cancel);
+            }
+            Key::Enter => {
+                let snapshot = self.machine.snapshot();
+                let holding = snapshot.status.is_some_and(|status| status.mode == Mode::Holding);
+                if holding || snapshot.interrupted {
+                    self.operator.held = false;
+                    self.ask(Order::Resume);
+                }
             }
         }
-    });
-    std::thread::spawn(move || {
-        for _ in std::io::stdin().lines().map_while(Result::ok) {
-            held.store(false, Ordering::Relaxed);
-            if resume.send(Control::Resume).is_err() {
-                return;
-            }
+    }
+
+    fn log(&mut self, progress: &Progress) {
+        let Some(record) = &mut self.plan.record else { return };
+        record.entry.progress(progress);
+        record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
+        if self.logged.elapsed() >= LOG {
+            self.logged = Instant::now();
+            // A log that cannot be written any more does not end the drawing.
+            let _ = record.save();
         }
-    });
-    Ok(receiver)
+    }
+
+    fn log_end(&mut self, ended: &Ended) {
+        let whole = self.whole(&ended.report.progress);
+        let Some(record) = &mut self.plan.record else { return };
+        record.entry.completed = ended.result.is_ok();
+        record.entry.result = Some(match &ended.result {
+            Ok(()) => "drawn".to_owned(),
+            Err(failure) => failure.text.clone(),
+        });
+        if ended.report.progress.vertices > 0 {
+            record.entry.progress(&whole);
+        }
+        record.entry.drawn_s = self.plan.drawn_before_s + ended.report.drawn_s;
+        if let Err(cause) = record.save() {
+            eprintln!("the log of jobs cannot be written: {cause}");
+        }
+    }
 }

@@ -4,11 +4,11 @@
 //! been tried.
 
 use super::display::Display;
-use super::draw::operator;
+use super::operator::Operator;
 use super::{CommandError, ConfigArguments, code, job_error, run::run_error, session_number};
 use crate::cell::CellOptions;
 use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
-use crate::link::job::{Control, Job, JobOptions, JobReport};
+use crate::link::job::{Job, JobOptions, JobReport};
 use crate::link::port::{Port, PortName, RunError, run_job};
 use crate::report::tracking;
 use crate::run::{self, Task};
@@ -17,7 +17,6 @@ use etherpen::config::Config;
 use etherpen::robot::AXES;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::sync::mpsc::Receiver;
 
 /// Options of `etherpen identify`.
 #[derive(clap::Args, Debug)]
@@ -88,11 +87,11 @@ struct Identified {
 /// The configuration, the machine, an axis that gives no answer although it was asked for, or the file.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let control = match &arguments.port {
-        Some(_) => Some(operator()?),
+    let mut operator = match &arguments.port {
+        Some(_) => Some(Operator::start()),
         None => None,
     };
-    let drive = |config: &Config| drive(arguments, config, control.as_ref());
+    let mut drive = |config: &Config| drive(arguments, config, operator.as_mut());
     let first = drive(&test_config(&config))?;
     let answers = identify(&config, &first.samples);
     let only = arguments.axis.map(|axis| usize::from(axis) - 1);
@@ -154,14 +153,10 @@ fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize
 }
 
 /// Drives the test motion once.
-fn drive(
-    arguments: &Arguments,
-    config: &Config,
-    control: Option<&Receiver<Control>>,
-) -> Result<JobReport, CommandError> {
+fn drive(arguments: &Arguments, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, CommandError> {
     let path = test_path(config);
     let mut display = Display::new();
-    let (Some(port), Some(control)) = (&arguments.port, control) else {
+    let (Some(port), Some(operator)) = (&arguments.port, operator) else {
         let task = Task {
             config: config.clone(),
             path,
@@ -182,7 +177,9 @@ fn drive(
         ..JobOptions::default()
     };
     let mut job = Job::draw(config.clone(), path, options);
-    let result = run_job(port, &mut job, control, &mut |show| display.show(&show));
+    let result = run_job(port, &mut job, &mut || operator.next_control(), &mut |show| {
+        display.show(&show);
+    });
     display.finish();
     result.map_err(|error| match error {
         RunError::Job(error) => job_error(&error),

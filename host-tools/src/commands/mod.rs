@@ -3,7 +3,9 @@
 //! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
 
 pub mod bench;
+mod broken;
 pub mod bus;
+pub mod configuration;
 pub mod demo;
 mod display;
 pub mod doctor;
@@ -14,6 +16,8 @@ pub mod flash;
 pub mod identify;
 pub mod kinematics;
 mod latency;
+pub mod operate;
+mod operator;
 pub mod order;
 mod outputs;
 pub mod plan;
@@ -24,17 +28,19 @@ pub mod recorded;
 pub mod reference;
 pub mod run;
 pub mod segment;
+pub mod shell;
 pub mod simulate;
 pub mod source;
 pub mod vectorize;
 pub mod verify;
 
 use crate::link::error::JobError;
+use crate::link::port::PortName;
 use crate::setup::SetupError;
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -92,8 +98,16 @@ impl From<SetupError> for CommandError {
 #[derive(clap::Args, Debug, Default)]
 pub struct ConfigArguments {
     /// Configuration file; without it `etherpen.toml` in this folder, or the built-in IRB 340.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", env = "ETHERPEN_CONFIG")]
     pub config: Option<PathBuf>,
+}
+
+/// Options of every command that needs a machine.
+#[derive(clap::Args, Debug)]
+pub struct PortArguments {
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long, env = "ETHERPEN_PORT")]
+    pub port: PortName,
 }
 
 /// Options of every command that draws.
@@ -114,19 +128,22 @@ pub struct DrawingArguments {
 }
 
 impl ConfigArguments {
+    /// The file that is used, and how it was named; none for the built-in configuration.
+    #[must_use]
+    pub fn file(&self) -> Option<(PathBuf, &'static str)> {
+        configuration::named(self.config.as_ref())
+    }
+
     /// Reads and checks the configuration.
     ///
     /// # Errors
     /// The file and the place in it that cannot be used.
     pub fn load(&self) -> Result<Config, CommandError> {
-        let default = Path::new("etherpen.toml");
-        let path = match &self.config {
-            Some(path) => path.as_path(),
-            None if default.exists() => default,
-            None => return Ok(Config::default()),
+        let Some((path, _)) = self.file() else {
+            return Ok(Config::default());
         };
         let shown = path.display();
-        let text = std::fs::read_to_string(path).map_err(|cause| {
+        let text = std::fs::read_to_string(&path).map_err(|cause| {
             CommandError::new(
                 code::USAGE,
                 format!("the configuration {shown} cannot be read: {cause}"),

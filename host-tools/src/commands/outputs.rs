@@ -9,6 +9,7 @@ use crate::link::job::JobReport;
 use crate::recording::{About, Recorder};
 use crate::report::{Drives, Evidence, Report, Timing, rows, write_intended, write_telemetry, write_tracking};
 use etherpen::config::Config;
+use etherpen::link::protocol::{Counters, Status};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -52,17 +53,20 @@ impl Outcome<'_> {
             path: &self.prepared.path,
             samples: &self.job.samples,
             ink_mm: ink.as_deref(),
-            counters: self
-                .job
-                .status
-                .as_ref()
-                .map(|status| status.counters)
-                .unwrap_or_default(),
+            counters: self.counters(),
             completed: self.completed,
             planned_s: self.planned_s,
             image: self.image.clone(),
             drives,
         });
+        report.held_s = self.job.held_s;
+        if self.cell.is_none() {
+            // Telemetry has gaps where the line was broken.
+            report.drawn_s = self.job.drawn_s;
+        }
+        if !self.completed {
+            report.pen_down_mm = self.job.progress.pen_down_mm;
+        }
         if let Some(readings) = &self.job.measurements {
             report.timing = Timing::new(readings, self.ns_per_instruction());
         }
@@ -74,6 +78,30 @@ impl Outcome<'_> {
             report.tone_correlation = Some(tone_correlation(picture, &drawn));
         }
         report
+    }
+
+    /// What the firmware counted: on a real machine since the drawing began, which may have run for days before.
+    fn counters(&self) -> Counters {
+        let counters = |status: &Option<Status>| status.as_ref().map(|status| status.counters).unwrap_or_default();
+        let last = counters(&self.job.status);
+        if self.cell.is_some() {
+            return last;
+        }
+        let before = counters(&self.job.status_before);
+        let since = |last: u32, before: u32| last.wrapping_sub(before);
+        Counters {
+            cycles: since(last.cycles, before.cycles),
+            cycles_late: since(last.cycles_late, before.cycles_late),
+            frames_lost: since(last.frames_lost, before.frames_lost),
+            working_counter_errors: since(last.working_counter_errors, before.working_counter_errors),
+            frames_ignored: since(last.frames_ignored, before.frames_ignored),
+            reference_underruns: since(last.reference_underruns, before.reference_underruns),
+            path_starvations: since(last.path_starvations, before.path_starvations),
+            trajectory_overruns: since(last.trajectory_overruns, before.trajectory_overruns),
+            telemetry_dropped: since(last.telemetry_dropped, before.telemetry_dropped),
+            link_errors: since(last.link_errors, before.link_errors),
+            ethernet_errors: since(last.ethernet_errors, before.ethernet_errors),
+        }
     }
 
     /// Virtual time of an instruction, ns, where instructions are counted: in the emulator in lockstep with the cell.
@@ -237,7 +265,7 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         if report.drives.is_some() {
             ""
         } else {
-            " since the board started"
+            " since the drawing began"
         },
         good(
             clean,

@@ -223,6 +223,18 @@ impl Bench {
                 self.mode = Mode::Stopping;
                 self.then = Some((now_ms + 20, Mode::Idle));
             }
+            Command::Move { .. } | Command::Pen { .. } => {
+                require(Mode::Idle, self.mode)?;
+                self.mode = Mode::Moving;
+                self.then = Some((now_ms + 60, Mode::Idle));
+            }
+            Command::Jog { .. } => {
+                if self.mode != Mode::Moving {
+                    require(Mode::Idle, self.mode)?;
+                }
+                self.mode = Mode::Moving;
+                self.then = Some((now_ms + 100, Mode::Idle));
+            }
             Command::Acknowledge => {
                 require(Mode::Fault, self.mode)?;
                 self.fault = None;
@@ -283,7 +295,11 @@ impl Bench {
             t_ms: now_ms as u32,
             mode: self.mode,
             stroke: 1000,
-            pen: Pen::Down,
+            pen: if self.executed / 40 % 2 == 0 {
+                Pen::Up
+            } else {
+                Pen::Down
+            },
             reference_rad: [angle; 4],
             measured_rad: [angle; 4],
             reference_rad_s: [angle; 4],

@@ -168,7 +168,7 @@ impl fmt::Display for JobError {
                 };
                 write!(f, "{when}: {}", text::fault(fault))?;
                 if *before {
-                    f.write_str("; `draw --acknowledge` clears it once its cause has gone")?;
+                    f.write_str("; etherpen acknowledge (or draw --acknowledge) clears it once its cause has gone")?;
                 }
                 Ok(())
             }

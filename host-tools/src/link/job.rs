@@ -260,6 +260,11 @@ impl Job {
         self.session.counts()
     }
 
+    /// What the firmware says of a path that it has from another connection.
+    pub fn held_path(&self) -> Option<&PathAck> {
+        self.session.held_path()
+    }
+
     /// The samples so far.
     pub fn samples(&self) -> &[Sample] {
         &self.samples

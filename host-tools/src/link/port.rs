@@ -6,11 +6,12 @@
 
 use super::error::JobError;
 use super::job::{Control, Job, JobEvent};
+use super::ownership::{self, Owner, Ownership};
 use super::progress::Progress;
 use etherpen::link::device::LINE_BYTES_PER_MS;
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -24,6 +25,8 @@ use std::time::{Duration, Instant};
 pub const BAUD: u32 = 921_600;
 /// Longest block of a read before it looks whether the job has ended.
 const READ_MAX: Duration = Duration::from_millis(100);
+/// Longest wait for a TCP connection.
+const CONNECT_MAX: Duration = Duration::from_secs(5);
 /// Longest block of a write before the port counts as stuck.
 const WRITE_MAX: Duration = Duration::from_millis(1_000);
 /// Time between two reports of progress, ms.
@@ -53,6 +56,9 @@ impl FromStr for PortName {
             Some(("unix", path)) if !path.is_empty() => Self::Unix(path.into()),
             Some(("tcp" | "unix", _)) => return Err(PortError::Name(text.into())),
             _ if text.is_empty() => return Err(PortError::Name(text.into())),
+            Some((host, port)) if !host.contains('/') && port.parse::<u16>().is_ok() => {
+                return Err(PortError::Scheme(text.into()));
+            }
             _ => Self::Serial(text.into()),
         };
         Ok(name)
@@ -74,6 +80,15 @@ impl fmt::Display for PortName {
 pub enum PortError {
     /// The name is none of a port.
     Name(String),
+    /// The name is a network address without its scheme.
+    Scheme(String),
+    /// Another program has it.
+    Occupied {
+        /// Which.
+        port: PortName,
+        /// Who, if that can be known.
+        owner: Option<Owner>,
+    },
     /// It could not be opened.
     Open {
         /// Which.
@@ -101,6 +116,17 @@ impl fmt::Display for PortError {
             Self::Name(name) => {
                 write!(f, "'{name}' is no port; use /dev/tty.., tcp:host:port or unix:path")
             }
+            Self::Scheme(name) => write!(f, "'{name}' is a network address; write tcp:{name}"),
+            Self::Occupied {
+                port,
+                owner: Some(owner),
+            } => write!(f, "{port} is in use by {owner}; end that program, or work through it"),
+            Self::Occupied { port, owner: None } => {
+                write!(
+                    f,
+                    "{port} is in use by another program; end that program, then try again"
+                )
+            }
             Self::Open { port, source } => write!(f, "{port} could not be opened ({source}); {}", remedy(port, source)),
             Self::Closed { port } => write!(
                 f,
@@ -123,7 +149,6 @@ fn remedy(port: &PortName, error: &io::Error) -> String {
         }
         (PortName::Unix(_), ErrorKind::PermissionDenied) => "the socket belongs to another user".into(),
         (PortName::Serial(_), ErrorKind::NotFound) => format!("plug in the board; {}", ports_present()),
-        (PortName::Serial(_), ErrorKind::ResourceBusy) => "close the other program that has it open".into(),
         (_, ErrorKind::NotFound | ErrorKind::ConnectionRefused) => {
             "nothing listens there; start etherpen emulate and use the port it prints".into()
         }
@@ -141,33 +166,71 @@ fn ports_present() -> String {
     }
 }
 
-/// An open port: its two directions.
+/// An open port: its two directions, and the right to it.
 pub struct Port {
     name: PortName,
     reader: Box<dyn Read + Send>,
     writer: Box<dyn Write + Send>,
+    ownership: Option<Arc<Ownership>>,
 }
 
 impl Port {
     /// Opens a port; a serial one with [`BAUD`], 8 data bits, no parity, 1 stop bit, no flow control.
     ///
     /// # Errors
-    /// [`PortError::Open`].
+    /// [`PortError::Occupied`] and [`PortError::Open`].
     pub fn open(name: &PortName) -> Result<Self, PortError> {
+        let ownership = own(name)?;
+        Self::open_owned(name, ownership)
+    }
+
+    /// Opens a port to which the program has the right already.
+    ///
+    /// # Errors
+    /// [`PortError::Occupied`] by a program that knows nothing of such rights, and [`PortError::Open`].
+    pub fn open_owned(name: &PortName, ownership: Option<Arc<Ownership>>) -> Result<Self, PortError> {
         let opened = match name {
-            PortName::Serial(path) => open_serial(path),
+            PortName::Serial(path) => {
+                if let Some(owner) = ownership::holder_of(path) {
+                    let (port, owner) = (name.clone(), Some(owner));
+                    return Err(PortError::Occupied { port, owner });
+                }
+                open_serial(path)
+            }
             PortName::Tcp(address) => open_tcp(address),
             PortName::Unix(path) => open_unix(path),
         };
-        let (reader, writer) = opened.map_err(|source| PortError::Open {
-            port: name.clone(),
-            source,
+        let (reader, writer) = opened.map_err(|source| match source.kind() {
+            ErrorKind::ResourceBusy => PortError::Occupied {
+                port: name.clone(),
+                owner: None,
+            },
+            _ => PortError::Open {
+                port: name.clone(),
+                source,
+            },
         })?;
         Ok(Self {
             name: name.clone(),
             reader,
             writer,
+            ownership,
         })
+    }
+}
+
+/// Takes the right to a port. Where there is no folder for rights, there are none.
+///
+/// # Errors
+/// [`PortError::Occupied`].
+pub fn own(name: &PortName) -> Result<Option<Arc<Ownership>>, PortError> {
+    match Ownership::take(name) {
+        Ok(Ok(ownership)) => Ok(Some(Arc::new(ownership))),
+        Ok(Err(owner)) => Err(PortError::Occupied {
+            port: name.clone(),
+            owner: Some(owner),
+        }),
+        Err(_) => Ok(None),
     }
 }
 
@@ -175,6 +238,8 @@ type Directions = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
 fn open_serial(path: &PathBuf) -> io::Result<Directions> {
     let mut writer = serial2::SerialPort::open(path, BAUD)?;
+    // Programs that come later are refused by the kernel.
+    rustix::termios::ioctl_tiocexcl(&writer)?;
     writer.set_read_timeout(READ_MAX)?;
     writer.set_write_timeout(WRITE_MAX)?;
     writer.discard_buffers()?;
@@ -183,11 +248,19 @@ fn open_serial(path: &PathBuf) -> io::Result<Directions> {
 }
 
 fn open_tcp(address: &str) -> io::Result<Directions> {
-    let writer = TcpStream::connect(address)?;
-    writer.set_nodelay(true)?;
-    writer.set_read_timeout(Some(READ_MAX))?;
-    writer.set_write_timeout(Some(WRITE_MAX))?;
-    Ok((Box::new(writer.try_clone()?), Box::new(writer)))
+    let mut last = io::Error::new(ErrorKind::NotFound, "the address has no meaning");
+    for address in address.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, CONNECT_MAX) {
+            Ok(writer) => {
+                writer.set_nodelay(true)?;
+                writer.set_read_timeout(Some(READ_MAX))?;
+                writer.set_write_timeout(Some(WRITE_MAX))?;
+                return Ok((Box::new(writer.try_clone()?), Box::new(writer)));
+            }
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
 }
 
 fn open_unix(path: &PathBuf) -> io::Result<Directions> {
@@ -236,12 +309,18 @@ pub struct Line {
     begun: Instant,
     stepped_ms: u64,
     outgoing: Vec<u8>,
+    _ownership: Option<Arc<Ownership>>,
 }
 
 impl Line {
     /// Starts the clock.
     pub fn start(port: Port) -> Self {
-        let Port { name, reader, writer } = port;
+        let Port {
+            name,
+            reader,
+            writer,
+            ownership,
+        } = port;
         let ended = Arc::new(AtomicBool::new(false));
         let (sender, arrived) = mpsc::channel();
         let reading = thread::spawn({
@@ -257,6 +336,7 @@ impl Line {
             begun: Instant::now(),
             stepped_ms: 0,
             outgoing: Vec::new(),
+            _ownership: ownership,
         }
     }
 
@@ -302,14 +382,14 @@ impl Drop for Line {
 
 /// Runs a job over a port by the wall clock until it ends; [`Job::into_report`] tells what was collected.
 ///
-/// What comes in `control` is done at once; a closed `control` means that nobody interferes.
+/// What `control` gives is done at once.
 ///
 /// # Errors
 /// The job's reason, or the port's.
 pub fn run_job(
     port: Port,
     job: &mut Job,
-    control: &Receiver<Control>,
+    control: &mut dyn FnMut() -> Option<Control>,
     show: &mut dyn FnMut(Show<'_>),
 ) -> Result<(), RunError> {
     let mut line = Line::start(port);
@@ -317,7 +397,7 @@ pub fn run_job(
     loop {
         let now_ms = line
             .exchange(|now_ms, incoming, outgoing, room| {
-                for control in control.try_iter() {
+                while let Some(control) = control() {
                     job.control(control);
                 }
                 job.step(now_ms, incoming, outgoing, room);
@@ -385,8 +465,7 @@ mod tests {
         });
         let port = Port::open(&format!("unix:{}", place.display()).parse().unwrap()).unwrap();
         let (mut job, mut last) = (job(100), Progress::default());
-        let (_, control) = mpsc::channel();
-        run_job(port, &mut job, &control, &mut |show| {
+        run_job(port, &mut job, &mut || None, &mut |show| {
             if let Show::Progress(progress) = show {
                 last = *progress;
             }
@@ -403,8 +482,7 @@ mod tests {
         let name = PortName::Tcp(listener.local_addr().unwrap().to_string());
         let port = Port::open(&name).unwrap();
         drop(listener.accept().unwrap());
-        let (_, control) = mpsc::channel();
-        let error = run_job(port, &mut job(1), &control, &mut |_| {}).unwrap_err();
+        let error = run_job(port, &mut job(1), &mut || None, &mut |_| {}).unwrap_err();
         assert!(matches!(
             error,
             RunError::Port(PortError::Closed { .. } | PortError::Failed { .. })
@@ -430,5 +508,7 @@ mod tests {
         assert_eq!(name("unix:/run/a"), Some(PortName::Unix("/run/a".into())));
         assert_eq!(name("/dev/ttyACM0"), Some(PortName::Serial("/dev/ttyACM0".into())));
         assert_eq!([name(""), name("tcp:7000"), name("unix:")], [None, None, None]);
+        let hint = "127.0.0.1:5000".parse::<PortName>().unwrap_err().to_string();
+        assert!(hint.contains("tcp:127.0.0.1:5000"), "{hint}");
     }
 }

@@ -5,9 +5,10 @@
 //!     .order(Order)      -> Receiver<Answer>   one answer to every order: Ok(Reply) or Err(Failure)
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
 //!     .snapshot()        -> Snapshot           the last that is known, for who comes late
+//! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
 //! ```
 //!
-//! A task ([`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
+//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
 //! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
 //! yet is answered with a failure. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
 //! report.
@@ -16,18 +17,22 @@
 //! says so, and a drawing that was under way waits, held, for [`Order::Resume`] or [`Order::Cancel`]; no reader and no
 //! user can block the thread.
 
+mod sharing;
 mod subscription;
 mod work;
 
 use crate::link::error::JobError;
 use crate::link::job::{Drawing, JobEvent, JobReport, Motion, Ready};
-use crate::link::port::{Line, Port, PortError, PortName};
+use crate::link::ownership::Ownership;
+use crate::link::port::{self, Line, Port, PortError, PortName};
 use crate::link::progress::Progress;
 use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
-use etherpen::link::protocol::{Command, Sample, Status, Welcome};
+use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 use serde::{Deserialize, Serialize};
+pub use sharing::Client;
+use sharing::Server;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -60,6 +65,8 @@ pub enum Order {
     Override(u8),
     /// Move while this order is repeated within the firmware's dead-man time (100 ms); mm/s. Nothing is made ready for it.
     Jog([f32; 3]),
+    /// A single command, answered when its effect is reported; a task.
+    Settle(Command),
     /// Make the machine ready; a task.
     Prepare(Ready),
     /// Make ready, move, leave the power as it was found; a task.
@@ -194,6 +201,8 @@ pub struct Snapshot {
     pub status: Option<Status>,
     /// The last sample.
     pub sample: Option<Sample>,
+    /// What the firmware says of the path that it has, where it is another connection's.
+    pub path: Option<PathAck>,
     /// What the task is doing, in words.
     pub phase: Option<String>,
     /// Name of the drawing that is under way.
@@ -243,41 +252,40 @@ pub struct Machine {
     orders: Sender<Envelope>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+    server: Option<Server>,
 }
 
 impl Machine {
-    /// Opens the port and connects; the configuration is what tasks send when they make the machine ready.
+    /// Opens the port, connects, and shares the machine with other processes of this user; the configuration is what
+    /// tasks send when they make the machine ready.
     ///
     /// # Errors
-    /// The port cannot be opened.
+    /// The port is another program's, or cannot be opened.
     pub fn start(port: PortName, config: Config, options: MachineOptions) -> Result<Self, PortError> {
-        let opened = match Port::open(&port) {
+        let ownership = port::own(&port)?;
+        let opened = match Port::open_owned(&port, ownership.clone()) {
             Err(error) if !options.patient => return Err(error),
             opened => opened,
         };
         let shared = Arc::new(Shared::default());
         let (orders, received) = mpsc::channel();
+        let work = Work::new(config, options, shared.clone());
         let thread = std::thread::Builder::new().name("machine".into()).spawn({
-            let (shared, port) = (shared.clone(), port.clone());
-            move || {
-                attend(
-                    &port,
-                    opened,
-                    Work::new(config, options, shared.clone()),
-                    &received,
-                    &shared,
-                )
-            }
+            let (shared, port, ownership) = (shared.clone(), port.clone(), ownership.clone());
+            move || attend(&port, ownership, opened, work, &received, &shared)
         });
         let thread = thread.map_err(|source| PortError::Open {
             port: port.clone(),
             source,
         })?;
+        // Where there is no place for a socket, nobody else can find the machine; it works all the same.
+        let server = ownership.and_then(|_| Server::start(&port, orders.clone(), shared.clone()).ok());
         Ok(Self {
             port,
             orders,
             shared,
             thread: Some(thread),
+            server,
         })
     }
 
@@ -320,6 +328,7 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
+        self.server = None;
         self.shared.ended.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             // A thread that panicked has said so on stderr.
@@ -332,6 +341,7 @@ impl Drop for Machine {
 /// The thread: keeps a connection until the machine is dropped.
 fn attend(
     name: &PortName,
+    ownership: Option<Arc<Ownership>>,
     mut opened: Result<Port, PortError>,
     mut work: Work,
     orders: &Receiver<Envelope>,
@@ -353,7 +363,7 @@ fn attend(
         }
         attempt += 1;
         shared.publish(News::Reconnecting { attempt });
-        opened = Port::open(name);
+        opened = Port::open_owned(name, ownership.clone());
     }
 }
 

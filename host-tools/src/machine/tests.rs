@@ -150,3 +150,59 @@ fn a_machine_that_cannot_be_opened_is_an_error_or_waited_for() {
     assert_eq!(refused.code, crate::commands::code::CONNECTION);
     assert!(refused.text.contains("etherpen emulate"), "{refused}");
 }
+
+#[test]
+fn another_process_finds_the_owner_and_works_through_it() {
+    let place = Place::new("shared");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let mut client = Client::find(machine.port()).expect("the machine is shared");
+    assert_eq!(client.owner().pid, std::process::id());
+    assert_eq!(client.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
+    let mode = |snapshot: Snapshot| snapshot.status.map(|status| status.mode);
+    assert_eq!(mode(client.snapshot().unwrap()), Some(Mode::Idle));
+    let refused = client.carry_out(Order::Hold).unwrap_err();
+    assert!(refused.text.contains("not possible now"), "{refused}");
+    assert!(matches!(
+        client.carry_out(Order::Bus(ServiceRequest::Bus)),
+        Ok(Reply::Bus(Ok(_)))
+    ));
+    let taken = Machine::start(machine.port().clone(), Config::default(), MachineOptions::default()).unwrap_err();
+    assert!(
+        taken.to_string().contains(&format!("process {}", std::process::id())),
+        "{taken}"
+    );
+    let port = machine.port().clone();
+    drop(machine);
+    firmware.join().unwrap();
+    assert!(Client::find(&port).is_none(), "nothing is left behind");
+    assert_eq!(
+        client.carry_out(Order::Stop).unwrap_err().code,
+        crate::commands::code::CONNECTION
+    );
+}
+
+/// A port at which somebody says this, over and over, and listens to nothing.
+fn babble(says: &'static [u8]) -> PortName {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let name = PortName::Tcp(listener.local_addr().unwrap().to_string());
+    std::thread::spawn(move || {
+        use std::io::Write;
+        let (mut stream, _) = listener.accept().unwrap();
+        while stream.write_all(says).is_ok() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    });
+    name
+}
+
+#[test]
+fn a_port_that_is_silent_or_says_what_is_no_message_is_told_as_such() {
+    for says in [&b""[..], b"\x00login: \xff\x00\x01\x02 garbage \x00"] {
+        let machine = Machine::start(babble(says), Config::default(), MachineOptions::default()).unwrap();
+        let failure = machine.carry_out(Order::Prepare(Ready::Bus)).unwrap_err();
+        assert_eq!(failure.code, crate::commands::code::CONNECTION);
+        assert!(failure.text.contains("no firmware answered"), "{failure}");
+        assert!(failure.text.contains("no other program has it open"), "{failure}");
+    }
+}

@@ -122,6 +122,7 @@ impl Work {
         let interrupted = self.is_interrupted();
         self.shared.change(|snapshot| {
             snapshot.welcome = None;
+            snapshot.path = None;
             snapshot.lost = Some(why.clone());
             snapshot.phase = None;
             snapshot.interrupted = interrupted;
@@ -168,6 +169,7 @@ impl Work {
             Order::Cancel => self.cancel(reply),
             Order::Override(percent) => self.control(Control::Override(percent), reply),
             Order::Jog(velocity_mm_s) => self.jog(velocity_mm_s, reply),
+            Order::Settle(command) => self.begin(Task::Tell(command), None, reply),
             Order::Prepare(ready) => self.begin(Task::Prepare(ready), None, reply),
             Order::Motion(motion) => self.begin(Task::Motion(motion), None, reply),
             Order::Draw(order) => self.begin(Task::Draw(order.drawing.clone()), Some(order), reply),
@@ -374,9 +376,11 @@ impl Work {
         }
         self.shown_ms = now_ms;
         let phase = (!over).then(|| job.phase().to_string());
+        let path = job.held_path().copied();
         let progress = (drawing && matches!(job.task(), Task::Draw(_))).then(|| job.progress());
         self.shared.change(|snapshot| {
             snapshot.phase = phase;
+            snapshot.path = path;
             snapshot.progress = progress.or(snapshot.progress);
         });
         if let Some(progress) = progress {

@@ -16,6 +16,7 @@ pub use tracking_plot::write_tracking;
 pub(crate) use tracking_plot::{marks, number};
 
 use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
+use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
@@ -75,14 +76,16 @@ pub struct Report {
     pub strokes: usize,
     /// Strokes of the path.
     pub strokes_intended: usize,
-    /// Length of the intended strokes, mm.
+    /// Length of the intended strokes, mm; of a drawing that was not completed, of what was drawn of them.
     pub pen_down_mm: f64,
     /// Length of the way between them, lifts included, mm.
     pub pen_up_mm: f64,
     /// Duration the planner computes for the path alone, s; `null` where it cannot be planned.
     pub planned_s: f64,
-    /// Duration of the drawing on the machine, s.
+    /// Duration of the drawing on the machine, s, without the time in which it was held.
     pub drawn_s: f64,
+    /// Time in which it was held, s.
+    pub held_s: f64,
     /// Largest distance of a measured position from its stroke in space, mm, while the reference it answers to has the
     /// pen down; `null` without any.
     pub path_deviation_max_mm: f64,
@@ -236,6 +239,8 @@ impl Report {
         let mut drawn: Vec<u32> = drawn_rows().map(|row| row.stroke).collect();
         drawn.dedup();
         let counters = &evidence.counters;
+        let held = drawing.iter().filter(|sample| sample.mode == Mode::Holding);
+        let held_ms = u32::try_from(held.count()).unwrap_or(u32::MAX);
         Self {
             completed: evidence.completed,
             strokes: drawn.len(),
@@ -243,7 +248,8 @@ impl Report {
             pen_down_mm,
             pen_up_mm,
             planned_s: evidence.planned_s,
-            drawn_s: f64::from(span_ms(&drawing)) / 1_000.0,
+            drawn_s: f64::from(span_ms(&drawing).saturating_sub(held_ms)) / 1_000.0,
+            held_s: f64::from(held_ms) / 1_000.0,
             path_deviation_max_mm: path.max_mm,
             path_deviation_rms_mm: path.rms_mm,
             ink_deviation_max_mm: ink.max_mm,
@@ -283,7 +289,6 @@ fn span_ms(samples: &[Sample]) -> u32 {
 
 /// From the first to the last sample in which the path was executed.
 fn drawn_part(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
-    use etherpen::application::Mode;
     let active = |sample: &Sample| matches!(sample.mode, Mode::Drawing | Mode::Holding);
     let first = samples.iter().position(active).unwrap_or(samples.len());
     let last = samples.iter().rposition(active).map_or(first, |last| last + 1);

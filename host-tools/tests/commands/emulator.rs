@@ -145,3 +145,127 @@ fn a_demo_whose_emulator_dies_says_so_and_leaves_no_process() {
     wait_until("message", || demo.stderr().contains("the emulator ended"));
     wait_until_all_is_gone(emulator, &folder);
 }
+
+/// A machine and what is told it.
+struct Told<'a> {
+    folder: &'a Folder,
+    port: &'a str,
+}
+
+impl Told<'_> {
+    /// Runs a command on the machine: exit code, stdout, stderr.
+    fn tell(&self, words: &[&str]) -> (Option<i32>, String, String) {
+        run(etherpen(self.folder).args(words).env("ETHERPEN_PORT", self.port))
+    }
+
+    fn done(&self, words: &[&str]) {
+        let (status, _, stderr) = self.tell(words);
+        assert_eq!(status, Some(0), "{words:?}: {stderr}");
+    }
+
+    fn refused(&self, words: &[&str], code: u8, hint: &str) {
+        let (status, _, stderr) = self.tell(words);
+        assert_eq!(status, Some(i32::from(code)), "{words:?}: {stderr}");
+        assert!(stderr.contains(hint), "{words:?}: {stderr}");
+    }
+
+    fn status(&self) -> serde_json::Value {
+        let (status, stdout, stderr) = self.tell(&["status", "--json"]);
+        assert_eq!(status, Some(0), "{stderr}");
+        serde_json::from_str(&stdout).expect("JSON")
+    }
+
+    fn wait_for_mode(&self, mode: &str) {
+        wait_until(mode, || self.status()["mode"] == mode);
+    }
+}
+
+#[test]
+fn a_drawing_is_worked_with_from_another_terminal_and_goes_on_after_its_program_was_killed() {
+    let folder = Folder::new();
+    let (_emulate, _, port) = emulate(&folder);
+    let machine = Told {
+        folder: &folder,
+        port: &port,
+    };
+    let mut first = draw(&folder, &port);
+    wait_for_drawing(&mut first);
+    let status = machine.status();
+    assert_eq!(status["mode"], "Drawing", "{status}");
+    assert_eq!(status["owner"]["pid"], first.id(), "{status}");
+    assert!(
+        status["owner"]["program"]
+            .as_str()
+            .is_some_and(|name| name.ends_with("draw")),
+        "{status}"
+    );
+    assert!(
+        status["progress"]["vertices_total"]
+            .as_u64()
+            .is_some_and(|count| count > 0),
+        "{status}"
+    );
+    let file = strokes().to_string_lossy().into_owned();
+    let in_use = format!("draw (process {})", first.id());
+    machine.refused(&["draw", &file], code::CONNECTION, &in_use);
+    machine.refused(&["reference", "--port", &port], code::CONNECTION, &in_use);
+    machine.done(&["bus", "scan", "--port", &port]);
+    machine.done(&["hold", "--at-pen-up"]);
+    machine.wait_for_mode("Holding");
+    machine.refused(&["hold"], code::FAILED, "the drawing is held");
+    machine.refused(&["enable"], code::FAILED, "at work");
+    machine.done(&["override", "50"]);
+    assert_eq!(machine.status()["override_percent"], 50);
+    machine.done(&["resume"]);
+    machine.wait_for_mode("Drawing");
+    send(first.id(), Signal::KILL);
+    first.end();
+    machine.refused(&["resume"], code::FAILED, "--resume");
+    let words = ["draw", &file, "--resume", "--json"];
+    let (status, stdout, stderr) = machine.tell(&words);
+    assert_eq!(status, Some(0), "{stderr}");
+    assert!(stderr.contains("still holds this drawing"), "{stderr}");
+    let report: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    assert_eq!(report["completed"], true);
+    let (_, jobs, _) = machine.tell(&["jobs", "--json"]);
+    let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
+    assert_eq!(jobs.as_array().map(Vec::len), Some(1), "{jobs}");
+    assert_eq!(jobs[0]["completed"], true, "{jobs}");
+    machine.refused(&words, code::INPUT, "to its end");
+}
+
+#[test]
+fn the_robot_is_moved_stopped_and_acknowledged_from_a_terminal() {
+    let folder = Folder::new();
+    let (_emulate, _, port) = emulate(&folder);
+    let machine = Told {
+        folder: &folder,
+        port: &port,
+    };
+    assert_eq!(machine.status()["mode"], "Startup");
+    machine.done(&["move", "10,-20,-830", "--json"]);
+    let status = machine.status();
+    assert_eq!(status["mode"], "DrivesOff", "{status}");
+    assert!(status["owner"].is_null(), "{status}");
+    let x_mm = status["position_mm"][0].as_f64().expect("a number");
+    assert!((x_mm - 10.0).abs() < 0.5, "{status}");
+    machine.done(&["enable"]);
+    machine.done(&["jog", "-20,0,0", "--for", "0.5"]);
+    let status = machine.status();
+    assert_eq!(status["mode"], "Idle", "power is left as it was found: {status}");
+    let jogged_mm = status["position_mm"][0].as_f64().expect("a number");
+    assert!((-5.0..8.0).contains(&jogged_mm), "{status}");
+    machine.done(&["pen", "down"]);
+    machine.refused(&["move", "0,0,-100"], code::FAILED, "work area");
+    machine.done(&["stop"]);
+    machine.wait_for_mode("Fault");
+    assert!(
+        machine.status()["fault"]
+            .as_str()
+            .is_some_and(|fault| fault.contains("stop by command"))
+    );
+    machine.refused(&["enable"], code::FAULT, "acknowledge");
+    machine.done(&["acknowledge"]);
+    assert_eq!(machine.status()["mode"], "DrivesOff");
+    machine.refused(&["cancel"], code::FAILED, "not possible now");
+}

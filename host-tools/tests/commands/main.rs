@@ -8,6 +8,7 @@ mod bus_end_to_end;
 mod bench;
 mod board;
 mod calibration;
+mod configuration;
 mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;

@@ -49,14 +49,19 @@ impl Drop for Folder {
     }
 }
 
-/// The program, started in `folder`, its temporary files in `folder/tmp`.
+/// The program, started in `folder`, its temporary files in `folder/tmp`, its log in `folder/state`.
 pub(crate) fn etherpen(folder: &Folder) -> Command {
-    let temporary = folder.join("tmp");
+    let (temporary, runtime) = (folder.join("tmp"), folder.join("run"));
     fs::create_dir_all(&temporary).expect("a folder for temporary files");
+    fs::create_dir_all(&runtime).expect("a folder for sockets");
     let mut command = Command::new(env!("CARGO_BIN_EXE_etherpen"));
     command
         .current_dir(&folder.0)
         .env("TMPDIR", &temporary)
+        .env("XDG_RUNTIME_DIR", &runtime)
+        .env("XDG_STATE_HOME", folder.join("state"))
+        .env_remove("ETHERPEN_CONFIG")
+        .env_remove("ETHERPEN_PORT")
         .stdin(Stdio::null());
     command
 }

@@ -6,6 +6,7 @@ use crate::commands::{CommandError, code, job_error};
 use crate::link::error::JobError;
 use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session};
+use crate::machine::{Client, Order, Reply};
 use crate::master::Master;
 use crate::transport::{self, Endpoint};
 use etherpen::config::Config;
@@ -78,6 +79,10 @@ impl Carrier for Master {
 /// There is no connection, or the firmware refused the configuration.
 pub(super) fn firmware(port: &str, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
     let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    if let Some(client) = Client::find(&name) {
+        eprintln!("through {}", client.owner());
+        return Ok(Box::new(Patient(client)));
+    }
     let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let mut linked = Linked {
         line: Line::start(port),
@@ -97,6 +102,21 @@ pub(super) fn firmware(port: &str, config: &Config) -> Result<Box<dyn BusAccess>
         })?;
     }
     Ok(Box::new(Patient(linked)))
+}
+
+/// Through the program that has the port; what the firmware is configured with is that program's business.
+impl Carrier for Client {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+        match self.carry_out(Order::Bus(request))? {
+            Reply::Bus(result) => Ok(result),
+            _ => Err(CommandError::failed("the bus", "an answer to another question came")),
+        }
+    }
+
+    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+        std::thread::sleep(pause);
+        Ok(())
+    }
 }
 
 /// A firmware at the end of a line.

@@ -19,8 +19,12 @@ const INQUIRE_MS: u64 = 250;
 const EARLY_END_MS: u64 = 3_000;
 /// Longest wait for what the firmware says by itself after a greeting, ms: samples, and the state of a path.
 const ARRIVAL_MAX_MS: u64 = 500;
+/// Longest wait for the firmware's measurements once the robot is at rest, ms.
+const MEASUREMENTS_MAX_MS: u64 = 10_000;
 /// Time between two repetitions of a jog, ms; less than half the firmware's dead-man time.
 const JOG_REPEAT_MS: u64 = 40;
+
+const _: () = assert!(MEASUREMENTS_MAX_MS < STEP_MAX_MS);
 
 impl Job {
     /// Notices a firmware that has fallen silent, with or without a task.
@@ -339,7 +343,10 @@ impl Job {
             // Power may still be on its way; the firmware accepts this only when it is not.
             Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
             Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
-                if self.ending.is_some() || !matches!(self.task, Task::Draw(_)) || self.measured() {
+                let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
+                let wants_nothing = self.ending.is_some() || !matches!(self.task, Task::Draw(_));
+                // A drawing that is done is not lost because a bad line keeps its measurements.
+                if wants_nothing || waited_ms > MEASUREMENTS_MAX_MS || self.measured() {
                     self.end();
                 }
             }

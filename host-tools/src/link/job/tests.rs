@@ -324,3 +324,154 @@ fn a_drawing_left_behind_is_cancelled_when_the_person_says_so() {
         job.outcome()
     );
 }
+
+fn with_task(task: Task, session: u32) -> Job {
+    let options = JobOptions {
+        session,
+        ..JobOptions::default()
+    };
+    Job::new(Config::default(), task, options)
+}
+
+/// A bench that was told to draw by a program that has gone after this many milliseconds, and holds by itself since.
+fn left_behind(count: usize, gone_ms: u64) -> (Bench, u64) {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(count));
+    let mut now_ms = 0;
+    while bench.mode != Mode::Holding {
+        bench.step(now_ms, |arrived, room| {
+            let mut out = Vec::new();
+            if now_ms < gone_ms {
+                job.step(now_ms, arrived, &mut out, room);
+            }
+            out
+        });
+        now_ms += 1;
+    }
+    (bench, now_ms)
+}
+
+/// Runs a job with a clock of its own on a bench whose time goes on; how long it took, ms.
+fn go_on(bench: &mut Bench, job: &mut Job, since_ms: u64) -> u64 {
+    for ms in 0..20_000 {
+        bench.step(since_ms + ms, |arrived, room| {
+            let mut out = Vec::new();
+            job.step(ms, arrived, &mut out, room);
+            out
+        });
+        if job.outcome().is_some() {
+            return ms;
+        }
+    }
+    panic!("still {}", job.phase());
+}
+
+#[test]
+fn a_drawing_that_is_held_since_another_connection_goes_on_exactly_where_it_is() {
+    let (mut bench, now_ms) = left_behind(1_000, 400);
+    let executed = bench.executed;
+    assert!(executed > 50 && bench.vertices.len() < 1_000);
+    let held = Drawing {
+        held: true,
+        ..Drawing::new(path(1_000))
+    };
+    let mut second = with_task(Task::Draw(held), 2);
+    go_on(&mut bench, &mut second, now_ms);
+    assert_eq!(second.outcome(), Some(&Ok(())));
+    assert_eq!(bench.vertices, path(1_000), "every vertex was taken once");
+    let count = |wanted: fn(&Command) -> bool| bench.commands.iter().filter(|command| wanted(command)).count();
+    assert_eq!(count(|command| matches!(command, Command::Draw { .. })), 1);
+    assert_eq!(count(|command| matches!(command, Command::Resume)), 1);
+    assert_eq!(bench.mode, Mode::DrivesOff);
+    let report = second.into_report();
+    assert!(
+        report.drawn_s < 1.0,
+        "only what this connection drew counts: {}",
+        report.drawn_s
+    );
+}
+
+#[test]
+fn another_drawing_than_the_one_that_is_held_is_refused_and_nothing_is_commanded() {
+    let (mut bench, now_ms) = left_behind(1_000, 400);
+    let commands = bench.commands.clone();
+    let other = Drawing {
+        held: true,
+        ..Drawing::new(path(999))
+    };
+    let mut second = with_task(Task::Draw(other), 2);
+    go_on(&mut bench, &mut second, now_ms);
+    assert_eq!(second.outcome(), Some(&Err(JobError::NotHeld(Mode::Holding))));
+    assert_eq!((&bench.commands, bench.mode), (&commands, Mode::Holding));
+}
+
+#[test]
+fn a_look_and_a_refused_command_change_nothing() {
+    let (mut bench, now_ms) = left_behind(1_000, 400);
+    let commands = bench.commands.clone();
+    let mut look = with_task(Task::Look, 2);
+    go_on(&mut bench, &mut look, now_ms);
+    assert_eq!(look.outcome(), Some(&Ok(())));
+    assert_eq!(look.status().map(|status| status.mode), Some(Mode::Holding));
+    let mut tell = with_task(Task::Tell(Command::Hold), 3);
+    go_on(&mut bench, &mut tell, now_ms + 20_000);
+    let refused = JobError::Refused(Command::Hold, Refusal::NotInMode(Mode::Holding));
+    assert_eq!(tell.outcome(), Some(&Err(refused)));
+    assert_eq!((&bench.commands, bench.mode), (&commands, Mode::Holding));
+    let mut cancel = with_task(Task::Tell(Command::Cancel), 4);
+    go_on(&mut bench, &mut cancel, now_ms + 40_000);
+    assert_eq!((cancel.outcome(), bench.mode), (Some(&Ok(())), Mode::Idle));
+}
+
+#[test]
+fn a_motion_leaves_the_power_as_it_was_found() {
+    let position = etherpen::robot::Position::default();
+    let mut bench = Bench::new(1, 0);
+    let mut first = with_task(Task::Motion(Motion::Move(position)), 1);
+    let mut now_ms = go_on(&mut bench, &mut first, 0);
+    assert_eq!((first.outcome(), bench.mode), (Some(&Ok(())), Mode::DrivesOff));
+    // One connection, one task after the other.
+    let mut then = |bench: &mut Bench, task: Task| {
+        first.begin(task);
+        for ms in 0..20_000 {
+            now_ms += 1;
+            bench.step(now_ms, |arrived, room| {
+                let mut out = Vec::new();
+                first.step(now_ms, arrived, &mut out, room);
+                out
+            });
+            if first.outcome().is_some() {
+                return ms;
+            }
+        }
+        panic!("still {}", first.phase());
+    };
+    then(&mut bench, Task::Prepare(Ready::Enabled));
+    assert_eq!(bench.mode, Mode::Idle);
+    let jog = Motion::Jog {
+        velocity_mm_s: [10.0, 0.0, 0.0],
+        for_ms: 500,
+    };
+    let commands = bench.commands.len();
+    let took_ms = then(&mut bench, Task::Motion(jog));
+    assert_eq!(bench.mode, Mode::Idle);
+    assert!((500..1_000).contains(&took_ms), "{took_ms}");
+    let jogs = bench.commands.len() - commands;
+    assert!((8..20).contains(&jogs), "{jogs} jogs within the dead-man time");
+}
+
+#[test]
+fn a_hold_at_the_next_pen_up_waits_for_it() {
+    let (mut bench, mut job) = (Bench::new(1, 0), job(1_000));
+    let mut held = false;
+    run(&mut bench, &mut job, 10_000, |now_ms, bench, job| {
+        match now_ms {
+            300 => drop(job.control(Control::HoldAtPenUp)),
+            _ if bench.mode == Mode::Holding => {
+                held = true;
+                job.control(Control::Resume);
+            }
+            _ => {}
+        };
+    });
+    assert_eq!((job.outcome(), held), (Some(&Ok(())), true));
+}

@@ -1,0 +1,334 @@
+//! `etherpen status`, `hold`, `stop`, `move` and the like: a machine from any terminal.
+//!
+//! Where another program of this user has the port and shares its machine, the order goes through it; else the port is
+//! opened here. Which of the two it was is said.
+
+mod jobs;
+mod status;
+
+use super::{CommandError, ConfigArguments, PortArguments, code, ended_by_a_signal, print_json};
+use crate::link::job::{Motion, Ready};
+use crate::link::ownership::Owner;
+use crate::link::port::PortError;
+use crate::link::text;
+use crate::machine::{Answer, Client, Failure, Machine, MachineOptions, Order, Snapshot};
+use etherpen::application::Mode;
+use etherpen::link::protocol::Command as Told;
+use etherpen::motion::Pen;
+use etherpen::robot::Position;
+use serde::Serialize;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+/// Time between two looks at what is waited for.
+const LOOK: Duration = Duration::from_millis(20);
+/// Longest wait for the machine's state; the link itself gives up before.
+const STATE_MAX: Duration = Duration::from_secs(10);
+/// Longest wait for a sample of a machine whose status is known.
+const SAMPLE_MAX: Duration = Duration::from_secs(1);
+
+/// A machine from any terminal.
+#[derive(clap::Subcommand, Debug)]
+pub enum Command {
+    /// Show where the machine stands and who works with it; nothing is commanded.
+    Status(Arguments),
+    /// Hold the drawing: decelerate on the path, lift the pen, wait.
+    Hold {
+        /// Only when the pen is up between two strokes.
+        #[arg(long)]
+        at_pen_up: bool,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
+    /// Go on with a held drawing; only through the program that draws it.
+    Resume(Arguments),
+    /// End the drawing or the motion: decelerate on the path, lift the pen, forget the rest.
+    Cancel(Arguments),
+    /// Quick stop of all drives at once, latched as a fault (exit code 0: it was carried out).
+    Stop(Arguments),
+    /// Scale the path speed.
+    Override {
+        /// Percent of the configured speed, 10 to 200.
+        #[arg(value_parser = clap::value_parser!(u8).range(10..=200))]
+        percent: u8,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
+    /// Move with a velocity for a while; ends with this program.
+    Jog {
+        /// Velocity of the platform, mm/s.
+        #[arg(value_name = "VX,VY,VZ", allow_hyphen_values = true, value_parser = velocity)]
+        velocity: Velocity,
+        /// For how long, s.
+        #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
+        seconds: f64,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
+    /// Lift or lower the pen where it stands.
+    Pen {
+        /// Where to.
+        to: PenTo,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
+    /// Move to a position in a straight line, pen up.
+    Move {
+        /// Where to, mm in the robot's frame.
+        #[arg(value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = position)]
+        position: Position,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
+    /// Configure, bring up the bus, reference at the marks where there is no reference, and give the drives power.
+    Enable(Arguments),
+    /// Ramp to a standstill, close the brakes, take the power from the drives.
+    Disable(Arguments),
+    /// Acknowledge a fault once its cause has gone; lost drives are brought back.
+    Acknowledge(Arguments),
+    /// List the drawings of this computer's log, broken ones with how far they came.
+    Jobs(jobs::Arguments),
+}
+
+/// Options of every command that works with a running machine.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    #[command(flatten)]
+    port: PortArguments,
+    /// Print the result as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Where the pen is to be.
+#[derive(clap::ValueEnum, Clone, Copy, Debug)]
+pub enum PenTo {
+    /// Off the paper.
+    Up,
+    /// On the paper.
+    Down,
+}
+
+/// A velocity of the platform, mm/s.
+#[derive(Clone, Copy, Debug)]
+pub struct Velocity([f32; 3]);
+
+fn three(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse::<f64>()).collect();
+    let numbers: Option<[f64; 3]> = numbers.ok().and_then(|numbers| numbers.try_into().ok());
+    let finite = numbers.filter(|numbers| numbers.iter().all(|number| number.is_finite()));
+    finite.ok_or_else(|| "three finite numbers with commas between them are needed".into())
+}
+
+fn velocity(text: &str) -> Result<Velocity, String> {
+    three(text).map(|numbers| Velocity(numbers.map(|number| number as f32)))
+}
+
+fn position(text: &str) -> Result<Position, String> {
+    three(text).map(Position::from)
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if (0.0..=600.0).contains(&seconds) => Ok(seconds),
+        _ => Err("a number of seconds from 0 to 600 is needed".into()),
+    }
+}
+
+/// Runs one of the commands.
+///
+/// # Errors
+/// There is no machine, it refused the order, or it stopped with a fault.
+pub fn run(command: &Command) -> Result<(), CommandError> {
+    let (arguments, name, order) = match command {
+        Command::Status(arguments) => return status::run(arguments),
+        Command::Jobs(arguments) => return jobs::run(arguments),
+        Command::Hold { at_pen_up, arguments } => (
+            arguments,
+            "hold",
+            if *at_pen_up { Order::HoldAtPenUp } else { Order::Hold },
+        ),
+        Command::Resume(arguments) => (arguments, "resume", Order::Resume),
+        Command::Cancel(arguments) => (arguments, "cancel", Order::Cancel),
+        Command::Stop(arguments) => (arguments, "stop", Order::Stop),
+        Command::Override { percent, arguments } => (arguments, "override", Order::Override(*percent)),
+        Command::Jog {
+            velocity,
+            seconds,
+            arguments,
+        } => {
+            let for_ms = (seconds * 1_000.0).round() as u32;
+            let velocity_mm_s = velocity.0;
+            (arguments, "jog", Order::Motion(Motion::Jog { velocity_mm_s, for_ms }))
+        }
+        Command::Pen { to, arguments } => {
+            let pen = match to {
+                PenTo::Up => Pen::Up,
+                PenTo::Down => Pen::Down,
+            };
+            (arguments, "pen", Order::Motion(Motion::Pen(pen)))
+        }
+        Command::Move { position, arguments } => (arguments, "move", Order::Motion(Motion::Move(*position))),
+        Command::Enable(arguments) => (arguments, "enable", Order::Prepare(Ready::Enabled)),
+        Command::Disable(arguments) => (arguments, "disable", Order::Settle(Told::Disable)),
+        Command::Acknowledge(arguments) => (arguments, "acknowledge", Order::Settle(Told::Acknowledge)),
+    };
+    let mut way = Way::find(arguments)?;
+    way.carry_out(order)?;
+    let snapshot = way.state()?;
+    tell(arguments, name, &way, &snapshot)
+}
+
+/// What a command prints with `--json`.
+#[derive(Serialize)]
+struct Done<'a> {
+    order: &'a str,
+    done: bool,
+    mode: Option<Mode>,
+    fault: Option<String>,
+    referenced: Option<bool>,
+    override_percent: Option<u8>,
+    owner: Option<&'a Owner>,
+}
+
+fn tell(arguments: &Arguments, order: &str, way: &Way, snapshot: &Snapshot) -> Result<(), CommandError> {
+    let status = snapshot.status.as_ref();
+    if let Some(owner) = way.owner() {
+        eprintln!("through {owner}");
+    }
+    if arguments.json {
+        return print_json(&Done {
+            order,
+            done: true,
+            mode: status.map(|status| status.mode),
+            fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
+            referenced: status.map(|status| status.referenced),
+            override_percent: status.map(|status| status.override_percent),
+            owner: way.owner(),
+        });
+    }
+    if let Some(status) = status {
+        eprintln!("{order}: done; {}", text::mode(status.mode));
+    }
+    Ok(())
+}
+
+/// The way to the machine.
+#[allow(clippy::large_enum_variant)] // there is one
+enum Way {
+    /// Through the program that has the port.
+    Through(Client),
+    /// The port, opened here.
+    Own(Machine),
+}
+
+impl Way {
+    fn find(arguments: &Arguments) -> Result<Self, CommandError> {
+        let port = &arguments.port.port;
+        if let Some(client) = Client::find(port) {
+            return Ok(Self::Through(client));
+        }
+        let config = arguments.config.load()?;
+        match Machine::start(port.clone(), config, MachineOptions::default()) {
+            Ok(machine) => Ok(Self::Own(machine)),
+            // Between the two looks another program has taken the port.
+            Err(error @ PortError::Occupied { .. }) => Client::find(port)
+                .map(Self::Through)
+                .ok_or_else(|| CommandError::new(code::CONNECTION, error)),
+            Err(error) => Err(CommandError::new(code::CONNECTION, error)),
+        }
+    }
+
+    fn owner(&self) -> Option<&Owner> {
+        match self {
+            Self::Through(client) => Some(client.owner()),
+            Self::Own(_) => None,
+        }
+    }
+
+    /// Gives an order and waits for its answer; an interrupt cancels it.
+    fn carry_out(&mut self, order: Order) -> Result<(), CommandError> {
+        let answer = match self {
+            Self::Through(client) => client.carry_out(order),
+            Self::Own(machine) => {
+                let order = alone(order)?;
+                let interrupted = ended_by_a_signal()?;
+                wait(machine, order, &interrupted)
+            }
+        };
+        answer.map(|_| ()).map_err(CommandError::from)
+    }
+
+    /// Where the machine stands, once that is known.
+    fn state(&mut self) -> Result<Snapshot, CommandError> {
+        match self {
+            Self::Through(client) => Ok(client.snapshot()?),
+            Self::Own(machine) => {
+                let begun = Instant::now();
+                loop {
+                    let snapshot = machine.snapshot();
+                    if let Some(lost) = snapshot.lost {
+                        return Err(lost.into());
+                    }
+                    let sampled = snapshot.sample.is_some() || begun.elapsed() > SAMPLE_MAX;
+                    let known = snapshot.status.is_some() && snapshot.phase.is_none() && sampled;
+                    if known || begun.elapsed() > STATE_MAX {
+                        return Ok(snapshot);
+                    }
+                    std::thread::sleep(LOOK);
+                }
+            }
+        }
+    }
+}
+
+/// What an order becomes where no program draws: its effect is waited for.
+fn alone(order: Order) -> Result<Order, CommandError> {
+    Ok(match order {
+        Order::Hold | Order::HoldAtPenUp => Order::Settle(Told::Hold),
+        Order::Cancel => Order::Settle(Told::Cancel),
+        Order::Override(percent) => Order::Settle(Told::Override { percent }),
+        Order::Resume => {
+            let text = "no program streams a drawing over this port, so there is nothing that could go on; start it \
+                        again where it broke off: etherpen draw FILE --resume";
+            return Err(CommandError::new(code::FAILED, text));
+        }
+        order => order,
+    })
+}
+
+fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
+    let answer = machine.order(order);
+    let mut cancelled = false;
+    loop {
+        match answer.recv_timeout(LOOK) {
+            Ok(answer) => return answer,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(Failure {
+                    code: code::FAILED,
+                    text: "the machine's thread has ended".into(),
+                });
+            }
+        }
+        if interrupted.load(Ordering::Relaxed) && !cancelled {
+            cancelled = true;
+            // Its effect is the other order's end.
+            drop(machine.order(Order::Cancel));
+        }
+    }
+}
+
+impl From<Failure> for CommandError {
+    fn from(failure: Failure) -> Self {
+        Self::new(failure.code, failure.text)
+    }
+}

@@ -1,0 +1,169 @@
+//! `etherpen status`: where the machine stands and who works with it.
+
+use super::{Arguments, Way};
+use crate::commands::{CommandError, print_json};
+use crate::link::ownership::Owner;
+use crate::link::progress::Progress;
+use crate::link::text;
+use crate::machine::Snapshot;
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::drives::cia402::StatusWord;
+use etherpen::link::protocol::{Counters, Sample, SlaveStatus, Status};
+use etherpen::motion::Pen;
+use etherpen::robot::{AXES, Delta, JointAngles};
+use serde::Serialize;
+
+/// One drive.
+#[derive(Debug, Serialize)]
+struct Drive {
+    slave: usize,
+    vendor: u32,
+    product: u32,
+    al_state: String,
+    al_code: u16,
+    status_word: u16,
+    state: String,
+}
+
+/// What is printed with `--json`.
+#[derive(Debug, Serialize)]
+struct Answer<'a> {
+    connected: bool,
+    lost: Option<String>,
+    board: Option<String>,
+    firmware: Option<String>,
+    mode: Option<Mode>,
+    mode_text: Option<&'static str>,
+    fault: Option<String>,
+    referenced: bool,
+    override_percent: Option<u8>,
+    config: Option<String>,
+    joints_rad: Option<[f64; AXES]>,
+    position_mm: Option<[f64; 3]>,
+    pen: Option<Pen>,
+    increments: Option<[Option<u32>; AXES]>,
+    counters: Option<Counters>,
+    drives: Vec<Drive>,
+    doing: Option<&'a str>,
+    drawing: Option<&'a str>,
+    progress: Option<&'a Progress>,
+    interrupted: bool,
+    owner: Option<&'a Owner>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// There is no machine.
+pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let mut way = Way::find(arguments)?;
+    let snapshot = way.state()?;
+    let answer = answer(&config, &snapshot, way.owner());
+    if arguments.json {
+        return print_json(&answer);
+    }
+    print(&answer, &snapshot);
+    Ok(())
+}
+
+fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>) -> Answer<'a> {
+    let status = snapshot.status.as_ref();
+    let referenced = status.is_some_and(|status| status.referenced);
+    // Without a reference the angles are those within some motor turn.
+    let sample = snapshot.sample.as_ref().filter(|_| referenced);
+    let joints = sample.map(|sample: &Sample| sample.measured_rad.map(f64::from));
+    let position = joints.and_then(|joints| Delta::new(&config.geometry).ok()?.forward(&JointAngles(joints)).ok());
+    Answer {
+        connected: snapshot.welcome.is_some(),
+        lost: snapshot.lost.as_ref().map(|lost| lost.text.clone()),
+        board: snapshot.welcome.as_ref().map(|welcome| welcome.board.to_string()),
+        firmware: snapshot.welcome.as_ref().map(|welcome| welcome.firmware.to_string()),
+        mode: status.map(|status| status.mode),
+        mode_text: status.map(|status| text::mode(status.mode)),
+        fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
+        referenced,
+        override_percent: status.map(|status| status.override_percent),
+        config: status.and_then(|status| status.config).map(crate::history::hash_text),
+        joints_rad: joints,
+        position_mm: position.map(Into::into),
+        pen: sample.map(|sample| sample.pen),
+        increments: status.map(|status| status.increments),
+        counters: status.map(|status| status.counters),
+        drives: status.map(drives).unwrap_or_default(),
+        doing: snapshot.phase.as_deref(),
+        drawing: snapshot.drawing.as_deref(),
+        progress: snapshot.progress.as_ref(),
+        interrupted: snapshot.interrupted,
+        owner,
+    }
+}
+
+fn drives(status: &Status) -> Vec<Drive> {
+    let drive = |(slave, status): (usize, &SlaveStatus)| Drive {
+        slave,
+        vendor: status.vendor,
+        product: status.product,
+        al_state: text::al_state(status.al_state),
+        al_code: status.al_code,
+        status_word: status.status_word,
+        state: format!("{:?}", StatusWord(status.status_word).state()),
+    };
+    (1..).zip(&status.slaves).map(drive).collect()
+}
+
+fn print(answer: &Answer, snapshot: &Snapshot) {
+    match (&answer.board, &answer.firmware, &answer.lost) {
+        (Some(board), Some(firmware), _) => println!("firmware {firmware} on board {board}"),
+        (_, _, Some(lost)) => println!("not connected: {lost}"),
+        _ => println!("not connected"),
+    }
+    if let Some(owner) = answer.owner {
+        println!("in use by {owner}");
+    }
+    if let Some(mode) = answer.mode_text {
+        println!("mode: {mode}");
+    }
+    if let Some(fault) = &answer.fault {
+        println!("fault: {fault}");
+    }
+    println!("referenced: {}", if answer.referenced { "yes" } else { "no" });
+    if let Some(percent) = answer.override_percent {
+        println!("speed override: {percent} %");
+    }
+    if let Some([first, second, third, fourth]) = answer.joints_rad {
+        println!("joints: {first:.4}, {second:.4}, {third:.4}, {fourth:.4} rad");
+    }
+    if let Some([x, y, z]) = answer.position_mm {
+        println!("position: {x:.2}, {y:.2}, {z:.2} mm");
+    }
+    for drive in &answer.drives {
+        println!(
+            "slave {}: {}, {} (status word {:#06x})",
+            drive.slave, drive.al_state, drive.state, drive.status_word
+        );
+    }
+    if let Some(counters) = &answer.counters {
+        println!(
+            "{} cycles: {} late, {} frames lost, {} working counter errors, {} reference underruns",
+            counters.cycles,
+            counters.cycles_late,
+            counters.frames_lost,
+            counters.working_counter_errors,
+            counters.reference_underruns
+        );
+    }
+    if let (Some(drawing), Some(progress)) = (answer.drawing, answer.progress) {
+        println!(
+            "{drawing}: stroke {} of {}, {:.0} s drawn, {:.0} s left",
+            progress.strokes, progress.strokes_total, progress.elapsed_s, progress.left_s
+        );
+    }
+    if let Some(doing) = answer.doing {
+        println!("doing: {doing}");
+    }
+    if snapshot.interrupted {
+        println!("the drawing waits after a broken connection: etherpen resume goes on, etherpen cancel ends it");
+    }
+}

@@ -1,0 +1,74 @@
+//! The person at the keyboard: Ctrl-C, Ctrl-C again, Enter.
+
+use crate::link::job::Control;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use std::sync::mpsc::{self, Receiver};
+
+/// What was pressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Key {
+    /// Ctrl-C.
+    Interrupt,
+    /// A request to end, from elsewhere.
+    Terminate,
+    /// Enter.
+    Enter,
+}
+
+/// Keys in the order in which they were pressed.
+pub(super) struct Operator {
+    keys: Receiver<Key>,
+    /// Whether a hold was asked for.
+    pub(super) held: bool,
+}
+
+impl Operator {
+    /// Listens from now on. Where signals cannot be watched they end the program, as they do by themselves.
+    pub(super) fn start() -> Self {
+        let (sender, keys) = mpsc::channel();
+        let pressed = sender.clone();
+        if let Ok(mut signals) = Signals::new([SIGINT, SIGTERM, SIGHUP]) {
+            std::thread::spawn(move || {
+                for signal in signals.forever() {
+                    let key = if signal == SIGINT {
+                        Key::Interrupt
+                    } else {
+                        Key::Terminate
+                    };
+                    if sender.send(key).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        std::thread::spawn(move || {
+            for _ in std::io::stdin().lines().map_while(Result::ok) {
+                if pressed.send(Key::Enter).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { keys, held: false }
+    }
+
+    /// The oldest key that was not taken yet.
+    pub(super) fn next_key(&mut self) -> Option<Key> {
+        self.keys.try_recv().ok()
+    }
+
+    /// The same as controls of a job that moves: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
+    pub(super) fn next_control(&mut self) -> Option<Control> {
+        Some(match self.next_key()? {
+            Key::Enter => {
+                self.held = false;
+                Control::Resume
+            }
+            Key::Interrupt if !self.held => {
+                self.held = true;
+                Control::Hold
+            }
+            Key::Interrupt | Key::Terminate => Control::Cancel,
+        })
+    }
+}

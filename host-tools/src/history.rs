@@ -1,0 +1,179 @@
+//! The log of drawings: one small file each, kept up to date while it is drawn, so that a broken one can go on.
+//!
+//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
+//!
+//! Invariant: `executed` never says more than the firmware has reported.
+
+use crate::link::progress::Progress;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// One drawing.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// When it was begun, s since 1970.
+    pub begun_unix_s: u64,
+    /// When this was last written, s since 1970.
+    pub changed_unix_s: u64,
+    /// What was drawn.
+    pub file: PathBuf,
+    /// Where.
+    pub port: String,
+    /// Board and firmware that drew, once they have answered.
+    pub board: String,
+    /// Hash of the path, 16 hexadecimal digits.
+    pub path_hash: String,
+    /// Hash of the configuration, the same.
+    pub config_hash: String,
+    /// Number under which the path, or what was left of it, was given to the firmware.
+    pub number: u16,
+    /// Vertices of the path that were executed before the firmware was given the rest; 0 for a whole path.
+    pub given_from: u32,
+    /// Vertices executed.
+    pub executed: u32,
+    /// Vertices of the path.
+    pub vertices: u32,
+    /// Strokes begun.
+    pub strokes: u32,
+    /// Strokes of the path.
+    pub strokes_total: u32,
+    /// Length drawn, mm.
+    pub pen_down_mm: f64,
+    /// Time drawn, s.
+    pub drawn_s: f64,
+    /// Whether all was executed.
+    pub completed: bool,
+    /// How it ended; absent while it is drawn, and where its program was killed.
+    pub result: Option<String>,
+}
+
+impl Entry {
+    /// Takes over how far the whole path is.
+    pub fn progress(&mut self, progress: &Progress) {
+        self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
+        self.strokes = progress.strokes;
+        self.pen_down_mm = progress.pen_down_mm;
+    }
+}
+
+/// A hash as it is written.
+#[must_use]
+pub fn hash_text(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+/// The file of one drawing.
+#[derive(Clone, Debug)]
+pub struct Record {
+    path: PathBuf,
+    /// What is in it.
+    pub entry: Entry,
+}
+
+impl Record {
+    /// Begins a drawing's file.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn begin(folder: &Path, mut entry: Entry) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        entry.begun_unix_s = since.as_secs();
+        let name = format!(
+            "{:013}-{}-{}.json",
+            since.as_millis(),
+            entry.path_hash,
+            std::process::id()
+        );
+        let mut record = Self {
+            path: folder.join(name),
+            entry,
+        };
+        record.save()?;
+        Ok(record)
+    }
+
+    /// Writes what is known.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn save(&mut self) -> io::Result<()> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        self.entry.changed_unix_s = now.as_secs();
+        let written = self.path.with_extension("written");
+        fs::write(&written, serde_json::to_vec_pretty(&self.entry)?)?;
+        fs::rename(&written, &self.path)
+    }
+}
+
+/// The folder of the log.
+///
+/// # Errors
+/// There is neither `XDG_STATE_HOME` nor `HOME`.
+pub fn folder() -> io::Result<PathBuf> {
+    let from = |name: &str| {
+        std::env::var_os(name)
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+    };
+    let state = from("XDG_STATE_HOME").or_else(|| from("HOME").map(|home| home.join(".local/state")));
+    match state {
+        Some(state) => Ok(state.join("etherpen/jobs")),
+        None => Err(io::Error::new(
+            io::ErrorKind::NotFound,
+            "neither XDG_STATE_HOME nor HOME is set",
+        )),
+    }
+}
+
+/// All drawings, the oldest first. Files that cannot be read are left out.
+///
+/// # Errors
+/// The folder cannot be read; one that does not exist is an empty log.
+pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
+    let files = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        files => files?,
+    };
+    let mut paths: Vec<PathBuf> = files.flatten().map(|file| file.path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
+    paths.sort();
+    let records = paths.into_iter().filter_map(|path| {
+        let entry = serde_json::from_slice(&fs::read(&path).ok()?).ok()?;
+        Some(Record { path, entry })
+    });
+    Ok(records.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drawing_is_found_again_as_far_as_it_was_written() {
+        let folder = std::env::temp_dir().join(format!("etherpen-history-{}", std::process::id()));
+        assert!(list(&folder).unwrap().is_empty());
+        let entry = Entry {
+            file: "portrait.png".into(),
+            path_hash: hash_text(0xab),
+            vertices: 100,
+            ..Entry::default()
+        };
+        let mut record = Record::begin(&folder, entry).unwrap();
+        record.entry.progress(&Progress {
+            vertices: 40,
+            ..Progress::default()
+        });
+        record.save().unwrap();
+        fs::write(folder.join("0-damaged.json"), "{").unwrap();
+        let found = list(&folder).unwrap();
+        fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].entry, record.entry);
+        assert_eq!((found[0].entry.executed, found[0].entry.completed), (40, false));
+        assert_eq!(found[0].entry.path_hash, "00000000000000ab");
+    }
+}

@@ -1,0 +1,237 @@
+//! Whose a port is: one program at a time talks to a machine, others find out which and talk to it.
+//!
+//! Beside a port, in the user's runtime folder, lie a lock file and, where the owner shares its machine, a Unix socket. The
+//! lock is the kernel's (flock): it ends with its process however that ends, so that a file left behind means nothing.
+//! Programs that know nothing of this are looked for among the open files of this user's processes.
+//!
+//! Invariant: while an [`Ownership`] lives, no other program of this family opens the port.
+
+use super::port::PortName;
+use rustix::fs::{FlockOperation, Mode, flock};
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+/// Times a lock is tried whose file was taken away meanwhile.
+const ATTEMPTS_MAX: usize = 8;
+/// Longest file name made of a port's name, bytes.
+const NAME_BYTES_MAX: usize = 60;
+
+/// A program that has a port.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Owner {
+    /// Its process.
+    pub pid: u32,
+    /// Its name, and what it does with the port where that is known.
+    pub program: String,
+}
+
+impl std::fmt::Display for Owner {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} (process {})", self.program, self.pid)
+    }
+}
+
+impl Owner {
+    /// This process.
+    pub fn this() -> Self {
+        let command = std::env::args().nth(1).filter(|word| !word.starts_with('-'));
+        let name = std::env::args_os().next().map(PathBuf::from);
+        let name = name
+            .as_deref()
+            .and_then(Path::file_stem)
+            .map_or_else(|| "etherpen".to_owned(), |name| name.to_string_lossy().into_owned());
+        Self {
+            pid: std::process::id(),
+            program: command.map_or(name.clone(), |command| format!("{name} {command}")),
+        }
+    }
+}
+
+/// The right to a port, until it is dropped.
+#[derive(Debug)]
+pub struct Ownership {
+    path: PathBuf,
+    _lock: File,
+}
+
+impl Ownership {
+    /// Takes the right to a port, or says who has it.
+    ///
+    /// # Errors
+    /// The folder or the file cannot be used.
+    pub fn take(port: &PortName) -> io::Result<Result<Self, Owner>> {
+        let path = beside(port, "lock")?;
+        for _ in 0..ATTEMPTS_MAX {
+            let mut options = OpenOptions::new();
+            let mut lock = options.read(true).write(true).create(true).mode(0o600).open(&path)?;
+            match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => {}
+                Err(rustix::io::Errno::WOULDBLOCK) => return Ok(Err(owner_in(&mut lock))),
+                Err(error) => return Err(error.into()),
+            }
+            // The owner before may have taken the file away between its opening and its locking.
+            let is_there = std::fs::metadata(&path).is_ok_and(|there| {
+                lock.metadata()
+                    .is_ok_and(|locked| (locked.dev(), locked.ino()) == (there.dev(), there.ino()))
+            });
+            if is_there {
+                let owner = serde_json::to_vec(&Owner::this())?;
+                lock.set_len(0)?;
+                lock.write_all(&owner)?;
+                return Ok(Ok(Self { path, _lock: lock }));
+            }
+        }
+        Err(io::Error::other("the port's lock file comes and goes"))
+    }
+}
+
+impl Drop for Ownership {
+    fn drop(&mut self) {
+        // A file that stays is taken over by the next owner.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+fn owner_in(lock: &mut File) -> Owner {
+    let mut text = String::new();
+    let read = lock.rewind().and_then(|()| lock.read_to_string(&mut text));
+    let owner = read.ok().and_then(|_| serde_json::from_str(&text).ok());
+    owner.unwrap_or(Owner {
+        pid: 0,
+        program: "another etherpen".into(),
+    })
+}
+
+/// Where an owner listens that shares its machine.
+///
+/// # Errors
+/// There is no folder for it.
+pub fn socket_path(port: &PortName) -> io::Result<PathBuf> {
+    beside(port, "sock")
+}
+
+fn beside(port: &PortName, extension: &str) -> io::Result<PathBuf> {
+    Ok(folder()?.join(format!("{}.{extension}", safe_name(port))))
+}
+
+/// A folder that only this user can enter.
+fn folder() -> io::Result<PathBuf> {
+    let runtime = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    let user = rustix::process::getuid();
+    let folder = match runtime.filter(|runtime| runtime.is_absolute() && runtime.is_dir()) {
+        Some(runtime) => runtime.join("etherpen"),
+        None => std::env::temp_dir().join(format!("etherpen-{}", user.as_raw())),
+    };
+    match std::fs::DirBuilder::new().mode(0o700).create(&folder) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    let there = std::fs::symlink_metadata(&folder)?;
+    let foreign = Mode::RWXG | Mode::RWXO;
+    if !there.is_dir() || there.uid() != user.as_raw() || Mode::from_raw_mode(there.mode()).intersects(foreign) {
+        let text = format!("{} is not a folder of this user alone", folder.display());
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, text));
+    }
+    Ok(folder)
+}
+
+/// The port's name as a file name; two names of the same device are the same.
+fn safe_name(port: &PortName) -> String {
+    let canonical = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let name = match port {
+        PortName::Serial(path) => PortName::Serial(canonical(path)),
+        PortName::Unix(path) => PortName::Unix(canonical(path)),
+        PortName::Tcp(address) => PortName::Tcp(address.replacen("localhost:", "127.0.0.1:", 1)),
+    };
+    let name = name.to_string();
+    let safe = name
+        .chars()
+        .map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '_' });
+    let safe: String = safe.collect();
+    let safe = safe.trim_matches('_');
+    // What makes names differ is at their end; the hash tells those apart that are cut or differ in other letters.
+    let start = safe.len().saturating_sub(NAME_BYTES_MAX);
+    let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    });
+    format!("{}-{:08x}", safe.get(start..).unwrap_or(safe), hash as u32)
+}
+
+/// Another program that has a device open, as far as this user may see.
+pub fn holder_of(device: &Path) -> Option<Owner> {
+    let device = std::fs::canonicalize(device).ok()?;
+    let processes = std::fs::read_dir("/proc").ok()?;
+    let numbered = processes.flatten().filter_map(|entry| {
+        let pid: u32 = entry.file_name().to_str()?.parse().ok()?;
+        (pid != std::process::id()).then_some((pid, entry.path()))
+    });
+    let mut holders = numbered.filter_map(|(pid, process)| {
+        let mut files = std::fs::read_dir(process.join("fd")).ok()?.flatten();
+        files.find(|file| std::fs::read_link(file.path()).is_ok_and(|target| target == device))?;
+        let program = std::fs::read_to_string(process.join("comm")).unwrap_or_else(|_| "a program".into());
+        let program = program.trim().to_owned();
+        Some(Owner { pid, program })
+    });
+    holders.next()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn port(text: &str) -> PortName {
+        text.parse().expect("the name of a port")
+    }
+
+    #[test]
+    fn a_port_has_one_owner_and_another_one_after_it() {
+        let port = port(&format!("unix:/absent/etherpen-ownership-{}", std::process::id()));
+        let first = Ownership::take(&port).unwrap().unwrap();
+        let refused = Ownership::take(&port).unwrap().unwrap_err();
+        assert_eq!(refused.pid, std::process::id());
+        drop(first);
+        assert!(Ownership::take(&port).unwrap().is_ok());
+    }
+
+    #[test]
+    fn a_lock_file_left_behind_does_not_lock() {
+        let port = port(&format!("unix:/absent/etherpen-stale-{}", std::process::id()));
+        std::fs::write(beside(&port, "lock").unwrap(), "{\"pid\":1,\"program\":\"gone\"}").unwrap();
+        assert!(Ownership::take(&port).unwrap().is_ok());
+    }
+
+    #[test]
+    fn names_of_one_port_agree_and_names_of_two_differ() {
+        assert_eq!(
+            safe_name(&port("tcp:localhost:70")),
+            safe_name(&port("tcp:127.0.0.1:70"))
+        );
+        assert_ne!(safe_name(&port("unix:/a/b")), safe_name(&port("unix:/a_b")));
+        let long = |end: char| safe_name(&port(&format!("unix:/{}{end}", "x".repeat(300))));
+        assert_ne!(long('a'), long('b'));
+        assert!(long('a').len() < 80);
+    }
+
+    #[test]
+    fn a_program_that_has_a_file_open_is_found_by_name_and_process() {
+        let path = std::env::temp_dir().join(format!("etherpen-held-{}", std::process::id()));
+        std::fs::write(&path, "").unwrap();
+        let file = File::open(&path).unwrap();
+        let mut child = std::process::Command::new("sleep")
+            .arg("60")
+            .stdin(file)
+            .spawn()
+            .unwrap();
+        let holder = holder_of(&path);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(
+            holder.map(|holder| (holder.pid, holder.program)),
+            Some((child.id(), "sleep".into()))
+        );
+    }
+}
