@@ -148,7 +148,7 @@ fn files_that_cannot_be_drawn_are_refused_with_a_place_and_a_remedy() {
         (
             "cycle.svg",
             format!("{}<g id='a'><use href='#a'/></g></svg>", HEAD),
-            "circles",
+            "Recursive",
         ),
         (
             "zero.svg",

@@ -171,6 +171,6 @@ fn files_that_go_round_in_circles_end() {
     assert!(read_svg(bomb).is_err());
     assert_eq!(
         read_svg("<svg").err(),
-        Some(DrawingError::SvgSyntax { line: 1, column: 5 })
+        Some(DrawingError::SvgSyntax { line: 1, column: 1 })
     );
 }
