@@ -214,7 +214,8 @@ pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
     ensure_program("python3")?;
     eprintln!("etherpen: setting up {VPYPE} in {}", dir.display());
     let environment = || output(Command::new("python3").args(["-m", "venv"]).arg(&dir)).is_some();
-    if !environment() && !(install("python3-venv") && environment()) {
+    let there = environment() || (install("python3-venv") && environment());
+    if !there {
         return error(
             "Python's venv is needed and missing.\nTry: sudo apt-get install -y python3-venv, or your system's package",
         );

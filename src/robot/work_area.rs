@@ -278,7 +278,7 @@ mod tests {
         let mut config = Config::default();
         config.paper.pressing_depth_mm = 110.0;
         let geometries = [
-            config.geometry.clone(),
+            config.geometry,
             crate::config::Geometry {
                 arm_range_rad: [-0.2, 0.6],
                 ..config.geometry

@@ -87,10 +87,7 @@ struct Identified {
 /// The configuration, the machine, an axis that gives no answer although it was asked for, or the file.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let mut operator = match &arguments.port {
-        Some(_) => Some(Operator::start()),
-        None => None,
-    };
+    let mut operator = arguments.port.as_ref().map(|_| Operator::start());
     let mut drive = |config: &Config| drive(arguments, config, operator.as_mut());
     let first = drive(&test_config(&config))?;
     let answers = identify(&config, &first.samples);

@@ -128,7 +128,7 @@ fn dialect(blocks: &[Vec<Word>]) -> Dialect {
     if low > high {
         Dialect::Rapid
     } else if low == high {
-        Dialect::Height(0.0_f64.max(low.min(0.0)))
+        Dialect::Height(0.0)
     } else {
         Dialect::Height(0.5 * (low + high))
     }

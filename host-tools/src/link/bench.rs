@@ -295,7 +295,7 @@ impl Bench {
             t_ms: now_ms as u32,
             mode: self.mode,
             stroke: 1000,
-            pen: if self.executed / 40 % 2 == 0 {
+            pen: if (self.executed / 40).is_multiple_of(2) {
                 Pen::Up
             } else {
                 Pen::Down
