@@ -5,6 +5,7 @@ pub mod bench;
 pub mod captured_cell;
 pub mod cell;
 pub mod commands;
+pub mod console;
 pub mod drawing;
 pub mod emulator;
 pub mod history;

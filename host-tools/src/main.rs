@@ -3,8 +3,8 @@
 
 use clap::{CommandFactory, Parser};
 use host_tools::commands::{
-    self, CommandError, bench, bus, configuration, demo, doctor, draw, emulate, flash, identify, kinematics, operate,
-    order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    self, CommandError, bench, bus, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
+    operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use std::process::ExitCode;
 
@@ -31,6 +31,8 @@ enum Subcommand {
     Completions(shell::Completions),
     /// Look at the configuration.
     Config(configuration::Arguments),
+    /// The operator's page in a browser: on a board, in the emulator, or in virtual time.
+    Console(console::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
     /// Look whether tools, debug probe, port, firmware and configuration are as they must be; says what to try.
@@ -81,6 +83,7 @@ fn main() -> ExitCode {
         Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Completions(arguments) => shell::completions(&arguments, Arguments::command()),
         Subcommand::Config(arguments) => configuration::run(&arguments),
+        Subcommand::Console(arguments) => console::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
         Subcommand::Doctor(arguments) => doctor::run(&arguments),
         Subcommand::Draw(arguments) => draw::run(&arguments),

@@ -6,6 +6,7 @@ pub mod bench;
 mod broken;
 pub mod bus;
 pub mod configuration;
+pub mod console;
 pub mod demo;
 mod display;
 pub mod doctor;

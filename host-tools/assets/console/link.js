@@ -1,0 +1,150 @@
+// The socket to the console: sections of its state in, requests out, again and again when it breaks.
+//
+// A stop that was asked for stays asked for until the firmware's own state says that it stands; after a break it is the
+// first thing that is sent.
+
+const RETRY_MS = [200, 400, 800, 1500];
+const ALIVE_MS = 700;
+
+function token() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem("token") ?? "";
+}
+
+function page() {
+  let name = sessionStorage.getItem("page");
+  if (!name) {
+    name = Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+    sessionStorage.setItem("page", name);
+  }
+  return name;
+}
+
+export class Link extends EventTarget {
+  constructor() {
+    super();
+    this.token = token();
+    this.page = page();
+    this.state = {};
+    this.bytes = 0;
+    this.tries = 0;
+    this.stopAsked = false;
+    this.open = false;
+    setInterval(() => this.send({ type: "alive" }), ALIVE_MS);
+    this.connect();
+  }
+
+  connect() {
+    const socket = new WebSocket(`ws://${location.host}/socket`);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => {
+      this.tries = 0;
+      this.open = true;
+      this.send({ type: "hello", token: this.token, page: this.page });
+      if (this.stopAsked) this.send({ type: "stop" });
+      this.tell("open");
+    };
+    socket.onmessage = ({ data }) => this.take(data);
+    socket.onclose = () => {
+      this.open = false;
+      this.state = {};
+      this.tell("closed");
+      const wait = RETRY_MS[Math.min(this.tries, RETRY_MS.length - 1)];
+      this.tries += 1;
+      setTimeout(() => this.connect(), wait);
+    };
+  }
+
+  take(data) {
+    if (typeof data !== "string") {
+      this.bytes += data.byteLength;
+      this.takeBinary(new DataView(data));
+      return;
+    }
+    this.bytes += data.length;
+    const { section, data: content } = JSON.parse(data);
+    this.state[section] = content;
+    if (section === "status" && content?.stopped) this.stopAsked = false;
+    this.tell(section, content);
+  }
+
+  takeBinary(view) {
+    const kind = view.getUint8(0);
+    if (kind === 1) {
+      const signals = view.getUint16(2, true);
+      const count = view.getUint32(12, true);
+      const columns = {
+        id: view.getUint32(4, true),
+        reset: (view.getUint8(1) & 1) !== 0,
+        last: (view.getUint8(1) & 2) !== 0,
+        signals,
+        bucketMs: view.getUint32(8, true),
+        numbers: new Uint32Array(view.buffer, 16, count),
+        spans: new Float32Array(view.buffer, 16 + 4 * count, count * signals * 2),
+      };
+      this.tell("columns", columns);
+    } else if (kind === 2) {
+      const count = view.getUint32(8, true);
+      const path = { use: view.getUint8(1), number: view.getUint32(4, true), index: new Uint32Array(count), drawn: new Uint8Array(count), x: new Float32Array(count), y: new Float32Array(count) };
+      for (let vertex = 0; vertex < count; vertex += 1) {
+        const at = 12 + 12 * vertex;
+        const word = view.getUint32(at, true);
+        path.index[vertex] = word & 0x7fffffff;
+        path.drawn[vertex] = word >>> 31;
+        path.x[vertex] = view.getFloat32(at + 4, true);
+        path.y[vertex] = view.getFloat32(at + 8, true);
+      }
+      this.tell("path", path);
+    }
+  }
+
+  tell(name, detail) {
+    this.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+
+  on(name, listener) {
+    this.addEventListener(name, (event) => listener(event.detail));
+    if (this.state[name] !== undefined) listener(this.state[name]);
+  }
+
+  send(request) {
+    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(request));
+    return true;
+  }
+
+  command(action) {
+    return this.send({ type: "command", action });
+  }
+
+  stop() {
+    this.stopAsked = true;
+    this.send({ type: "stop" });
+    // The second way, should the socket be stuck.
+    fetch("/stop", { method: "POST", headers: { "x-etherpen-token": this.token } }).catch(() => {});
+    this.tell("stopping");
+  }
+
+  upload(file, options) {
+    const headers = {
+      "x-etherpen-token": this.token,
+      "x-etherpen-viewer": String(this.state.you?.id ?? 0),
+      "x-etherpen-name": encodeURIComponent(file.name),
+      "x-etherpen-options": encodeURIComponent(options),
+    };
+    return fetch("/file", { method: "POST", headers, body: file });
+  }
+
+  get controls() {
+    return this.open && this.state.control?.holder !== null && this.state.control?.holder === this.state.you?.id;
+  }
+
+  allows(name) {
+    return this.state.status?.allowed?.includes(name) ?? false;
+  }
+}

@@ -1,0 +1,229 @@
+// Banner, stop, buttons, jog and positions: what an operator has under the hand.
+//
+// Whether something may be pressed is said by the firmware's mode; whether it happened, by its state.
+
+import { $, duration, element, number, text } from "./dom.js";
+
+const JOG_MS = 40;
+const TONES = { Idle: "good", Drawing: "good", Moving: "good", Holding: "warn", Unreferenced: "warn", DrivesOff: "plain", Stopping: "warn", Fault: "bad", Startup: "wait", BusConfiguring: "wait" };
+const NAMES = { BusConfiguring: "Bus", DrivesOff: "Drives off" };
+
+export function operate(link) {
+  banner(link);
+  stop(link);
+  control(link);
+  buttons(link);
+  override(link);
+  jog(link);
+  positions(link);
+}
+
+function banner(link) {
+  const show = () => {
+    const { status, link: connection } = link.state;
+    let [tone, mode, words] = ["wait", "No connection", "trying to reach the console again"];
+    if (link.open && connection && connection.state !== "connected") {
+      [tone, mode, words] = [connection.state === "lost" ? "bad" : "wait", "No firmware", connection.text];
+    } else if (link.open && status) {
+      [tone, mode, words] = [TONES[status.mode] ?? "wait", NAMES[status.mode] ?? status.mode, about(link, status)];
+    } else if (link.open) {
+      [mode, words] = ["Connecting", "waiting for the firmware's state"];
+    }
+    $("banner").dataset.tone = tone;
+    text($("mode"), mode);
+    text($("mode-text"), words);
+    document.title = `${mode} · etherpen`;
+    const lost = connection?.samples_missing ? `, ${connection.samples_missing} samples lost` : "";
+    chip("chip-link", link.open && connection?.state === "connected" ? "good" : "bad", connection ? `${connection.firmware || "no firmware"}${lost}` : "no console");
+    chip("chip-bus", status?.bus.good ? "good" : status ? "warn" : "wait", status?.bus.text ?? "bus unknown");
+    $("fault").hidden = !status?.fault;
+    text($("fault-text"), status?.fault ?? "");
+  };
+  for (const name of ["open", "closed", "link", "status", "progress", "jobs"]) link.on(name, show);
+  show();
+}
+
+// The mode in words; of a drawing, which one and how long it still takes.
+function about(link, status) {
+  const { jobs, progress } = link.state;
+  if (!["Drawing", "Holding"].includes(status.mode) || !jobs?.active) return status.text;
+  const left = progress?.job === jobs.active.number ? `, ${duration(progress.left_s)} left` : "";
+  return `${jobs.active.name}${left}`;
+}
+
+function chip(id, tone, words) {
+  $(id).dataset.tone = tone;
+  text($(id).lastElementChild, words);
+}
+
+function stop(link) {
+  const show = () => {
+    const status = link.state.status;
+    let words = "Esc";
+    if (link.stopAsked) words = link.open ? "sent, not confirmed" : "will be sent first";
+    else if (status?.stopped) words = "confirmed by the firmware";
+    text($("stop-text"), words);
+    $("stop").dataset.state = link.stopAsked ? "asked" : status?.stopped ? "stopped" : "ready";
+  };
+  $("stop").addEventListener("click", () => link.stop());
+  addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && !$("shortcuts").open) link.stop();
+  });
+  for (const name of ["stopping", "status", "open", "closed"]) link.on(name, show);
+  show();
+}
+
+function control(link) {
+  const show = () => {
+    const { control: held, you } = link.state;
+    const viewers = held?.viewers ?? 0;
+    const who = link.controls ? "you have control" : held?.holder ? `viewer ${held.holder} has control` : "control is free";
+    text($("chip-view").lastElementChild, link.open ? `${who} · ${viewers} viewer${viewers === 1 ? "" : "s"}` : "not connected");
+    $("chip-view").dataset.tone = link.controls ? "good" : "plain";
+    text($("control"), link.controls ? "Release" : held?.holder ? "Take over" : "Take control");
+    $("control").disabled = !link.open || !you?.may_command;
+    $("control").title = you && !you.may_command ? "open the address that the console has printed, with its token" : "";
+    document.body.classList.toggle("commanding", link.controls);
+  };
+  $("control").addEventListener("click", () => link.send(link.controls ? { type: "release" } : { type: "take", force: Boolean(link.state.control?.holder) }));
+  for (const name of ["control", "you", "open", "closed"]) link.on(name, show);
+  show();
+}
+
+function buttons(link) {
+  const press = (id, action) => $(id).addEventListener("click", () => link.command(typeof action === "function" ? action() : action));
+  press("enable", () => ({ do: link.allows("disable") ? "disable" : "enable" }));
+  press("reference", { do: "reference" });
+  press("hold", { do: "hold" });
+  press("resume", { do: "resume" });
+  press("cancel", { do: "cancel" });
+  press("pen-up", { do: "pen", down: false });
+  press("pen-down", { do: "pen", down: true });
+  press("acknowledge", { do: "acknowledge" });
+  const show = () => {
+    const may = (name) => link.controls && link.allows(name);
+    const active = Boolean(link.state.jobs?.active);
+    $("enable").disabled = !may("enable") && !may("disable");
+    text($("enable"), link.allows("disable") ? "Disable" : "Enable");
+    $("enable").classList.toggle("primary", !link.allows("disable"));
+    $("reference").disabled = !may("reference") || active;
+    $("reference").classList.toggle("primary", link.state.status?.referenced === false);
+    $("hold").disabled = !may("hold");
+    $("resume").disabled = !may("resume");
+    $("cancel").disabled = !(link.controls && (link.allows("cancel") || active));
+    $("pen-up").disabled = $("pen-down").disabled = !may("pen") || active;
+    $("acknowledge").disabled = !may("acknowledge");
+    $("override").disabled = !may("override");
+    for (const button of $("jog").querySelectorAll("[data-jog]")) button.disabled = !may("jog");
+  };
+  for (const name of ["status", "control", "you", "jobs", "open", "closed"]) link.on(name, show);
+  show();
+  const keys = { h: () => $(link.allows("resume") ? "resume" : "hold"), e: () => $("enable"), r: () => $("reference"), u: () => $("pen-up"), d: () => $("pen-down"), j: () => $("jog-keys"), p: () => $("scope-pause"), t: () => $("control"), "?": () => $("help") };
+  addEventListener("keydown", (event) => {
+    const typing = event.target.matches?.("input:not([type=range]), select, textarea");
+    if (typing || event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+    keys[event.key.toLowerCase()]?.()?.click();
+  });
+}
+
+function override(link) {
+  let timer = 0;
+  $("override").addEventListener("input", () => {
+    text($("override-value"), `${$("override").value} %`);
+    clearTimeout(timer);
+    timer = setTimeout(() => {
+      timer = 0;
+      link.command({ do: "override", percent: Number($("override").value) });
+    }, 120);
+  });
+  link.on("status", (status) => {
+    if (!status || timer || document.activeElement === $("override") && link.controls && $("override").matches(":active")) return;
+    $("override").value = status.override_percent;
+    text($("override-value"), `${status.override_percent} %`);
+  });
+}
+
+// The robot moves only while something is pressed: the message is repeated, and every way of letting go ends it.
+function jog(link) {
+  const pressed = new Map();
+  let timer = 0;
+  const velocity = () => {
+    const speed = Number($("jog-speed").value);
+    const sum = [0, 0, 0];
+    for (const direction of pressed.values()) direction.forEach((part, axis) => (sum[axis] += part * speed));
+    return sum;
+  };
+  const send = () => link.send({ type: "jog", velocity_mm_s: velocity() });
+  const press = (key, direction) => {
+    if (!link.controls || !link.allows("jog")) return;
+    pressed.set(key, direction);
+    send();
+    timer ||= setInterval(send, JOG_MS);
+  };
+  const release = (key) => {
+    if (!pressed.delete(key) || pressed.size > 0) return;
+    clearInterval(timer);
+    timer = 0;
+    send();
+  };
+  const releaseAll = () => [...pressed.keys()].forEach(release);
+  for (const button of $("jog").querySelectorAll("[data-jog]")) {
+    const direction = button.dataset.jog.split(",").map(Number);
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      press(button, direction);
+    });
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture", "contextmenu"]) button.addEventListener(name, () => release(button));
+    button.addEventListener("keydown", (event) => {
+      if (event.key === " " || event.key === "Enter") press(button, direction);
+    });
+    for (const name of ["keyup", "blur"]) button.addEventListener(name, () => release(button));
+  }
+  const arrows = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+  const toggle = $("jog-keys");
+  toggle.addEventListener("click", () => {
+    toggle.setAttribute("aria-pressed", String(toggle.getAttribute("aria-pressed") !== "true"));
+    releaseAll();
+  });
+  addEventListener("keydown", (event) => {
+    if (toggle.getAttribute("aria-pressed") !== "true" || !arrows[event.key]) return;
+    event.preventDefault();
+    if (!event.repeat) press(event.key, arrows[event.key]);
+  });
+  addEventListener("keyup", (event) => release(event.key));
+  addEventListener("blur", releaseAll);
+  document.addEventListener("visibilitychange", releaseAll);
+  for (const name of ["closed", "control"]) link.on(name, () => link.controls || releaseAll());
+}
+
+function positions(link) {
+  const cells = ["x", "y", "z"].map((name) => {
+    const [commanded, actual] = [element("td"), element("td")];
+    $("positions").append(element("tr", {}, element("th", { scope: "row" }, name), commanded, actual));
+    return [commanded, actual];
+  });
+  const bars = [1, 2, 3, 4].map((axis) => {
+    const [bar, value] = [element("meter", { min: 0, max: 100, value: 0, ariaLabel: `following error of axis ${axis}` }), element("output")];
+    $("errors").append(element("span", {}, `axis ${axis}`), bar, value);
+    return [bar, value];
+  });
+  const peaks = [0, 0, 0, 0];
+  let shown = 0;
+  link.on("pose", (pose) => {
+    if (!pose) return;
+    pose.errors_rad.forEach((error, axis) => (peaks[axis] = Math.max(peaks[axis] * 0.97, Math.abs(error ?? 0) * 1e6)));
+    const now = performance.now();
+    if (now - shown < 90) return;
+    shown = now;
+    cells.forEach(([commanded, actual], axis) => {
+      text(commanded, number(pose.commanded_mm[axis], 2));
+      text(actual, number(pose.measured_mm[axis], 2));
+    });
+    bars.forEach(([bar, value], axis) => {
+      bar.value = Math.min(100, (Math.log10(1 + peaks[axis]) / 4) * 100);
+      text(value, `${number(peaks[axis], 0)} µrad`);
+    });
+    $("pen-down").setAttribute("aria-pressed", String(pose.pen_down));
+    $("pen-up").setAttribute("aria-pressed", String(!pose.pen_down));
+  });
+}

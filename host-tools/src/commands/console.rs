@@ -1,0 +1,141 @@
+//! `etherpen console`: the operator's page, on a machine, in the emulator or in virtual time.
+
+use super::emulate::read_faults;
+use super::{CommandError, ConfigArguments, code, ended_by_a_signal};
+use crate::cell::CellOptions;
+use crate::console::Console;
+use crate::console::server::Server;
+use crate::console::virtual_cell::{Firmware, VirtualCell};
+use crate::link::port::PortName;
+use crate::setup;
+use etherpen::config::Config;
+use std::io::Read;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Bytes of a token.
+const TOKEN_BYTES: usize = 16;
+/// Time between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Options of `etherpen console`.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    #[arg(long, conflicts_with_all = ["emulate", "simulate"])]
+    port: Option<String>,
+    /// The firmware image in QEMU with the virtual cell; this is the default without --port.
+    #[arg(long, conflicts_with = "simulate")]
+    emulate: bool,
+    /// The firmware's tasks and the virtual cell in this process, in real time; needs nothing installed.
+    #[arg(long)]
+    simulate: bool,
+    /// Where the page is served; another address than 127.0.0.1 lets others in who have the token.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8340")]
+    listen: SocketAddr,
+    /// Open the page in a browser.
+    #[arg(long)]
+    open: bool,
+    /// Scripted faults of the virtual segment, one a line (etherpen segment --help describes them).
+    #[arg(long, value_name = "FILE", conflicts_with = "port")]
+    faults: Option<PathBuf>,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+/// Runs the command until it is interrupted.
+///
+/// # Errors
+/// The configuration cannot be used, a tool is missing, or the address is taken.
+pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config = arguments.config.load()?;
+    let ended = ended_by_a_signal()?;
+    let (port, cell) = match &arguments.port {
+        Some(port) => {
+            let port: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+            (port, None)
+        }
+        None => {
+            let (cell, kind) = virtual_cell(arguments, &config)?;
+            (cell.port(), Some((cell, kind)))
+        }
+    };
+    let token = token()?;
+    let console = Console::start(config, token.clone(), port, cell)
+        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let server = Server::start(console, arguments.listen).map_err(|cause| {
+        let listen = arguments.listen;
+        let text = format!("{listen} cannot be used: {cause}; choose another one with --listen 127.0.0.1:0");
+        CommandError::new(code::CONNECTION, text)
+    })?;
+    let url = format!("http://{}/#token={token}", shown(server.address()));
+    println!("{url}");
+    if !server.address().ip().is_loopback() {
+        eprintln!(
+            "etherpen: everybody who reaches {} sees the machine; who has the token commands it",
+            server.address()
+        );
+    }
+    eprintln!("Open this address in a browser. Ctrl-C ends the console; a robot that is drawing then holds.");
+    if arguments.open {
+        open(&url);
+    }
+    while !ended.load(Ordering::Relaxed) {
+        std::thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// An address as a browser on this computer can use it.
+fn shown(address: SocketAddr) -> String {
+    match address.ip().is_unspecified() {
+        true => format!("localhost:{}", address.port()),
+        false => address.to_string(),
+    }
+}
+
+fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, &'static str), CommandError> {
+    let options = CellOptions {
+        faults: read_faults(arguments.faults.as_deref(), config.bus.drives.into())?,
+        ..CellOptions::default()
+    };
+    let (firmware, kind) = if arguments.simulate {
+        (Firmware::Simulated, "simulated")
+    } else {
+        if !arguments.emulate && !setup::is_installed(setup::QEMU) {
+            let text = "QEMU is not installed. Try: etherpen console --simulate (needs nothing), --emulate (installs \
+                        QEMU), or --port /dev/ttyACM0 for a board";
+            return Err(CommandError::new(code::TOOL, text));
+        }
+        setup::ensure_qemu()?;
+        (Firmware::Emulated(setup::build_firmware("emulated")?), "emulated")
+    };
+    let cell =
+        VirtualCell::start(config, options, firmware).map_err(|cause| CommandError::failed("the cell", cause))?;
+    Ok((cell, kind))
+}
+
+/// A number that nobody can guess.
+fn token() -> Result<String, CommandError> {
+    let mut bytes = [0; TOKEN_BYTES];
+    std::fs::File::open("/dev/urandom")
+        .and_then(|mut source| source.read_exact(&mut bytes))
+        .map_err(|cause| CommandError::failed("no random numbers", cause))?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Opens a browser, if there is one; the address was printed either way.
+fn open(url: &str) {
+    let opened = Command::new("xdg-open")
+        .arg(url)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    if let Err(cause) = opened {
+        eprintln!("etherpen: no browser could be opened (xdg-open: {cause})");
+    }
+}

@@ -1,0 +1,350 @@
+//! What the page and the console say to each other.
+//!
+//! The page sends requests as JSON text; the console sends sections of its state as JSON text, `{"section", "data"}`, and
+//! rows of numbers as binary messages whose layout stands at [`columns`] and [`path`]. Invariant: a message that is no
+//! request is refused with the reason; nothing in it is obeyed.
+
+use super::capture::Condition;
+use super::history::Bucket;
+use etherpen::link::protocol::PathVertex;
+use etherpen::motion::Pen;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Longest request, bytes.
+pub const REQUEST_BYTES_MAX: usize = 16 * 1024;
+/// Longest photograph or drawing, bytes.
+pub const FILE_BYTES_MAX: usize = 32 * 1024 * 1024;
+/// Most columns of a plot.
+pub const COLUMNS_MAX: u64 = 4_000;
+/// Longest span of a plot, ms.
+pub const WINDOW_MAX_MS: u64 = 60_000;
+
+/// First byte of a binary message.
+const KIND_COLUMNS: u8 = 1;
+const KIND_PATH: u8 = 2;
+
+/// What an operator asks of the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Action {
+    /// Take the reference at the marks.
+    Reference,
+    /// Power the drives.
+    Enable,
+    /// Take the power.
+    Disable,
+    /// Hold the drawing.
+    Hold,
+    /// Go on.
+    Resume,
+    /// End the drawing.
+    Cancel,
+    /// Acknowledge the fault.
+    Acknowledge,
+    /// Move the pen.
+    Pen {
+        /// Whether down.
+        down: bool,
+    },
+    /// Scale the path speed.
+    Override {
+        /// Percent, 10 to 200.
+        percent: u8,
+    },
+    /// Move to a position, mm.
+    Move {
+        /// Where to.
+        position_mm: [f64; 3],
+    },
+}
+
+/// A fault of the virtual segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "what", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Injection {
+    /// Slave, from 1, is unplugged.
+    Remove {
+        /// Which.
+        slave: usize,
+    },
+    /// It is plugged in again.
+    Insert {
+        /// Which.
+        slave: usize,
+    },
+    /// Its drive faults.
+    Fault {
+        /// Which.
+        slave: usize,
+    },
+    /// It falls back to SAFEOP.
+    Retreat {
+        /// Which.
+        slave: usize,
+    },
+    /// It is without power for a second.
+    Power {
+        /// Which.
+        slave: usize,
+    },
+    /// Its resolver freezes for 200 ms.
+    Stuck {
+        /// Which.
+        slave: usize,
+    },
+    /// The cable behind it is pulled; 0 is the master's.
+    Cut {
+        /// Which.
+        slave: usize,
+    },
+    /// All cables are plugged in.
+    Join,
+    /// No frame gets through for 50 ms.
+    Stall,
+    /// One reply is lost.
+    Lose,
+    /// The firmware starts anew.
+    Restart,
+}
+
+/// From the page.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// First message: the token that allows commands, and a name that stays when the page is loaded again.
+    Hello {
+        /// The token.
+        #[serde(default)]
+        token: String,
+        /// The page's name.
+        page: String,
+    },
+    /// Still here.
+    Alive,
+    /// Stop at once.
+    Stop,
+    /// Take control.
+    Take {
+        /// Also from another viewer.
+        #[serde(default)]
+        force: bool,
+    },
+    /// Give control back.
+    Release,
+    /// Command the robot.
+    Command {
+        /// What.
+        action: Action,
+    },
+    /// Move while this is repeated; mm/s.
+    Jog {
+        /// Velocity.
+        velocity_mm_s: [f32; 3],
+    },
+    /// Plot these signals live.
+    Watch {
+        /// Number of the plot's picture, repeated in the columns.
+        id: u32,
+        /// Numbers of signals in the catalogue.
+        signals: Vec<usize>,
+        /// Length of the time axis, ms.
+        window_ms: u64,
+        /// Columns of the plot.
+        columns: u64,
+    },
+    /// Keep what is seen, for [`Request::Range`].
+    Freeze,
+    /// Forget what is kept.
+    Thaw,
+    /// A part of what is kept.
+    Range {
+        /// Number of the picture.
+        id: u32,
+        /// Numbers of signals.
+        signals: Vec<usize>,
+        /// Begin, ms.
+        from_ms: u64,
+        /// End, ms.
+        to_ms: u64,
+        /// Columns; 0 for every millisecond.
+        columns: u64,
+    },
+    /// Arm a capture.
+    Arm {
+        /// Number of the signal.
+        signal: usize,
+        /// What it waits for.
+        condition: Condition,
+        /// The level.
+        level: f32,
+        /// Time before the event, ms.
+        before_ms: u64,
+        /// Time after the event, ms.
+        after_ms: u64,
+    },
+    /// Give the capture up.
+    Disarm,
+    /// Let a fault happen in the virtual segment.
+    Inject {
+        /// Which.
+        fault: Injection,
+    },
+    /// Put the prepared drawing into the queue.
+    Enqueue {
+        /// Number of the preparation.
+        preparation: u64,
+    },
+    /// Begin with a drawing of the queue.
+    Start {
+        /// Number of the drawing.
+        job: u64,
+    },
+    /// Take a drawing out of the queue.
+    Discard {
+        /// Number of the drawing.
+        job: u64,
+    },
+    /// Read the firmware's measurements.
+    Measure {
+        /// Whether they begin anew.
+        #[serde(default)]
+        reset: bool,
+    },
+}
+
+/// A text message with one section of the state.
+pub fn section(name: &str, data: &impl Serialize) -> Arc<str> {
+    #[derive(Serialize)]
+    struct Section<'a, T> {
+        section: &'a str,
+        data: &'a T,
+    }
+    // Maps with keys that are no strings do not occur; anything else can be written.
+    let text = serde_json::to_string(&Section { section: name, data });
+    text.unwrap_or_default().into()
+}
+
+/// Columns of a plot, little-endian: kind, flags (1: forget what came before, 2: the last of an answer), number of
+/// signals as `u16`; picture, length of a column in ms and number of columns as `u32`; their numbers as `u32`, then for
+/// each column and signal smallest and largest value as `f32`.
+pub fn columns(id: u32, flags: u8, signals: usize, bucket_ms: u64, buckets: &[Bucket]) -> Vec<u8> {
+    let mut bytes = vec![KIND_COLUMNS, flags];
+    bytes.extend((signals as u16).to_le_bytes());
+    for word in [id, bucket_ms as u32, buckets.len() as u32] {
+        bytes.extend(word.to_le_bytes());
+    }
+    for bucket in buckets {
+        bytes.extend((bucket.number as u32).to_le_bytes());
+    }
+    for value in buckets.iter().flat_map(|bucket| &bucket.spans).flatten() {
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes
+}
+
+/// Which path a binary message holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PathUse {
+    /// It is being drawn.
+    Job = 1,
+    /// It can be put into the queue.
+    Preview = 2,
+}
+
+/// A path seen from above, little-endian: kind, use, two bytes of nothing; its number and its vertices' number as `u32`; for each vertex
+/// its index in the path as `u32`, bit 31 set where the leg to it is drawn, and x and y in mm as `f32`. A path with more
+/// than `vertices_max` vertices is thinned out.
+pub fn path(kind: PathUse, number: u64, vertices: &[PathVertex], vertices_max: usize) -> Vec<u8> {
+    const DRAWN: u32 = 1 << 31;
+    let every = vertices.len().div_ceil(vertices_max.max(1)).max(1);
+    let last = vertices.len().saturating_sub(1);
+    // A vertex at which the pen changes is never left out.
+    let turns = |index: usize| {
+        let pen = |index: usize| vertices.get(index).map(|vertex| vertex.pen);
+        pen(index) != pen(index + 1) || index.checked_sub(1).is_some_and(|before| pen(before) != pen(index))
+    };
+    let kept = |(index, _): &(usize, &PathVertex)| index.is_multiple_of(every) || *index == last || turns(*index);
+    let kept: Vec<_> = vertices.iter().enumerate().filter(kept).collect();
+    let mut bytes = vec![KIND_PATH, kind as u8, 0, 0];
+    bytes.extend((number as u32).to_le_bytes());
+    bytes.extend((kept.len() as u32).to_le_bytes());
+    for (index, vertex) in kept {
+        let drawn = if vertex.pen == Pen::Down { DRAWN } else { 0 };
+        bytes.extend((index as u32 & !DRAWN | drawn).to_le_bytes());
+        let [x_um, y_um, _] = vertex.position_um;
+        for um in [x_um, y_um] {
+            bytes.extend((um as f32 / 1_000.0).to_le_bytes());
+        }
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_are_read_as_they_are_written_by_the_page() {
+        let read = |text: &str| serde_json::from_str::<Request>(text);
+        assert_eq!(read(r#"{"type":"stop"}"#).unwrap(), Request::Stop);
+        assert_eq!(
+            read(r#"{"type":"command","action":{"do":"override","percent":80}}"#).unwrap(),
+            Request::Command {
+                action: Action::Override { percent: 80 }
+            }
+        );
+        assert_eq!(
+            read(r#"{"type":"inject","fault":{"what":"remove","slave":2}}"#).unwrap(),
+            Request::Inject {
+                fault: Injection::Remove { slave: 2 }
+            }
+        );
+    }
+
+    #[test]
+    fn what_is_no_request_is_refused() {
+        for text in [
+            "",
+            "null",
+            "[]",
+            r#"{"type":"fly"}"#,
+            r#"{"type":"jog","velocity_mm_s":[1,2]}"#,
+            r#"{"type":"command","action":{"do":"override","percent":300}}"#,
+            r#"{"type":"command","action":{"do":"pen"}}"#,
+            r#"{"type":"watch","id":-1,"signals":[],"window_ms":0,"columns":0}"#,
+        ] {
+            assert!(serde_json::from_str::<Request>(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn columns_have_the_layout_that_the_page_reads() {
+        let buckets = [Bucket {
+            number: 7,
+            spans: vec![[1.0, 2.0], [3.0, 4.0]],
+        }];
+        let bytes = columns(9, 1, 2, 10, &buckets);
+        assert_eq!(bytes.len(), 16 + 4 + 4 * 4);
+        assert_eq!(&bytes[..4], [1, 1, 2, 0]);
+        assert_eq!(&bytes[16..20], 7_u32.to_le_bytes());
+        assert_eq!(&bytes[32..36], 4.0_f32.to_le_bytes());
+    }
+
+    #[test]
+    fn a_long_path_is_thinned_out_but_never_loses_a_lift() {
+        let vertex = |index: i32| PathVertex {
+            position_um: [index * 1_000, 0, 0],
+            pen: if index % 500 == 0 { Pen::Up } else { Pen::Down },
+            stroke: 0,
+        };
+        let vertices: Vec<_> = (0..10_000).map(vertex).collect();
+        let bytes = path(PathUse::Job, 3, &vertices, 100);
+        let count = u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+        assert_eq!(bytes.len(), 12 + 12 * count);
+        assert!((100..250).contains(&count), "{count}");
+        let lifts = bytes[12..].chunks(12).filter(|vertex| vertex[3] & 0x80 == 0).count();
+        assert_eq!(lifts, 20);
+    }
+}

@@ -1,0 +1,260 @@
+//! The operator's console: the machine in a browser, on this computer.
+//!
+//! One thread takes the machine's news into the [`hub`]; the [`server`] gives the page and a socket to each viewer, and
+//! every [`viewer`] takes from the hub what it can carry. Orders go straight to the machine.
+//!
+//! Invariants: a stop goes from the socket to the machine without waiting for anything; only the viewer that holds control
+//! commands; a slow viewer slows nobody; nothing is kept that grows with time.
+
+mod assets;
+mod attendant;
+pub mod capture;
+pub mod control;
+pub mod history;
+pub mod hub;
+pub mod jobs;
+mod measuring;
+pub mod messages;
+pub mod server;
+pub mod signals;
+pub mod status;
+pub mod studio;
+mod viewer;
+pub mod virtual_cell;
+
+use crate::link::port::{PortError, PortName};
+use crate::machine::{Machine, MachineOptions, Order};
+use attendant::Attendant;
+use etherpen::config::Config;
+use hub::{Hub, Level, Topic};
+use jobs::Drawing;
+use messages::Injection;
+use serde::Serialize;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+use studio::StudioView;
+use tokio::sync::watch;
+use virtual_cell::VirtualCell;
+
+/// What does not change while the console runs.
+#[derive(Clone, Debug, Serialize)]
+struct RobotView<'a> {
+    version: &'static str,
+    port: String,
+    geometry: &'a etherpen::config::Geometry,
+    paper: &'a etherpen::config::Paper,
+    work_area: &'a etherpen::config::WorkArea,
+    signals: Vec<signals::Signal>,
+    /// Styles in which a photograph can be drawn.
+    styles: Vec<String>,
+}
+
+/// What the page shows of the virtual segment.
+#[derive(Debug, Serialize)]
+struct SegmentView {
+    /// `simulated`, `emulated`, or nothing for real hardware.
+    kind: Option<&'static str>,
+    /// Slaves that are unplugged.
+    removed: Vec<usize>,
+    failure: Option<String>,
+}
+
+/// The drawing that is prepared.
+#[derive(Default)]
+struct Preview {
+    number: u64,
+    busy: bool,
+    drawing: Option<Drawing>,
+}
+
+/// The console's parts that every viewer uses.
+pub struct Console {
+    config: Config,
+    token: String,
+    hub: Mutex<Hub>,
+    machine: Machine,
+    attendant: Attendant,
+    cell: Option<(VirtualCell, &'static str)>,
+    removed: Mutex<Vec<usize>>,
+    preview: Mutex<Preview>,
+    changed: watch::Sender<u64>,
+    /// Whether the firmware's measurements are being read.
+    measuring: AtomicBool,
+    begun: Instant,
+}
+
+impl Console {
+    /// A console in front of the machine at a port; `cell` is the virtual cell behind it with what runs its firmware.
+    ///
+    /// # Errors
+    /// The machine's thread cannot be started.
+    pub fn start(
+        config: Config,
+        token: String,
+        port: PortName,
+        cell: Option<(VirtualCell, &'static str)>,
+    ) -> Result<Arc<Self>, PortError> {
+        let shown = match &cell {
+            Some((_, kind)) => format!("{kind} robot"),
+            None => port.to_string(),
+        };
+        let options = MachineOptions {
+            patient: true,
+            acknowledge: false,
+        };
+        let machine = Machine::start(port, config.clone(), options)?;
+        let news = machine.subscribe(attendant::NEWS_MAX);
+        let mut hub = Hub::new(&config, &shown);
+        let view = RobotView {
+            version: env!("CARGO_PKG_VERSION"),
+            port: shown,
+            geometry: &config.geometry,
+            paper: &config.paper,
+            work_area: &config.work_area,
+            signals: signals::catalogue(),
+            styles: studio::styles(),
+        };
+        hub.say(Topic::Robot, &view);
+        let idle = StudioView {
+            state: "idle",
+            ..StudioView::default()
+        };
+        hub.say(Topic::Studio, &idle);
+        let console = Arc::new(Self {
+            config,
+            token,
+            hub: Mutex::new(hub),
+            machine,
+            attendant: Attendant::default(),
+            cell,
+            removed: Mutex::new(Vec::new()),
+            preview: Mutex::default(),
+            changed: watch::channel(0).0,
+            measuring: AtomicBool::new(false),
+            begun: Instant::now(),
+        });
+        console.say_segment();
+        attendant::attend(&console, news);
+        Ok(console)
+    }
+
+    /// The state, for a moment.
+    pub fn hub(&self) -> MutexGuard<'_, Hub> {
+        lock(&self.hub)
+    }
+
+    /// Changes the state and tells every viewer at once.
+    pub fn change<R>(&self, change: impl FnOnce(&mut Hub) -> R) -> R {
+        let result = change(&mut self.hub());
+        self.changed.send_modify(|count| *count = count.wrapping_add(1));
+        result
+    }
+
+    /// Milliseconds since the console began.
+    pub fn now_ms(&self) -> u64 {
+        self.begun.elapsed().as_millis() as u64
+    }
+
+    /// Stops the robot: first the order, then everything else.
+    pub fn stop(&self, who: &str) {
+        let answer = self.machine.order(Order::Stop);
+        self.attendant.expect("STOP", answer);
+        self.change(|hub| hub.stop_asked(who));
+    }
+
+    /// Gives an order; what is refused is told in the log.
+    fn order(&self, what: &'static str, order: Order) {
+        let answer = self.machine.order(order);
+        self.attendant.expect(what, answer);
+    }
+
+    fn inject(&self, injection: Injection) -> Result<(), String> {
+        let Some((cell, _)) = &self.cell else {
+            return Err("the segment is real; nothing is injected".to_owned());
+        };
+        let text = cell.inject(injection)?;
+        match injection {
+            Injection::Remove { slave } => lock(&self.removed).push(slave),
+            Injection::Insert { slave } => lock(&self.removed).retain(|removed| *removed != slave),
+            _ => {}
+        }
+        self.change(|hub| hub.note(Level::Info, format!("injected: {text}")));
+        self.say_segment();
+        Ok(())
+    }
+
+    fn say_segment(&self) {
+        let view = SegmentView {
+            kind: self.cell.as_ref().map(|(_, kind)| *kind),
+            removed: lock(&self.removed).clone(),
+            failure: self.cell.as_ref().and_then(|(cell, _)| cell.failure()),
+        };
+        self.change(|hub| hub.say(Topic::Segment, &view));
+    }
+
+    /// Prepares a file in a thread of its own; one at a time.
+    fn prepare(self: &Arc<Self>, name: &str, options: &str, content: Vec<u8>) -> Result<(), String> {
+        {
+            let mut preview = lock(&self.preview);
+            if preview.busy {
+                return Err("another file is being prepared; wait a moment".to_owned());
+            }
+            preview.busy = true;
+            preview.drawing = None;
+        }
+        let working = StudioView {
+            state: "working",
+            name: studio::shown_name(name),
+            ..StudioView::default()
+        };
+        self.change(|hub| hub.say(Topic::Studio, &working));
+        let (console, name, options) = (self.clone(), name.to_owned(), options.to_owned());
+        let spawned = std::thread::Builder::new()
+            .name("studio".to_owned())
+            .spawn(move || console.prepared(studio::compose(&console.config, &name, &options, &content), &name));
+        spawned.map(|_| ()).map_err(|cause| {
+            lock(&self.preview).busy = false;
+            format!("no thread for it: {cause}")
+        })
+    }
+
+    fn prepared(&self, result: Result<Drawing, String>, name: &str) {
+        let mut preview = lock(&self.preview);
+        preview.busy = false;
+        preview.number += 1;
+        let view = StudioView::of(&result, preview.number, name);
+        preview.drawing = result.ok();
+        drop(preview);
+        self.change(|hub| hub.say(Topic::Studio, &view));
+    }
+
+    /// Puts the prepared drawing into the queue.
+    fn enqueue(&self, preparation: u64) -> Result<(), &'static str> {
+        let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
+            return Err("this preview is not there any more");
+        };
+        let idle = StudioView {
+            state: "idle",
+            ..StudioView::default()
+        };
+        self.change(|hub| -> Result<(), &'static str> {
+            hub.jobs.enqueue(drawing).ok_or("the queue is full")?;
+            hub.say_jobs();
+            hub.say(Topic::Studio, &idle);
+            Ok(())
+        })?;
+        lock(&self.preview).drawing = None;
+        Ok(())
+    }
+
+    /// The prepared drawing and its number, if there is one.
+    fn preview(&self) -> Option<(u64, Drawing)> {
+        let preview = lock(&self.preview);
+        preview.drawing.clone().map(|drawing| (preview.number, drawing))
+    }
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,249 @@
+//! What can be plotted: the telemetry of every axis, and where it puts the pen.
+//!
+//! A sample of the firmware becomes a row of plain numbers on the console's own time axis, which goes on when the
+//! firmware was restarted. Invariant: a row has a value for every signal of the catalogue; what cannot be computed is
+//! not a number.
+
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::Sample;
+use etherpen::motion::Pen;
+use etherpen::robot::{AXES, Delta, JointAngles, Position};
+
+/// Signals of one axis.
+const PER_AXIS: usize = 5;
+/// Signals of the platform.
+const OF_PLATFORM: usize = 8;
+/// All signals.
+pub const SIGNALS: usize = AXES * PER_AXIS + OF_PLATFORM;
+/// Gap of the telemetry after which a speed is not computed from differences, ms.
+const GAP_MS: u32 = 1;
+/// Time that the console's axis jumps when the firmware was restarted, ms.
+const RESTART_MS: u64 = 1_000;
+
+/// One thing that can be plotted.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Signal {
+    /// Its name in files and messages, with the unit.
+    pub name: String,
+    /// What a person reads.
+    pub label: String,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The axis, from 1; 0 for the platform.
+    pub axis: usize,
+}
+
+/// All signals, in the order of the values of a [`Row`].
+pub fn catalogue() -> Vec<Signal> {
+    let of_axis = |axis: usize| {
+        [
+            (format!("q{axis}_ref_rad"), "reference", "rad"),
+            (format!("q{axis}_rad"), "actual", "rad"),
+            (format!("e{axis}_rad"), "following error", "rad"),
+            (format!("v{axis}_ref_rad_s"), "velocity reference", "rad/s"),
+            (format!("v{axis}_rad_s"), "velocity", "rad/s"),
+        ]
+        .map(|(name, text, unit)| Signal {
+            name,
+            label: format!("axis {axis} {text}"),
+            unit,
+            axis,
+        })
+    };
+    let of_platform = [
+        ("x_ref_mm", "x reference", "mm"),
+        ("y_ref_mm", "y reference", "mm"),
+        ("z_ref_mm", "z reference", "mm"),
+        ("x_mm", "x actual", "mm"),
+        ("y_mm", "y actual", "mm"),
+        ("z_mm", "z actual", "mm"),
+        ("speed_ref_mm_s", "speed reference", "mm/s"),
+        ("speed_mm_s", "speed", "mm/s"),
+    ]
+    .map(|(name, label, unit)| Signal {
+        name: name.to_owned(),
+        label: label.to_owned(),
+        unit,
+        axis: 0,
+    });
+    (1..=AXES).flat_map(of_axis).chain(of_platform).collect()
+}
+
+/// One millisecond of everything that can be plotted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Console time, ms.
+    pub time_ms: u64,
+    /// Firmware time, ms.
+    pub t_ms: u32,
+    /// Operating mode.
+    pub mode: Mode,
+    /// Pen as the reference has it.
+    pub pen: Pen,
+    /// Stroke being drawn or travelled to.
+    pub stroke: u32,
+    /// Values of the catalogue.
+    pub values: [f32; SIGNALS],
+}
+
+impl Row {
+    /// Measured joint angles, rad.
+    pub fn joints_rad(&self) -> [f32; AXES] {
+        std::array::from_fn(|axis| self.value(axis * PER_AXIS + 1))
+    }
+
+    /// Following errors, rad.
+    pub fn errors_rad(&self) -> [f32; AXES] {
+        std::array::from_fn(|axis| self.value(axis * PER_AXIS + 2))
+    }
+
+    /// Commanded position of the platform, mm.
+    pub fn commanded_mm(&self) -> [f32; 3] {
+        std::array::from_fn(|axis| self.value(AXES * PER_AXIS + axis))
+    }
+
+    /// Measured position of the platform, mm.
+    pub fn measured_mm(&self) -> [f32; 3] {
+        std::array::from_fn(|axis| self.value(AXES * PER_AXIS + 3 + axis))
+    }
+
+    /// A value by its number in the catalogue.
+    pub fn value(&self, signal: usize) -> f32 {
+        self.values.get(signal).copied().unwrap_or(f32::NAN)
+    }
+}
+
+/// Makes rows of samples.
+pub struct Rows {
+    delta: Option<Delta>,
+    /// What is added to the firmware's time.
+    offset_ms: u64,
+    last: Option<(u32, [f32; 3], [f32; 3])>,
+}
+
+impl Rows {
+    /// Rows of a robot of this shape.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            delta: Delta::new(&config.geometry).ok(),
+            offset_ms: 0,
+            last: None,
+        }
+    }
+
+    /// Takes the next sample; `None` for one that is older than the last, as it arrives when the firmware was restarted
+    /// or telegrams overtook each other.
+    pub fn take(&mut self, sample: &Sample) -> Row {
+        if let Some((last_ms, ..)) = self.last
+            && sample.t_ms < last_ms
+        {
+            self.offset_ms += u64::from(last_ms) + RESTART_MS;
+            self.last = None;
+        }
+        let commanded = self.platform_mm(&sample.reference_rad);
+        let measured = self.platform_mm(&sample.measured_rad);
+        let [speed_ref, speed] = match self.last {
+            Some((t_ms, reference, actual)) if sample.t_ms - t_ms <= GAP_MS => {
+                [distance(&reference, &commanded), distance(&actual, &measured)].map(|mm| mm * 1_000.0)
+            }
+            _ => [f32::NAN; 2],
+        };
+        self.last = Some((sample.t_ms, commanded, measured));
+        let mut values = [f32::NAN; SIGNALS];
+        let axes = (0..AXES).flat_map(|axis| {
+            let of = |values: &[f32; AXES]| values.get(axis).copied().unwrap_or(f32::NAN);
+            let (reference, measured) = (of(&sample.reference_rad), of(&sample.measured_rad));
+            [
+                reference,
+                measured,
+                reference - measured,
+                of(&sample.reference_rad_s),
+                of(&sample.measured_rad_s),
+            ]
+        });
+        let platform = commanded.into_iter().chain(measured).chain([speed_ref, speed]);
+        for (place, value) in values.iter_mut().zip(axes.chain(platform)) {
+            *place = value;
+        }
+        Row {
+            time_ms: self.offset_ms + u64::from(sample.t_ms),
+            t_ms: sample.t_ms,
+            mode: sample.mode,
+            pen: sample.pen,
+            stroke: sample.stroke,
+            values,
+        }
+    }
+
+    fn platform_mm(&self, joints_rad: &[f32; AXES]) -> [f32; 3] {
+        let forward = |delta: &Delta| delta.forward(&JointAngles(joints_rad.map(f64::from))).ok();
+        match self.delta.as_ref().and_then(forward) {
+            Some(Position { x_mm, y_mm, z_mm }) => [x_mm, y_mm, z_mm].map(|mm| mm as f32),
+            None => [f32::NAN; 3],
+        }
+    }
+}
+
+fn distance(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A sample in which every axis stands at this angle.
+    pub(crate) fn sample(t_ms: u32, angle_rad: f32) -> Sample {
+        Sample {
+            t_ms,
+            mode: Mode::Idle,
+            stroke: 0,
+            pen: Pen::Up,
+            reference_rad: [angle_rad; AXES],
+            measured_rad: [angle_rad; AXES],
+            reference_rad_s: [0.0; AXES],
+            measured_rad_s: [0.0; AXES],
+        }
+    }
+
+    #[test]
+    fn every_signal_has_a_name_of_its_own_that_ends_in_its_unit() {
+        let signals = catalogue();
+        assert_eq!(signals.len(), SIGNALS);
+        for (number, signal) in signals.iter().enumerate() {
+            let unit = signal.unit.replace('/', "_");
+            assert!(signal.name.ends_with(&unit), "{}", signal.name);
+            assert!(signals.iter().skip(number + 1).all(|other| other.name != signal.name));
+        }
+    }
+
+    #[test]
+    fn a_row_holds_the_sample_and_where_it_puts_the_platform() {
+        let config = Config::default();
+        let mut rows = Rows::new(&config);
+        rows.take(&sample(6, 0.3));
+        let moved = Sample {
+            reference_rad: [0.31, 0.3, 0.3, 0.0],
+            ..sample(7, 0.3)
+        };
+        let row = rows.take(&moved);
+        let names = catalogue();
+        let value = |name: &str| row.value(names.iter().position(|signal| signal.name == name).unwrap());
+        assert_eq!((value("q1_ref_rad"), value("q1_rad")), (0.31, 0.3));
+        assert!((value("e1_rad") - 0.01).abs() < 1e-6);
+        assert!(value("z_mm") < -600.0 && value("x_mm").abs() < 1e-3);
+        assert!(value("speed_ref_mm_s") > 1_000.0 && value("speed_mm_s") == 0.0);
+        assert_eq!(row.measured_mm()[2], value("z_mm"));
+    }
+
+    #[test]
+    fn time_goes_on_when_the_firmware_was_restarted() {
+        let mut rows = Rows::new(&Config::default());
+        let times: Vec<_> = [10, 11, 1, 2]
+            .map(|t_ms| rows.take(&sample(t_ms, 0.3)).time_ms)
+            .into_iter()
+            .collect();
+        assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{times:?}");
+    }
+}

@@ -1,0 +1,238 @@
+//! The firmware's status as a person reads it.
+//!
+//! What is in words here stands in words on the page; the page adds no meaning of its own. Invariant: whether the robot
+//! has stopped is said by the firmware's mode and fault, by nothing else.
+
+use crate::link::text;
+use etherpen::application::{Fault, Mode, StopSource};
+use etherpen::drives::cia402::{DriveState, StatusWord};
+use etherpen::ethercat::state::{al_code_hint, al_code_text};
+use etherpen::link::protocol::{SlaveStatus, Status};
+use serde::Serialize;
+
+/// What the page shows of a status.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StatusView {
+    mode: &'static str,
+    text: &'static str,
+    fault: Option<String>,
+    /// Whether the latched fault is a stop that somebody asked for.
+    stopped: bool,
+    referenced: bool,
+    configured: bool,
+    override_percent: u8,
+    /// What the mode allows, by the names of the page's buttons.
+    allowed: Vec<&'static str>,
+    bus: BusView,
+    slaves: Vec<SlaveView>,
+    counters: Vec<(&'static str, u32)>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct BusView {
+    text: String,
+    good: bool,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct SlaveView {
+    number: usize,
+    vendor: String,
+    product: String,
+    state: String,
+    operational: bool,
+    /// AL status code with its text; empty without an error.
+    error: String,
+    hint: &'static str,
+    status_word: String,
+    drive: &'static str,
+    powered: bool,
+    fault: bool,
+    voltage: bool,
+    warning: bool,
+}
+
+/// The name of a mode, as the page and the telemetry know it.
+pub fn mode_name(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Startup => "Startup",
+        Mode::BusConfiguring => "BusConfiguring",
+        Mode::DrivesOff => "DrivesOff",
+        Mode::Unreferenced => "Unreferenced",
+        Mode::Idle => "Idle",
+        Mode::Moving => "Moving",
+        Mode::Drawing => "Drawing",
+        Mode::Holding => "Holding",
+        Mode::Stopping => "Stopping",
+        Mode::Fault => "Fault",
+    }
+}
+
+/// What a mode allows.
+fn allowed(mode: Mode, referenced: bool) -> Vec<&'static str> {
+    let mut allowed: Vec<&'static str> = match mode {
+        Mode::DrivesOff if referenced => vec!["enable", "reference", "draw"],
+        Mode::DrivesOff => vec!["enable", "reference"],
+        Mode::Unreferenced => vec!["reference", "disable"],
+        Mode::Idle => vec!["disable", "reference", "jog", "pen", "move", "draw"],
+        Mode::Moving => vec!["jog"],
+        Mode::Drawing => vec!["hold", "cancel"],
+        Mode::Holding => vec!["resume", "cancel"],
+        Mode::Fault => vec!["acknowledge"],
+        Mode::Startup | Mode::BusConfiguring | Mode::Stopping => Vec::new(),
+    };
+    if mode != Mode::Startup {
+        allowed.push("override");
+    }
+    allowed
+}
+
+fn drive_text(state: DriveState) -> &'static str {
+    match state {
+        DriveState::NotReadyToSwitchOn => "not ready",
+        DriveState::SwitchOnDisabled => "switch-on disabled",
+        DriveState::ReadyToSwitchOn => "ready to switch on",
+        DriveState::SwitchedOn => "switched on",
+        DriveState::OperationEnabled => "operation enabled",
+        DriveState::QuickStopActive => "quick stop",
+        DriveState::FaultReactionActive => "reacting to a fault",
+        DriveState::Fault => "fault",
+    }
+}
+
+fn slave(index: usize, slave: &SlaveStatus, lost: bool) -> SlaveView {
+    let word = StatusWord(slave.status_word);
+    let flagged = slave.al_state & 0x10 != 0 || slave.al_code != 0;
+    SlaveView {
+        number: index + 1,
+        vendor: format!("{:#010x}", slave.vendor),
+        product: format!("{:#010x}", slave.product),
+        state: match slave.al_state {
+            state if state == 0 || lost => "no answer".to_owned(),
+            state => text::al_state(state),
+        },
+        operational: slave.al_state == 8 && !lost,
+        error: match flagged {
+            true => format!("{:#06x} {}", slave.al_code, al_code_text(slave.al_code)),
+            false => String::new(),
+        },
+        hint: if flagged { al_code_hint(slave.al_code) } else { "" },
+        status_word: format!("{:#06x}", slave.status_word),
+        drive: drive_text(word.state()),
+        powered: word.is_powered(),
+        fault: word.is_fault(),
+        voltage: word.voltage_enabled(),
+        warning: word.warning(),
+    }
+}
+
+/// A status in words.
+pub fn view(status: &Status) -> StatusView {
+    let counters = &status.counters;
+    // The firmware keeps the last state of a slave that does not answer.
+    let is_lost = |index: usize| match status.fault {
+        Some(Fault::SlaveLost { slave }) => usize::from(slave) == index,
+        _ => false,
+    };
+    let slaves: Vec<SlaveView> = (0..)
+        .zip(&status.slaves)
+        .map(|(index, status)| slave(index, status, is_lost(index)))
+        .collect();
+    let operational = slaves.iter().filter(|slave| slave.operational).count();
+    let good = operational == slaves.len() && operational > 0;
+    StatusView {
+        mode: mode_name(status.mode),
+        text: text::mode(status.mode),
+        fault: status.fault.as_ref().map(text::fault),
+        stopped: matches!(
+            status.fault,
+            Some(Fault::EmergencyStop(StopSource::Link | StopSource::Input))
+        ),
+        referenced: status.referenced,
+        configured: status.config.is_some(),
+        override_percent: status.override_percent,
+        allowed: allowed(status.mode, status.referenced),
+        bus: BusView {
+            text: match status.slaves.len() {
+                0 => "no slaves yet".to_owned(),
+                slaves => format!("{operational} of {slaves} slaves in OP"),
+            },
+            good,
+        },
+        slaves,
+        counters: vec![
+            ("cycles", counters.cycles),
+            ("late", counters.cycles_late),
+            ("frames lost", counters.frames_lost),
+            ("wrong working counters", counters.working_counter_errors),
+            ("frames ignored", counters.frames_ignored),
+            ("reference underruns", counters.reference_underruns),
+            ("path starvations", counters.path_starvations),
+            ("planner overruns", counters.trajectory_overruns),
+            ("telemetry dropped", counters.telemetry_dropped),
+            ("link errors", counters.link_errors),
+        ],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::link::protocol::Counters;
+    use heapless::Vec as FixedVec;
+
+    fn status(mode: Mode, fault: Option<Fault>) -> Status {
+        let slave = |al_state, al_code, status_word| SlaveStatus {
+            vendor: 0x6A,
+            product: 2,
+            al_state,
+            al_code,
+            status_word,
+        };
+        Status {
+            mode,
+            fault,
+            referenced: true,
+            increments: [None; 4],
+            config: Some(1),
+            override_percent: 100,
+            counters: Counters::default(),
+            slaves: FixedVec::from_slice(&[slave(8, 0, 0x0637), slave(0x14, 0x1B, 0x0218)]).unwrap(),
+        }
+    }
+
+    #[test]
+    fn a_stop_counts_as_confirmed_by_the_firmwares_fault_only() {
+        assert!(!view(&status(Mode::Stopping, None)).stopped);
+        assert!(view(&status(Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link)))).stopped);
+        assert!(!view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 }))).stopped);
+    }
+
+    #[test]
+    fn slaves_are_told_with_state_code_and_status_word() {
+        let view = view(&status(Mode::Fault, None));
+        assert_eq!(view.bus.text, "1 of 2 slaves in OP");
+        let [first, second] = &view.slaves[..] else { panic!() };
+        assert_eq!(
+            (first.drive, first.powered, first.error.as_str()),
+            ("operation enabled", true, "")
+        );
+        assert!(second.fault && second.error.starts_with("0x001b"), "{second:?}");
+        assert_eq!(second.state, "SAFEOP with error");
+        assert!(!second.hint.is_empty());
+    }
+
+    #[test]
+    fn a_slave_that_stopped_answering_is_not_shown_in_its_last_state() {
+        let view = view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 })));
+        assert_eq!((view.slaves[0].state.as_str(), view.bus.good), ("no answer", false));
+    }
+
+    #[test]
+    fn only_a_fault_can_be_acknowledged() {
+        for mode in [Mode::Startup, Mode::Idle, Mode::Drawing, Mode::Stopping] {
+            assert!(!allowed(mode, true).contains(&"acknowledge"));
+        }
+        assert!(allowed(Mode::Fault, false).contains(&"acknowledge"));
+    }
+}

@@ -1,0 +1,370 @@
+//! A whole robot without hardware: the firmware and the virtual cell, behind a socket like any other port.
+//!
+//! Simulated, the firmware's tasks run in this process at the pace of the wall clock; emulated, the firmware image runs
+//! in QEMU. What is at the other end of the socket cannot tell a difference to a board. Invariant: the cell outlives the
+//! firmware: a restart of the firmware finds drives and robot as they are.
+
+use super::messages::Injection;
+use crate::cell::{Cell, CellOptions, Fault};
+use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
+use crate::link::port::PortName;
+use crate::simulation::{self, Host};
+use etherpen::config::Config;
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// Bytes that may wait for a reader; older ones are dropped, as a serial line would.
+const WAITING_BYTES_MAX: usize = 1 << 20;
+/// Lag behind the wall clock that is not made up for, ms.
+const LAG_MAX_MS: u64 = 50;
+/// Time between two looks at a running emulator.
+const LOOK: Duration = Duration::from_millis(50);
+/// Error code of a drive fault that is injected: following error, by the profile's table.
+const DRIVE_ERROR: u16 = 0x8611;
+/// AL status code of a slave that is injected to fall back: sync manager watchdog.
+const AL_WATCHDOG: u16 = 0x001B;
+/// How long an injected loss of power, of a resolver or of all frames lasts, ms.
+const POWER_MS: u64 = 1_000;
+const STUCK_MS: u64 = 200;
+const STALL_MS: u64 = 50;
+/// Makes the names of the sockets of one process different.
+static SOCKETS: AtomicU32 = AtomicU32::new(0);
+
+/// Which firmware runs.
+#[derive(Clone, Debug)]
+pub enum Firmware {
+    /// Its tasks in this process.
+    Simulated,
+    /// This image in QEMU.
+    Emulated(PathBuf),
+}
+
+/// A cell that several threads look at.
+#[derive(Clone)]
+struct SharedCell(Arc<Mutex<Cell>>);
+
+impl SharedCell {
+    fn lock(&self) -> MutexGuard<'_, Cell> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Segment for SharedCell {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.lock().frame(time_us, frame)
+    }
+
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.lock().frame_at_ns(time_ns, frame)
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        self.lock().advance_to(time_us);
+    }
+}
+
+/// A cell whose clock goes on when the firmware's begins anew.
+struct LaterCell {
+    cell: SharedCell,
+    begun_us: u64,
+}
+
+impl Segment for LaterCell {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.cell.frame(self.begun_us + time_us, frame)
+    }
+
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.cell.frame_at_ns(self.begun_us * 1_000 + time_ns, frame)
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        self.cell.advance_to(self.begun_us + time_us);
+    }
+}
+
+/// The serial line as a Unix socket: one client at a time.
+struct Socket {
+    listener: UnixListener,
+    client: Option<UnixStream>,
+    waiting: Vec<u8>,
+}
+
+impl Socket {
+    fn exchange(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        if let Ok((client, _)) = self.listener.accept() {
+            self.waiting.clear();
+            self.client = client.set_nonblocking(true).is_ok().then_some(client);
+        }
+        if self.client.is_some() {
+            self.waiting.extend_from_slice(from_firmware);
+            let excess = self.waiting.len().saturating_sub(WAITING_BYTES_MAX);
+            self.waiting.drain(..excess);
+        }
+        if !self.transfer(to_firmware, room) {
+            self.client = None;
+        }
+    }
+
+    /// Moves bytes both ways; false when the client has gone.
+    fn transfer(&mut self, to_firmware: &mut Vec<u8>, room: usize) -> bool {
+        let Some(client) = &mut self.client else { return true };
+        let blocked = |error: &io::Error| matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
+        match client.write(&self.waiting) {
+            Ok(written) => {
+                self.waiting.drain(..written);
+            }
+            Err(error) if blocked(&error) => {}
+            Err(_) => return false,
+        }
+        let mut bytes = [0; LINK_BYTES_MAX];
+        let room = room.min(bytes.len());
+        match client.read(bytes.get_mut(..room).unwrap_or_default()) {
+            Ok(0) => room == 0,
+            Ok(length) => {
+                to_firmware.extend(bytes.iter().take(length));
+                true
+            }
+            Err(error) => blocked(&error),
+        }
+    }
+}
+
+/// What the threads have in common.
+struct Shared {
+    socket: Mutex<Socket>,
+    ended: AtomicBool,
+    restart: AtomicBool,
+    /// How far the cell's clock has come, us.
+    cell_us: Mutex<u64>,
+    failure: Mutex<Option<String>>,
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A simulated firmware's line, by the wall clock.
+struct PacedLine {
+    shared: Arc<Shared>,
+    begun: Instant,
+    begun_us: u64,
+}
+
+impl Host for PacedLine {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        lock(&self.shared.socket).exchange(from_firmware, to_firmware, room);
+        *lock(&self.shared.cell_us) = self.begun_us + u64::from(ms) * 1_000;
+        let due = Duration::from_millis(ms.into());
+        let passed = self.begun.elapsed();
+        if let Some(early) = due.checked_sub(passed) {
+            thread::sleep(early);
+        } else if passed > due + Duration::from_millis(LAG_MAX_MS) {
+            self.begun = Instant::now().checked_sub(due).unwrap_or(self.begun);
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.shared.ended.load(Ordering::Relaxed) || self.shared.restart.load(Ordering::Relaxed)
+    }
+}
+
+/// An emulated firmware's line.
+struct EmulatedLine {
+    shared: Arc<Shared>,
+    begun_us: u64,
+}
+
+impl Link for EmulatedLine {
+    fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
+        lock(&self.shared.socket).exchange(from_device, to_device, LINK_BYTES_MAX);
+        *lock(&self.shared.cell_us) = self.begun_us + u64::from(ms) * 1_000;
+    }
+}
+
+/// A running cell with its firmware; dropping it ends both.
+pub struct VirtualCell {
+    cell: SharedCell,
+    shared: Arc<Shared>,
+    path: PathBuf,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl VirtualCell {
+    /// Starts a cell and a firmware; [`VirtualCell::port`] leads to it.
+    ///
+    /// # Errors
+    /// The socket cannot be made.
+    pub fn start(config: &Config, options: CellOptions, firmware: Firmware) -> io::Result<Self> {
+        let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("etherpen-console-{}-{number}.sock", std::process::id()));
+        if let Err(error) = std::fs::remove_file(&path)
+            && error.kind() != ErrorKind::NotFound
+        {
+            return Err(error);
+        }
+        let listener = UnixListener::bind(&path)?;
+        listener.set_nonblocking(true)?;
+        let shared = Arc::new(Shared {
+            socket: Mutex::new(Socket {
+                listener,
+                client: None,
+                waiting: Vec::new(),
+            }),
+            ended: AtomicBool::new(false),
+            restart: AtomicBool::new(false),
+            cell_us: Mutex::new(0),
+            failure: Mutex::new(None),
+        });
+        let cell = SharedCell(Arc::new(Mutex::new(Cell::new(config, options))));
+        let thread = thread::Builder::new().name("firmware".to_owned()).spawn({
+            let (shared, cell) = (shared.clone(), cell.clone());
+            move || run(&shared, &cell, &firmware)
+        })?;
+        Ok(Self {
+            cell,
+            shared,
+            path,
+            thread: Some(thread),
+        })
+    }
+
+    /// Where the firmware can be reached.
+    pub fn port(&self) -> PortName {
+        PortName::Unix(self.path.clone())
+    }
+
+    /// Why the firmware does not run any more, if it does not.
+    pub fn failure(&self) -> Option<String> {
+        lock(&self.shared.failure).clone()
+    }
+
+    /// Lets something go wrong; gives what a person reads about it, or why it is not possible.
+    ///
+    /// # Errors
+    /// There is no such slave.
+    pub fn inject(&self, injection: Injection) -> Result<String, String> {
+        let slaves = self.cell.lock().state().slaves.len();
+        let exists = |slave: usize| match (1..=slaves).contains(&slave) {
+            true => Ok(slave),
+            false => Err(format!("there is no slave {slave}, the chain has {slaves}")),
+        };
+        let (fault, text) = match injection {
+            Injection::Restart => {
+                self.shared.restart.store(true, Ordering::Relaxed);
+                return Ok("the firmware is started anew".to_owned());
+            }
+            Injection::Remove { slave } => (Fault::Remove(exists(slave)?), format!("slave {slave} is unplugged")),
+            Injection::Insert { slave } => (Fault::Insert(exists(slave)?), format!("slave {slave} is plugged in")),
+            Injection::Fault { slave } => (
+                Fault::Drive(exists(slave)?, DRIVE_ERROR),
+                format!("drive {slave} faults with {DRIVE_ERROR:#06x}"),
+            ),
+            Injection::Retreat { slave } => (
+                Fault::Retreat(exists(slave)?, AL_WATCHDOG),
+                format!("slave {slave} falls back to SAFEOP"),
+            ),
+            Injection::Power { slave } => (
+                Fault::Power(exists(slave)?, POWER_MS),
+                format!("slave {slave} is without power for {POWER_MS} ms"),
+            ),
+            Injection::Stuck { slave } => (
+                Fault::Stuck(exists(slave)?, STUCK_MS),
+                format!("the resolver of drive {slave} freezes for {STUCK_MS} ms"),
+            ),
+            Injection::Cut { slave: 0 } => (Fault::Cut(0), "the master's cable is pulled".to_owned()),
+            Injection::Cut { slave } => (
+                Fault::Cut(exists(slave)?),
+                format!("the cable behind slave {slave} is pulled"),
+            ),
+            Injection::Join => (Fault::Join, "all cables are plugged in".to_owned()),
+            Injection::Stall => (
+                Fault::Stall(STALL_MS),
+                format!("no frame gets through for {STALL_MS} ms"),
+            ),
+            Injection::Lose => (Fault::Lose, "one reply is lost".to_owned()),
+        };
+        self.cell.lock().inject(fault);
+        Ok(text)
+    }
+}
+
+impl Drop for VirtualCell {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A firmware that panicked has ended as well.
+            let _ = thread.join();
+        }
+        // A socket that is gone already needs no removal.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// Runs one firmware after the other until the cell is dropped or a firmware fails.
+fn run(shared: &Arc<Shared>, cell: &SharedCell, firmware: &Firmware) {
+    while !shared.ended.load(Ordering::Relaxed) {
+        shared.restart.store(false, Ordering::Relaxed);
+        let begun_us = *lock(&shared.cell_us);
+        let mut later = LaterCell {
+            cell: cell.clone(),
+            begun_us,
+        };
+        let result = match firmware {
+            Firmware::Simulated => {
+                let mut line = PacedLine {
+                    shared: shared.clone(),
+                    begun: Instant::now(),
+                    begun_us,
+                };
+                simulation::run(&mut later, &mut line, u32::MAX);
+                Ok(())
+            }
+            Firmware::Emulated(image) => emulate(shared, image, later, begun_us),
+        };
+        if let Err(error) = result {
+            *lock(&shared.failure) = Some(error.to_string());
+            return;
+        }
+    }
+}
+
+fn emulate(shared: &Arc<Shared>, image: &Path, cell: LaterCell, begun_us: u64) -> Result<(), EmulatorError> {
+    let options = Options {
+        pace: Pace::RealTime,
+        decode_log: false,
+        ..Options::default()
+    };
+    let line = EmulatedLine {
+        shared: shared.clone(),
+        begun_us,
+    };
+    let emulator = Emulator::start(image, &options, cell, line, |_: &emulator::LogLine| {})?;
+    while emulator.is_running() {
+        if shared.ended.load(Ordering::Relaxed) || shared.restart.load(Ordering::Relaxed) {
+            return emulator.stop().map(|_| ());
+        }
+        thread::sleep(LOOK);
+    }
+    emulator.wait().map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_of_a_slave_that_is_not_there_is_refused() {
+        let cell = VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated).unwrap();
+        assert!(cell.inject(Injection::Remove { slave: 2 }).is_ok());
+        for slave in [0, 5, usize::MAX] {
+            assert!(cell.inject(Injection::Fault { slave }).is_err());
+        }
+        assert_eq!(cell.failure(), None);
+    }
+}
