@@ -26,6 +26,8 @@ const POINTS_MAX: usize = 20_000_000;
 const DASHES_MAX: f64 = 100_000.0;
 /// Most warnings kept; a damaged file has one for each element.
 const WARNINGS_MAX: usize = 12;
+/// Most elements of a file, as many as usvg takes.
+const ELEMENTS_MAX: usize = 1_000_000;
 /// Stroke of elements that name none, so that they are not invisible; no file uses this colour by chance.
 const UNNAMED_STROKE: [u8; 3] = [1, 2, 3];
 /// Share of the page that a filled rectangle covers when it is the paper.
@@ -44,6 +46,12 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
         ..ParsingOptions::default()
     };
     let document = Document::parse_with_options(text, options).map_err(|error| syntax(&error))?;
+    let too_many = DrawingError::SvgElements {
+        elements_max: ELEMENTS_MAX,
+    };
+    if document.descendants().filter(|node| node.is_element()).count() > ELEMENTS_MAX {
+        return Err(too_many);
+    }
     let head = Head::of(&document);
     let prepared = head.prepared(text);
     drop(document);
@@ -54,9 +62,7 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
     let tree = tree.map_err(|error| match error {
         // The text itself has been read once before.
         usvg::Error::ParsingFailed(_) => DrawingError::SvgCycle,
-        usvg::Error::ElementsLimitReached => DrawingError::SvgElements {
-            elements_max: 1_000_000,
-        },
+        usvg::Error::ElementsLimitReached => too_many,
         usvg::Error::InvalidSize => DrawingError::SvgSize,
         _ => DrawingError::UnknownContent,
     })?;
