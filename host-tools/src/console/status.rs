@@ -178,6 +178,7 @@ pub fn view(status: &Status) -> StatusView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use etherpen::board::PortState;
     use etherpen::link::protocol::Counters;
     use heapless::Vec as FixedVec;
 
@@ -197,6 +198,8 @@ mod tests {
             config: Some(1),
             override_percent: 100,
             counters: Counters::default(),
+            interlock: None,
+            port: PortState::default(),
             slaves: FixedVec::from_slice(&[slave(8, 0, 0x0637), slave(0x14, 0x1B, 0x0218)]).unwrap(),
         }
     }
