@@ -1,7 +1,7 @@
 //! The operator's console: the machine in a browser, on this computer.
 //!
 //! One thread takes the machine's news into the [`hub`]; the [`server`] gives the page and a socket to each viewer, and
-//! every [`viewer`] takes from the hub what it can carry. Orders go straight to the machine.
+//! every `viewer` takes from the hub what it can carry. Orders go straight to the machine.
 //!
 //! Invariants: a stop goes from the socket to the machine without waiting for anything; only the viewer that holds control
 //! commands; a slow viewer slows nobody; nothing is kept that grows with time.
