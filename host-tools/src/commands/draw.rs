@@ -20,6 +20,7 @@ use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// News that may wait while files are written; telemetry is several hundred a second.
@@ -139,7 +140,8 @@ fn finish(
 /// How a drawing ended.
 struct Ended {
     result: Result<(), Failure>,
-    report: JobReport,
+    /// Shared with whoever else listens to the machine; empty for a drawing that was refused.
+    report: Arc<JobReport>,
 }
 
 /// One drawing on the machine: what is shown, what is asked for and what is logged.
@@ -189,14 +191,14 @@ impl<'a> Session<'a> {
             }
             match self.news.next_within(LOOK) {
                 Ok(News::Ended { result, report }) => {
-                    let report = report.and_then(std::sync::Arc::into_inner).unwrap_or_default();
+                    let report = report.unwrap_or_default();
                     break Ended { result, report };
                 }
                 Ok(news) => self.take(&news),
                 // The drawing's end comes as news before it is the order's answer; an order that was refused has no end.
                 Err(NoNews::Timeout) => {
                     if let Ok(Err(failure)) = answer.try_recv() {
-                        let (result, report) = (Err(failure), JobReport::default());
+                        let (result, report) = (Err(failure), Arc::default());
                         break Ended { result, report };
                     }
                 }
