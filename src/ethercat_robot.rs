@@ -12,9 +12,10 @@ use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
 use crate::control::limited;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
+use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
 use crate::ethercat::BusQueues;
-use crate::ethercat::cyclic::{CyclicSlave, DriveRole, Exchange};
+use crate::ethercat::cyclic::{CyclicSlave, DriveRole, Exchange, OutputPlace};
 use crate::ethercat::supervisor::Supervisor;
 use crate::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
 use crate::robot::{AXES, JointAngles};
@@ -82,22 +83,49 @@ impl Scale {
     }
 }
 
+/// What an axis reported in this cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Reading {
+    /// Motor position, unwrapped.
+    pub increments: i64,
+    /// Joint angle, rad; before there is a reference from where the unwrapping began, good for differences.
+    pub angle_rad: f64,
+    /// Whether there is a reference.
+    pub referenced: bool,
+    /// The drive's status word.
+    pub status: StatusWord,
+}
+
+/// Where an axis's values are.
+#[derive(Clone, Copy, Debug)]
+struct DrivePlace {
+    slave: usize,
+    layout: ProcessLayout,
+    outputs: OutputPlace,
+}
+
 /// One axis: scaling, unwrapped position, reference.
 #[derive(Clone, Copy, Debug)]
 struct AxisState {
     config: Axis,
     increments_per_rad: f64,
-    increments_per_revolution: i64,
+    increments_per_revolution: i32,
+    /// Where the drive is on the bus and in its process data, by the present plan.
+    place: Option<DrivePlace>,
     drive: Option<Scale>,
     raw: i32,
     position: i64,
     known: bool,
     gap_ms: u32,
-    step: i64,
-    input: Option<(i64, StatusWord)>,
+    step: i32,
+    /// Whether a position came in this cycle.
+    valid: bool,
     status: StatusWord,
+    state: DriveState,
     mode_in_effect: bool,
     operational: bool,
+    /// Of the present plan, and of the last input.
+    plan_generation: u8,
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
@@ -107,21 +135,24 @@ struct AxisState {
 
 impl AxisState {
     fn new(axis: &Axis) -> Self {
-        let increments = f64::from(axis.increments_per_revolution.max(1));
+        let increments = axis.increments_per_revolution.clamp(1, i32::MAX as u32) as i32;
         Self {
             config: *axis,
-            increments_per_rad: axis.gear * increments / TAU,
-            increments_per_revolution: i64::from(axis.increments_per_revolution.max(1)),
+            increments_per_rad: axis.gear * f64::from(increments) / TAU,
+            increments_per_revolution: increments,
+            place: None,
             drive: None,
             raw: 0,
             position: 0,
             known: false,
             gap_ms: 0,
             step: 0,
-            input: None,
+            valid: false,
             status: StatusWord(0),
+            state: StatusWord(0).state(),
             mode_in_effect: false,
             operational: false,
+            plan_generation: 0,
             generation: 0,
             zero: None,
             reference_lost: false,
@@ -136,11 +167,20 @@ impl AxisState {
     }
 
     fn is_moving(&self) -> bool {
-        let rest = (REST_REVOLUTIONS_S * self.increments_per_revolution as f64 / 1000.0).max(1.0);
-        self.step.unsigned_abs() as f64 > rest
+        let rest = (REST_REVOLUTIONS_S * f64::from(self.increments_per_revolution) / 1000.0).max(1.0);
+        f64::from(self.step.unsigned_abs()) > rest
+    }
+
+    /// Takes this cycle's input from the exchange.
+    #[inline(always)]
+    fn read(&mut self, exchange: &RobotExchange<'_>) {
+        let place = self.place.as_ref();
+        let input = place.and_then(|place| place.layout.decode(exchange.image(place.slave)?));
+        self.step(input, self.plan_generation);
     }
 
     /// Takes this cycle's input, or the lack of one.
+    #[inline(always)]
     fn step(&mut self, input: Option<DriveInput>, generation: u8) {
         if generation != self.generation {
             self.generation = generation;
@@ -148,23 +188,14 @@ impl AxisState {
             self.lose_reference();
         }
         let Some(input) = input else {
-            self.gap_ms = self.gap_ms.saturating_add(1);
-            let moving = self.is_moving() || self.commanded;
-            if self.gap_ms > GAP_IN_MOTION_MAX_MS && moving || self.gap_ms > GAP_AT_REST_MAX_MS {
-                self.lose_reference();
-            }
-            self.input = None;
+            self.miss();
             return;
         };
         if self.known {
-            let difference = nearest_turn(
-                i64::from(input.position.wrapping_sub(self.raw)),
-                self.increments_per_revolution,
-            );
-            self.position += difference;
+            let difference = turned(input.position.wrapping_sub(self.raw), self.increments_per_revolution);
+            self.position += i64::from(difference);
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
-            // Half a revolution fits 32 bits.
-            self.step = i64::from(difference as i32 / cycles);
+            self.step = difference / cycles;
         } else {
             self.position = i64::from(input.position);
             self.step = 0;
@@ -173,20 +204,33 @@ impl AxisState {
         self.raw = input.position;
         self.gap_ms = 0;
         self.status = input.status;
+        self.state = input.status.state();
         self.mode_in_effect = input.mode_in_effect;
-        self.input = Some((self.position, input.status));
+        self.valid = true;
     }
 
+    /// No input came in this cycle.
+    #[cold]
+    fn miss(&mut self) {
+        self.gap_ms = self.gap_ms.saturating_add(1);
+        let moving = self.is_moving() || self.commanded;
+        if self.gap_ms > GAP_IN_MOTION_MAX_MS && moving || self.gap_ms > GAP_AT_REST_MAX_MS {
+            self.lose_reference();
+        }
+        self.valid = false;
+    }
+
+    #[inline]
     fn angle_rad(&self, position: i64) -> Option<f64> {
-        self.zero.map(|zero| (position as f64 - zero) / self.increments_per_rad)
+        self.zero.map(|zero| (float(position) - zero) / self.increments_per_rad)
     }
 
+    #[inline]
     fn axis_input(&self) -> Option<AxisInput> {
-        let (position, status) = self.input?;
-        Some(AxisInput {
-            position: Increments(position),
-            angle_rad: self.angle_rad(position),
-            status,
+        self.valid.then(|| AxisInput {
+            position: Increments(self.position),
+            angle_rad: self.angle_rad(self.position),
+            status: self.status,
         })
     }
 
@@ -194,6 +238,9 @@ impl AxisState {
     fn adopt(&mut self, share: Option<&CyclicSlave>) {
         // The slave is watched from when it has reached OP until it is seen elsewhere.
         self.operational = share.is_some_and(|share| share.watched);
+        if let Some(share) = share {
+            self.plan_generation = share.generation;
+        }
         let role = share.and_then(|share| share.role);
         let same = match (&self.drive, &role) {
             (Some(scale), Some(role)) => core::ptr::eq(scale.kind, role.kind) && scale.mode == role.layout.mode,
@@ -206,22 +253,36 @@ impl AxisState {
     }
 
     /// The demand in digits, if the drive takes it, else 0.
+    #[inline(always)]
     fn digits(&self, demand: Demand) -> i32 {
-        let wanted = match (demand, self.drive) {
+        let wanted = match (demand, &self.drive) {
             (Demand::Velocity(rad_s), Some(scale)) if scale.mode == AxisMode::Velocity => Some((rad_s, scale)),
             (Demand::Torque(nm), Some(scale)) if scale.mode == AxisMode::Torque => Some((nm, scale)),
             _ => None,
         };
-        match wanted {
-            Some((value, scale)) if value.is_finite() => {
-                let clamped = limited(value, scale.limit);
-                // The conversion saturates.
-                libm::round(clamped * scale.digits_per_unit) as i32
-            }
-            _ => 0,
+        let Some((value, scale)) = wanted else { return 0 };
+        let value = if value.abs() <= scale.limit {
+            value
+        } else if value.is_finite() {
+            limited(value, scale.limit)
+        } else {
+            0.0
+        };
+        // To the nearest whole number; the conversion cuts off and saturates.
+        let digits = value * scale.digits_per_unit;
+        (digits + if digits < 0.0 { -0.5 } else { 0.5 }) as i32
+    }
+
+    /// Writes a command to the exchange's outputs.
+    #[inline(always)]
+    fn write(&mut self, exchange: &mut RobotExchange<'_>, command: &AxisCommand) {
+        let output = self.output(command);
+        if let Some(place) = &self.place {
+            place.layout.encode(&output, exchange.output_at(place.outputs));
         }
     }
 
+    #[inline(always)]
     fn output(&mut self, command: &AxisCommand) -> DriveOutput {
         let may_run = self.operational && self.mode_in_effect;
         let target = match command.target {
@@ -229,15 +290,44 @@ impl AxisState {
             DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
             target => target,
         };
-        let running = self.status.state() == DriveState::OperationEnabled && target == DriveTarget::Enabled;
+        let running = self.state == DriveState::OperationEnabled && target == DriveTarget::Enabled;
         let demand_digits = if running { self.digits(command.demand) } else { 0 };
         self.commanded = demand_digits != 0;
         DriveOutput {
             demand_digits,
             position: self.raw,
-            control: cia402::step(self.status, target),
+            control: match running {
+                true => cia402::ControlWord::ENABLE_OPERATION,
+                false => cia402::step_from(self.state, target),
+            },
         }
     }
+}
+
+/// Takes an encoder's difference over a cycle for the nearest one within half a revolution.
+#[inline]
+fn turned(difference: i32, revolution: i32) -> i32 {
+    let half = revolution / 2;
+    let is_near = |difference: i32| -half <= difference && difference < revolution - half;
+    if is_near(difference) {
+        return difference;
+    }
+    // A single-turn encoder that has passed the end of its range is off by one revolution.
+    let back = match difference < 0 {
+        true => difference.wrapping_add(revolution),
+        false => difference.wrapping_sub(revolution),
+    };
+    if is_near(back) {
+        return back;
+    }
+    // Half a revolution fits 32 bits.
+    nearest_turn(difference.into(), revolution.into()) as i32
+}
+
+/// A position in floating point, rounded once as by `as f64`, for which there is no instruction.
+#[inline]
+fn float(position: i64) -> f64 {
+    f64::from((position >> 32) as i32) * 4_294_967_296.0 + f64::from(position as u32)
 }
 
 /// The robot's axes on the bus.
@@ -245,6 +335,8 @@ impl AxisState {
 pub struct EtherCatRobot {
     axes: [AxisState; AXES],
     commands: [AxisCommand; AXES],
+    /// Number of the plan to which the axes belong.
+    plan: Option<u32>,
 }
 
 impl EtherCatRobot {
@@ -253,21 +345,74 @@ impl EtherCatRobot {
         Self {
             axes: axes.each_ref().map(AxisState::new),
             commands: [AxisCommand::default(); AXES],
+            plan: None,
         }
     }
 
     /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
-    pub fn read(&mut self, exchange: &RobotExchange<'_>) -> [Option<AxisInput>; AXES] {
+    pub fn read(&mut self, exchange: &RobotExchange<'_>) {
+        self.follow_plan(exchange);
+        for axis in &mut self.axes {
+            axis.read(exchange);
+        }
+    }
+
+    /// Looks whether the exchange has another plan; comes before [`Self::read_axis`].
+    #[inline]
+    pub fn follow_plan(&mut self, exchange: &RobotExchange<'_>) {
+        if self.plan != Some(exchange.plan_number()) {
+            self.adopt(exchange);
+        }
+    }
+
+    /// Takes this cycle's input of one axis, as [`Self::read`] does of all; `None` when nothing came.
+    #[inline(always)]
+    pub fn read_axis<const AXIS: usize>(&mut self, exchange: &RobotExchange<'_>) -> Option<Reading> {
+        const { assert!(AXIS < AXES) };
+        let axis = &mut self.axes[AXIS];
+        axis.read(exchange);
+        axis.valid.then(|| Reading {
+            increments: axis.position,
+            angle_rad: (float(axis.position) - axis.zero.unwrap_or(0.0)) / axis.increments_per_rad,
+            referenced: axis.zero.is_some(),
+            status: axis.status,
+        })
+    }
+
+    /// The drives of another plan.
+    #[cold]
+    fn adopt(&mut self, exchange: &RobotExchange<'_>) {
+        self.plan = Some(exchange.plan_number());
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let slave = exchange.drive(number);
             let share = slave.and_then(|slave| exchange.plan().slaves.get(slave));
             axis.adopt(share);
             let role = share.and_then(|share| share.role);
-            let input = role.and_then(|role| role.layout.decode(exchange.input(slave?)?));
-            let generation = share.map_or(axis.generation, |share| share.generation);
-            axis.step(input, generation);
+            let length = share.map_or(0, |share| share.input_length);
+            let whole = role.filter(|role| u16::from(role.layout.input_length) <= length);
+            axis.place = slave.zip(whole).map(|(slave, role)| DrivePlace {
+                slave,
+                layout: role.layout,
+                outputs: exchange.output_place(slave),
+            });
         }
+    }
+
+    /// What the axes reported in this cycle.
+    pub fn inputs(&self) -> [Option<AxisInput>; AXES] {
         self.axes.each_ref().map(AxisState::axis_input)
+    }
+
+    /// Whether all drives were in operation when they last reported.
+    #[inline]
+    pub fn is_in_operation(&self) -> bool {
+        self.axes.iter().all(|axis| axis.state == DriveState::OperationEnabled)
+    }
+
+    /// State of an axis's drive when it last reported.
+    #[inline]
+    pub fn state(&self, axis: usize) -> DriveState {
+        self.axes.get(axis).map_or(DriveState::NotReadyToSwitchOn, |axis| axis.state)
     }
 
     /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of
@@ -277,7 +422,7 @@ impl EtherCatRobot {
     /// [`ReferenceError`]; then nothing has changed.
     pub fn reference(&mut self, near: Option<&JointAngles>) -> Result<(), ReferenceError> {
         for (number, axis) in (0..).zip(&self.axes) {
-            if axis.input.is_none() {
+            if !axis.valid {
                 return Err(ReferenceError::NoPosition { axis: number });
             }
             if axis.is_moving() {
@@ -287,7 +432,7 @@ impl EtherCatRobot {
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let near_rad = near.and_then(|pose| pose.0.get(number).copied());
             let angle_rad = resolver_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
-            axis.zero = Some(axis.position as f64 - angle_rad * axis.increments_per_rad);
+            axis.zero = Some(float(axis.position) - angle_rad * axis.increments_per_rad);
             axis.reference_lost = false;
         }
         Ok(())
@@ -303,21 +448,18 @@ impl EtherCatRobot {
         self.axes.each_ref().map(|axis| axis.reference_lost)
     }
 
-    /// Joint angle of a motor position, rad; `None` until referenced.
-    pub fn angle_rad(&self, axis: usize, position: Increments) -> Option<f64> {
-        self.axes.get(axis)?.angle_rad(position.0)
-    }
-
     /// Writes the axes' commands to the outputs of the next output telegram.
     pub fn write(&mut self, exchange: &mut RobotExchange<'_>, commands: &[AxisCommand; AXES]) {
-        for (number, (axis, command)) in self.axes.iter_mut().zip(commands).enumerate() {
-            let output = axis.output(command);
-            let Some(slave) = exchange.drive(number) else { continue };
-            let role = exchange.plan().slaves.get(slave).and_then(|share| share.role);
-            if let Some(role) = role {
-                role.layout.encode(&output, exchange.output(slave));
-            }
+        for (axis, command) in self.axes.iter_mut().zip(commands) {
+            axis.write(exchange, command);
         }
+    }
+
+    /// Writes the command of one axis, as [`Self::write`] does those of all.
+    #[inline(always)]
+    pub fn write_axis<const AXIS: usize>(&mut self, exchange: &mut RobotExchange<'_>, command: &AxisCommand) {
+        const { assert!(AXIS < AXES) };
+        self.axes[AXIS].write(exchange, command);
     }
 
     /// Writes the commands that were set through [`IoGroup::io`].

@@ -9,6 +9,7 @@
 //! never interrupted by a reader; every value falls into exactly one bin, and the largest and the smallest are kept
 //! exactly.
 
+use crate::control::sampler::OUTPUT_LATE_NS;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -28,6 +29,9 @@ pub const BINS_PER_PIECE: usize = 48;
 /// Attempts to read a sum of two words that a writer may change in between.
 const READS_MAX: usize = 8;
 
+const NS_PER_S: u32 = 1_000_000_000;
+
+const _: () = assert!(NS_PER_S.is_multiple_of(OUTPUT_LATE_NS));
 const _: () = assert!(EXACT.is_power_of_two() && BINS_PER_OCTAVE.is_power_of_two());
 const _: () = assert!(EXACT_BITS > BIN_BITS);
 const _: () = assert!(BINS <= u8::MAX as usize);
@@ -84,11 +88,13 @@ pub enum Quantity {
     Awake,
     /// Execution of the trajectory task without the tasks that preempted it.
     Trajectory,
+    /// How far behind its deadline an output telegram was with the MAC, of those that were late.
+    Lateness,
 }
 
 impl Quantity {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::ReleaseDelay,
         Self::Period,
         Self::SendDelay,
@@ -100,6 +106,7 @@ impl Quantity {
         Self::CriticalPath,
         Self::Awake,
         Self::Trajectory,
+        Self::Lateness,
     ];
 }
 
@@ -275,6 +282,8 @@ pub enum MeasurementAnswer {
 pub struct Measurements {
     histograms: [Histogram; QUANTITIES],
     counts_per_s: AtomicU32,
+    /// Counts from a release to the deadline of its output telegram.
+    deadline_counts: AtomicU32,
     /// Counts that critical tasks have run for, wrapping.
     critical_counts: AtomicU32,
     offers_disturbance: AtomicBool,
@@ -287,6 +296,7 @@ impl Measurements {
         Self {
             histograms: [const { Histogram::new() }; QUANTITIES],
             counts_per_s: AtomicU32::new(0),
+            deadline_counts: AtomicU32::new(u32::MAX),
             critical_counts: AtomicU32::new(0),
             offers_disturbance: AtomicBool::new(false),
             disturbance: AtomicU8::new(0),
@@ -296,6 +306,8 @@ impl Measurements {
     /// Declares the rate of the board's counter, Hz.
     pub fn set_counts_per_s(&self, counts_per_s: u32) {
         self.counts_per_s.store(counts_per_s, Ordering::Relaxed);
+        let deadline_counts = counts_per_s / (NS_PER_S / OUTPUT_LATE_NS);
+        self.deadline_counts.store(deadline_counts, Ordering::Relaxed);
     }
 
     /// Declares that the board acts on [`disturbance`](Self::disturbance).
@@ -425,7 +437,7 @@ impl<'a> CycleWatch<'a> {
         if served && let Some(sent_at) = self.sent_at.take() {
             let measurements = self.measurements;
             measurements.record(Quantity::RoundTrip, run.began_at.wrapping_sub(sent_at));
-            measurements.record(Quantity::TotalDelay, run.ended_at.wrapping_sub(self.released_at));
+            self.sent_outputs(run);
         }
         self.ran(Quantity::BusFrame, run);
     }
@@ -433,10 +445,20 @@ impl<'a> CycleWatch<'a> {
     /// A run of `bus_deadline`; `served` when it sent the output telegram in the reply's place.
     pub fn bus_deadline(&mut self, run: Run, served: bool) {
         if served && self.sent_at.take().is_some() {
-            let total = run.ended_at.wrapping_sub(self.released_at);
-            self.measurements.record(Quantity::TotalDelay, total);
+            self.sent_outputs(run);
         }
         self.ran(Quantity::BusDeadline, run);
+    }
+
+    /// The output telegram is with the MAC.
+    fn sent_outputs(&self, run: Run) {
+        let measurements = self.measurements;
+        let total = run.ended_at.wrapping_sub(self.released_at);
+        measurements.record(Quantity::TotalDelay, total);
+        let deadline = measurements.deadline_counts.load(Ordering::Relaxed);
+        if let Some(lateness @ 1..) = total.checked_sub(deadline) {
+            measurements.record(Quantity::Lateness, lateness);
+        }
     }
 
     /// A run in a critical task that is no work of the loop, but holds back everything below.

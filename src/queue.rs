@@ -14,6 +14,7 @@ use heapless::spsc::{Consumer, Producer};
 const CAPACITY_MAX: usize = 1 << 20;
 
 /// The entry at the front, which stays in the queue; `None` when the queue is empty.
+#[inline]
 pub(crate) fn front<'q, T>(queue: &'q Consumer<'_, T>) -> Option<&'q T> {
     if queue.capacity() > CAPACITY_MAX || !queue.ready() {
         return None;
@@ -31,16 +32,33 @@ pub(crate) fn take<T>(queue: &mut Consumer<'_, T>) -> Option<T> {
     queue.dequeue()
 }
 
+/// Lets the entry at the front go, if there is one.
+#[inline]
+pub(crate) fn drop_front<T: Copy>(queue: &mut Consumer<'_, T>) {
+    if queue.capacity() <= CAPACITY_MAX {
+        let _ = queue.dequeue();
+    }
+}
+
 /// Whether so many entries can be appended.
 pub(crate) fn has_room_for<T>(queue: &Producer<'_, T>, entries: usize) -> bool {
     let capacity = queue.capacity();
     capacity <= CAPACITY_MAX && queue.len().saturating_add(entries) <= capacity
 }
 
+/// Appends a copy of an entry, which is copied once, into its place in the queue; false when the queue is full.
+#[inline]
+pub(crate) fn put_copy<T: Copy>(queue: &mut Producer<'_, T>, entry: &T) -> bool {
+    queue.capacity() <= CAPACITY_MAX && queue.ready() && queue.enqueue(*entry).is_ok()
+}
+
 /// Appends an entry.
+///
+/// Never inlined: cold callers would share one copy of `enqueue`, which then does not know that the length is not zero.
 ///
 /// # Errors
 /// The entry, when the queue is full.
+#[inline(never)]
 pub(crate) fn put<T>(queue: &mut Producer<'_, T>, entry: T) -> Result<(), T> {
     if queue.capacity() > CAPACITY_MAX {
         return Err(entry);

@@ -4,6 +4,7 @@ pub mod position;
 pub mod sampler;
 pub mod supervision;
 pub mod velocity;
+mod window;
 
 /// `value` between `-limit` and `limit`; what is not a number stays so. Unlike `clamp` it cannot panic.
 pub(crate) fn limited(value: f64, limit: f64) -> f64 {

@@ -18,8 +18,9 @@ pub const LEAD_MAX_MS: usize = 10;
 const DIFFERENCE_CENTRE_MS: f64 = 0.5;
 /// Steps in a second.
 const CYCLES_PER_S: f64 = 1_000.0;
-/// References kept: the present one, the oldest whole age, one more to interpolate to, and the one before it.
-const HISTORY: usize = AGE_MAX_MS + 3;
+/// References kept: the present one, the oldest whole age, one more to interpolate to, and the one before it; a power of
+/// two, so that an index is wrapped by a mask.
+const HISTORY: usize = (AGE_MAX_MS + 3).next_power_of_two();
 /// Upcoming references that [`PositionController::step`] looks at, counted from the present one.
 pub const REFERENCES_AHEAD: usize = LEAD_MAX_MS + 3;
 
@@ -28,11 +29,12 @@ pub const REFERENCES_AHEAD: usize = LEAD_MAX_MS + 3;
 pub struct PositionController {
     feedback_gain_per_s: f64,
     feed_forward_gain: f64,
-    lead_ms: f64,
-    age_ms: f64,
+    lead: Place,
+    age: Place,
     history: [f64; HISTORY],
     newest: usize,
     filled: bool,
+    reference_at_age_rad: f64,
 }
 
 impl PositionController {
@@ -42,11 +44,12 @@ impl PositionController {
         Self {
             feedback_gain_per_s: axis.feedback_gain_per_s,
             feed_forward_gain: axis.feed_forward_gain,
-            lead_ms: within(axis.feed_forward_lead_ms, LEAD_MAX_MS),
-            age_ms: within(axis.measurement_age_ms, AGE_MAX_MS),
+            lead: Place::new(within(axis.feed_forward_lead_ms, LEAD_MAX_MS) + DIFFERENCE_CENTRE_MS),
+            age: Place::new(within(axis.measurement_age_ms, AGE_MAX_MS)),
             history: [0.0; HISTORY],
             newest: 0,
             filled: false,
+            reference_at_age_rad: 0.0,
         }
     }
 
@@ -62,10 +65,22 @@ impl PositionController {
     ///
     /// Returns the velocity command, rad/s at the joint, before any clamp; not finite when an input is not.
     pub fn step(&mut self, reference_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
+        let forward_rad_s = interpolate(ahead, self.lead);
+        self.step_with(reference_rad, measured_rad, forward_rad_s)
+    }
+
+    /// As [`Self::step`], with the velocity reference at [`Self::lead`].
+    #[inline]
+    pub(super) fn step_with(&mut self, reference_rad: f64, measured_rad: f64, forward_rad_s: f64) -> f64 {
         self.remember(reference_rad);
-        let error = self.reference_at_age() - measured_rad;
-        let forward = interpolate(ahead, self.lead_ms + DIFFERENCE_CENTRE_MS);
-        self.feedback_gain_per_s * error + self.feed_forward_gain * forward
+        let error = self.reference_at_age_rad - measured_rad;
+        self.feedback_gain_per_s * error + self.feed_forward_gain * forward_rad_s
+    }
+
+    /// Where among the velocity references from this millisecond on the feed-forward is read.
+    #[inline]
+    pub(super) fn lead(&self) -> Place {
+        self.lead
     }
 
     /// One millisecond of an axis whose velocity loop is closed by the firmware.
@@ -74,50 +89,73 @@ impl PositionController {
     /// reference's difference over the very millisecond over which the latest measurements were differenced.
     pub fn step_for_torque(&mut self, reference_rad: f64, measured_rad: f64) -> f64 {
         self.remember(reference_rad);
-        let reference_rad = self.reference_back(0.0);
-        let forward = (reference_rad - self.reference_back(1.0)) * CYCLES_PER_S;
+        let reference_rad = self.reference_at_age_rad;
+        let forward = (reference_rad - self.reference_back(1)) * CYCLES_PER_S;
         self.feedback_gain_per_s * (reference_rad - measured_rad) + self.feed_forward_gain * forward
     }
 
     /// The reference that the latest measurement is compared with, rad.
     pub fn reference_at_age(&self) -> f64 {
-        self.reference_back(0.0)
+        self.reference_at_age_rad
     }
 
-    /// The reference this long before the latest measurement, rad.
-    fn reference_back(&self, before_ms: f64) -> f64 {
-        let back = (1..=HISTORY).map(|age| {
-            let slot = (self.newest + HISTORY + 1 - age) % HISTORY;
-            self.history.get(slot).copied().unwrap_or(0.0)
-        });
-        interpolate(back, self.age_ms + before_ms)
+    /// The reference this many whole milliseconds before the latest measurement, rad.
+    fn reference_back(&self, before_ms: usize) -> f64 {
+        let back = self.newest.wrapping_sub(self.age.whole + before_ms);
+        let (low, high) = (self.history[back % HISTORY], self.history[back.wrapping_sub(1) % HISTORY]);
+        self.age.between(low, high)
     }
 
+    #[inline]
     fn remember(&mut self, reference_rad: f64) {
         if !self.filled {
             self.history = [reference_rad; HISTORY];
             self.filled = true;
         }
         self.newest = (self.newest + 1) % HISTORY;
-        if let Some(slot) = self.history.get_mut(self.newest) {
-            *slot = reference_rad;
-        }
+        self.history[self.newest % HISTORY] = reference_rad;
+        self.reference_at_age_rad = self.reference_back(0);
     }
 }
 
-/// The value at `place` of a sequence with one value a millisecond, from 0; its last value goes on for ever.
-pub(super) fn interpolate(values: impl IntoIterator<Item = f64>, place: f64) -> f64 {
-    let whole = place as usize;
+/// A place in a sequence with one value a millisecond, from 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Place {
+    /// The value before it.
+    pub(super) whole: usize,
+    /// How far it lies on the way to the next one, from 0 to 1.
+    part: f64,
+}
+
+impl Place {
+    /// A place, ms from the sequence's beginning.
+    pub(super) fn new(place_ms: f64) -> Self {
+        let whole = place_ms as usize;
+        Self {
+            whole,
+            part: place_ms - whole as f64,
+        }
+    }
+
+    /// The value there, when `low` is the one before it and `high` the next one.
+    #[inline]
+    pub(super) fn between(self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.part
+    }
+}
+
+/// The value at `place` of a sequence; its last value goes on for ever.
+pub(super) fn interpolate(values: impl IntoIterator<Item = f64>, place: Place) -> f64 {
     let mut values = values.into_iter();
     let mut low = 0.0;
-    for _ in 0..=whole {
+    for _ in 0..=place.whole {
         match values.next() {
             Some(value) => low = value,
             None => return low,
         }
     }
     let high = values.next().unwrap_or(low);
-    low + (high - low) * (place - whole as f64)
+    place.between(low, high)
 }
 
 #[cfg(test)]

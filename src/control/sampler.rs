@@ -19,13 +19,14 @@ use crate::control::limited;
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::velocity::VelocityController;
-use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
+use crate::control::window::Window;
+use crate::drives::cia402::{DriveState, DriveTarget};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
-use crate::ethercat::cyclic::{AlStatus, Arrival, BusCounters, ExchangeKind};
+use crate::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::envelope::Envelope;
 use crate::ethercat::transport::raw::{RawTransport, Sending};
 use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
-use crate::io::{AxisCommand, AxisInput, Demand, Increments};
+use crate::io::{AxisCommand, Demand};
 use crate::motion::Reference;
 use crate::network::NetworkEnd;
 use crate::queue;
@@ -41,8 +42,6 @@ pub const OUTPUT_LATE_NS: u32 = 500_000;
 pub const FRAMES_PER_RUN: usize = 8;
 /// Samples between two releases of the trajectory task.
 pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
-/// References the sampler looks ahead, for the feed-forward that is read ahead of time.
-pub const LOOK_AHEAD: usize = 12;
 /// Speed below which an axis stands still, rad/s.
 pub const STANDSTILL_RAD_S: f64 = 0.01;
 /// How long an axis must be below [`STANDSTILL_RAD_S`], ms.
@@ -98,7 +97,7 @@ pub struct SamplerCounters {
 }
 
 /// One millisecond as the sampler saw it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct CycleReport {
     /// Number of the millisecond.
     pub cycle: u32,
@@ -110,20 +109,16 @@ pub struct CycleReport {
     pub measured_rad: [f64; AXES],
     /// Measured joint velocities, rad/s.
     pub measured_rad_s: [f64; AXES],
-    /// Velocity commands after the clamp, rad/s.
-    pub output_rad_s: [f64; AXES],
     /// Status words of the drives.
     pub status_word: [u16; AXES],
     /// Whether each axis delivered a valid position.
     pub valid: [bool; AXES],
-    /// What the drives' encoders show, increments since an unknown turn; `None` where nothing came.
-    pub increments: [Option<i64>; AXES],
+    /// What the drives' encoders showed last, increments since an unknown turn.
+    pub increments: [i64; AXES],
     /// Whether each axis is referenced.
     pub referenced: [bool; AXES],
     /// Whether all axes stand still.
     pub standstill: bool,
-    /// AL states OR-ed and number of slaves, when the broadcast came back.
-    pub al: Option<AlStatus>,
     /// Phase of the sample against the bus clock, ns, positive when it came too late; `None` without a clock.
     pub clock_error_ns: Option<i32>,
     /// The latched fault.
@@ -134,6 +129,13 @@ pub struct CycleReport {
     pub counters: SamplerCounters,
     /// The bus' counters.
     pub bus: BusCounters,
+}
+
+impl CycleReport {
+    /// What the drives' encoders show, increments since an unknown turn; `None` where nothing came.
+    pub fn shown(&self) -> [Option<i64>; AXES] {
+        core::array::from_fn(|axis| self.valid[axis].then_some(self.increments[axis]))
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,15 +164,11 @@ pub struct Sampler<'a> {
     phase: Phase,
     power: Power,
     epoch: Option<u8>,
-    window: heapless::Deque<Reference, LOOK_AHEAD>,
-    reference: Reference,
-    inputs: [Option<AxisInput>; AXES],
-    status: [StatusWord; AXES],
+    window: Window,
+    /// This millisecond, as far as it has come; what is measured is kept here from one to the next.
+    now: CycleReport,
     was_enabled: [bool; AXES],
-    referenced: [bool; AXES],
     reference_lost: [bool; AXES],
-    measured_rad: [f64; AXES],
-    measured_rad_s: [f64; AXES],
     still_ms: u16,
     late: u16,
     missed: u32,
@@ -211,15 +209,10 @@ impl<'a> Sampler<'a> {
             phase: Phase::Done,
             power: Power::Off,
             epoch: None,
-            window: heapless::Deque::new(),
-            reference: Reference::default(),
-            inputs: [None; AXES],
-            status: [StatusWord(0); AXES],
+            window: Window::new(),
+            now: CycleReport::default(),
             was_enabled: [false; AXES],
-            referenced: [false; AXES],
             reference_lost: [false; AXES],
-            measured_rad: [0.0; AXES],
-            measured_rad_s: [0.0; AXES],
             still_ms: 0,
             late: 0,
             missed: 0,
@@ -250,8 +243,12 @@ impl<'a> Sampler<'a> {
         self.late = self
             .late
             .saturating_add(u16::try_from(newly_missed).unwrap_or(u16::MAX));
-        self.take_commands();
-        self.take_path();
+        if self.commands.ready() {
+            self.take_commands();
+        }
+        if self.network.has_path_news() {
+            self.take_path();
+        }
         let telegram = self.exchange.input_telegram();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
@@ -329,9 +326,8 @@ impl<'a> Sampler<'a> {
 
     fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
         self.phase = Phase::Done;
-        self.inputs = self.robot.read(&self.exchange);
-        self.steer();
         self.measure();
+        self.steer();
         let (following, underrun) = self.next_reference();
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
@@ -352,11 +348,12 @@ impl<'a> Sampler<'a> {
         };
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
-        self.report(following, output_rad_s);
+        self.report(following);
     }
 
     /// Takes what the IP stack has found out. Without addresses nothing is sent, which the bus' other side takes for
     /// silence, and the supervision too.
+    #[cold]
     fn take_path(&mut self) {
         while let Some(path) = self.network.next_path() {
             self.has_path = path.is_some();
@@ -387,6 +384,7 @@ impl<'a> Sampler<'a> {
         }
     }
 
+    #[cold]
     fn take_commands(&mut self) {
         while let Some(command) = queue::take(&mut self.commands) {
             match command {
@@ -416,112 +414,150 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Turns the inputs into joint angles and velocities; a missing one is predicted from the last velocity. Counts how
-    /// long all axes stand still.
+    /// Takes the inputs as joint angles and velocities. Counts how long all axes stand still.
+    #[inline(never)]
     fn measure(&mut self) {
-        let mut still = true;
-        for axis in 0..AXES {
-            let before_rad = self.measured_rad[axis];
-            let Some(input) = self.inputs[axis] else {
-                self.measured_rad[axis] = before_rad + self.measured_rad_s[axis] / CYCLES_PER_S;
-                // Silence is no standstill: the last speed that was seen decides.
-                still &= self.measured_rad_s[axis].abs() < STANDSTILL_RAD_S;
-                continue;
-            };
-            self.status[axis] = input.status;
-            let angle_rad = input
-                .angle_rad
-                .unwrap_or_else(|| unreferenced_angle_rad(&self.axes[axis], input.position));
-            let same_zero = self.referenced[axis] == input.angle_rad.is_some();
-            self.measured_rad_s[axis] = if same_zero {
-                (angle_rad - before_rad) * CYCLES_PER_S
+        self.robot.follow_plan(&self.exchange);
+        // Written out: with its place known, an axis costs a third less.
+        let still = [
+            self.measure_axis::<0>(),
+            self.measure_axis::<1>(),
+            self.measure_axis::<2>(),
+            self.measure_axis::<3>(),
+        ];
+        self.still_ms = match still == [true; AXES] {
+            true => self.still_ms.saturating_add(1),
+            false => 0,
+        };
+    }
+
+    /// Takes an axis's input; a missing one is predicted from the last velocity. Whether the axis stands still.
+    #[inline(always)]
+    fn measure_axis<const AXIS: usize>(&mut self) -> bool {
+        let reading = self.robot.read_axis::<AXIS>(&self.exchange);
+        let now = &mut self.now;
+        let before_rad = now.measured_rad[AXIS];
+        now.valid[AXIS] = reading.is_some();
+        if let Some(reading) = reading {
+            now.status_word[AXIS] = reading.status.0;
+            now.increments[AXIS] = reading.increments;
+            now.measured_rad[AXIS] = reading.angle_rad;
+            let same_zero = now.referenced[AXIS] == reading.referenced;
+            now.measured_rad_s[AXIS] = if same_zero {
+                (reading.angle_rad - before_rad) * CYCLES_PER_S
             } else {
                 0.0
             };
-            self.measured_rad[axis] = angle_rad;
-            self.reference_lost[axis] = self.referenced[axis] && input.angle_rad.is_none();
-            self.referenced[axis] = input.angle_rad.is_some();
-            still &= self.measured_rad_s[axis].abs() < STANDSTILL_RAD_S;
+            self.reference_lost[AXIS] = now.referenced[AXIS] && !reading.referenced;
+            now.referenced[AXIS] = reading.referenced;
+        } else {
+            now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
-        self.still_ms = if still { self.still_ms.saturating_add(1) } else { 0 };
+        // Silence is no standstill: the last speed that was seen decides.
+        now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
     }
 
     /// Advances to this millisecond's reference: whether one is followed, and whether one was missing.
+    #[inline]
     fn next_reference(&mut self) -> (bool, bool) {
         let Some(epoch) = self.epoch else {
             self.window.clear();
             return (false, false);
         };
         let was_following = !self.window.is_empty();
-        self.window.pop_front();
-        while !self.window.is_full() {
-            let Some(queued) = queue::take(&mut self.references) else {
-                break;
-            };
-            if queued.epoch == epoch {
-                // There is room: the loop's condition.
-                let _ = self.window.push_back(queued.reference);
-            }
-        }
-        match self.window.front() {
+        self.window.advance();
+        self.window.fill(&mut self.references, epoch);
+        match self.window.first() {
             Some(reference) => {
-                self.reference = *reference;
+                self.now.reference = *reference;
                 (true, false)
             }
             None => (false, was_following),
         }
     }
 
+    #[inline(never)]
     fn control(&mut self, following: bool) -> [f64; AXES] {
-        let mut output_rad_s = [0.0; AXES];
-        for (axis, output) in output_rad_s.iter_mut().enumerate() {
-            let controller = &mut self.controllers[axis];
-            let (reference_rad, measured_rad) = (self.reference.position_rad[axis], self.measured_rad[axis]);
-            if following {
-                *output = match self.axes[axis].mode {
-                    AxisMode::Velocity => {
-                        let ahead = self.window.iter().map(|reference| at(&reference.velocity_rad_s, axis));
-                        controller.step(reference_rad, measured_rad, ahead)
-                    }
-                    AxisMode::Torque => controller.step_for_torque(reference_rad, measured_rad),
-                };
-            } else {
-                controller.reset();
-            }
+        if !following {
+            self.controllers.iter_mut().for_each(PositionController::reset);
+            return [0.0; AXES];
         }
-        output_rad_s
+        // Most machines have one lead for all axes.
+        let around = self.window.velocities_around(self.controllers[0].lead().whole);
+        let around = around.map(|velocities| *velocities);
+        [
+            self.control_axis::<0>(&around),
+            self.control_axis::<1>(&around),
+            self.control_axis::<2>(&around),
+            self.control_axis::<3>(&around),
+        ]
     }
 
+    /// The velocity command of an axis, rad/s; `around` is what the first axis's lead reads.
+    #[inline(always)]
+    fn control_axis<const AXIS: usize>(&mut self, around: &[[f64; AXES]; 2]) -> f64 {
+        let (reference_rad, measured_rad) = (self.now.reference.position_rad[AXIS], self.now.measured_rad[AXIS]);
+        let whole = self.controllers[0].lead().whole;
+        let controller = &mut self.controllers[AXIS];
+        if self.axes[AXIS].mode == AxisMode::Torque {
+            return controller.step_for_torque(reference_rad, measured_rad);
+        }
+        let lead = controller.lead();
+        let [low, high] = match lead.whole == whole {
+            true => around.map(|velocities| velocities[AXIS]),
+            false => self.window.velocities_around(lead.whole).map(|velocities| velocities[AXIS]),
+        };
+        controller.step_with(reference_rad, measured_rad, lead.between(low, high))
+    }
+
+    #[inline(never)]
     fn supervise(&mut self, following: bool, underrun: bool, output_rad_s: &[f64; AXES]) {
         self.counters.underruns = self.counters.underruns.wrapping_add(u32::from(underrun));
+        let power = self.power == Power::On;
         let mut seen = Observation {
-            valid: [false; AXES],
+            valid: self.now.valid,
             following_error_rad: [0.0; AXES],
             output_rad_s: *output_rad_s,
-            status_word: [0; AXES],
+            status_word: self.now.status_word,
             drive_fault: [false; AXES],
-            reference_lost: [false; AXES],
+            reference_lost: self.reference_lost,
             al_status: self.exchange.al_status().map(|al| al.status as u8),
             clock: self.steering.fault(u32::from(self.bus.clock_error_max_us) * 1_000),
-            power: self.power == Power::On,
+            power,
             following: following || underrun,
             underrun,
             late: self.late,
             interlock: self.interlock,
         };
-        for axis in 0..AXES {
-            let status = self.status[axis];
-            seen.valid[axis] = self.inputs[axis].is_some();
-            seen.status_word[axis] = status.0;
-            if following {
-                seen.following_error_rad[axis] = self.controllers[axis].reference_at_age() - self.measured_rad[axis];
+        if following {
+            for (axis, error) in seen.following_error_rad.iter_mut().enumerate() {
+                *error = self.controllers[axis].reference_at_age() - self.now.measured_rad[axis];
             }
-            seen.reference_lost[axis] = self.reference_lost[axis];
-            seen.drive_fault[axis] = seen.valid[axis] && (status.is_fault() || self.gave_up(axis));
+        }
+        if power && self.robot.is_in_operation() {
+            self.was_enabled = [true; AXES];
+        } else {
+            seen.drive_fault = self.look_for_drive_faults(power);
         }
         self.supervision.step(&self.axes, &self.bus, &seen);
     }
 
+    /// Which drives report a fault, or have left operation although they are to stay there.
+    #[cold]
+    fn look_for_drive_faults(&mut self, power: bool) -> [bool; AXES] {
+        let mut faults = [false; AXES];
+        for (axis, fault) in faults.iter_mut().enumerate() {
+            let state = self.robot.state(axis);
+            let enabled = state == DriveState::OperationEnabled;
+            let gave_up = power && self.was_enabled[axis] && !enabled;
+            self.was_enabled[axis] = power && (enabled || self.was_enabled[axis]);
+            let faulty = matches!(state, DriveState::Fault | DriveState::FaultReactionActive);
+            *fault = self.now.valid[axis] && (faulty || gave_up);
+        }
+        faults
+    }
+
+    #[inline(never)]
     fn write(&mut self, following: bool, output_rad_s: &[f64; AXES]) {
         let target = match (self.supervision.fault(), self.power) {
             (_, Power::Off) => DriveTarget::Off,
@@ -529,74 +565,53 @@ impl<'a> Sampler<'a> {
             (Some(_), _) | (None, Power::QuickStop) => DriveTarget::QuickStop,
             (None, Power::On) => DriveTarget::Enabled,
         };
-        let moving = following && target == DriveTarget::Enabled && self.powered();
-        let commands = core::array::from_fn(|axis| {
-            let velocity_rad_s = if moving { output_rad_s[axis] } else { 0.0 };
-            let demand = match self.axes[axis].mode {
-                AxisMode::Velocity => Demand::Velocity(velocity_rad_s),
-                AxisMode::Torque => Demand::Torque(self.torque_nm(axis, velocity_rad_s, target, moving)),
-            };
-            AxisCommand { target, demand }
-        });
-        self.robot.write(&mut self.exchange, &commands);
+        let moving = following && target == DriveTarget::Enabled && self.robot.is_in_operation();
+        self.write_axis::<0>(target, moving, output_rad_s);
+        self.write_axis::<1>(target, moving, output_rad_s);
+        self.write_axis::<2>(target, moving, output_rad_s);
+        self.write_axis::<3>(target, moving, output_rad_s);
+    }
+
+    #[inline(always)]
+    fn write_axis<const AXIS: usize>(&mut self, target: DriveTarget, moving: bool, output_rad_s: &[f64; AXES]) {
+        let velocity_rad_s = if moving { output_rad_s[AXIS] } else { 0.0 };
+        let demand = match self.axes[AXIS].mode {
+            AxisMode::Velocity => Demand::Velocity(velocity_rad_s),
+            AxisMode::Torque => Demand::Torque(self.torque_nm(AXIS, velocity_rad_s, target, moving)),
+        };
+        let command = AxisCommand { target, demand };
+        self.robot.write_axis::<AXIS>(&mut self.exchange, &command);
     }
 
     /// The torque that leads an axis to a velocity, N m at the joint; an enabled axis that does not move is held.
+    #[inline(never)]
     fn torque_nm(&mut self, axis: usize, velocity_rad_s: f64, target: DriveTarget, moving: bool) -> f64 {
+        let state = self.robot.state(axis);
         let Some(controller) = self.velocity_controllers.get_mut(axis) else {
             return 0.0;
         };
-        if target != DriveTarget::Enabled || self.status[axis].state() != DriveState::OperationEnabled {
+        if target != DriveTarget::Enabled || state != DriveState::OperationEnabled {
             controller.reset();
             return 0.0;
         }
-        let limit_rad_s = self.axes[axis].output_max_rad_s.abs();
-        let wanted_rad_s = limited(velocity_rad_s, limit_rad_s);
-        let references = if moving { self.window.len() } else { 0 };
-        let ahead = self
-            .window
-            .iter()
-            .take(references)
-            .map(|reference| at(&reference.velocity_rad_s, axis));
-        controller.step(wanted_rad_s, self.measured_rad_s[axis], ahead)
+        let limit_rad_s = self.axes.get(axis).map_or(0.0, |axis| axis.output_max_rad_s.abs());
+        let measured_rad_s = self.now.measured_rad_s.get(axis).copied().unwrap_or(0.0);
+        let ahead = self.window.velocities_rad_s(axis).filter(|_| moving);
+        controller.step(limited(velocity_rad_s, limit_rad_s), measured_rad_s, ahead)
     }
 
-    fn powered(&self) -> bool {
-        self.status
-            .iter()
-            .all(|status| status.state() == DriveState::OperationEnabled)
-    }
-
-    /// Whether a drive that was in operation has left it although it is to stay there.
-    fn gave_up(&mut self, axis: usize) -> bool {
-        let enabled = self.status[axis].state() == DriveState::OperationEnabled;
-        let wanted = self.power == Power::On;
-        let gave_up = wanted && self.was_enabled[axis] && !enabled;
-        self.was_enabled[axis] = wanted && (enabled || self.was_enabled[axis]);
-        gave_up
-    }
-
-    fn report(&mut self, following: bool, output_rad_s: [f64; AXES]) {
-        let report = CycleReport {
-            cycle: self.counters.cycles,
-            reference: self.reference,
-            following,
-            measured_rad: self.measured_rad,
-            measured_rad_s: self.measured_rad_s,
-            output_rad_s,
-            status_word: self.status.map(|status| status.0),
-            valid: self.inputs.map(|input| input.is_some()),
-            increments: self.inputs.map(|input| input.map(|input| input.position.0)),
-            referenced: self.referenced,
-            standstill: self.still_ms >= STANDSTILL_MS,
-            al: self.exchange.al_status(),
-            clock_error_ns: self.clock.map(|_| self.steering.error_ns()),
-            fault: self.supervision.fault(),
-            interlock: self.interlock,
-            counters: self.counters,
-            bus: self.exchange.counters(),
-        };
-        if queue::put(&mut self.reports, report).is_err() {
+    #[inline]
+    fn report(&mut self, following: bool) {
+        let now = &mut self.now;
+        now.cycle = self.counters.cycles;
+        now.following = following;
+        now.standstill = self.still_ms >= STANDSTILL_MS;
+        now.clock_error_ns = self.clock.map(|_| self.steering.error_ns());
+        now.fault = self.supervision.fault();
+        now.interlock = self.interlock;
+        now.counters = self.counters;
+        now.bus = self.exchange.counters();
+        if !queue::put_copy(&mut self.reports, now) {
             self.counters.reports_dropped = self.counters.reports_dropped.wrapping_add(1);
         }
     }
@@ -605,17 +620,6 @@ impl<'a> Sampler<'a> {
 /// Whether telegrams may leave: EtherCAT in UDP needs addresses first.
 fn may_send(bus: &Bus, has_path: bool) -> bool {
     bus.transport == Transport::Raw || has_path
-}
-
-/// An axis's value, looked up without a panic where the compiler does not know the axis's range.
-fn at(values: &[f64; AXES], axis: usize) -> f64 {
-    values.get(axis).copied().unwrap_or(0.0)
-}
-
-/// Joint angle from where the unwrapping began, rad: good for differences before there is a reference.
-fn unreferenced_angle_rad(axis: &Axis, position: Increments) -> f64 {
-    let increments_per_rad = axis.gear * f64::from(axis.increments_per_revolution) / core::f64::consts::TAU;
-    position.0 as f64 / increments_per_rad
 }
 
 /// Samples in a second.

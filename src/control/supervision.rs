@@ -86,29 +86,31 @@ impl Supervision {
     }
 
     /// Latches `fault` unless a cause is latched already.
+    #[cold]
     pub fn latch(&mut self, fault: Fault) {
         self.fault.get_or_insert(fault);
     }
 
     /// One millisecond: returns the latched cause, if there is one.
+    #[inline]
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
         if let Some(interlock) = seen.interlock {
             self.latch(interlock.fault());
         }
         self.count_late(bus, seen.late, seen.following);
-        for (axis, number) in (0..AXES).zip(0u8..) {
-            self.blind_ms[axis] = if seen.valid[axis] {
-                0
-            } else {
-                self.blind_ms[axis].saturating_add(1)
-            };
-            if seen.reference_lost[axis] && seen.following {
-                self.latch(Fault::ReferenceLost { axis: number });
-            }
+        if seen.valid == [true; AXES] {
+            self.blind_ms = [0; AXES];
+        } else {
+            self.count_blind(&seen.valid);
+        }
+        if seen.reference_lost != [false; AXES] && seen.following {
+            self.look_at_references(&seen.reference_lost);
         }
         if seen.power {
             self.look_at_bus(bus, seen);
-            self.look_at_drives(seen);
+            if seen.drive_fault != [false; AXES] {
+                self.look_at_drives(seen);
+            }
         }
         if seen.following {
             self.look_at_axes(axes, seen);
@@ -118,6 +120,7 @@ impl Supervision {
         self.fault
     }
 
+    #[inline]
     fn count_late(&mut self, bus: &Bus, late: u16, following: bool) {
         self.late = self.late.saturating_add(late);
         if following && self.late > bus.late_max_per_s {
@@ -132,20 +135,26 @@ impl Supervision {
         }
     }
 
-    fn look_at_bus(&mut self, bus: &Bus, seen: &Observation) {
-        let limit_ms = bus.blind_max_ms;
-        let blind = self.blind_ms.map(|ms| ms > limit_ms);
-        if blind.iter().all(|b| *b) {
-            self.latch(Fault::Blind {
-                blind_ms: self.blind_ms[0],
-                limit_ms,
-            });
-        } else if let Some(axis) = blind.iter().position(|b| *b) {
-            self.latch(Fault::SlaveLost { slave: axis as u8 });
+    #[cold]
+    fn count_blind(&mut self, valid: &[bool; AXES]) {
+        for (ms, valid) in self.blind_ms.iter_mut().zip(valid) {
+            *ms = if *valid { 0 } else { ms.saturating_add(1) };
         }
-        if let Some(al_state) = seen.al_status
+    }
+
+    #[cold]
+    fn look_at_references(&mut self, lost: &[bool; AXES]) {
+        for axis in (0u8..).zip(lost).filter_map(|(axis, lost)| lost.then_some(axis)) {
+            self.latch(Fault::ReferenceLost { axis });
+        }
+    }
+
+    #[inline]
+    fn look_at_bus(&mut self, bus: &Bus, seen: &Observation) {
+        if seen.valid != [true; AXES] {
+            self.look_for_blind(bus.blind_max_ms);
+        } else if let Some(al_state) = seen.al_status
             && al_state != AL_OPERATIONAL
-            && seen.valid.iter().all(|valid| *valid)
         {
             // Which slave it is, the supervisor finds out; until then the state of all is named with slave 255.
             self.latch(Fault::SlaveState {
@@ -162,6 +171,20 @@ impl Supervision {
         }
     }
 
+    #[cold]
+    fn look_for_blind(&mut self, limit_ms: u16) {
+        let blind = self.blind_ms.map(|ms| ms > limit_ms);
+        if blind.iter().all(|b| *b) {
+            self.latch(Fault::Blind {
+                blind_ms: self.blind_ms[0],
+                limit_ms,
+            });
+        } else if let Some(axis) = blind.iter().position(|b| *b) {
+            self.latch(Fault::SlaveLost { slave: axis as u8 });
+        }
+    }
+
+    #[cold]
     fn look_at_drives(&mut self, seen: &Observation) {
         for (axis, number) in (0..AXES).zip(0u8..) {
             if seen.drive_fault[axis] {
@@ -173,7 +196,26 @@ impl Supervision {
         }
     }
 
+    #[inline]
     fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+        let (mut near, mut below) = (true, true);
+        for (axis, limits) in axes.iter().enumerate() {
+            // What is not a number is neither.
+            near &= seen.following_error_rad[axis].abs() <= limits.following_error_max_rad;
+            below &= seen.output_rad_s[axis].abs() <= limits.output_max_rad_s;
+        }
+        if !near {
+            self.name_following_errors(axes, seen);
+        }
+        if below {
+            self.clamped = [0; AXES];
+        } else {
+            self.count_clamped(axes, seen);
+        }
+    }
+
+    #[cold]
+    fn name_following_errors(&mut self, axes: &[Axis; AXES], seen: &Observation) {
         for (axis, number) in (0..AXES).zip(0u8..) {
             let (error, limit) = (seen.following_error_rad[axis].abs(), axes[axis].following_error_max_rad);
             if error.is_nan() || error > limit {
@@ -183,6 +225,12 @@ impl Supervision {
                     limit_rad: limit as f32,
                 });
             }
+        }
+    }
+
+    #[cold]
+    fn count_clamped(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+        for (axis, number) in (0..AXES).zip(0u8..) {
             let (output, limit) = (seen.output_rad_s[axis].abs(), axes[axis].output_max_rad_s);
             self.clamped[axis] = if output <= limit {
                 0

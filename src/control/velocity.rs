@@ -7,7 +7,7 @@
 //!
 //! Invariant: the torque is finite and within plus and minus the axis's limit; anything not finite gives 0.
 
-use super::position::interpolate;
+use super::position::{Place, interpolate};
 use crate::config::Axis;
 use crate::control::limited;
 
@@ -21,7 +21,7 @@ pub struct VelocityController {
     gain_nm_s: f64,
     integral_per_s: f64,
     inertia_kg_m2: f64,
-    lead_ms: f64,
+    lead: Place,
     /// Share of a new error in the filtered one.
     filter: f64,
     limit_nm: f64,
@@ -37,7 +37,7 @@ impl VelocityController {
             gain_nm_s: axis.velocity_gain_nm_s,
             integral_per_s: axis.velocity_integral_per_s,
             inertia_kg_m2: axis.inertia_kg_m2,
-            lead_ms: axis.torque_lead_ms.clamp(0.0, super::position::LEAD_MAX_MS as f64),
+            lead: Place::new(axis.torque_lead_ms.clamp(0.0, super::position::LEAD_MAX_MS as f64)),
             filter: 1.0 - libm::exp(-STEP_MS / filter_ms),
             limit_nm: axis.torque_max_nm.abs(),
             error_rad_s: 0.0,
@@ -61,7 +61,7 @@ impl VelocityController {
         self.error_rad_s += self.filter * (error_rad_s - self.error_rad_s);
         let mut before = ahead.next().unwrap_or(0.0);
         let accelerations = ahead.map(|velocity| (velocity - core::mem::replace(&mut before, velocity)) / STEP_S);
-        let forward_nm = self.inertia_kg_m2 * interpolate(accelerations, self.lead_ms);
+        let forward_nm = self.inertia_kg_m2 * interpolate(accelerations, self.lead);
         let proportional_nm = self.gain_nm_s * self.error_rad_s;
         let integral_nm = self.integral_nm + proportional_nm * self.integral_per_s * STEP_S;
         let wanted_nm = forward_nm + proportional_nm + integral_nm;

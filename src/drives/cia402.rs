@@ -54,7 +54,13 @@ pub enum DriveState {
 
 impl StatusWord {
     /// The state that the word tells.
+    #[inline]
     pub const fn state(self) -> DriveState {
+        STATES[(self.0 & 0x0F | self.0 >> 1 & 0x30) as usize]
+    }
+
+    /// The state by the profile's table.
+    const fn decoded(self) -> DriveState {
         match (self.0 & 0x4F, self.0 & 0x6F) {
             (0x40, _) => DriveState::SwitchOnDisabled,
             (0x0F, _) => DriveState::FaultReactionActive,
@@ -94,6 +100,17 @@ impl StatusWord {
     }
 }
 
+/// The state for each pattern of the six bits that tell it: bits 0 to 3, 5 and 6 of the status word.
+const STATES: [DriveState; 64] = {
+    let mut states = [DriveState::NotReadyToSwitchOn; 64];
+    let mut pattern = 0;
+    while pattern < states.len() {
+        states[pattern] = StatusWord((pattern & 0x0F | (pattern & 0x30) << 1) as u16).decoded();
+        pattern += 1;
+    }
+    states
+};
+
 /// Where a drive is to be led.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DriveTarget {
@@ -110,9 +127,14 @@ pub enum DriveTarget {
 
 /// The control word that leads a drive one state further towards `target`.
 pub const fn step(status: StatusWord, target: DriveTarget) -> ControlWord {
+    step_from(status.state(), target)
+}
+
+/// As [`step`], from a state that has been decoded.
+pub const fn step_from(state: DriveState, target: DriveTarget) -> ControlWord {
     use DriveState as S;
     use DriveTarget as T;
-    match (target, status.state()) {
+    match (target, state) {
         (T::FaultReset, S::Fault) => ControlWord::FAULT_RESET,
         (_, S::Fault | S::FaultReactionActive | S::NotReadyToSwitchOn) => ControlWord::DISABLE_VOLTAGE,
 

@@ -16,7 +16,7 @@ use crate::config::AxisMode;
 use crate::ethercat::cyclic::PROCESS_BYTES_MAX;
 use crate::ethercat::error::BusError;
 use crate::ethercat::wire::coe::Object;
-use crate::ethercat::wire::{read_u8, read_u16, read_u32, write_bytes};
+use crate::ethercat::wire::{read_u8, read_u16, read_u32};
 
 /// Offset of a value that is not mapped; no process data reach it.
 const ABSENT: u8 = u8::MAX;
@@ -44,6 +44,7 @@ pub struct ProcessLayout {
 
 impl ProcessLayout {
     /// Takes inputs apart; `None` when there are too few bytes.
+    #[inline]
     pub fn decode(&self, inputs: &[u8]) -> Option<DriveInput> {
         if inputs.len() < usize::from(self.input_length) {
             return None;
@@ -57,21 +58,30 @@ impl ProcessLayout {
     }
 
     /// Writes outputs; what does not fit is left out.
+    #[inline]
     pub fn encode(&self, output: &DriveOutput, outputs: &mut [u8]) {
-        write_bytes(outputs, self.control.into(), &output.control.0.to_le_bytes());
+        write(outputs, self.control, output.control.0.to_le_bytes());
         match self.mode {
-            AxisMode::Velocity => write_bytes(outputs, self.demand.into(), &output.demand_digits.to_le_bytes()),
+            AxisMode::Velocity => write(outputs, self.demand, output.demand_digits.to_le_bytes()),
             AxisMode::Torque => {
                 let digits = output.demand_digits.clamp(i16::MIN.into(), i16::MAX.into()) as i16;
-                write_bytes(outputs, self.demand.into(), &digits.to_le_bytes());
+                write(outputs, self.demand, digits.to_le_bytes());
             }
         }
         if self.mode_output != ABSENT {
-            write_bytes(outputs, self.mode_output.into(), &self.operation_mode.to_le_bytes());
+            write(outputs, self.mode_output, self.operation_mode.to_le_bytes());
         }
         if self.target_position != ABSENT {
-            write_bytes(outputs, self.target_position.into(), &output.position.to_le_bytes());
+            write(outputs, self.target_position, output.position.to_le_bytes());
         }
+    }
+}
+
+/// Writes a value of known length, a single store; nothing where it does not fit.
+#[inline(always)]
+fn write<const LENGTH: usize>(outputs: &mut [u8], offset: u8, value: [u8; LENGTH]) {
+    if let Some(place) = outputs.get_mut(offset.into()..).and_then(<[u8]>::first_chunk_mut) {
+        *place = value;
     }
 }
 

@@ -25,6 +25,9 @@ use heapless::spsc::{Consumer, Producer};
 /// Cycles in a row without a reply after which the bus counts as silent.
 pub const SILENT_CYCLES: u8 = 10;
 
+/// Most acyclic datagrams of a frame while drives are in operation: the cycle is then as short as it can be.
+const IN_OPERATION_MAX: usize = 1;
+
 /// How many frames back an index still counts as late rather than foreign.
 const LATE_FRAMES: u8 = 64;
 
@@ -97,9 +100,9 @@ pub struct ExchangeEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
     pub observations: Producer<'a, Observation>,
 }
 
-/// Where a slave's outputs stand in the frame that carries them.
+/// Where a slave's outputs stand in the frame that carries them, by the present plan.
 #[derive(Clone, Copy, Debug, Default)]
-struct OutputPlace {
+pub struct OutputPlace {
     start: u16,
     length: u16,
 }
@@ -110,6 +113,7 @@ pub struct Exchange<'a, const SLAVES: usize, const MESSAGE: usize> {
     source: MacAddress,
     envelope: Envelope,
     plan: CyclicPlan<SLAVES>,
+    plan_number: u32,
     axis_slaves: [Option<u8>; AXES],
     first: Telegram<SLAVES>,
     second: Telegram<SLAVES>,
@@ -137,6 +141,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             source,
             envelope: Envelope::Raw,
             plan: CyclicPlan::default(),
+            plan_number: 0,
             axis_slaves: [None; AXES],
             first: Telegram::new(),
             second: Telegram::new(),
@@ -211,6 +216,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
     }
 
     /// This cycle's inputs of a slave (position in the chain); `None` unless they came with the right working counter.
+    #[inline]
     pub fn input(&self, slave: usize) -> Option<&[u8]> {
         let length = usize::from(self.plan.slaves.get(slave)?.input_length);
         if length == 0 || self.input_valid >> slave & 1 == 0 {
@@ -219,10 +225,29 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.images.get(slave)?.as_flattened().get(..length)
     }
 
+    /// As [`Self::input`], in the room for the longest process data: what lies behind a slave's inputs has no meaning.
+    #[inline]
+    pub fn image(&self, slave: usize) -> Option<&[u8; PROCESS_BYTES_MAX]> {
+        let image = self.images.get(slave)?;
+        let valid = self.input_valid >> (slave & 31) & 1 != 0;
+        image.as_flattened().first_chunk().filter(|_| valid)
+    }
+
     /// The outputs of a slave (position in the chain) as the next telegram that carries them will take them; empty where
     /// there are none.
+    #[inline]
     pub fn output(&mut self, slave: usize) -> &mut [u8] {
-        let place = self.outputs.get(slave).copied().unwrap_or_default();
+        self.output_at(self.output_place(slave))
+    }
+
+    /// Where the outputs of a slave (position in the chain) are, until the next plan.
+    pub fn output_place(&self, slave: usize) -> OutputPlace {
+        self.outputs.get(slave).copied().unwrap_or_default()
+    }
+
+    /// The outputs at a place, as [`Self::output`].
+    #[inline]
+    pub fn output_at(&mut self, place: OutputPlace) -> &mut [u8] {
         let telegram = match self.plan.exchange {
             ExchangeKind::Split => &mut self.second,
             ExchangeKind::Combined => &mut self.first,
@@ -254,6 +279,12 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
     /// The plan in force.
     pub fn plan(&self) -> &CyclicPlan<SLAVES> {
         &self.plan
+    }
+
+    /// Number of the plan in force, wrapping: another one after every change.
+    #[inline]
+    pub fn plan_number(&self) -> u32 {
+        self.plan_number
     }
 
     /// The slave that drives an axis: its position in the chain.
@@ -351,6 +382,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.first.finish(&self.envelope);
         self.second.finish(&self.envelope);
         self.plan = plan;
+        self.plan_number = self.plan_number.wrapping_add(1);
         for (number, kept) in kept.iter().enumerate() {
             let output = self.output(number);
             let length = output.len();
@@ -364,7 +396,9 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         let room = self.first.room();
         let no_room = Outcome::NoRoom { room: room as u16 };
         let mut owed = 0;
-        for _ in 0..IN_FLIGHT_MAX {
+        let in_operation = self.first.is_watched();
+        let most = if in_operation { IN_OPERATION_MAX } else { IN_FLIGHT_MAX };
+        for _ in 0..most {
             let Some(request) = queue::front(&self.end.requests) else {
                 break;
             };
@@ -389,7 +423,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             }
             let _ = queue::take(&mut self.end.requests);
         }
-        if let Some(message) = queue::front(&self.end.messages)
+        let message_may_go = owed == 0 || !in_operation;
+        if let Some(message) = queue::front(&self.end.messages).filter(|_| message_may_go)
             && queue::has_room_for(&self.end.message_replies, 1)
         {
             let taken = if message.data.len() > room {

@@ -203,6 +203,7 @@ fn a_reflected_frame_is_no_reply_and_replies_without_the_source_bit_are() {
 #[test]
 fn every_request_gets_one_reply_in_order_lost_or_not() {
     let (mut exchange, mut end) = exchange();
+    assert!(end.plans.enqueue(plan(false)).is_ok());
     let address = |register| Address::station(0x1001, register);
     for register in 0..IN_FLIGHT_MAX as u16 {
         let request = Request::read(Command::Fprd, address(register), 2);
@@ -230,6 +231,43 @@ fn every_request_gets_one_reply_in_order_lost_or_not() {
     assert!(end.port.registers.replies.dequeue().is_none());
     input(&mut exchange);
     assert_eq!(end.port.registers.replies.dequeue().unwrap().outcome, Outcome::Lost);
+}
+
+#[test]
+fn in_operation_a_frame_carries_one_acyclic_datagram_and_none_is_lost() {
+    let (mut exchange, mut end) = exchange();
+    let address = |register| Address::station(0x1001, register);
+    let registers = 0..IN_FLIGHT_MAX as u16;
+    let message = Request::read(Command::Fprd, address(0x1C00), 64);
+    assert!(end.port.messages.requests.enqueue(message).is_ok());
+    for register in registers.clone() {
+        let request = Request::read(Command::Fprd, address(register), 2);
+        assert!(end.port.registers.requests.enqueue(request).is_ok());
+    }
+    // Requests for registers go first, then the message; the last frame has nothing left to carry.
+    for expected in registers.clone().chain([0x1C00]).map(Some).chain([None]) {
+        let mut reply = answered(input(&mut exchange));
+        let mut acyclic = Vec::new();
+        each_datagram(&mut reply, |number, datagram| {
+            if number > SLAVES {
+                acyclic.push(datagram.address().register());
+            }
+        });
+        assert_eq!(acyclic, Vec::from_iter(expected));
+        assert_eq!(exchange.receive(&reply), Arrival::Input);
+        assert_eq!(valid(&exchange), [true; SLAVES]);
+    }
+    let processed = Some(Outcome::Processed { working_counter: 1 });
+    for _ in registers {
+        let reply = end.port.registers.replies.dequeue();
+        assert_eq!(reply.map(|reply| reply.outcome), processed);
+    }
+    assert!(end.port.registers.replies.dequeue().is_none());
+    let reply = end.port.messages.replies.dequeue();
+    assert_eq!(
+        reply.map(|reply| (reply.data.len(), reply.outcome)),
+        processed.map(|outcome| (64, outcome))
+    );
 }
 
 #[test]

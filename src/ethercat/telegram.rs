@@ -117,10 +117,15 @@ pub(super) struct Taken {
     pub(super) touched: bool,
 }
 
+/// A frame's bytes, aligned so that they are copied by words.
+#[derive(Debug)]
+#[repr(align(4))]
+struct Frame([u8; FRAME_LEN_MAX]);
+
 /// A prebuilt frame and the state of its last sending.
 #[derive(Debug)]
 pub(super) struct Telegram<const SLAVES: usize> {
-    frame: [u8; FRAME_LEN_MAX],
+    frame: Frame,
     start: usize,
     shares: Vec<Share, SLAVES>,
     /// The header that asks for the AL status, as [`Share::header`], if it is asked for.
@@ -141,7 +146,7 @@ pub(super) struct Telegram<const SLAVES: usize> {
 impl<const SLAVES: usize> Telegram<SLAVES> {
     pub(super) const fn new() -> Self {
         Self {
-            frame: [0; FRAME_LEN_MAX],
+            frame: Frame([0; FRAME_LEN_MAX]),
             start: 0,
             shares: Vec::new(),
             status: None,
@@ -159,8 +164,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
 
     /// Starts a frame anew: no datagrams behind the envelope's headers.
     pub(super) fn clear(&mut self, envelope: &Envelope, source: MacAddress) {
-        self.frame = [0; FRAME_LEN_MAX];
-        envelope.emit(&mut self.frame, source);
+        self.frame.0 = [0; FRAME_LEN_MAX];
+        envelope.emit(&mut self.frame.0, source);
         self.start = envelope.header_len();
         self.shares.clear();
         self.status = None;
@@ -224,7 +229,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// The first eight bytes of the header in front of data.
     fn header(&self, data: usize) -> u64 {
         let start = data - DATAGRAM_HEADER_LEN;
-        u64::from(read_u32(&self.frame, start)) | u64::from(read_u32(&self.frame, start + 4)) << 32
+        u64::from(read_u32(&self.frame.0, start)) | u64::from(read_u32(&self.frame.0, start + 4)) << 32
     }
 
     /// Ends building: what has been added is sent from now on.
@@ -235,9 +240,26 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
 
     /// Adds a datagram with zeroed data at the end of the chain. Gives where its data start in the frame.
     fn push(&mut self, command: Command, address: Address, length: usize) -> Option<usize> {
+        self.push_datagram(command, address, None, length)
+    }
+
+    /// As [`Self::push`], with data of that length, or zeros.
+    fn push_datagram(
+        &mut self,
+        command: Command,
+        address: Address,
+        data: Option<&[u8]>,
+        length: usize,
+    ) -> Option<usize> {
         let end = self.chain.end;
-        let room = self.frame.get_mut(end..end + DATAGRAM_OVERHEAD + length)?;
-        room.fill(0);
+        let room = self.frame.0.get_mut(end..end + DATAGRAM_OVERHEAD + length)?;
+        match data {
+            Some(data) => {
+                write_bytes(room, DATAGRAM_HEADER_LEN, data);
+                write_bytes(room, DATAGRAM_HEADER_LEN + length, &[0; 2]);
+            }
+            None => room.fill(0),
+        }
         DatagramRepr::request(command, 0, address, length as u16)
             .emit(room)
             .ok()?;
@@ -252,12 +274,12 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     }
 
     fn set_more(&mut self, datagram: usize, more: bool) {
-        let length = read_u16(&self.frame, datagram + 6) & !MORE_BIT | if more { MORE_BIT } else { 0 };
-        write_bytes(&mut self.frame, datagram + 6, &length.to_le_bytes());
+        let length = read_u16(&self.frame.0, datagram + 6) & !MORE_BIT | if more { MORE_BIT } else { 0 };
+        write_bytes(&mut self.frame.0, datagram + 6, &length.to_le_bytes());
     }
 
     fn close(&mut self, envelope: &Envelope) {
-        self.length = envelope.close(&mut self.frame, self.chain.end);
+        self.length = envelope.close(&mut self.frame.0, self.chain.end);
     }
 
     /// Longest data that an acyclic datagram may have beside the cyclic ones, bytes.
@@ -270,7 +292,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.acyclic.clear();
         self.set_more(self.cyclic.last, false);
         let padding = self.cyclic.end..FRAME_LEN_MIN.max(self.cyclic.end);
-        if let Some(padding) = self.frame.get_mut(padding) {
+        if let Some(padding) = self.frame.0.get_mut(padding) {
             padding.fill(0);
         }
         self.chain = self.cyclic;
@@ -286,10 +308,9 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         if self.acyclic.is_full() {
             return false;
         }
-        let Some(start) = self.push(command, address, data.len()) else {
+        if self.push_datagram(command, address, Some(data), data.len()).is_none() {
             return false;
-        };
-        write_bytes(&mut self.frame, start, data);
+        }
         // There is room, as was asked above.
         let _ = self.acyclic.push(place);
         true
@@ -300,6 +321,11 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.close(envelope);
     }
 
+    /// Whether the frame serves a slave that is in operation.
+    pub(super) fn is_watched(&self) -> bool {
+        self.watched != 0
+    }
+
     /// Whether there is anything to send.
     pub(super) fn is_empty(&self) -> bool {
         self.cyclic.end == self.start
@@ -307,23 +333,23 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
 
     /// Stamps the index and gives the frame to be sent.
     pub(super) fn send(&mut self, index: u8) -> &[u8] {
-        if let Some(byte) = self.frame.get_mut(self.start + 1) {
+        if let Some(byte) = self.frame.0.get_mut(self.start + 1) {
             *byte = index;
         }
         self.index = index;
         self.state = SlotState::Sent;
-        self.frame.get(..self.length).unwrap_or(&[])
+        self.frame.0.get(..self.length).unwrap_or(&[])
     }
 
     /// Bytes of the frame, as they will be sent.
     pub(super) fn bytes_mut(&mut self, start: usize, length: usize) -> Option<&mut [u8]> {
-        self.frame.get_mut(start..start + length)
+        self.frame.0.get_mut(start..start + length)
     }
 
     /// The time that is spread with the next sending, ns, until the reference clock puts its own there.
     pub(super) fn set_clock(&mut self, time_ns: u64) {
         let Some(clock) = self.clock else { return };
-        let data = self.frame.get_mut(self.cyclic.last + DATAGRAM_HEADER_LEN..);
+        let data = self.frame.0.get_mut(self.cyclic.last + DATAGRAM_HEADER_LEN..);
         if clock.wide {
             if let Some(bytes) = data.and_then(|data| data.first_chunk_mut()) {
                 *bytes = time_ns.to_le_bytes();
@@ -409,12 +435,19 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// Whether the acyclic datagrams of a reply have the headers that were sent.
     #[cold]
     fn is_acyclic_same(&self, payload: &[u8]) -> bool {
-        let mut walk = self.walk(payload, self.cyclic.end);
-        let whole = self
-            .acyclic
-            .iter()
-            .all(|place| walk.next_any(place.length.into()).is_some());
-        whole && walk.differences == 0
+        let mut sent = self.frame.0.get(self.cyclic.end..self.chain.end).unwrap_or(&[]);
+        let mut received = payload.get(self.cyclic.end - self.start..).unwrap_or(&[]);
+        self.acyclic.iter().all(|place| {
+            let length = DATAGRAM_OVERHEAD + usize::from(place.length);
+            let header = |bytes: &[u8]| Some(u64::from_le_bytes(*bytes.first_chunk()?));
+            let (Some(ours), Some(theirs)) = (header(sent), header(received)) else {
+                return false;
+            };
+            (sent, received) = (sent.get(length..).unwrap_or(&[]), received.get(length..).unwrap_or(&[]));
+            let differences = ours ^ theirs;
+            let counts_position = || Command::from_number(ours as u8).is_ok_and(Command::counts_position);
+            differences == 0 || differences & !POSITION_HEADER == 0 && counts_position()
+        })
     }
 
     /// Whether any slave has counted anything in a reply.
@@ -454,7 +487,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// Goes through what was sent and what came back from a place in the frame on.
     fn walk<'a>(&'a self, payload: &'a [u8], from: usize) -> Walk<'a> {
         Walk {
-            sent: self.frame.get(from..self.chain.end).unwrap_or(&[]),
+            sent: self.frame.0.get(from..self.chain.end).unwrap_or(&[]),
             received: payload.get(from - self.start..).unwrap_or(&[]),
             differences: 0,
             counters: 0,

@@ -20,7 +20,8 @@ pub const HEADER_BYTES: usize = 14;
 /// Check sequence at a received frame's end, counted in its length and not delivered, bytes.
 pub const CHECK_SEQUENCE_BYTES: usize = 4;
 
-const WORD_BYTES: usize = 4;
+/// Bytes of a FIFO word.
+pub const WORD_BYTES: usize = 4;
 /// Both buffers hold whole FIFO words.
 const BUFFER_BYTES: usize = 1520;
 /// The two command words ahead of a frame in the transmit FIFO, bytes.
@@ -134,6 +135,20 @@ pub trait Registers {
     fn read(&mut self, register: Register) -> u32;
     /// Writes `value` to `register`.
     fn write(&mut self, register: Register, value: u32);
+
+    /// Takes words from the receive data FIFO.
+    fn read_data(&mut self, words: &mut [[u8; WORD_BYTES]]) {
+        for word in words {
+            *word = self.read(Register::RxData).to_le_bytes();
+        }
+    }
+
+    /// Puts words into the transmit data FIFO.
+    fn write_data(&mut self, words: &[[u8; WORD_BYTES]]) {
+        for word in words {
+            self.write(Register::TxData, u32::from_le_bytes(*word));
+        }
+    }
 }
 
 /// Why the controller could not be started.
@@ -201,14 +216,27 @@ impl Counters {
 pub struct Lan9118<R> {
     port: Port<R>,
     address: [u8; 6],
-    rx: [u8; BUFFER_BYTES],
+    rx: Buffer,
+}
+
+/// Whole FIFO words, and aligned like them.
+#[derive(Clone)]
+#[repr(align(4))]
+struct Buffer([[u8; WORD_BYTES]; BUFFER_BYTES / WORD_BYTES]);
+
+impl Buffer {
+    const EMPTY: Self = Self([[0; WORD_BYTES]; BUFFER_BYTES / WORD_BYTES]);
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        self.0.as_flattened_mut()
+    }
 }
 
 /// Everything but the received frame, so that a reply can be written while the frame is read.
 struct Port<R> {
     registers: R,
     counters: Counters,
-    tx: [u8; BUFFER_BYTES],
+    tx: Buffer,
 }
 
 impl<R: Registers> Lan9118<R> {
@@ -242,12 +270,12 @@ impl<R: Registers> Lan9118<R> {
         let port = Port {
             registers,
             counters: Counters::default(),
-            tx: [0; BUFFER_BYTES],
+            tx: Buffer::EMPTY,
         };
         Ok(Self {
             port,
             address,
-            rx: [0; BUFFER_BYTES],
+            rx: Buffer::EMPTY,
         })
     }
 
@@ -285,9 +313,7 @@ impl<R: Registers> Lan9118<R> {
             } else if !RX_LENGTHS.contains(&length) {
                 counters.rx_lengths = counters.rx_lengths.wrapping_add(1);
             } else {
-                for word in self.rx.chunks_exact_mut(WORD_BYTES).take(words) {
-                    word.copy_from_slice(&registers.read(Register::RxData).to_le_bytes());
-                }
+                registers.read_data(self.rx.0.get_mut(..words)?);
                 return Some(length - CHECK_SEQUENCE_BYTES);
             }
             for _ in 0..words {
@@ -305,7 +331,9 @@ impl<R: Registers> Port<R> {
             self.counters.tx_too_long = self.counters.tx_too_long.wrapping_add(1);
             return false;
         }
-        if let Some(padding) = self.tx.get_mut(length..padded) {
+        if length < padded
+            && let Some(padding) = self.tx.bytes_mut().get_mut(length..padded)
+        {
             padding.fill(0);
         }
         let words = padded.div_ceil(WORD_BYTES);
@@ -318,10 +346,7 @@ impl<R: Registers> Port<R> {
         let segments = TX_FIRST_SEGMENT | TX_LAST_SEGMENT;
         self.registers.write(Register::TxData, segments | length_bits);
         self.registers.write(Register::TxData, length_bits);
-        let (buffer, _) = self.tx.as_chunks::<WORD_BYTES>();
-        for word in buffer.iter().take(words) {
-            self.registers.write(Register::TxData, u32::from_le_bytes(*word));
-        }
+        self.registers.write_data(self.tx.0.get(..words).unwrap_or(&[]));
         self.drain_transmit_status();
         self.counters.tx_frames = self.counters.tx_frames.wrapping_add(1);
         true
@@ -350,13 +375,12 @@ impl<R: Registers> Driver for Lan9118<R> {
 
     fn receive(&mut self, _: &mut Context) -> Option<(RxToken<'_>, TxToken<'_, R>)> {
         let length = self.take_frame()?;
-        let frame = self.rx.get_mut(..length)?;
+        let frame = self.rx.bytes_mut().get_mut(..length)?;
         Some((RxToken { frame }, TxToken { port: &mut self.port }))
     }
 
     /// `None` while the FIFO could not take the longest frame.
     fn transmit(&mut self, _: &mut Context) -> Option<TxToken<'_, R>> {
-        self.port.drain_transmit_status();
         let free = self.port.registers.read(Register::TxFifoInf) & FIFO_DATA_MASK;
         if (free as usize) < FRAME_BYTES_MAX + COMMAND_BYTES {
             self.port.counters.tx_no_room = self.port.counters.tx_no_room.wrapping_add(1);
@@ -434,7 +458,7 @@ impl<R: Registers> TxToken<'_, R> {
     /// A frame longer than [`FRAME_BYTES_MAX`] is filled as far as the buffer goes, counted and not sent.
     pub fn send<T>(&mut self, length: usize, f: impl FnOnce(&mut [u8]) -> T) -> (T, bool) {
         let port = &mut *self.port;
-        let result = match port.tx.get_mut(..length.min(FRAME_BYTES_MAX)) {
+        let result = match port.tx.bytes_mut().get_mut(..length.min(FRAME_BYTES_MAX)) {
             Some(frame) => f(frame),
             None => f(&mut []),
         };

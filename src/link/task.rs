@@ -296,7 +296,7 @@ impl<'a> LinkTask<'a> {
             return Ok(());
         }
         let check = self.pose_check.as_ref().ok_or(Refusal::NotConfigured)?;
-        let increments = self.report.map_or([None; AXES], |report| report.increments);
+        let increments = self.report.map_or([None; AXES], |report| report.shown());
         match command {
             Command::ReferenceAt { pose, position } => check.check(&increments, &pose, position.as_ref()),
             _ => positions_arrive(&increments),
@@ -306,7 +306,7 @@ impl<'a> LinkTask<'a> {
     /// What the resolvers show within a motor turn.
     fn increments(&self) -> [Option<u32>; AXES] {
         match (&self.pose_check, &self.report) {
-            (Some(check), Some(report)) => check.within_turn(&report.increments),
+            (Some(check), Some(report)) => check.within_turn(&report.shown()),
             _ => [None; AXES],
         }
     }

@@ -123,6 +123,12 @@ impl NetworkEnd<'_> {
         }
     }
 
+    /// Whether there is news about the headers to use.
+    #[inline]
+    pub fn has_path_news(&self) -> bool {
+        self.paths.ready()
+    }
+
     /// News about the headers to use: the inner `None` when there are none any more.
     pub fn next_path(&mut self) -> Option<Option<UdpRepr>> {
         queue::take(&mut self.paths)

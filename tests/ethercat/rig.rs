@@ -139,7 +139,8 @@ impl Rig<'_> {
         let time_us = self.now_ms * 1000;
         let frame = self.exchange.input_telegram().to_vec();
         self.transfer(&frame, time_us);
-        self.inputs = self.robot.read(&self.exchange);
+        self.robot.read(&self.exchange);
+        self.inputs = self.robot.inputs();
         self.robot.write(&mut self.exchange, &[self.command; AXES]);
         let frame = self.exchange.output_telegram().to_vec();
         if let Some(fault) = self.output_fault.take() {

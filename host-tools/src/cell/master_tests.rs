@@ -56,7 +56,8 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
         for reply in cell.frame(now_ms * 1000, &frame) {
             exchange.receive(&reply);
         }
-        let inputs = robot.read(&exchange);
+        robot.read(&exchange);
+        let inputs = robot.inputs();
         let counters = exchange.counters();
         let mut millisecond = Millisecond {
             now_ms,

@@ -7,6 +7,8 @@
 #![no_std]
 #![no_main]
 
+#[path = "../shared/copy.rs"]
+mod copy;
 mod critical;
 mod device;
 mod disturb;

@@ -24,6 +24,8 @@
 #![no_main]
 
 mod clocks;
+#[path = "../shared/copy.rs"]
+mod copy;
 mod critical;
 mod eth;
 mod health;

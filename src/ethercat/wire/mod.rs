@@ -119,6 +119,7 @@ pub(crate) fn read_u64(bytes: &[u8], offset: usize) -> u64 {
 }
 
 /// Writes `value` at `offset`; nothing where it does not fit.
+#[inline]
 pub(crate) fn write_bytes(bytes: &mut [u8], offset: usize, value: &[u8]) {
     if let Some(target) = bytes.get_mut(offset..).and_then(|rest| rest.get_mut(..value.len())) {
         target.copy_from_slice(value);

@@ -199,6 +199,10 @@ fn run_rows(plan: &Plan, measured: &Measured, rows: &mut Vec<Row>) {
             row(case, ns(distribution, distribution.largest.into()), "ns", None);
         }
     }
+    // Counted with its lateness: 0 when none was late.
+    if let Some(lateness) = readings.of(Quantity::Lateness) {
+        row("lateness_max_ns", ns(lateness, lateness.largest.into()), "ns", None);
+    }
     if let Some(load) = readings.cpu_load() {
         row("cpu_load", load, "1", None);
     }

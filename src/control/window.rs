@@ -1,0 +1,93 @@
+//! The references of this millisecond and the next ones, as the sampler looks ahead on them.
+//!
+//! Invariant: a reference is copied once, from the queue to its place here, where it stays until its time is over.
+
+use super::sampler::Queued;
+use crate::motion::Reference;
+use crate::queue;
+use crate::robot::AXES;
+use heapless::spsc::Consumer;
+
+/// References that are looked ahead, for the feed-forward that is read ahead of time.
+const LOOK_AHEAD: usize = 12;
+/// Most references taken from the queue, or thrown away, in a millisecond: a start fills the window in two.
+const TAKEN_MAX: usize = 8;
+/// A power of two, so that an index is wrapped by a mask.
+const SLOTS: usize = LOOK_AHEAD.next_power_of_two();
+
+/// The window on the references.
+#[derive(Debug)]
+pub(super) struct Window {
+    references: [Reference; SLOTS],
+    first: usize,
+    length: usize,
+}
+
+impl Window {
+    pub(super) fn new() -> Self {
+        Self {
+            references: [Reference::default(); SLOTS],
+            first: 0,
+            length: 0,
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.length = 0;
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
+    /// Lets the first reference go.
+    #[inline]
+    pub(super) fn advance(&mut self) {
+        if self.length > 0 {
+            self.first = (self.first + 1) % SLOTS;
+            self.length -= 1;
+        }
+    }
+
+    /// Takes references of a start from the queue, as long as there is room, and throws away those of other starts.
+    #[inline]
+    pub(super) fn fill(&mut self, references: &mut Consumer<'_, Queued>, epoch: u8) {
+        for _ in 0..TAKEN_MAX {
+            if self.length >= LOOK_AHEAD {
+                return;
+            }
+            let Some(queued) = queue::front(references) else {
+                return;
+            };
+            if queued.epoch == epoch {
+                self.references[(self.first + self.length) % SLOTS] = queued.reference;
+                self.length += 1;
+            }
+            queue::drop_front(references);
+        }
+    }
+
+    /// This millisecond's reference.
+    #[inline]
+    pub(super) fn first(&self) -> Option<&Reference> {
+        (self.length > 0).then(|| &self.references[self.first % SLOTS])
+    }
+
+    /// The axes' velocities so many whole milliseconds from this one on, and a millisecond later, rad/s; the last ones go
+    /// on, and without any they are 0.
+    #[inline]
+    pub(super) fn velocities_around(&self, whole: usize) -> [&[f64; AXES]; 2] {
+        let Some(last) = self.length.checked_sub(1) else {
+            return [&[0.0; AXES]; 2];
+        };
+        [whole, whole + 1].map(|ahead| &self.references[(self.first + ahead.min(last)) % SLOTS].velocity_rad_s)
+    }
+
+    /// An axis's velocities from this millisecond on, rad/s.
+    pub(super) fn velocities_rad_s(&self, axis: usize) -> impl Iterator<Item = f64> {
+        (0..self.length).map(move |ahead| {
+            let reference = &self.references[(self.first + ahead) % SLOTS];
+            reference.velocity_rad_s.get(axis).copied().unwrap_or(0.0)
+        })
+    }
+}
