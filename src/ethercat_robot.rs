@@ -412,7 +412,9 @@ impl EtherCatRobot {
     /// State of an axis's drive when it last reported.
     #[inline]
     pub fn state(&self, axis: usize) -> DriveState {
-        self.axes.get(axis).map_or(DriveState::NotReadyToSwitchOn, |axis| axis.state)
+        self.axes
+            .get(axis)
+            .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.state)
     }
 
     /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of

@@ -282,7 +282,7 @@ pub enum MeasurementAnswer {
 pub struct Measurements {
     histograms: [Histogram; QUANTITIES],
     counts_per_s: AtomicU32,
-    /// Counts from a release to the deadline of its output telegram.
+    /// Counts from a release to the deadline of its output telegram; 0 until the board has declared its counter's rate.
     deadline_counts: AtomicU32,
     /// Counts that critical tasks have run for, wrapping.
     critical_counts: AtomicU32,
@@ -296,7 +296,7 @@ impl Measurements {
         Self {
             histograms: [const { Histogram::new() }; QUANTITIES],
             counts_per_s: AtomicU32::new(0),
-            deadline_counts: AtomicU32::new(u32::MAX),
+            deadline_counts: AtomicU32::new(0),
             critical_counts: AtomicU32::new(0),
             offers_disturbance: AtomicBool::new(false),
             disturbance: AtomicU8::new(0),
@@ -456,7 +456,9 @@ impl<'a> CycleWatch<'a> {
         let total = run.ended_at.wrapping_sub(self.released_at);
         measurements.record(Quantity::TotalDelay, total);
         let deadline = measurements.deadline_counts.load(Ordering::Relaxed);
-        if let Some(lateness @ 1..) = total.checked_sub(deadline) {
+        if deadline > 0
+            && let Some(lateness @ 1..) = total.checked_sub(deadline)
+        {
             measurements.record(Quantity::Lateness, lateness);
         }
     }

@@ -102,7 +102,10 @@ impl PositionController {
     /// The reference this many whole milliseconds before the latest measurement, rad.
     fn reference_back(&self, before_ms: usize) -> f64 {
         let back = self.newest.wrapping_sub(self.age.whole + before_ms);
-        let (low, high) = (self.history[back % HISTORY], self.history[back.wrapping_sub(1) % HISTORY]);
+        let (low, high) = (
+            self.history[back % HISTORY],
+            self.history[back.wrapping_sub(1) % HISTORY],
+        );
         self.age.between(low, high)
     }
 

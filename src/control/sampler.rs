@@ -505,7 +505,10 @@ impl<'a> Sampler<'a> {
         let lead = controller.lead();
         let [low, high] = match lead.whole == whole {
             true => around.map(|velocities| velocities[AXIS]),
-            false => self.window.velocities_around(lead.whole).map(|velocities| velocities[AXIS]),
+            false => self
+                .window
+                .velocities_around(lead.whole)
+                .map(|velocities| velocities[AXIS]),
         };
         controller.step_with(reference_rad, measured_rad, lead.between(low, high))
     }

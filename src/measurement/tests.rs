@@ -155,6 +155,23 @@ fn an_output_sent_by_the_deadline_ends_the_period_without_a_round_trip() {
 }
 
 #[test]
+fn an_output_behind_its_deadline_is_counted_with_its_lateness() {
+    let measurements = Measurements::new();
+    // 500 counts to the deadline.
+    measurements.set_counts_per_s(1_000_000);
+    let mut watch = CycleWatch::new(&measurements);
+    for (release, sent_at) in [(0, 500), (1_000, 1_512), (2_000, 2_703)] {
+        watch.sample(ran(release, release + 10, 0), 0, 0);
+        watch.bus_frame(ran(sent_at - 20, sent_at, 0), true);
+    }
+    let lateness = measurements.histogram(Quantity::Lateness);
+    assert_eq!(
+        (lateness.count(), lateness.smallest(), lateness.largest()),
+        (2, 12, 203)
+    );
+}
+
+#[test]
 fn requests_and_the_longest_answer_survive_the_link() {
     use crate::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
     use crate::link::protocol::{DeviceMessage, HostMessage};
