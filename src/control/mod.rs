@@ -1,5 +1,6 @@
 //! The 1 kHz side: sampler, position and velocity controllers, supervision.
 
+mod cycle;
 pub mod position;
 pub mod sampler;
 pub mod supervision;

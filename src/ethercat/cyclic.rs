@@ -126,6 +126,8 @@ pub struct Exchange<'a, const SLAVES: usize, const MESSAGE: usize> {
     al: Option<AlStatus>,
     clock_ns: Option<u64>,
     next_index: u8,
+    /// A request for registers went last: a message's turn.
+    message_is_next: bool,
     source_bit_seen: bool,
     silent_cycles: u8,
     reported: Option<Observation>,
@@ -153,6 +155,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             al: None,
             clock_ns: None,
             next_index: 0,
+            message_is_next: false,
             source_bit_seen: false,
             silent_cycles: 0,
             reported: None,
@@ -390,14 +393,28 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Puts what the slow side asks for behind the cyclic datagrams: requests for registers, and one message.
+    /// Puts what the slow side asks for behind the cyclic datagrams: requests for registers, and one message. In operation
+    /// the two lanes take turns, so that neither waits for more than one datagram of the other.
     #[cold]
     fn append_acyclic(&mut self) {
         let room = self.first.room();
-        let no_room = Outcome::NoRoom { room: room as u16 };
-        let mut owed = 0;
         let in_operation = self.first.is_watched();
-        let most = if in_operation { IN_OPERATION_MAX } else { IN_FLIGHT_MAX };
+        let message_goes_first = in_operation && self.message_is_next && self.append_message(room);
+        let sent = match (message_goes_first, in_operation) {
+            (true, _) => 0,
+            (false, true) => self.append_requests(room, IN_OPERATION_MAX),
+            (false, false) => self.append_requests(room, IN_FLIGHT_MAX),
+        };
+        if !in_operation || (!message_goes_first && sent == 0) {
+            self.append_message(room);
+        }
+        self.message_is_next = sent > 0;
+        self.first.finish_acyclic(&self.envelope);
+    }
+
+    /// Appends at most so many requests for registers, as long as they fit; gives how many.
+    fn append_requests(&mut self, room: usize, most: usize) -> usize {
+        let mut owed = 0;
         for _ in 0..most {
             let Some(request) = queue::front(&self.end.requests) else {
                 break;
@@ -412,6 +429,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
                     break;
                 }
                 // There is room, as was asked above.
+                let no_room = Outcome::NoRoom { room: room as u16 };
                 let _ = queue::put(&mut self.end.replies, Reply::without_data(no_room));
             } else if self
                 .first
@@ -423,21 +441,29 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             }
             let _ = queue::take(&mut self.end.requests);
         }
-        let message_may_go = owed == 0 || !in_operation;
-        if let Some(message) = queue::front(&self.end.messages).filter(|_| message_may_go)
-            && queue::has_room_for(&self.end.message_replies, 1)
-        {
-            let taken = if message.data.len() > room {
-                queue::put(&mut self.end.message_replies, Reply::without_data(no_room)).is_ok()
-            } else {
-                self.first
-                    .push_acyclic(message.command, message.address, &message.data, true)
-            };
-            if taken {
-                let _ = queue::take(&mut self.end.messages);
-            }
+        owed
+    }
+
+    /// Appends the message that waits, if there is one and it fits.
+    fn append_message(&mut self, room: usize) -> bool {
+        let Some(message) = queue::front(&self.end.messages) else {
+            return false;
+        };
+        if !queue::has_room_for(&self.end.message_replies, 1) {
+            return false;
         }
-        self.first.finish_acyclic(&self.envelope);
+        let fits_never = message.data.len() > room;
+        let taken = if fits_never {
+            let no_room = Outcome::NoRoom { room: room as u16 };
+            queue::put(&mut self.end.message_replies, Reply::without_data(no_room)).is_ok()
+        } else {
+            self.first
+                .push_acyclic(message.command, message.address, &message.data, true)
+        };
+        if taken {
+            let _ = queue::take(&mut self.end.messages);
+        }
+        taken && !fits_never
     }
 
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {

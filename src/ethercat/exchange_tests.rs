@@ -244,8 +244,9 @@ fn in_operation_a_frame_carries_one_acyclic_datagram_and_none_is_lost() {
         let request = Request::read(Command::Fprd, address(register), 2);
         assert!(end.port.registers.requests.enqueue(request).is_ok());
     }
-    // Requests for registers go first, then the message; the last frame has nothing left to carry.
-    for expected in registers.clone().chain([0x1C00]).map(Some).chain([None]) {
+    // A request for a register, the message, the other requests; the last frame has nothing left to carry.
+    let in_order = [0, 0x1C00].into_iter().chain(registers.clone().skip(1));
+    for expected in in_order.map(Some).chain([None]) {
         let mut reply = answered(input(&mut exchange));
         let mut acyclic = Vec::new();
         each_datagram(&mut reply, |number, datagram| {
@@ -268,6 +269,36 @@ fn in_operation_a_frame_carries_one_acyclic_datagram_and_none_is_lost() {
         reply.map(|reply| (reply.data.len(), reply.outcome)),
         processed.map(|outcome| (64, outcome))
     );
+}
+
+#[test]
+fn in_operation_neither_requests_nor_messages_wait_for_more_than_one_datagram_of_the_other() {
+    let (mut exchange, mut end) = exchange();
+    let (mut requests, mut messages) = (0, 0);
+    for cycle in 0..100 {
+        while end.port.registers.requests.ready() {
+            let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0110), 2);
+            assert!(end.port.registers.requests.enqueue(request).is_ok());
+        }
+        // Messages pause now and then, and never wait where only requests have come before.
+        if cycle % 7 != 0 && end.port.messages.requests.ready() {
+            let message = Request::read(Command::Fprd, Address::station(0x1001, 0x1C00), 64);
+            assert!(end.port.messages.requests.enqueue(message).is_ok());
+        }
+        let reply = answered(input(&mut exchange));
+        assert_eq!(exchange.receive(&reply), Arrival::Input);
+        while end.port.registers.replies.dequeue().is_some() {
+            requests += 1;
+        }
+        while end.port.messages.replies.dequeue().is_some() {
+            messages += 1;
+        }
+        assert!(
+            requests >= messages && requests + messages == cycle + 1,
+            "in cycle {cycle}"
+        );
+    }
+    assert!(messages >= 40, "{messages} messages, {requests} requests");
 }
 
 #[test]

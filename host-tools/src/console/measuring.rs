@@ -49,6 +49,7 @@ fn name(quantity: Quantity) -> &'static str {
         Quantity::CriticalPath => "execution of all critical tasks",
         Quantity::Awake => "awake between two releases",
         Quantity::Trajectory => "execution of the planner",
+        Quantity::Lateness => "output behind its deadline",
     }
 }
 
