@@ -11,6 +11,14 @@ export function drives(link) {
   timing(link);
 }
 
+// Damaged frames and lost links as the slave's controller counts them; all counts in the tip.
+function lineErrors(line) {
+  if (!line) return element("td", { className: "empty" }, "–");
+  const counts = [[line.invalid_frames, "CRC"], [line.receive_errors, "RX"], [line.lost_links, "lost links"], [line.watchdog, "watchdog"]];
+  const told = counts.filter(([count]) => count > 0).map(([count, name]) => `${count} ${name}`);
+  return element("td", { title: line.text, data: { lineErrors: line.number } }, told.join(", ") || "none");
+}
+
 function slaves(link) {
   const inject = (what, slave) => link.send({ type: "inject", fault: slave === undefined ? { what } : { what, slave } });
   const injectors = (number, removed) => {
@@ -19,8 +27,8 @@ function slaves(link) {
   };
   let before = "";
   const show = () => {
-    const { status, segment, control, you } = link.state;
-    const key = JSON.stringify([status?.slaves, segment, control?.holder, you?.id, link.open]);
+    const { status, segment, control, you, line_errors: counted } = link.state;
+    const key = JSON.stringify([status?.slaves, segment, counted, control?.holder, you?.id, link.open]);
     if (key === before) return;
     before = key;
     document.body.classList.toggle("is-virtual", Boolean(segment?.kind));
@@ -29,15 +37,15 @@ function slaves(link) {
     const rows = seen.map((slave) => {
       const tone = slave.operational && !slave.fault ? "good" : "bad";
       const drive = `${slave.drive}${slave.voltage ? "" : ", no supply"}${slave.warning ? ", warning" : ""}`;
-      return element("tr", { data: { tone } }, element("th", { scope: "row" }, String(slave.number)), element("td", { className: "state" }, slave.state), element("td", {}, drive), element("td", { className: "mono" }, slave.status_word), element("td", { className: "mono" }, slave.product), element("td", { title: slave.hint }, slave.error || "none"), element("td", { className: "virtual" }, ...injectors(slave.number, removed.includes(slave.number))));
+      return element("tr", { data: { tone } }, element("th", { scope: "row" }, String(slave.number)), element("td", { className: "state" }, slave.state), element("td", {}, drive), element("td", { className: "mono" }, slave.status_word), element("td", { className: "mono" }, slave.product), element("td", { title: slave.hint }, slave.error || "none"), lineErrors(counted?.find((line) => line.number === slave.number)), element("td", { className: "virtual" }, ...injectors(slave.number, removed.includes(slave.number))));
     });
     for (const number of removed.filter((number) => !seen.some((slave) => slave.number === number))) {
-      rows.push(element("tr", { data: { tone: "bad" } }, element("th", { scope: "row" }, String(number)), element("td", { colSpan: 5 }, "unplugged"), element("td", { className: "virtual" }, ...injectors(number, true))));
+      rows.push(element("tr", { data: { tone: "bad" } }, element("th", { scope: "row" }, String(number)), element("td", { colSpan: 6 }, "unplugged"), element("td", { className: "virtual" }, ...injectors(number, true))));
     }
-    $("slaves").replaceChildren(...(rows.length ? rows : [element("tr", {}, element("td", { colSpan: 7, className: "empty" }, "no slaves known"))]));
+    $("slaves").replaceChildren(...(rows.length ? rows : [element("tr", {}, element("td", { colSpan: 8, className: "empty" }, "no slaves known"))]));
     $("segment").replaceChildren(element("span", {}, `${segment?.kind ?? ""} segment, no hardware:`), ...WIRE.map(([what, name]) => element("button", { type: "button", className: "quiet", disabled: !link.controls, data: { inject: what }, on: { click: () => inject(what) } }, name)));
   };
-  for (const name of ["status", "segment", "control", "you", "closed"]) link.on(name, show);
+  for (const name of ["status", "segment", "control", "you", "line_errors", "closed"]) link.on(name, show);
   link.on("status", (status) => {
     const entries = status?.counters ?? [];
     if ($("counters").childElementCount !== entries.length) $("counters").replaceChildren(...entries.map(([name]) => element("div", {}, element("dt", {}, name), element("dd"))));

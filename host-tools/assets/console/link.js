@@ -69,7 +69,8 @@ export class Link extends EventTarget {
     this.bytes += data.length;
     const { section, data: content } = JSON.parse(data);
     this.state[section] = content;
-    if (section === "status" && content?.stopped) this.stopAsked = false;
+    // A robot that stands by another fault stands as well.
+    if (section === "status" && content?.mode === "Fault") this.stopAsked = false;
     this.tell(section, content);
   }
 

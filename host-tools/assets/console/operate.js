@@ -59,8 +59,9 @@ function chip(id, tone, words) {
 function stop(link) {
   const show = () => {
     const status = link.state.status;
-    let words = "Esc";
-    if (link.stopAsked) words = link.open ? "sent, not confirmed" : "will be sent first";
+    let words = matchMedia("(max-width: 860px), (pointer: coarse)").matches ? "stops at once" : "Esc";
+    if (link.stopAsked && status?.mode === "Stopping") words = "the firmware is stopping";
+    else if (link.stopAsked) words = link.open ? "sent, not confirmed" : "will be sent first";
     else if (status?.stopped) words = "confirmed by the firmware";
     text($("stop-text"), words);
     $("stop").dataset.state = link.stopAsked ? "asked" : status?.stopped ? "stopped" : "ready";

@@ -158,6 +158,7 @@ export function paper(link) {
   link.on("path", (path) => {
     if (path.use === 1) [job, executed] = [path, 0];
     else preview = path;
+    facts();
     repaint();
   });
   link.on("studio", (studio) => {

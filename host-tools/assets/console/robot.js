@@ -21,8 +21,8 @@ function skeleton(geometry, joints, platform) {
 export function robot(link) {
   let dirty = true;
   const views = [
-    { screen: new Canvas($("side"), () => (dirty = true)), flat: ([x, , z]) => [x, -z], depth: ([, y]) => -y, box: [-600, -110, 600, 1010] },
-    { screen: new Canvas($("top"), () => (dirty = true)), flat: ([x, y]) => [x, -y], depth: ([, , z]) => z, box: [-620, -620, 620, 620] },
+    { screen: new Canvas($("side"), () => (dirty = true)), flat: ([x, , z]) => [x, -z], depth: ([, y]) => -y, fades: true, box: [-600, -110, 600, 1010] },
+    { screen: new Canvas($("top"), () => (dirty = true)), flat: ([x, y]) => [x, -y], depth: ([, , z]) => z, fades: false, box: [-620, -620, 620, 620] },
   ];
 
   const draw = () => {
@@ -33,7 +33,7 @@ export function robot(link) {
     for (const view of views) paint(view, constants, pose);
   };
 
-  const paint = ({ screen, flat, depth, box }, constants, pose) => {
+  const paint = ({ screen, flat, depth, fades, box }, constants, pose) => {
     const { context, colours } = screen;
     screen.clear();
     const [left, top, right, bottom] = box;
@@ -65,7 +65,7 @@ export function robot(link) {
     const arms = skeleton(geometry, pose.joints_rad, platform).map((arm) => ({ ...arm, near: depth(arm.elbow) }));
     arms.sort((a, b) => a.near - b.near);
     for (const { shoulder, elbow, joint, across, near } of arms) {
-      context.globalAlpha = near < -10 ? 0.55 : 1;
+      context.globalAlpha = fades && near < -10 ? 0.55 : 1;
       line([shoulder, elbow], 6, colours.ink);
       for (const side of [-1, 1]) {
         const shift = (point) => point.map((part, axis) => part + side * across[axis]);

@@ -1,15 +1,15 @@
 //! `etherpen record`: everything the firmware sends into an MCAP file, until Ctrl-C.
 //!
-//! Recording moves nothing: over a port it listens, and writes what others' commands lead to as well. Invariant: whatever
-//! ends it, the file can be read; the message says how much is in it.
+//! Recording moves nothing: over a port it listens, and writes what others' commands lead to as well; where another program
+//! has the port (a drawing, the console), that program tells what it hears. Invariant: whatever ends it, the file can be
+//! read; the message says how much is in it.
 
 use super::prepare::prepare;
 use super::run::{run_error, task};
 use super::{CommandError, ConfigArguments, code, ended_by_a_signal, job_error};
-use crate::link::job::{Control, JobEvent};
+use crate::link::job::Control;
 use crate::link::port::PortName;
-use crate::link::text;
-use crate::machine::{Machine, MachineOptions, News, NoNews};
+use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
 use crate::recording::messages::Level;
 use crate::recording::{About, Recorder};
 use crate::run;
@@ -163,7 +163,9 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), C
     let (mut seen, mut over) = (0, false);
     let drawn = run::simulate(&task(config, &prepared), None, &mut |job| {
         while let Some(event) = job.next_event() {
-            recording.write(|recorder| job_event(recorder, &event));
+            if let Some(account) = Account::of_job(&event) {
+                recording.write(|recorder| put(recorder, &account));
+            }
         }
         let samples = job.samples().get(seen..).unwrap_or(&[]);
         let left = longest.map_or(samples.len(), |longest| longest.saturating_sub(seen));
@@ -187,12 +189,22 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), C
     }
 }
 
-/// Listens to a machine and records it.
-fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), CommandError> {
+/// The machine at a port, or what the program tells that has the port.
+fn source(config: &Config, port: &str) -> Result<Source, CommandError> {
     let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    if let Some(client) = Client::find(&name) {
+        eprintln!("through {}", client.owner());
+        return Ok(client.follow()?);
+    }
     let machine = Machine::start(name, config.clone(), MachineOptions::default())
         .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let news = machine.subscribe(NEWS_MAX);
+    Ok(Source::Own(machine, news))
+}
+
+/// Listens to a machine and records it.
+fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), CommandError> {
+    let mut source = source(config, port)?;
     let about = About {
         config,
         source: port,
@@ -206,28 +218,27 @@ fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), Comm
     let (mut connected, mut flushed, mut flushes) = (false, Instant::now(), 0_u32);
     let is_over = || ended.load(Ordering::Relaxed) || until.is_some_and(|until| Instant::now() >= until);
     while recording.failed.is_none() && !is_over() {
-        match news.next_within(WAIT) {
-            Ok(News::Lost(failure)) if !connected => {
+        match source.next_within(WAIT) {
+            Ok(Account::Lost(failure)) if !connected => {
                 recording.end(false)?;
-                return Err(CommandError::new(failure.code, failure.text));
+                return Err(failure.into());
             }
-            Ok(thing) => {
-                connected |= matches!(thing, News::Connected(_));
-                recording.write(|recorder| take(recorder, &thing));
+            Ok(account) => {
+                connected |= matches!(account, Account::Connected(_));
+                recording.write(|recorder| take(recorder, &account));
             }
             Err(NoNews::Timeout) => {}
-            Err(NoNews::Closed) => break,
+            Err(NoNews::Closed) => {
+                recording.end(arguments.json)?;
+                let text = "the program that had the port has ended; record again to go on in another file";
+                return Err(CommandError::new(code::CONNECTION, text));
+            }
         }
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
             flushes += 1;
-            let lost = news.take_lost();
             recording.write(|recorder| {
                 recorder.set_time(now_ns());
-                if lost > 0 {
-                    let text = format!("{lost} messages were lost in this program: the disk is too slow");
-                    recorder.event(Level::Warning, "link", &text)?;
-                }
                 recorder.flush()
             });
             if flushes.is_multiple_of(LINE_EVERY) {
@@ -235,10 +246,6 @@ fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), Comm
                 eprintln!("{} samples, {} missing", taken.samples, taken.missing);
             }
         }
-    }
-    drop(machine);
-    while let Some(thing) = news.try_next() {
-        recording.write(|recorder| take(recorder, &thing));
     }
     recording.end(arguments.json)
 }
@@ -250,42 +257,40 @@ fn now_ns() -> u64 {
 }
 
 /// Writes what has happened on a machine; what a person should see is printed too.
-fn take(recorder: &mut Recorder<File>, news: &News) -> io::Result<()> {
+fn take(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
     recorder.set_time(now_ns());
-    let (level, name, text) = match news {
-        News::Samples { missing, samples } => return recorder.samples(*missing, samples),
-        News::Status(status) => return recorder.status(status),
-        News::Job(event) => return job_event(recorder, event),
-        News::Progress(_) | News::Reconnecting { .. } => return Ok(()),
-        News::Connected(welcome) => {
-            let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
-            (Level::Info, "link", text)
-        }
-        News::Lost(failure) => (Level::Warning, "link", failure.text.clone()),
-        News::Begun { name, .. } => (Level::Info, "job", format!("{name} is drawn")),
-        News::Ended { result: Ok(()), .. } => (Level::Info, "job", "ended".to_owned()),
-        News::Ended {
-            result: Err(failure), ..
-        } => (Level::Warning, "job", failure.text.clone()),
-    };
-    eprintln!("{text}");
-    recorder.event(level, name, &text)
+    if let Some((_, _, text)) = event(account) {
+        eprintln!("{text}");
+    }
+    put(recorder, account)
 }
 
-/// Writes what a job has to say.
-fn job_event(recorder: &mut Recorder<File>, event: &JobEvent) -> io::Result<()> {
-    let (level, text) = match event {
-        JobEvent::Connected(welcome) => {
+fn put(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
+    match account {
+        Account::Samples { missing, samples } => return recorder.samples(*missing, samples),
+        Account::Status(status) => recorder.status(status)?,
+        _ => {}
+    }
+    match event(account) {
+        Some((level, name, text)) => recorder.event(level, name, &text),
+        None => Ok(()),
+    }
+}
+
+/// Level, name and text of what is recorded as an event.
+fn event(account: &Account) -> Option<(Level, &'static str, String)> {
+    match account {
+        Account::Samples { .. } | Account::Status(_) => None,
+        Account::Connected(welcome) => {
             let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
-            (Level::Info, text)
+            Some((Level::Info, "link", text))
         }
-        JobEvent::Phase(phase) => (Level::Info, phase.to_string()),
-        JobEvent::Refused(command, refusal) => {
-            let text = format!("refused {}: {}", text::command(command), text::refusal(refusal));
-            (Level::Warning, text)
+        Account::Lost(failure) => Some((Level::Warning, "link", failure.text.clone())),
+        Account::Task { bad: false, text } => Some((Level::Info, "job", text.clone())),
+        Account::Task { bad: true, text } => Some((Level::Warning, "job", text.clone())),
+        Account::Missed(lost) => {
+            let text = format!("{lost} messages were lost on the way to this program: the disk is too slow");
+            Some((Level::Warning, "link", text))
         }
-        // These are seen in the samples and the statuses.
-        _ => return Ok(()),
-    };
-    recorder.event(level, "job", &text)
+    }
 }

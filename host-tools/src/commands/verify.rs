@@ -69,7 +69,7 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     setup::ensure_component("rustfmt")?;
     setup::ensure_component("clippy")?;
     setup::ensure_qemu()?;
-    for program in ["tshark", "ip"] {
+    for program in ["tshark", "ip", "chromium"] {
         setup::ensure_program(program)?;
     }
     for board in ["nucleo", "emulated"] {

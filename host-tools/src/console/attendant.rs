@@ -1,7 +1,7 @@
 //! Between the machine and the hub: news become state, answers to orders become lines of the log.
 //!
-//! Invariant: the machine is asked only for what somebody ordered, and once after each connection for its configuration
-//! and bus, which moves nothing.
+//! Invariant: nothing moves that nobody ordered; unasked, a machine that has just started is given its configuration and
+//! brings up its bus.
 
 use super::hub::{Hub, Level, Topic};
 use super::{Console, lock};
@@ -66,7 +66,13 @@ impl Attendant {
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
             Ok(Err(failure)) => {
-                refusals.push(format!("{what}: {failure}"));
+                // What the firmware has refused says what it was.
+                let says_what = failure.text.contains("was refused");
+                refusals.push(if says_what {
+                    failure.text
+                } else {
+                    format!("{what}: {failure}")
+                });
                 false
             }
             Ok(Ok(_)) | Err(TryRecvError::Disconnected) => false,

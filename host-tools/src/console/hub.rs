@@ -22,6 +22,8 @@ use std::sync::Arc;
 
 /// Lines of the log that are kept.
 const LOG_LINES: usize = 500;
+/// Time in which the same warning is the same event, ms.
+const SAME_MS: u64 = 100;
 /// Viewers at the same time.
 pub const VIEWERS_MAX: usize = 32;
 
@@ -46,20 +48,9 @@ pub enum Topic {
     Measured,
     /// The virtual segment.
     Segment,
+    /// What the slaves' controllers count.
+    LineErrors,
 }
-
-/// All topics.
-pub const TOPICS: [Topic; 9] = [
-    Topic::Robot,
-    Topic::Link,
-    Topic::Status,
-    Topic::Control,
-    Topic::Jobs,
-    Topic::Progress,
-    Topic::Studio,
-    Topic::Measured,
-    Topic::Segment,
-];
 
 impl Topic {
     fn name(self) -> &'static str {
@@ -73,6 +64,7 @@ impl Topic {
             Self::Studio => "studio",
             Self::Measured => "measured",
             Self::Segment => "segment",
+            Self::LineErrors => "line_errors",
         }
     }
 }
@@ -221,8 +213,13 @@ impl Hub {
     /// Writes a line into the log.
     pub fn note(&mut self, level: Level, text: impl Into<String>) {
         let text = text.into();
-        // The firmware's mode and the task's phase often say the same.
-        if level == Level::Info && self.log.back().is_some_and(|last| last.text == text) {
+        let said = |last: &LogLine| match level {
+            // The firmware's mode and the task's phase often say the same.
+            Level::Info => last.text == text,
+            // A refusal comes as an event and as an order's answer.
+            _ => self.now_ms() <= last.time_ms + SAME_MS && last.text == text,
+        };
+        if self.log.back().is_some_and(said) {
             return;
         }
         self.log.push_back(LogLine {
@@ -256,6 +253,17 @@ impl Hub {
     /// The firmware's operating mode.
     pub fn mode(&self) -> Option<Mode> {
         self.status.as_ref().map(|status| status.mode)
+    }
+
+    /// Slaves that the firmware knows.
+    pub fn slaves(&self) -> u8 {
+        let slaves = self.status.as_ref().map_or(0, |status| status.slaves.len());
+        u8::try_from(slaves).unwrap_or(u8::MAX)
+    }
+
+    /// Whether anybody looks.
+    pub fn is_watched(&self) -> bool {
+        self.viewers > 0
     }
 
     /// Where the robot is, as text; `None` before the first sample.

@@ -8,7 +8,8 @@ use super::capture::Condition;
 use super::history::Bucket;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use std::sync::Arc;
 
 /// Longest request, bytes.
@@ -23,6 +24,24 @@ pub const WINDOW_MAX_MS: u64 = 60_000;
 /// First byte of a binary message.
 const KIND_COLUMNS: u8 = 1;
 const KIND_PATH: u8 = 2;
+
+/// A number in a message with a tag: serde_json hands on the digits of such a number, for the decoder of the firmware's log
+/// asks it to keep all digits of all numbers.
+fn real<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    let number = serde_json::Number::deserialize(from)?;
+    number
+        .as_f64()
+        .ok_or_else(|| D::Error::custom("a number that is too large"))
+}
+
+fn reals<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
+    let numbers = <[serde_json::Number; 3]>::deserialize(from)?;
+    let reals = numbers.map(|number| number.as_f64().unwrap_or(f64::NAN));
+    match reals.iter().all(|real| real.is_finite()) {
+        true => Ok(reals),
+        false => Err(D::Error::custom("a number that is too large")),
+    }
+}
 
 /// What an operator asks of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -55,6 +74,7 @@ pub enum Action {
     /// Move to a position, mm.
     Move {
         /// Where to.
+        #[serde(deserialize_with = "reals")]
         position_mm: [f64; 3],
     },
 }
@@ -140,7 +160,8 @@ pub enum Request {
     /// Move while this is repeated; mm/s.
     Jog {
         /// Velocity.
-        velocity_mm_s: [f32; 3],
+        #[serde(deserialize_with = "reals")]
+        velocity_mm_s: [f64; 3],
     },
     /// Plot these signals live.
     Watch {
@@ -177,7 +198,8 @@ pub enum Request {
         /// What it waits for.
         condition: Condition,
         /// The level.
-        level: f32,
+        #[serde(deserialize_with = "real")]
+        level: f64,
         /// Time before the event, ms.
         before_ms: u64,
         /// Time after the event, ms.
@@ -304,6 +326,27 @@ mod tests {
     }
 
     #[test]
+    fn numbers_may_be_whole_or_not() {
+        for (text, velocity_mm_s) in [("[20,0,-5]", [20.0, 0.0, -5.0]), ("[0.5,-2.50,1e1]", [0.5, -2.5, 10.0])] {
+            let request = format!(r#"{{"type":"jog","velocity_mm_s":{text}}}"#);
+            let read = serde_json::from_str::<Request>(&request).unwrap();
+            assert_eq!(read, Request::Jog { velocity_mm_s });
+        }
+        let request = r#"{"type":"arm","signal":1,"condition":"above","level":0.25,"before_ms":1,"after_ms":2}"#;
+        let read = serde_json::from_str::<Request>(request).unwrap();
+        assert!(matches!(read, Request::Arm { level, .. } if level == 0.25), "{read:?}");
+        let request = r#"{"type":"command","action":{"do":"move","position_mm":[0.1,2,-850.5]}}"#;
+        let read = serde_json::from_str::<Request>(request).unwrap();
+        let position_mm = [0.1, 2.0, -850.5];
+        assert_eq!(
+            read,
+            Request::Command {
+                action: Action::Move { position_mm }
+            }
+        );
+    }
+
+    #[test]
     fn what_is_no_request_is_refused() {
         for text in [
             "",
@@ -311,6 +354,7 @@ mod tests {
             "[]",
             r#"{"type":"fly"}"#,
             r#"{"type":"jog","velocity_mm_s":[1,2]}"#,
+            r#"{"type":"jog","velocity_mm_s":[1,2,1e999]}"#,
             r#"{"type":"command","action":{"do":"override","percent":300}}"#,
             r#"{"type":"command","action":{"do":"pen"}}"#,
             r#"{"type":"watch","id":-1,"signals":[],"window_ms":0,"columns":0}"#,

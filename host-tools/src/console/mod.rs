@@ -13,6 +13,7 @@ pub mod control;
 pub mod history;
 pub mod hub;
 pub mod jobs;
+mod line_errors;
 mod measuring;
 pub mod messages;
 pub mod server;
@@ -136,6 +137,7 @@ impl Console {
         });
         console.say_segment();
         attendant::attend(&console, news);
+        line_errors::watch(&console);
         Ok(console)
     }
 

@@ -16,7 +16,7 @@ pub struct StatusView {
     mode: &'static str,
     text: &'static str,
     fault: Option<String>,
-    /// Whether the latched fault is a stop that somebody asked for.
+    /// Whether the robot stands because of a stop that somebody asked for.
     stopped: bool,
     referenced: bool,
     configured: bool,
@@ -144,10 +144,11 @@ pub fn view(status: &Status) -> StatusView {
         mode: mode_name(status.mode),
         text: text::mode(status.mode),
         fault: status.fault.as_ref().map(text::fault),
-        stopped: matches!(
-            status.fault,
-            Some(Fault::EmergencyStop(StopSource::Link | StopSource::Input))
-        ),
+        stopped: status.mode == Mode::Fault
+            && matches!(
+                status.fault,
+                Some(Fault::EmergencyStop(StopSource::Link | StopSource::Input))
+            ),
         referenced: status.referenced,
         configured: status.config.is_some(),
         override_percent: status.override_percent,
@@ -207,6 +208,7 @@ mod tests {
     #[test]
     fn a_stop_counts_as_confirmed_by_the_firmwares_fault_only() {
         assert!(!view(&status(Mode::Stopping, None)).stopped);
+        assert!(!view(&status(Mode::Stopping, Some(Fault::EmergencyStop(StopSource::Link)))).stopped);
         assert!(view(&status(Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link)))).stopped);
         assert!(!view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 }))).stopped);
     }

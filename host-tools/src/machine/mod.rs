@@ -6,6 +6,7 @@
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
 //!     .snapshot()        -> Snapshot           the last that is known, for who comes late
 //! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
+//!     .follow()                              and what a recording is made of
 //! ```
 //!
 //! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
@@ -17,6 +18,7 @@
 //! says so, and a drawing that was under way waits, held, for [`Order::Resume`] or [`Order::Cancel`]; no reader and no
 //! user can block the thread.
 
+mod following;
 mod sharing;
 mod subscription;
 mod work;
@@ -30,6 +32,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
+pub use following::{Account, Source};
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;

@@ -1,12 +1,12 @@
 //! A machine shared with other processes of this user: JSON lines over a Unix socket beside the port.
 //!
 //! The owner greets with a [`Greeting`]. A line from a client is a [`Question`] with a number; its [`Response`] carries the
-//! same number, responses come in any order. Drawings are not given over the socket, for their telemetry would have to
-//! travel too.
+//! same number, responses come in any order; a client that follows gets a [`Response`] for everything that is recorded.
+//! Drawings are not given over the socket: their owner is the one whose end holds them.
 //!
 //! Invariant: a client can neither block the machine nor another client, and a motion ends with the client that ordered it.
 
-use super::{Answer, Envelope, Failure, Order, Shared, Snapshot};
+use super::{Account, Answer, Envelope, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
 use crate::commands::code;
 use crate::link::ownership::{Owner, socket_path};
 use crate::link::port::PortName;
@@ -30,6 +30,10 @@ const LINE_BYTES_MAX: usize = 64 * 1024;
 const LOOK: Duration = Duration::from_millis(10);
 /// Longest wait for the greeting of an owner, and for a client that does not read.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Longest wait for a follower that does not read: a disk may stall.
+const FOLLOWER_PATIENCE: Duration = Duration::from_secs(60);
+/// News that may wait for a follower: a minute of samples, and more.
+const FOLLOWED_MAX: usize = 16_384;
 
 /// First line of an owner.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,6 +57,7 @@ struct Question {
 enum Ask {
     Snapshot,
     Order(Order),
+    Follow,
 }
 
 /// What the owner answers.
@@ -68,6 +73,8 @@ struct Response {
 enum Said {
     Snapshot(Snapshot),
     Answer(Answer),
+    /// An [`Account`] in digits.
+    Account(String),
 }
 
 /// The owner's end, until it is dropped.
@@ -150,6 +157,7 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, 
     send(&mut stream, greeting)?;
     let mut lines = Lines::default();
     let mut pending: Vec<Pending> = Vec::new();
+    let mut followed: Option<Followed> = None;
     let result = loop {
         if shared.ended.load(Ordering::Relaxed) {
             break Ok(());
@@ -169,7 +177,11 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, 
                     send(&mut stream, &Response { id: question.id, said })?;
                 }
                 Ask::Order(order) => pending.push(give(question.id, order, &orders)),
+                Ask::Follow => followed = Some(Followed::begin(question.id, &mut stream, shared)?),
             }
+        }
+        if let Some(followed) = &followed {
+            followed.send(&mut stream)?;
         }
         let mut waiting = Vec::new();
         for entry in pending.drain(..) {
@@ -193,6 +205,46 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, 
         let _ = orders.send(Envelope { order, reply });
     }
     result
+}
+
+/// A client that is told everything.
+struct Followed {
+    id: u64,
+    news: Subscription,
+}
+
+impl Followed {
+    /// Tells what was before, so that the client knows what it follows.
+    fn begin(id: u64, stream: &mut UnixStream, shared: &Shared) -> io::Result<Self> {
+        let news = shared.subscribers.subscribe(FOLLOWED_MAX);
+        let snapshot = shared.snapshot.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        stream.set_write_timeout(Some(FOLLOWER_PATIENCE))?;
+        let followed = Self { id, news };
+        let connected = snapshot.welcome.map(Account::Connected);
+        for account in connected.into_iter().chain(snapshot.status.map(Account::Status)) {
+            followed.tell(stream, &account)?;
+        }
+        Ok(followed)
+    }
+
+    fn send(&self, stream: &mut UnixStream) -> io::Result<()> {
+        while let Some(news) = self.news.try_next() {
+            if let Some(account) = Account::of(&news) {
+                self.tell(stream, &account)?;
+            }
+            match self.news.take_lost() {
+                0 => {}
+                lost => self.tell(stream, &Account::Missed(lost))?,
+            }
+        }
+        Ok(())
+    }
+
+    fn tell(&self, stream: &mut UnixStream, account: &Account) -> io::Result<()> {
+        let unwritten = || io::Error::new(ErrorKind::InvalidData, "an account cannot be written");
+        let said = Said::Account(account.to_digits().ok_or_else(unwritten)?);
+        send(stream, &Response { id: self.id, said })
+    }
 }
 
 fn give(id: u64, order: Order, orders: &Sender<Envelope>) -> Pending {
@@ -244,6 +296,8 @@ pub struct Client {
     owner: Owner,
     reader: BufReader<UnixStream>,
     next: u64,
+    /// A line that has not come to its end.
+    begun: Vec<u8>,
 }
 
 impl Client {
@@ -264,6 +318,7 @@ impl Client {
             owner: greeting.owner,
             reader,
             next: 1,
+            begun: Vec::new(),
         })
     }
 
@@ -279,7 +334,7 @@ impl Client {
     pub fn carry_out(&mut self, order: Order) -> Answer {
         match self.ask(Ask::Order(order), None)? {
             Said::Answer(answer) => answer,
-            Said::Snapshot(_) => Err(self.gone(&"an answer to another question came")),
+            Said::Snapshot(_) | Said::Account(_) => Err(self.gone(&"an answer to another question came")),
         }
     }
 
@@ -290,7 +345,41 @@ impl Client {
     pub fn snapshot(&mut self) -> Result<Snapshot, Failure> {
         match self.ask(Ask::Snapshot, Some(PATIENCE))? {
             Said::Snapshot(snapshot) => Ok(snapshot),
-            Said::Answer(_) => Err(self.gone(&"an answer to another question came")),
+            Said::Answer(_) | Said::Account(_) => Err(self.gone(&"an answer to another question came")),
+        }
+    }
+
+    /// Follows the machine: everything that is recorded comes from now on.
+    ///
+    /// # Errors
+    /// The owner has gone.
+    pub fn follow(mut self) -> Result<Source, Failure> {
+        let question = Question {
+            id: self.next,
+            ask: Ask::Follow,
+        };
+        match send(self.reader.get_mut(), &question) {
+            Ok(()) => Ok(Source::Shared(self)),
+            Err(cause) => Err(self.gone(&cause)),
+        }
+    }
+
+    /// The next that is told to a follower, waited for at most this long between two pieces of it.
+    pub(super) fn next_account(&mut self, longest: Duration) -> Result<Account, NoNews> {
+        let stream = self.reader.get_mut();
+        stream.set_read_timeout(Some(longest)).map_err(|_| NoNews::Closed)?;
+        match self.reader.read_until(b'\n', &mut self.begun) {
+            Ok(_) if self.begun.last() == Some(&b'\n') => {}
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                return Err(NoNews::Timeout);
+            }
+            Ok(_) | Err(_) => return Err(NoNews::Closed),
+        }
+        let response: Option<Response> = serde_json::from_slice(&self.begun).ok();
+        self.begun.clear();
+        match response.map(|response| response.said) {
+            Some(Said::Account(digits)) => Account::from_digits(&digits).ok_or(NoNews::Closed),
+            _ => Err(NoNews::Closed),
         }
     }
 

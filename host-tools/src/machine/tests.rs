@@ -182,6 +182,50 @@ fn another_process_finds_the_owner_and_works_through_it() {
     );
 }
 
+#[test]
+fn a_follower_in_another_process_hears_every_sample_of_a_drawing() {
+    let place = Place::new("followed");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
+    let news = machine.subscribe(100_000);
+    let mut source = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    assert!(matches!(source.next_within(PATIENCE), Ok(Account::Connected(_))));
+    assert_eq!(machine.carry_out(draw(300)), Ok(Reply::Done));
+    let (mut heard, mut told) = (Vec::new(), Vec::new());
+    while !told.iter().any(|text| text == "ended") {
+        match source.next_within(PATIENCE).expect("the owner is there") {
+            Account::Samples { missing, samples } => {
+                heard.extend(samples.into_iter().map(|sample| (missing, sample.t_ms)))
+            }
+            Account::Task { text, .. } => told.push(text),
+            _ => {}
+        }
+    }
+    let owned = std::iter::from_fn(|| news.try_next()).filter_map(|news| match news {
+        News::Samples { missing, samples } => {
+            Some(samples.iter().map(|sample| (missing, sample.t_ms)).collect::<Vec<_>>())
+        }
+        _ => None,
+    });
+    let owned: Vec<_> = owned.flatten().collect();
+    let first = heard
+        .first()
+        .and_then(|first| owned.iter().position(|sample| sample == first));
+    let same = owned.iter().skip(first.unwrap_or(usize::MAX)).take(heard.len());
+    assert!(
+        heard.len() >= 300 && same.eq(&heard),
+        "{} of {}",
+        heard.len(),
+        owned.len()
+    );
+    assert!(told.iter().any(|text| text == "a path is drawn"), "{told:?}");
+    drop(machine);
+    firmware.join().unwrap();
+    let end = std::iter::repeat_with(|| source.next_within(PATIENCE)).find_map(Result::err);
+    assert_eq!(end, Some(NoNews::Closed));
+}
+
 /// A port at which somebody says this, over and over, and listens to nothing.
 fn babble(says: &'static [u8]) -> PortName {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

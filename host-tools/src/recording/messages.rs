@@ -6,6 +6,7 @@
 //!
 //! Invariant: bytes that are no message give `None`, never a wrong one of another length.
 
+use super::bytes::Numbers;
 use super::mcap::Topic;
 use etherpen::application::Mode;
 use etherpen::link::protocol::{Counters, Sample};
@@ -252,7 +253,8 @@ impl State {
         cdr.byte(mode_number(self.mode));
         cdr.byte(self.referenced.into());
         cdr.byte(self.override_percent);
-        counts(&self.counters).into_iter().for_each(|count| cdr.word(count));
+        let mut counted = self.counters;
+        counters(&mut counted).into_iter().for_each(|count| cdr.word(*count));
         for column in 0..3 {
             cdr.word(self.slaves.len() as u32);
             let values = self.slaves.iter().filter_map(|slave| slave.get(column));
@@ -266,8 +268,8 @@ impl State {
         let mut cdr = Decoder::new(bytes)?;
         let t_ms = cdr.word()?;
         let (mode, referenced, override_percent) = (mode_of(cdr.byte()?)?, cdr.byte()? == 1, cdr.byte()?);
-        let mut counted = [0; 11];
-        for count in &mut counted {
+        let mut counted = Counters::default();
+        for count in counters(&mut counted) {
             *count = cdr.word()?;
         }
         let mut slaves: Vec<[u16; 3]> = Vec::new();
@@ -286,56 +288,28 @@ impl State {
             mode,
             referenced,
             override_percent,
-            counters: counters(counted),
+            counters: counted,
             slaves,
             fault: cdr.text()?,
         })
     }
 }
 
-fn counts(counters: &Counters) -> [u32; 11] {
+/// The counters in the order of the schema.
+fn counters(of: &mut Counters) -> [&mut u32; 11] {
     [
-        counters.cycles,
-        counters.cycles_late,
-        counters.frames_lost,
-        counters.working_counter_errors,
-        counters.frames_ignored,
-        counters.reference_underruns,
-        counters.path_starvations,
-        counters.trajectory_overruns,
-        counters.telemetry_dropped,
-        counters.link_errors,
-        counters.ethernet_errors,
+        &mut of.cycles,
+        &mut of.cycles_late,
+        &mut of.frames_lost,
+        &mut of.working_counter_errors,
+        &mut of.frames_ignored,
+        &mut of.reference_underruns,
+        &mut of.path_starvations,
+        &mut of.trajectory_overruns,
+        &mut of.telemetry_dropped,
+        &mut of.link_errors,
+        &mut of.ethernet_errors,
     ]
-}
-
-fn counters(counts: [u32; 11]) -> Counters {
-    let [
-        cycles,
-        cycles_late,
-        frames_lost,
-        working_counter_errors,
-        frames_ignored,
-        reference_underruns,
-        path_starvations,
-        trajectory_overruns,
-        telemetry_dropped,
-        link_errors,
-        ethernet_errors,
-    ] = counts;
-    Counters {
-        cycles,
-        cycles_late,
-        frames_lost,
-        working_counter_errors,
-        frames_ignored,
-        reference_underruns,
-        path_starvations,
-        trajectory_overruns,
-        telemetry_dropped,
-        link_errors,
-        ethernet_errors,
-    }
 }
 
 impl Event {
@@ -427,35 +401,21 @@ impl<'a> Decoder<'a> {
         Some(Self { bytes, place: 0 })
     }
 
-    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let begin = self.place.next_multiple_of(N);
-        let end = begin.checked_add(N)?;
-        self.place = end;
-        self.bytes.get(begin..end)?.try_into().ok()
-    }
-
-    fn byte(&mut self) -> Option<u8> {
-        self.array().map(u8::from_le_bytes)
-    }
-
-    fn short(&mut self) -> Option<u16> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    fn word(&mut self) -> Option<u32> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    fn double(&mut self) -> Option<f64> {
-        self.array().map(f64::from_le_bytes)
-    }
-
     fn text(&mut self) -> Option<String> {
         let length = self.word()? as usize;
         let end = self.place.checked_add(length)?;
         let text = self.bytes.get(self.place..end)?.strip_suffix(&[0])?;
         self.place = end;
         String::from_utf8(text.to_vec()).ok()
+    }
+}
+
+impl Numbers for Decoder<'_> {
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let begin = self.place.next_multiple_of(N);
+        let end = begin.checked_add(N)?;
+        self.place = end;
+        self.bytes.get(begin..end)?.try_into().ok()
     }
 }
 

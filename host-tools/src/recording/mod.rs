@@ -4,9 +4,10 @@
 //! sample after the other. Foxglove and PlotJuggler open the same files: the schemas are in them, and units are in the
 //! names of the signals.
 //!
-//! Invariant: memory does not depend on how long a recording is, but for the recorder's table of chunks: some 60 bytes
-//! for each second.
+//! Invariant: memory does not depend on how long a recording is, but for the recorder's table of chunks, one for each second:
+//! `etherpen bench recording --hours 24` measures 2.7 MB.
 
+mod bytes;
 pub mod export;
 pub mod mcap;
 pub mod messages;

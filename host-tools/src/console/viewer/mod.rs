@@ -212,9 +212,7 @@ impl Viewer {
                 to_ms,
                 columns,
             } => self.range(id, &existing(signals), from_ms, to_ms, columns),
-            Request::Arm { signal, level, .. } if signal >= SIGNALS || !level.is_finite() => {
-                self.refuse("there is no such signal or level");
-            }
+            Request::Arm { signal, .. } if signal >= SIGNALS => self.refuse("there is no such signal"),
             Request::Arm {
                 signal,
                 condition,
@@ -225,7 +223,7 @@ impl Viewer {
                 let trigger = Trigger {
                     signal,
                     condition,
-                    level,
+                    level: level as f32,
                     before_ms,
                     after_ms,
                 };
@@ -244,12 +242,9 @@ impl Viewer {
         let console = &self.console;
         match request {
             Request::Command { action } => self.command(action),
-            Request::Jog { velocity_mm_s } if velocity_mm_s.iter().any(|speed| !speed.is_finite()) => {
-                self.refuse("a velocity is not a number");
-            }
             Request::Jog { velocity_mm_s } => {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
-                console.jog(velocity_mm_s);
+                console.jog(velocity_mm_s.map(|speed| speed as f32));
             }
             Request::Inject { fault } => {
                 if let Err(why) = console.inject(fault) {

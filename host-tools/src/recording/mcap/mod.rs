@@ -1,10 +1,8 @@
 //! The MCAP container: chunks of time-stamped messages, with their schemas, in a file that needs no end.
 //!
 //! Written after the format's specification, version 0 (<https://mcap.dev/spec>). The part a recording needs is small:
-//! uncompressed chunks, one writer, one reader from the front. The `mcap` crate would bring thirty crates and forty
-//! seconds of build time for it, and reads whole files from a memory map, which is `unsafe` to make. Chunks are not
-//! compressed: the bits of a moving robot's measurements are as good as random, LZ4 wins next to nothing there, and a
-//! chunk that was cut off can be read up to the cut.
+//! uncompressed chunks, one writer, one reader from the front. The `mcap` crate (0.26) would bring twenty crates that nothing
+//! else here uses, two of them C libraries. Chunks are not compressed: a chunk that was cut off can be read up to the cut.
 //!
 //! Invariant: everything written before the last [`Writer::flush`] can be read, whatever happens afterwards.
 

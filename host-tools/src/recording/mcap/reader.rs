@@ -3,6 +3,7 @@
 //! Every chunk that was written can be read, and of the last one what there is of it. Chunks outside of the wanted time
 //! are skipped by their heads. Invariant: no content of a file makes it fail but by an error, and memory holds one chunk.
 
+use super::super::bytes::Numbers;
 use super::{CRC, MAGIC, kind};
 use std::fs::File;
 use std::io::{self, BufReader, PipeReader, Read};
@@ -405,28 +406,14 @@ impl<'a> Fields<'a> {
         Some(taken)
     }
 
-    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        self.take(N as u64)?.try_into().ok()
-    }
-
-    fn byte(&mut self) -> Option<u8> {
-        self.array().map(u8::from_le_bytes)
-    }
-
-    fn short(&mut self) -> Option<u16> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    fn word(&mut self) -> Option<u32> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    fn long(&mut self) -> Option<u64> {
-        self.array().map(u64::from_le_bytes)
-    }
-
     fn text(&mut self) -> Option<&'a str> {
         let length = self.word()?;
         std::str::from_utf8(self.take(length.into())?).ok()
+    }
+}
+
+impl Numbers for Fields<'_> {
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        self.take(N as u64)?.try_into().ok()
     }
 }
