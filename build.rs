@@ -27,15 +27,55 @@ const BOARDS: [Board; 2] = [
     },
 ];
 
-/// Statics in AXI SRAM, the stack alone in DTCM (an overflow then leaves the memory and faults instead of overwriting),
-/// what the Ethernet DMA touches in SRAM3, which it reaches and `src/bin/nucleo/memory.rs` makes non-cacheable.
+/// Code of the critical path in ITCM, its data in DTCM, other statics in AXI SRAM, what the Ethernet DMA touches in SRAM3,
+/// which it reaches and `src/bin/nucleo/memory.rs` makes non-cacheable. The stack has the lower part of DTCM for itself: an
+/// overflow then leaves the memory and faults instead of overwriting.
+///
+/// Both tightly coupled sections are filled by `src/bin/nucleo/coupled.rs`. Which functions a critical task reaches is known
+/// to the test of the images, which names those that no pattern here takes. These come before the general sections, so
+/// that the linker asks them first.
 const NUCLEO_REGIONS: &str = "\
 REGION_ALIAS(FLASH, H743_FLASH);
 REGION_ALIAS(RAM, H743_AXI_SRAM);
-_stack_start = ORIGIN(H743_DTCM) + LENGTH(H743_DTCM);
-_stack_end = ORIGIN(H743_DTCM);
+_stack_start = ORIGIN(H743_DTCM_STACK) + LENGTH(H743_DTCM_STACK);
+_stack_end = ORIGIN(H743_DTCM_STACK);
 SECTIONS
 {
+  .itcm : ALIGN(8)
+  {
+    __sitcm = .;
+    /* Undefined instructions: whoever calls address zero by mistake ends there. */
+    LONG(0xDEDEDEDE); LONG(0xDEDEDEDE);
+    *(.text.TIM1_UP .text.TIM1_CC .text.ETH);
+    *(.text.*6nucleo3eth* .text.*nucleo..eth* .text.*6nucleo5timer*);
+    *(.text.*8etherpen5board18EmergencyStopInput*);
+    *(.text.*8etherpen7control* .text.*etherpen..control*);
+    *(.text.*8etherpen14ethercat_robot*EtherCatRobot* .text.*8etherpen14ethercat_robot9AxisState*);
+    *(.text.*8etherpen11application9reference18resolver_angle_rad*);
+    *(.text.*8etherpen8ethercat6cyclic* .text.*8etherpen8ethercat8telegram* .text.*8etherpen8ethercat8envelope*);
+    *(.text.*8etherpen8ethercat4plan11CyclicSlave* .text.*8etherpen8ethercat5clock8steering*);
+    *(.text.*8etherpen8ethercat4wire8datagram* .text.*8etherpen8ethercat4wire5frame* .text.*8etherpen8ethercat4wire3udp*);
+    *(.text.*8etherpen8ethercat9transport3raw* .text.*8etherpen8ethernet11descriptors*);
+    *(.text.*8etherpen6drives6cia402* .text.*8etherpen6drives6layout*);
+    *(.text.*8etherpen11measurement10CycleWatch* .text.*8etherpen11measurement9Histogram*);
+    *(.text.*8etherpen7network10NetworkEnd* .text.*8etherpen5queue* .text.*8heapless4spsc*);
+    *(.text.*7smoltcp4wire2ip8checksum* .text.*7smoltcp4wire4ipv4*next_header*);
+    *(.text.*core5array*try_map* .text.*4libm4math* .text.*aeabi_l2d* .text.*aeabi_d2lz* .text.memcpy .text.memclr .text.*memcmp*);
+    . = ALIGN(8);
+    __eitcm = .;
+  } > H743_ITCM AT > H743_FLASH
+  __siitcm = LOADADDR(.itcm);
+} INSERT AFTER .rodata;
+SECTIONS
+{
+  .dtcm (NOLOAD) : ALIGN(8)
+  {
+    __sdtcm = .;
+    *(.bss.*__rtic_internal_local_init_parts* .bss.*__rtic_internal_local_init_wire*);
+    *(.uninit.rtic*);
+    . = ALIGN(8);
+    __edtcm = .;
+  } > H743_DTCM_DATA
   .eth_dma (NOLOAD) : ALIGN(32)
   {
     *(.eth_dma .eth_dma.*);

@@ -1,7 +1,7 @@
 //! Who calls whom, and the stack that takes.
 
 use super::thumb::{self, Effect};
-use super::{Function, Image};
+use super::{Function, Image, LONG_BRANCH};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Calls through a register that may nest within one task.
@@ -267,6 +267,13 @@ fn node(image: &Image, function: &Function) -> Node {
             Effect::Jump(_) | Effect::Other => {}
         }
         address = address.saturating_add(thumb::length(first));
+    }
+    if function.name.starts_with(LONG_BRANCH) {
+        let [.., target, _, _, _] = constants;
+        return Node {
+            calls: BTreeSet::from([entry(image, target & !1)]),
+            ..Node::default()
+        };
     }
     node
 }

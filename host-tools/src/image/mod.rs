@@ -76,6 +76,12 @@ impl Section {
     }
 }
 
+/// Beginning of the names that the linker gives to its own functions for branches that reach too far: they load the
+/// address of the function whose name follows into r12 and go on there.
+pub const LONG_BRANCH: &str = "__Thumbv7ABSLongThunk_";
+/// MOVW, MOVT and BX; the linker says no length.
+const LONG_BRANCH_BYTES: u32 = 10;
+
 /// An image that was read.
 #[derive(Clone, Debug)]
 pub struct Image {
@@ -271,7 +277,10 @@ fn symbols(file: &ElfFile32<'_>) -> Symbols {
             } else {
                 symbol.address() as u32
             },
-            size: symbol.size() as u32,
+            size: match symbol.size() as u32 {
+                0 if name.starts_with(LONG_BRANCH) => LONG_BRANCH_BYTES,
+                size => size,
+            },
         };
         if symbol.kind() == SymbolKind::Text && entry.size > 0 {
             functions.push(entry.clone());

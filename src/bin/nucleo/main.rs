@@ -8,7 +8,8 @@
 //! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
 //! they release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section.
 //! Critical sections mask up to priority 14 (`critical.rs`). Nothing else is at hardware priority 0 or 1: the HAL's time
-//! driver is not linked, and `start_up_check` panics otherwise. DMA memory is in SRAM3, not cached (`memory.rs`).
+//! driver is not linked, and `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in
+//! DTCM (`coupled.rs`); DMA memory is in SRAM3, not cached (`memory.rs`).
 //!
 //! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
 //! `Cargo.toml` (with its `embassy-stm32` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
@@ -26,6 +27,7 @@
 mod clocks;
 #[path = "../shared/copy.rs"]
 mod copy;
+mod coupled;
 mod critical;
 mod eth;
 mod health;

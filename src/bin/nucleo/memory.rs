@@ -3,6 +3,8 @@
 //! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain D2,
 //! and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere, unaligned
 //! access still allowed. It must be in force before the D-cache is on and before the first descriptor is written.
+//!
+//! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to go.
 
 use cortex_m::peripheral::{CPUID, MPU, SCB};
 use embassy_stm32::pac::RCC;
@@ -22,10 +24,15 @@ const _: () = assert!(D2_SRAM_SIZE <= REGION_SIZE / 8 * SUBREGIONS_OFF.trailing_
 /// Never execute, full access, TEX 001 C 0 B 0 S 1: normal, shareable, non-cacheable (ARMv7-M, MPU_RASR).
 const NON_CACHEABLE: u32 = 1 << 28 | 0b011 << 24 | 0b001 << 19 | 1 << 18;
 const REGION_ENABLE: u32 = 1;
+/// Start of the ITCM, whose 64 KiB hold the critical path's code.
+const ITCM_START: u32 = 0;
+const ITCM_SIZE: u32 = 64 * 1024;
+/// Read-only, instructions may be fetched, otherwise as above but not shared.
+const READ_ONLY_CODE: u32 = 0b110 << 24 | 0b001 << 19;
 /// MPU_CTRL: on, with the default map for everything outside the region.
 const MPU_ENABLE: u32 = 0b101;
 
-/// Clocks the D2 SRAM, makes it non-cacheable and turns both caches on.
+/// Clocks the D2 SRAM, makes it non-cacheable and the ITCM read-only, and turns both caches on.
 pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     RCC.ahb2enr().modify(|enable| {
         enable.set_sram1en(true);
@@ -35,14 +42,18 @@ pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     // The clock enable takes effect two bus cycles later; a read back spends them.
     let _ = RCC.ahb2enr().read();
     cortex_m::asm::dmb();
-    // SAFETY: no D2 SRAM is in use yet, so no access changes its meaning under way; the default map stays in force for
-    // all other memory, and the barriers end every access under the old attributes.
+    // SAFETY: no D2 SRAM is in use yet, so no access changes its meaning under way, and ITCM has been filled before; the
+    // default map stays in force for all other memory, and the barriers end every access under the old attributes.
     unsafe {
         mpu.ctrl.write(0);
         mpu.rnr.write(0);
         mpu.rbar.write(D2_SRAM_START);
         mpu.rasr
             .write(NON_CACHEABLE | SUBREGIONS_OFF << 8 | (REGION_SIZE.trailing_zeros() - 1) << 1 | REGION_ENABLE);
+        mpu.rnr.write(1);
+        mpu.rbar.write(ITCM_START);
+        mpu.rasr
+            .write(READ_ONLY_CODE | (ITCM_SIZE.trailing_zeros() - 1) << 1 | REGION_ENABLE);
         mpu.ctrl.write(MPU_ENABLE);
     }
     cortex_m::asm::dsb();
