@@ -7,8 +7,10 @@ use super::broken::{self, Plan};
 use super::display::Display;
 use super::operator::{Key, Operator};
 use super::outputs::{Outcome, make_folder, summarise};
-use super::prepare::{Prepared, planned_s, prepare_with, to_wire};
+use super::prepare::{Prepared, compose, planned_s, prepare_with, to_wire};
+use super::source::SourceArguments;
 use super::{CommandError, DrawingArguments, PortArguments, code, print_json};
+use crate::drawing::take_photograph;
 use crate::history::{self, Entry, Record, hash_text};
 use crate::link::error::Phase;
 use crate::link::job::{JobEvent, JobReport, path_hash};
@@ -19,9 +21,9 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// News that may wait while files are written; telemetry is several hundred a second.
 const NEWS_MAX: usize = 10_000;
@@ -34,7 +36,12 @@ const LOG: Duration = Duration::from_millis(200);
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
-    file: PathBuf,
+    #[arg(required_unless_present = "camera", conflicts_with = "camera")]
+    file: Option<PathBuf>,
+    /// Take a photograph and draw it: a V4L2 device (/dev/video0), or a recorded stream of JPEG pictures. The picture is
+    /// kept beside the log of jobs and named, so that the drawing can be resumed.
+    #[arg(long, value_name = "DEVICE", conflicts_with = "resume")]
+    camera: Option<PathBuf>,
     #[command(flatten)]
     port: PortArguments,
     /// Acknowledge a fault that is latched from before (lost drives are brought back), and cancel a drawing that was
@@ -45,6 +52,9 @@ pub struct Arguments {
     /// jobs) with a small overlap. File, options and configuration must be the same.
     #[arg(long, conflicts_with = "acknowledge")]
     resume: bool,
+    /// Draw layer by layer, with a pause without power to change the pen in between; results go to DIR/layer-N.
+    #[arg(long, conflicts_with_all = ["camera", "resume"])]
+    pause: bool,
     #[command(flatten)]
     drawing: DrawingArguments,
 }
@@ -55,14 +65,88 @@ pub struct Arguments {
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
-    let prepared = prepare_with(&arguments.file, &config, &arguments.drawing.source)?;
-    if let Some(dir) = &arguments.drawing.out {
+    let file = file(arguments)?;
+    let mut operator = Operator::start();
+    let (source, out) = (&arguments.drawing.source, &arguments.drawing.out);
+    if !arguments.pause {
+        let part = Part::new(&file, source.clone(), out.clone(), file.display().to_string());
+        return draw(arguments, &config, &part, &mut operator);
+    }
+    let layers = layers(&file, &config, source)?;
+    for (number, layer) in layers.iter().enumerate() {
+        let folder = out.as_ref().map(|dir| dir.join(format!("layer-{}", number + 1)));
+        let name = format!(
+            "{}, layer {} ({} of {})",
+            file.display(),
+            layer,
+            number + 1,
+            layers.len()
+        );
+        eprintln!("etherpen: {name}");
+        if number > 0 {
+            wait_for_pen(&mut operator, layer)?;
+        }
+        draw(
+            arguments,
+            &config,
+            &Part::new(&file, source.only(layer), folder, name),
+            &mut operator,
+        )?;
+    }
+    Ok(())
+}
+
+/// Names of a file's layers, in the order of drawing.
+fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, CommandError> {
+    if file.as_os_str() == "-" {
+        let text = "--pause reads the file once for each layer: standard input cannot be read again";
+        return Err(CommandError::new(code::USAGE, text));
+    }
+    let composed = compose(file, config, source)?;
+    Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
+}
+
+/// The machine is at rest without power: time to change the pen.
+fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), CommandError> {
+    eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
+    match operator.wait() {
+        Some(Key::Enter) => Ok(()),
+        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+            code::INTERRUPTED,
+            format!("ended before layer {layer}; --layer draws it alone, in its place"),
+        )),
+    }
+}
+
+/// What is drawn without a pause.
+struct Part<'a> {
+    file: &'a Path,
+    source: SourceArguments,
+    out: Option<PathBuf>,
+    name: String,
+}
+
+impl<'a> Part<'a> {
+    fn new(file: &'a Path, source: SourceArguments, out: Option<PathBuf>, name: String) -> Self {
+        Self {
+            file,
+            source,
+            out,
+            name,
+        }
+    }
+}
+
+/// Makes ready, draws, and gives up the power.
+fn draw(arguments: &Arguments, config: &Config, part: &Part, operator: &mut Operator) -> Result<(), CommandError> {
+    let prepared = prepare_with(part.file, config, &part.source)?;
+    if let Some(dir) = &part.out {
         make_folder(dir)?;
     }
     let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
     let hash = hash_text(path_hash(&path));
     let before = match arguments.resume {
-        true => Some(broken::find(&hash, &arguments.file)?),
+        true => Some(broken::find(&hash, part.file)?),
         false => None,
     };
     let options = MachineOptions {
@@ -72,21 +156,47 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let machine = Machine::start(arguments.port.port.clone(), config.clone(), options)
         .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let plan = match before {
-        Some(record) => broken::plan(record, &machine, &config, &path)?,
-        None => Plan::whole(&path, begin_log(arguments, &config, &path, hash)),
+        Some(record) => broken::plan(record, &machine, config, &path)?,
+        None => Plan::whole(&path, begin_log(arguments, part.file, config, &path, hash)),
     };
-    let mut session = Session::new(&machine, &config, &path, plan, arguments.drawing.json);
-    let ended = session.draw(&arguments.file.display().to_string())?;
+    let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
+    let ended = session.draw(&part.name)?;
     let (result, job) = (ended.result, ended.report);
-    let finished = finish(arguments, &config, &prepared, &job, result.is_ok());
+    let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
     result?;
     finished
 }
 
-fn begin_log(arguments: &Arguments, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
+/// The file to draw; with a camera, the photograph that it has taken.
+fn file(arguments: &Arguments) -> Result<PathBuf, CommandError> {
+    let Some(device) = &arguments.camera else {
+        return Ok(arguments.file.clone().unwrap_or_default());
+    };
+    let unusable =
+        |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{}: {cause}", device.display()));
+    let picture = take_photograph(device).map_err(|cause| unusable(&cause))?;
+    let folder = history::folder().map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    make_folder(&folder)?;
+    let seconds = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default()
+        .as_secs();
+    let file = folder.join(format!("camera-{seconds}.png"));
+    picture.save(&file).map_err(|cause| unusable(&cause))?;
+    eprintln!(
+        "etherpen: {} x {} pixels from {}, kept as {}",
+        picture.width(),
+        picture.height(),
+        device.display(),
+        file.display()
+    );
+    Ok(file)
+}
+
+fn begin_log(arguments: &Arguments, file: &Path, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
     let entry = Entry {
-        file: std::fs::canonicalize(&arguments.file).unwrap_or_else(|_| arguments.file.clone()),
+        file: std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned()),
         port: arguments.port.port.to_string(),
         path_hash: hash,
         config_hash: config.hash().map(hash_text).unwrap_or_default(),
@@ -104,6 +214,7 @@ fn begin_log(arguments: &Arguments, config: &Config, path: &[PathVertex], hash: 
 fn finish(
     arguments: &Arguments,
     config: &Config,
+    part: &Part,
     prepared: &Prepared,
     job: &JobReport,
     completed: bool,
@@ -123,13 +234,13 @@ fn finish(
     };
     let report = outcome.report();
     // A drawing that never began has nothing to show.
-    if let Some(dir) = &arguments.drawing.out
+    if let Some(dir) = &part.out
         && !job.samples.is_empty()
     {
         outcome.write(dir, &report)?;
     }
     if completed {
-        summarise(&report, arguments.drawing.out.as_deref());
+        summarise(&report, part.out.as_deref());
     }
     if arguments.drawing.json {
         print_json(&report)?;
@@ -151,21 +262,28 @@ struct Session<'a> {
     measure: PathMeasure,
     plan: Plan,
     display: Display,
-    operator: Operator,
+    operator: &'a mut Operator,
     begun: bool,
     lost: bool,
     logged: Instant,
 }
 
 impl<'a> Session<'a> {
-    fn new(machine: &'a Machine, config: &Config, path: &[PathVertex], plan: Plan, json: bool) -> Self {
+    fn new(
+        machine: &'a Machine,
+        config: &Config,
+        path: &[PathVertex],
+        plan: Plan,
+        operator: &'a mut Operator,
+        json: bool,
+    ) -> Self {
         Self {
             machine,
             news: machine.subscribe(NEWS_MAX),
             measure: PathMeasure::new(path, config),
             plan,
             display: if json { Display::lines_of_json() } else { Display::new() },
-            operator: Operator::start(),
+            operator,
             begun: false,
             lost: false,
             logged: Instant::now(),

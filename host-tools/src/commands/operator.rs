@@ -3,7 +3,10 @@
 use crate::link::job::Control;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use std::sync::mpsc::{self, Receiver};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::time::Duration;
 
 /// What was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +22,8 @@ pub(super) enum Key {
 /// Keys in the order in which they were pressed.
 pub(super) struct Operator {
     keys: Receiver<Key>,
+    /// Whether Enter can still come.
+    reads: Arc<AtomicBool>,
     /// Whether a hold was asked for.
     pub(super) held: bool,
 }
@@ -28,6 +33,8 @@ impl Operator {
     pub(super) fn start() -> Self {
         let (sender, keys) = mpsc::channel();
         let pressed = sender.clone();
+        let reads = Arc::new(AtomicBool::new(true));
+        let reading = reads.clone();
         if let Ok(mut signals) = Signals::new([SIGINT, SIGTERM, SIGHUP]) {
             std::thread::spawn(move || {
                 for signal in signals.forever() {
@@ -48,8 +55,26 @@ impl Operator {
                     return;
                 }
             }
+            reading.store(false, Ordering::Release);
         });
-        Self { keys, held: false }
+        Self {
+            keys,
+            reads,
+            held: false,
+        }
+    }
+
+    /// Waits for the next key; none comes where standard input has ended.
+    pub(super) fn wait(&mut self) -> Option<Key> {
+        loop {
+            // What was pressed before the end is in the channel by then.
+            let reads = self.reads.load(Ordering::Acquire);
+            match self.keys.recv_timeout(Duration::from_millis(50)) {
+                Ok(key) => return Some(key),
+                Err(RecvTimeoutError::Timeout) if reads => {}
+                Err(_) => return None,
+            }
+        }
     }
 
     /// The oldest key that was not taken yet.

@@ -1,9 +1,10 @@
 //! `etherpen order`: the lines of a vector file in an order that costs little drawing time.
 
 use super::prepare::{artwork_of, unusable};
+use super::source::TextArguments;
 use super::{CommandError, code, print_json};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, load, order, parse_length_mm, write_artwork,
+    Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, load_with, order, parse_length_mm, write_artwork,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -30,6 +31,8 @@ pub struct Arguments {
     /// Keep order and directions; only close gaps between a line and the next one.
     #[arg(long)]
     keep_order: bool,
+    #[command(flatten)]
+    text: TextArguments,
 }
 
 /// Gaps closed without being asked, mm: a tenth of a pen's width, so that the ink is the same.
@@ -58,11 +61,12 @@ struct Answer {
 /// The file cannot be used, or the result cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let begun = Instant::now();
-    let artwork = match load(&arguments.file).map_err(|cause| unusable(&arguments.file, &cause))? {
-        Input::Artwork(artwork) => artwork,
-        Input::Drawing(drawing) => artwork_of(drawing),
-        Input::Photograph(_) | Input::Path(_) => return Err(unusable(&arguments.file, &DrawingError::NoArtwork)),
-    };
+    let artwork =
+        match load_with(&arguments.file, &arguments.text.font()).map_err(|cause| unusable(&arguments.file, &cause))? {
+            Input::Artwork(artwork) => artwork,
+            Input::Drawing(drawing) => artwork_of(drawing),
+            Input::Photograph(_) | Input::Path(_) => return Err(unusable(&arguments.file, &DrawingError::NoArtwork)),
+        };
     artwork.warnings.iter().for_each(|text| eprintln!("etherpen: {text}"));
     let options = OrderOptions {
         join_gap_mm: arguments.join.unwrap_or(JOIN_MM),

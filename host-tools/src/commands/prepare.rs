@@ -5,8 +5,8 @@
 use super::source::SourceArguments;
 use super::{CommandError, code};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, load, off_sheet, order, to_path,
-    vectorize_image,
+    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, load_with, off_sheet, order,
+    to_path, vectorize_image,
 };
 use crate::link::text;
 use etherpen::config::Config;
@@ -89,7 +89,7 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
     let refused = |cause: DrawingError| unusable(file, &cause);
     let mut photograph = None;
     let mut parts = Vec::new();
-    let path = match load(file).map_err(refused)? {
+    let path = match load_with(file, &options.font()).map_err(refused)? {
         Input::Photograph(picture) => {
             let (picture, place_mm, drawing) = from_photograph(picture, config, options).map_err(refused)?;
             photograph = Some((picture, place_mm));
@@ -195,7 +195,7 @@ fn on_sheet(
     if placed.parts.len() > 1 {
         let names: Vec<&str> = placed.parts.iter().map(|(layer, _)| layer.name.as_str()).collect();
         eprintln!(
-            "etherpen: {} layers, drawn one after the other with one pen: {}; --layer draws one of them",
+            "etherpen: {} layers, drawn one after the other: {}; --layer draws one of them, `draw --pause` waits between them",
             names.len(),
             names.join(", ")
         );

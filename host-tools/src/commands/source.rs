@@ -1,7 +1,8 @@
 //! Options that say how a file becomes strokes on the sheet; the same for every command that draws or shows one.
 
 use crate::drawing::{
-    Placement, Style, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm,
+    FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm,
+    parse_size_mm,
 };
 use etherpen::config::Config;
 
@@ -27,6 +28,8 @@ pub struct SourceArguments {
     /// Only the vectors' layer of this name or number (Inkscape's label, or the colour as #rrggbb); can be repeated.
     #[arg(long, value_name = "LAYER")]
     layer: Vec<String>,
+    #[command(flatten)]
+    text: TextArguments,
     /// Keep the file's order and directions; only gaps under the pen's width are closed.
     #[arg(long)]
     keep_order: bool,
@@ -48,6 +51,29 @@ pub struct SourceArguments {
     /// Photographs: seed of everything random [default: 1].
     #[arg(long, value_name = "NUMBER")]
     seed: Option<u64>,
+}
+
+/// What text in an SVG is drawn with.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct TextArguments {
+    /// Text in an SVG: letters of single lines, instead of the outlines of a font.
+    #[arg(long)]
+    single_stroke: bool,
+    /// Text in an SVG: outlines of this TrueType or OpenType font, instead of the installed ones.
+    #[arg(long, value_name = "FILE", value_parser = |path: &str| FontFile::read(path), conflicts_with = "single_stroke")]
+    font: Option<FontFile>,
+}
+
+impl TextArguments {
+    /// What text is drawn with.
+    #[must_use]
+    pub fn font(&self) -> TextFont {
+        match &self.font {
+            Some(file) => TextFont::File(file.clone()),
+            None if self.single_stroke => TextFont::SingleStroke,
+            None => TextFont::Installed,
+        }
+    }
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -72,6 +98,15 @@ impl SourceArguments {
             rotate_deg: self.rotate,
             origin_mm: self.origin,
             layers: self.layer.clone(),
+        }
+    }
+
+    /// The same for one layer alone, which comes to lie where it lies among the others.
+    #[must_use]
+    pub fn only(&self, layer: &str) -> Self {
+        Self {
+            layer: vec![layer.to_owned()],
+            ..self.clone()
         }
     }
 
@@ -104,6 +139,12 @@ impl SourceArguments {
     #[must_use]
     pub fn pen_width_mm(&self) -> f64 {
         self.pen_width.unwrap_or(VectorizeOptions::default().pen_width_mm)
+    }
+
+    /// What text is drawn with.
+    #[must_use]
+    pub fn font(&self) -> TextFont {
+        self.text.font()
     }
 
     /// Whether the file's order stays.

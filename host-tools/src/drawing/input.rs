@@ -8,7 +8,7 @@ use super::csv::{Path3d, read_csv};
 use super::gcode::read_gcode;
 use super::hpgl::read_hpgl;
 use super::photo::decode;
-use super::svg::read_svg;
+use super::svg::{TextFont, read_svg_with};
 use super::{Drawing, DrawingError};
 use image::{ImageFormat, RgbImage};
 use std::io::Read;
@@ -31,12 +31,21 @@ pub enum Input {
 }
 
 /// Reads a file, `-` for standard input: a PNG or JPEG picture, an SVG, G-code, HPGL, or a CSV of
-/// coordinates.
+/// coordinates. Text becomes outlines of the installed fonts.
 ///
 /// # Errors
 ///
 /// [`DrawingError`] says what is wrong with the file and what to try.
 pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
+    load_with(path, &TextFont::default())
+}
+
+/// Reads a file as [`load`] does, its text in a font.
+///
+/// # Errors
+///
+/// [`DrawingError`] says what is wrong with the file and what to try.
+pub fn load_with(path: impl AsRef<Path>, font: &TextFont) -> Result<Input, DrawingError> {
     let path = path.as_ref();
     let bytes = read(path)?;
     if bytes.is_empty() {
@@ -50,7 +59,7 @@ pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
     let text = std::str::from_utf8(&bytes).map_err(|_| DrawingError::UnknownContent)?;
     let text = text.trim_start_matches('\u{feff}');
     match kind(path, text) {
-        Some(Kind::Svg) => read_svg(text).map(Input::Artwork),
+        Some(Kind::Svg) => read_svg_with(text, font).map(Input::Artwork),
         Some(Kind::Csv) => read_csv(text),
         Some(Kind::Gcode) => read_gcode(text).map(Input::Artwork),
         Some(Kind::Hpgl) => read_hpgl(text).map(Input::Artwork),

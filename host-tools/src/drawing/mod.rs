@@ -9,6 +9,7 @@
 //! two of them.
 
 mod artwork;
+mod camera;
 mod clip;
 mod csv;
 mod edges;
@@ -34,9 +35,10 @@ mod tour;
 mod vectorize;
 
 pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
+pub use camera::{CameraError, take_photograph};
 pub use csv::{Path3d, read_csv};
 pub use error::DrawingError;
-pub use input::{Input, load};
+pub use input::{Input, load, load_with};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
 pub use order::{OrderOptions, OrderReport, order, order_with_effort};
 pub use path::to_path;
@@ -45,7 +47,7 @@ pub(crate) use raster::Plane;
 pub(crate) use render::draw_line;
 pub use render::{edge_coverage, render_png, render_rgb, tone_correlation, write_artwork, write_svg};
 pub use styles::Style;
-pub use svg::read_svg;
+pub use svg::{FontFile, TextFont, read_svg, read_svg_with};
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 
 /// One line drawn without lifting the pen.

@@ -188,6 +188,20 @@ mod tests {
     }
 
     #[test]
+    fn inks_become_light() {
+        let Ok(Input::Photograph(loaded)) =
+            load_bytes("inks.jpg", include_bytes!("../../../tests/data/pictures/cmyk.jpg"))
+        else {
+            panic!("a CMYK picture was refused");
+        };
+        for (at, expected) in [([4, 4], [0; 3]), ([24, 4], [255, 0, 0]), ([24, 28], [255; 3])] {
+            let found = loaded.get_pixel(at[0], at[1]).0;
+            let is_near = found.iter().zip(expected).all(|(a, b): (&u8, u8)| a.abs_diff(b) <= 30);
+            assert!(is_near, "{found:?} at {at:?}");
+        }
+    }
+
+    #[test]
     fn a_camera_held_sideways_gives_an_upright_picture() {
         let picture = GrayImage::from_fn(40, 20, |x, _| Luma([if x < 20 { 20 } else { 230 }]));
         let jpeg = encoded(&DynamicImage::ImageLuma8(picture), ImageFormat::Jpeg);

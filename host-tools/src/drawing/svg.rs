@@ -2,20 +2,30 @@
 //!
 //! `usvg` resolves styles, references, units, nested pages and transforms; this file prepares its input and reads its
 //! tree. Whatever has a shape is drawn along its outline, filled or not, because a pen cannot fill; a filled rectangle
-//! behind the whole page is paper. Curves become lines within a tolerance, dashes become strokes, clip paths cut.
+//! behind the whole page is paper. Curves become lines within a tolerance, dashes become strokes, clip paths cut, text
+//! becomes lines of a font.
 //!
 //! Invariant: nothing is left out without a warning, and no file takes more than a known number of elements, points and
 //! steps.
+
+mod dashes;
+mod head;
+mod messages;
+mod text;
 
 use super::artwork::{Artwork, Layer, LayerStroke, UserSpace};
 use super::clip::{Region, clip};
 use super::length::{MM_PER_PX, to_mm};
 use super::line::{self, Point};
 use super::{DrawingError, Stroke};
+use dashes::cut_into_dashes;
+use head::Head;
 use kurbo::{Affine, BezPath, PathEl};
-use std::cell::RefCell;
+use messages::Collected;
 use std::collections::HashMap;
-use usvg::roxmltree::{Document, Node as XmlNode, ParsingOptions};
+use text::Fonts;
+pub use text::{FontFile, TextFont};
+use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Transform};
 
 /// Largest distance of a line from the curve that it stands for, mm.
@@ -35,12 +45,20 @@ const PAPER_SHARE: f64 = 0.98;
 /// Name space of Inkscape's layers.
 const INKSCAPE: &str = "http://www.inkscape.org/namespaces/inkscape";
 
+/// Reads an SVG, text as outlines of the installed fonts.
+///
+/// # Errors
+/// As [`read_svg_with`].
+pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
+    read_svg_with(text, &TextFont::default())
+}
+
 /// Reads an SVG.
 ///
 /// # Errors
 /// [`DrawingError::SvgSyntax`], [`DrawingError::SvgCycle`], [`DrawingError::SvgSize`], [`DrawingError::SvgElements`] or
 /// [`DrawingError::TooManyPoints`].
-pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
+pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingError> {
     let options = ParsingOptions {
         allow_dtd: true,
         ..ParsingOptions::default()
@@ -54,10 +72,14 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
     }
     let head = Head::of(&document);
     let prepared = head.prepared(text);
+    let fonts = Fonts::find(&document, font);
     drop(document);
     let collected = Collected::begin();
-    let tree = usvg::Tree::from_str(&prepared, &usvg_options());
+    let mut options = usvg_options();
+    fonts.give_to(&mut options);
+    let tree = usvg::Tree::from_str(&prepared, &options);
     let mut warnings = head.warnings;
+    warnings.extend(fonts.warning());
     warnings.extend(collected.end());
     let tree = tree.map_err(|error| match error {
         // The text itself has been read once before.
@@ -78,6 +100,8 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
         papers: 0,
         cut_steps: 0,
         warnings,
+        letters_are_open: fonts.are_open,
+        is_open: false,
     };
     reader.group(tree.root(), None)?;
     Ok(reader.finish(head.is_sized.then_some(page_mm), head.user_space))
@@ -102,175 +126,6 @@ fn usvg_options() -> usvg::Options<'static> {
     }
 }
 
-/// What the file's text says that usvg's tree does not.
-struct Head {
-    is_sized: bool,
-    user_space: UserSpace,
-    layers: Vec<Layer>,
-    /// Layer by the id of its group.
-    layer_ids: HashMap<String, usize>,
-    /// What is put into the text, and where.
-    insertions: Vec<(usize, String)>,
-    warnings: Vec<String>,
-}
-
-impl Head {
-    fn of(document: &Document) -> Self {
-        let root = document.root_element();
-        let attribute = |name: &'static str| root.attribute(name).map(|value| (name, value.to_owned()));
-        let attributes: Vec<_> = ["width", "height", "viewBox"]
-            .into_iter()
-            .filter_map(attribute)
-            .collect();
-        let mut head = Self {
-            is_sized: root.attribute("viewBox").is_some()
-                || ["width", "height"]
-                    .iter()
-                    .all(|&name| absolute_mm(&root, name).is_some()),
-            user_space: user_space(&root, attributes),
-            layers: Vec::new(),
-            layer_ids: HashMap::new(),
-            insertions: Vec::new(),
-            warnings: Vec::new(),
-        };
-        if absolute_mm(&root, "width").is_none() && absolute_mm(&root, "height").is_none() {
-            head.warnings.push(
-                "the file names no size: its units are taken as 1/96 inch (older programs meant 1/72 or 1/90); \
-                 --size or --fit says how large it becomes"
-                    .to_owned(),
-            );
-        }
-        let is_styled = |node: &XmlNode| node.attribute("style").is_some_and(|style| style.contains("stroke:"));
-        if root.attribute("stroke").is_none() && !is_styled(&root) {
-            let [red, green, blue] = UNNAMED_STROKE;
-            head.insert(&root, &format!(" stroke=\"#{red:02x}{green:02x}{blue:02x}\""));
-        }
-        head.find_layers(document);
-        let mut left_out: Vec<(&str, usize)> = vec![("text", 0), ("image", 0), ("foreignObject", 0)];
-        for node in document.descendants().filter(XmlNode::is_element) {
-            for (name, count) in &mut left_out {
-                *count += usize::from(node.tag_name().name() == *name);
-            }
-        }
-        for (name, count) in left_out.into_iter().filter(|(_, count)| *count > 0) {
-            let remedy = if name == "text" {
-                "; convert text to paths first"
-            } else {
-                ""
-            };
-            head.warnings.push(format!("{count} <{name}> not drawn{remedy}"));
-        }
-        head
-    }
-
-    fn find_layers(&mut self, document: &Document) {
-        let is_layer =
-            |node: &XmlNode| node.tag_name().name() == "g" && node.attribute((INKSCAPE, "groupmode")) == Some("layer");
-        for node in document.descendants().filter(is_layer) {
-            let number = self.layers.len();
-            let name = node
-                .attribute((INKSCAPE, "label"))
-                .map_or_else(|| (number + 1).to_string(), str::to_owned);
-            let id = match node.attribute("id") {
-                Some(id) => id.to_owned(),
-                None => {
-                    let id = format!("etherpen-layer-{number}");
-                    self.insert(&node, &format!(" id=\"{id}\""));
-                    id
-                }
-            };
-            self.layer_ids.insert(id, number);
-            self.layers.push(Layer { name, colour: [0; 3] });
-        }
-    }
-
-    /// Puts text after an element's name.
-    fn insert(&mut self, node: &XmlNode, text: &str) {
-        let source = node.document().input_text();
-        let start = node.range().start + 1;
-        let rest = source.get(start..).unwrap_or_default();
-        let name = rest
-            .find(|c: char| c.is_whitespace() || c == '>' || c == '/')
-            .unwrap_or(0);
-        self.insertions.push((start + name, text.to_owned()));
-    }
-
-    fn prepared(&self, text: &str) -> String {
-        let mut result = String::with_capacity(text.len() + 64 * self.insertions.len());
-        let mut from = 0;
-        let mut insertions: Vec<_> = self.insertions.iter().collect();
-        insertions.sort();
-        for (at, inserted) in insertions {
-            result.push_str(text.get(from..*at).unwrap_or_default());
-            result.push_str(inserted);
-            from = *at;
-        }
-        result.push_str(text.get(from..).unwrap_or_default());
-        result
-    }
-}
-
-/// A length of the root that does not depend on a window's size, mm.
-fn absolute_mm(root: &XmlNode, name: &str) -> Option<f64> {
-    to_mm(root.attribute(name)?, MM_PER_PX).filter(|mm| *mm > 0.0)
-}
-
-/// How the root's own units follow from millimetres, where its box is not squeezed.
-fn user_space(root: &XmlNode, attributes: Vec<(&'static str, String)>) -> UserSpace {
-    let numbers: Option<Vec<f64>> = root.attribute("viewBox").and_then(|text| {
-        let parts = text.split([' ', ',', '\t', '\n', '\r']).filter(|part| !part.is_empty());
-        parts.map(|part| part.parse().ok()).collect()
-    });
-    let plain = UserSpace {
-        attributes,
-        units_per_mm: [1.0 / MM_PER_PX; 2],
-        origin: [0.0; 2],
-    };
-    let Some(&[left, top, width, height]) = numbers.as_deref() else {
-        return plain;
-    };
-    if !(width > 0.0 && height > 0.0 && (left + top + width + height).is_finite()) {
-        return plain;
-    }
-    let (page_width, page_height) = match (absolute_mm(root, "width"), absolute_mm(root, "height")) {
-        (Some(page_width), Some(page_height)) => (page_width, page_height),
-        (Some(page_width), None) => (page_width, page_width * height / width),
-        (None, Some(page_height)) => (page_height * width / height, page_height),
-        (None, None) => (width * MM_PER_PX, height * MM_PER_PX),
-    };
-    let across = [width / page_width, height / page_height];
-    let aspect = root.attribute("preserveAspectRatio").unwrap_or_default();
-    if aspect.starts_with("none") {
-        return UserSpace {
-            units_per_mm: across,
-            origin: [left, top],
-            ..plain
-        };
-    }
-    let units = if aspect.contains("slice") {
-        across[0].min(across[1])
-    } else {
-        across[0].max(across[1])
-    };
-    let align = |low: &str, high: &str| {
-        if aspect.contains(low) {
-            0.0
-        } else if aspect.contains(high) {
-            1.0
-        } else {
-            0.5
-        }
-    };
-    UserSpace {
-        units_per_mm: [units; 2],
-        origin: [
-            left - align("xMin", "xMax") * (page_width * units - width),
-            top - align("YMin", "YMax") * (page_height * units - height),
-        ],
-        ..plain
-    }
-}
-
 /// A clip path's regions: a point is inside when it is in one of each.
 type Clip = Vec<Region>;
 
@@ -286,6 +141,9 @@ struct Reader {
     papers: usize,
     cut_steps: usize,
     warnings: Vec<String>,
+    letters_are_open: bool,
+    /// Whether the closing lines of what is read are left out.
+    is_open: bool,
 }
 
 impl Reader {
@@ -307,7 +165,12 @@ impl Reader {
             match node {
                 usvg::Node::Group(group) => self.group(group, layer)?,
                 usvg::Node::Path(path) if path.is_visible() => self.path(path, layer)?,
-                usvg::Node::Path(_) | usvg::Node::Image(_) | usvg::Node::Text(_) => {}
+                usvg::Node::Text(text) => {
+                    self.is_open = self.letters_are_open;
+                    self.group(text.flattened(), layer)?;
+                    self.is_open = false;
+                }
+                usvg::Node::Path(_) | usvg::Node::Image(_) => {}
             }
         }
         self.clips.truncate(clips);
@@ -421,7 +284,9 @@ impl Reader {
                 PathEl::MoveTo(to) => lines.push(std::mem::replace(&mut points, vec![[to.x, to.y]])),
                 PathEl::LineTo(to) if total <= POINTS_MAX => points.push([to.x, to.y]),
                 PathEl::ClosePath => {
-                    if let Some(&first) = points.first() {
+                    if self.is_open {
+                        lines.push(std::mem::take(&mut points));
+                    } else if let Some(&first) = points.first() {
                         points.push(first);
                         lines.push(std::mem::replace(&mut points, vec![first]));
                     }
@@ -539,88 +404,6 @@ fn colour(paint: &usvg::Paint) -> Option<[u8; 3]> {
     match paint {
         usvg::Paint::Color(colour) => Some([colour.red, colour.green, colour.blue]),
         _ => None,
-    }
-}
-
-/// The drawn parts of a dashed line; `dashes` are drawn and not drawn lengths by turns.
-fn cut_into_dashes(points: &[Point], dashes: &[f64], offset: f64) -> Vec<Vec<Point>> {
-    let period: f64 = dashes.iter().sum();
-    let (mut index, mut left) = (0, offset.rem_euclid(period));
-    while left >= dashes[index] && index + 1 < dashes.len() {
-        left -= dashes[index];
-        index += 1;
-    }
-    let mut left = (dashes[index] - left).max(0.0);
-    let mut result = Vec::new();
-    let mut dash: Vec<Point> = points.iter().take(1).copied().collect();
-    for pair in points.windows(2) {
-        let piece = line::distance(pair[0], pair[1]);
-        let mut done = 0.0;
-        while piece - done > left {
-            done += left;
-            let at = line::between(pair[0], pair[1], done / piece);
-            if index.is_multiple_of(2) {
-                dash.push(at);
-                result.push(std::mem::take(&mut dash));
-            }
-            index = (index + 1) % dashes.len();
-            left = dashes[index];
-            dash = vec![at];
-        }
-        left -= piece - done;
-        dash.push(pair[1]);
-    }
-    if index.is_multiple_of(2) {
-        result.push(dash);
-    }
-    for dash in &mut result {
-        dash.dedup();
-    }
-    result.retain(|dash| dash.len() > 1);
-    result
-}
-
-thread_local! {
-    static MESSAGES: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
-}
-
-/// What usvg says about a file on this thread, kept as warnings.
-struct Collected;
-
-struct Collector;
-
-impl log::Log for Collector {
-    fn enabled(&self, metadata: &log::Metadata) -> bool {
-        metadata.level() <= log::Level::Warn
-    }
-
-    fn log(&self, record: &log::Record) {
-        MESSAGES.with_borrow_mut(|messages| {
-            if let Some(messages) = messages
-                && messages.len() < WARNINGS_MAX
-            {
-                messages.push(record.args().to_string());
-            }
-        });
-    }
-
-    fn flush(&self) {}
-}
-
-impl Collected {
-    fn begin() -> Self {
-        // Another logger that is installed already keeps the messages; a file is read all the same.
-        if log::set_logger(&Collector).is_ok() {
-            log::set_max_level(log::LevelFilter::Warn);
-        }
-        MESSAGES.set(Some(Vec::new()));
-        Self
-    }
-
-    fn end(self) -> Vec<String> {
-        let mut messages = MESSAGES.take().unwrap_or_default();
-        messages.dedup();
-        messages
     }
 }
 

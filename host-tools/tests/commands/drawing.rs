@@ -197,3 +197,74 @@ fn a_photograph_becomes_lines_of_the_same_page_in_each_run() {
     let length: f64 = (artwork.strokes.iter()).map(|stroke| stroke.stroke.length_mm()).sum();
     assert!((answer["pen_down_mm"].as_f64().expect("a length") - length).abs() < 1.0);
 }
+
+#[test]
+fn a_camera_takes_the_photograph_that_is_drawn() {
+    let folder = Folder::new();
+    let picture = image::RgbImage::from_fn(96, 64, |x, y| {
+        image::Rgb([if (x / 12 + y / 16) % 2 == 0 { 30 } else { 220 }; 3])
+    });
+    let mut stream = Vec::new();
+    for _ in 0..3 {
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut stream);
+        encoder.encode_image(&picture).expect("a picture");
+    }
+    let stream = folder.file("recorded.mjpeg", stream);
+    let nobody = "tcp:127.0.0.1:1";
+    let (status, _, stderr) = run(etherpen(&folder)
+        .arg("draw")
+        .arg("--camera")
+        .arg(&stream)
+        .args(["--port", nobody]));
+    assert_eq!(status, Some(i32::from(code::CONNECTION)), "{stderr}");
+    let kept = stderr
+        .split("kept as ")
+        .nth(1)
+        .and_then(|rest| rest.lines().next())
+        .expect("the picture's name");
+    let kept = image::open(kept).expect("the picture");
+    assert_eq!((kept.width(), kept.height()), (96, 64));
+    for (arguments, part) in [
+        (["--camera", "/dev/null"], "no camera"),
+        (["--camera", "/dev/no-such-camera"], "no such camera"),
+    ] {
+        let (status, _, stderr) = run(etherpen(&folder).arg("draw").args(arguments).args(["--port", nobody]));
+        assert!(
+            status == Some(i32::from(code::INPUT)) && stderr.contains(part),
+            "{stderr}"
+        );
+    }
+    let (status, _, stderr) = run(etherpen(&folder).args(["draw", "--pause", "-", "--port", nobody]));
+    assert!(
+        status == Some(i32::from(code::USAGE)) && stderr.contains("--pause"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn text_is_drawn_with_the_pens_own_letters() {
+    let folder = Folder::new();
+    let text = "<text x='10' y='50' font-size='20'>etherpen \u{e4}\u{df}</text>";
+    let file = folder.file("text.svg", format!("{HEAD}{text}</svg>"));
+    let out = folder.join("out.svg");
+    let order = |more: &[&str]| run(etherpen(&folder).arg("order").arg(&file).arg("-o").arg(&out).args(more));
+    let (status, _, stderr) = order(&["--single-stroke"]);
+    assert_eq!(status, Some(0), "{stderr}");
+    let drawn = read(&out);
+    assert!(
+        drawn.strokes.len() >= 9,
+        "one line a letter at least: {}",
+        drawn.strokes.len()
+    );
+    assert!(
+        drawn
+            .strokes
+            .iter()
+            .any(|stroke| stroke.stroke.points.first() != stroke.stroke.points.last())
+    );
+    let (status, _, stderr) = order(&["--font", file.to_str().expect("a name")]);
+    assert!(
+        status == Some(i32::from(code::USAGE)) && stderr.contains("no TrueType"),
+        "{stderr}"
+    );
+}

@@ -42,6 +42,38 @@ fn wait_until_all_is_gone(emulator: u32, folder: &Folder) {
     });
 }
 
+fn draws_layers_with_a_pause_for_the_pen(folder: &Folder, port: &str) {
+    let line = |colour: &str, y: u32| format!("<path d='M10 {y}H40' stroke='{colour}'/>");
+    let file = folder.file(
+        "pens.svg",
+        format!(
+            "<svg xmlns='http://www.w3.org/2000/svg' width='50mm' height='50mm' viewBox='0 0 50 50'>{}{}</svg>",
+            line("red", 10),
+            line("blue", 30)
+        ),
+    );
+    let mut command = etherpen(folder);
+    command
+        .arg("draw")
+        .arg(file)
+        .args(["--pause", "--json", "--port", port]);
+    command.arg("--out").arg(folder.join("pens"));
+    let mut draw = Running::start(command.stdin(std::process::Stdio::piped()));
+    draw.wait_for("pause", |draw| draw.stderr().contains("change the pen").then_some(()));
+    let read = |layer: &str| {
+        let report = std::fs::read_to_string(folder.join("pens").join(layer).join("report.json"));
+        report.map(|text| serde_json::from_str::<serde_json::Value>(&text).expect("a report")["strokes"].clone())
+    };
+    assert_eq!(read("layer-1").expect("the first layer is drawn"), 1);
+    let (_, status, _) = run(etherpen(folder).args(["status", "--json", "--port", port]));
+    let status: serde_json::Value = serde_json::from_str(&status).expect("a status");
+    assert_eq!(status["mode"], "DrivesOff", "a pen is changed without power: {status}");
+    assert!(read("layer-2").is_err(), "nothing is drawn without Enter");
+    draw.press_enter();
+    assert_eq!(draw.end().code(), Some(0), "{}", draw.stderr());
+    assert_eq!(read("layer-2").expect("the second layer is drawn"), 1);
+}
+
 #[test]
 fn a_drawing_goes_over_the_port_that_the_emulator_prints_also_after_one_that_was_cancelled() {
     let folder = Folder::new();
@@ -78,6 +110,7 @@ fn a_drawing_goes_over_the_port_that_the_emulator_prints_also_after_one_that_was
     for name in ["report.json", "telemetry.csv", "intended.csv"] {
         assert!(folder.join("out").join(name).is_file(), "{name}");
     }
+    draws_layers_with_a_pause_for_the_pen(&folder, &port);
     let (_, stdout, stderr) = run(etherpen(&folder).args(["doctor", "--json", "--port", &port]));
     let checks: serde_json::Value = serde_json::from_str(&stdout).expect("a JSON array and nothing else");
     for (name, part) in [

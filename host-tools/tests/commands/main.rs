@@ -14,6 +14,7 @@ mod drawing;
 mod emulator;
 mod ethercrab;
 mod network;
+mod pictures;
 mod plan;
 mod program;
 mod recording;

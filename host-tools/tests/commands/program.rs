@@ -1,7 +1,7 @@
 //! The program as a person starts it: folders that vanish, processes that are watched.
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -99,6 +99,12 @@ impl Running {
 
     pub(crate) fn stderr(&self) -> String {
         self.stderr.lock().expect("nobody panics with it").clone()
+    }
+
+    /// A line for a program that was started with a pipe as its standard input.
+    pub(crate) fn press_enter(&mut self) {
+        let input = self.child.stdin.as_mut().expect("standard input is a pipe");
+        input.write_all(b"\n").expect("the program reads");
     }
 
     /// Waits until `found` finds something in a program that still runs.

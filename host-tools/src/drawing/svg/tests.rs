@@ -144,11 +144,11 @@ fn dashes_clips_and_paper_are_what_they_look_like() {
 
 #[test]
 fn what_is_left_out_is_said() {
-    let body = "<path d='M0 0 L NaN 5'/><polyline points='0,0 nan,3 4,5'/><text>hello</text>\
+    let body = "<path d='M0 0 L NaN 5'/><polyline points='0,0 nan,3 4,5'/>\
         <image href='no/such.png' width='3' height='3'/><path d='M0 0h5'/>";
     let artwork = read("width='10' height='10'", body);
     assert_eq!(artwork.strokes.len(), 1, "{:?}", points(&artwork));
-    for part in ["path parsing", "Polyline", "<text>", "<image>"] {
+    for part in ["path parsing", "Polyline", "<image>"] {
         assert!(
             artwork.warnings.iter().any(|text| text.contains(part)),
             "{part}: {:?}",
@@ -172,5 +172,68 @@ fn files_that_go_round_in_circles_end() {
     assert_eq!(
         read_svg("<svg").err(),
         Some(DrawingError::SvgSyntax { line: 1, column: 1 })
+    );
+}
+
+/// Text of one letter, 100 units high, drawn with a font.
+fn letter(letter: &str, attributes: &str, font: &TextFont) -> Artwork {
+    let text = format!("<text x='10' y='120' font-size='100' {attributes}>{letter}</text>");
+    let head = "width='200mm' height='200mm' viewBox='0 0 200 200'";
+    read_svg_with(&svg(head, &text), font).expect("an SVG")
+}
+
+#[test]
+fn single_stroke_letters_are_the_pens_own_way() {
+    // A vertical bar and a cross bar of T, and a round o that ends where it began.
+    let artwork = letter("T", "", &TextFont::SingleStroke);
+    let lines = points(&artwork);
+    assert_eq!(lines.len(), 2, "{lines:?}");
+    assert!(lines.iter().all(|line| line.len() == 2), "no way back: {lines:?}");
+    let bar = &lines[0];
+    assert!(
+        (bar[0][1] - 48.0).abs() < 0.2 && (bar[1][1] - 120.0).abs() < 0.2,
+        "capitals are 0.72 of the size: {bar:?}"
+    );
+    assert_eq!(bar[0][0], bar[1][0]);
+    let round = points(&letter("o", "", &TextFont::SingleStroke));
+    assert_eq!((round.len(), round[0].first()), (1, round[0].last()));
+    // The dots of a letter with a mark.
+    assert_eq!(points(&letter("\u{e4}", "", &TextFont::SingleStroke)).len(), 4);
+    assert_eq!(artwork.warnings, Vec::<String>::new());
+}
+
+#[test]
+fn text_keeps_its_place_anchor_and_transform() {
+    let left = |attributes: &str| {
+        let lines = points(&letter("HH", attributes, &TextFont::SingleStroke));
+        lines
+            .concat()
+            .iter()
+            .fold(f64::INFINITY, |least, point| least.min(point[0]))
+    };
+    let width = left("text-anchor='start'") - left("text-anchor='end'");
+    assert!(width > 100.0, "{width}");
+    assert!((left("") - left("text-anchor='middle'") - 0.5 * width).abs() < 0.01);
+    assert!((left("transform='translate(7 3)'") - left("") - 7.0).abs() < 0.01);
+}
+
+#[test]
+fn outlines_are_closed_and_a_missing_font_is_told() {
+    let font = std::env::temp_dir().join(format!("etherpen-font-{}.ttf", std::process::id()));
+    std::fs::write(&font, include_bytes!("../../../assets/hershey/single-stroke.ttf")).expect("a file");
+    let file = FontFile::read(&font).expect("a font");
+    let lines = points(&letter("L", "", &TextFont::File(file)));
+    assert_eq!(lines.len(), 1);
+    assert_eq!((lines[0].len(), lines[0].first()), (4, lines[0].last()), "{lines:?}");
+    std::fs::write(&font, "no font").expect("a file");
+    assert!(FontFile::read(&font).is_err_and(|cause| cause.contains("no TrueType")));
+    std::fs::remove_file(&font).expect("the file");
+    let none = TextFont::File(FontFile::none());
+    let artwork = letter("L", "", &none);
+    assert!(artwork.strokes.is_empty());
+    assert!(
+        artwork.warnings.iter().any(|text| text.contains("--single-stroke")),
+        "{:?}",
+        artwork.warnings
     );
 }

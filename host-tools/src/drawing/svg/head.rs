@@ -1,0 +1,171 @@
+//! What an SVG's text says that usvg's tree does not: sizes, layers, what cannot be drawn.
+//!
+//! Invariant: what is put into the text for usvg changes no line of the drawing.
+
+use super::{INKSCAPE, Layer, MM_PER_PX, UNNAMED_STROKE, UserSpace, to_mm};
+use std::collections::HashMap;
+use usvg::roxmltree::{Document, Node as XmlNode};
+
+/// What the file's text says that usvg's tree does not.
+pub(super) struct Head {
+    pub(super) is_sized: bool,
+    pub(super) user_space: UserSpace,
+    pub(super) layers: Vec<Layer>,
+    /// Layer by the id of its group.
+    pub(super) layer_ids: HashMap<String, usize>,
+    /// What is put into the text, and where.
+    insertions: Vec<(usize, String)>,
+    pub(super) warnings: Vec<String>,
+}
+
+impl Head {
+    pub(super) fn of(document: &Document) -> Self {
+        let root = document.root_element();
+        let attribute = |name: &'static str| root.attribute(name).map(|value| (name, value.to_owned()));
+        let attributes: Vec<_> = ["width", "height", "viewBox"]
+            .into_iter()
+            .filter_map(attribute)
+            .collect();
+        let mut head = Self {
+            is_sized: root.attribute("viewBox").is_some()
+                || ["width", "height"]
+                    .iter()
+                    .all(|&name| absolute_mm(&root, name).is_some()),
+            user_space: user_space(&root, attributes),
+            layers: Vec::new(),
+            layer_ids: HashMap::new(),
+            insertions: Vec::new(),
+            warnings: Vec::new(),
+        };
+        if absolute_mm(&root, "width").is_none() && absolute_mm(&root, "height").is_none() {
+            head.warnings.push(
+                "the file names no size: its units are taken as 1/96 inch (older programs meant 1/72 or 1/90); \
+                 --size or --fit says how large it becomes"
+                    .to_owned(),
+            );
+        }
+        let is_styled = |node: &XmlNode| node.attribute("style").is_some_and(|style| style.contains("stroke:"));
+        if root.attribute("stroke").is_none() && !is_styled(&root) {
+            let [red, green, blue] = UNNAMED_STROKE;
+            head.insert(&root, &format!(" stroke=\"#{red:02x}{green:02x}{blue:02x}\""));
+        }
+        head.find_layers(document);
+        let mut left_out: Vec<(&str, usize)> = vec![("image", 0), ("foreignObject", 0)];
+        for node in document.descendants().filter(XmlNode::is_element) {
+            for (name, count) in &mut left_out {
+                *count += usize::from(node.tag_name().name() == *name);
+            }
+        }
+        for (name, count) in left_out.into_iter().filter(|(_, count)| *count > 0) {
+            head.warnings.push(format!("{count} <{name}> not drawn"));
+        }
+        head
+    }
+
+    fn find_layers(&mut self, document: &Document) {
+        let is_layer =
+            |node: &XmlNode| node.tag_name().name() == "g" && node.attribute((INKSCAPE, "groupmode")) == Some("layer");
+        for node in document.descendants().filter(is_layer) {
+            let number = self.layers.len();
+            let name = node
+                .attribute((INKSCAPE, "label"))
+                .map_or_else(|| (number + 1).to_string(), str::to_owned);
+            let id = match node.attribute("id") {
+                Some(id) => id.to_owned(),
+                None => {
+                    let id = format!("etherpen-layer-{number}");
+                    self.insert(&node, &format!(" id=\"{id}\""));
+                    id
+                }
+            };
+            self.layer_ids.insert(id, number);
+            self.layers.push(Layer { name, colour: [0; 3] });
+        }
+    }
+
+    /// Puts text after an element's name.
+    fn insert(&mut self, node: &XmlNode, text: &str) {
+        let source = node.document().input_text();
+        let start = node.range().start + 1;
+        let rest = source.get(start..).unwrap_or_default();
+        let name = rest
+            .find(|c: char| c.is_whitespace() || c == '>' || c == '/')
+            .unwrap_or(0);
+        self.insertions.push((start + name, text.to_owned()));
+    }
+
+    pub(super) fn prepared(&self, text: &str) -> String {
+        let mut result = String::with_capacity(text.len() + 64 * self.insertions.len());
+        let mut from = 0;
+        let mut insertions: Vec<_> = self.insertions.iter().collect();
+        insertions.sort();
+        for (at, inserted) in insertions {
+            result.push_str(text.get(from..*at).unwrap_or_default());
+            result.push_str(inserted);
+            from = *at;
+        }
+        result.push_str(text.get(from..).unwrap_or_default());
+        result
+    }
+}
+
+/// A length of the root that does not depend on a window's size, mm.
+fn absolute_mm(root: &XmlNode, name: &str) -> Option<f64> {
+    to_mm(root.attribute(name)?, MM_PER_PX).filter(|mm| *mm > 0.0)
+}
+
+/// How the root's own units follow from millimetres, where its box is not squeezed.
+fn user_space(root: &XmlNode, attributes: Vec<(&'static str, String)>) -> UserSpace {
+    let numbers: Option<Vec<f64>> = root.attribute("viewBox").and_then(|text| {
+        let parts = text.split([' ', ',', '\t', '\n', '\r']).filter(|part| !part.is_empty());
+        parts.map(|part| part.parse().ok()).collect()
+    });
+    let plain = UserSpace {
+        attributes,
+        units_per_mm: [1.0 / MM_PER_PX; 2],
+        origin: [0.0; 2],
+    };
+    let Some(&[left, top, width, height]) = numbers.as_deref() else {
+        return plain;
+    };
+    if !(width > 0.0 && height > 0.0 && (left + top + width + height).is_finite()) {
+        return plain;
+    }
+    let (page_width, page_height) = match (absolute_mm(root, "width"), absolute_mm(root, "height")) {
+        (Some(page_width), Some(page_height)) => (page_width, page_height),
+        (Some(page_width), None) => (page_width, page_width * height / width),
+        (None, Some(page_height)) => (page_height * width / height, page_height),
+        (None, None) => (width * MM_PER_PX, height * MM_PER_PX),
+    };
+    let across = [width / page_width, height / page_height];
+    let aspect = root.attribute("preserveAspectRatio").unwrap_or_default();
+    if aspect.starts_with("none") {
+        return UserSpace {
+            units_per_mm: across,
+            origin: [left, top],
+            ..plain
+        };
+    }
+    let units = if aspect.contains("slice") {
+        across[0].min(across[1])
+    } else {
+        across[0].max(across[1])
+    };
+    let align = |low: &str, high: &str| {
+        if aspect.contains(low) {
+            0.0
+        } else if aspect.contains(high) {
+            1.0
+        } else {
+            0.5
+        }
+    };
+    UserSpace {
+        units_per_mm: [units; 2],
+        origin: [
+            left - align("xMin", "xMax") * (page_width * units - width),
+            top - align("YMin", "YMax") * (page_height * units - height),
+        ],
+        ..plain
+    }
+}
