@@ -118,6 +118,9 @@ def outline(strokes):
         pen.moveTo(points[0])
         for point in points[1:]:
             pen.lineTo(point)
+        if points[0] == points[-1]:
+            # The pen leaves out a last point that is the first one; a ring needs it.
+            pen.lineTo(points[0])
         pen.closePath()
     return pen.glyph(dropImpliedOnCurves=False)
 
