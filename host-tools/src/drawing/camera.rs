@@ -167,7 +167,7 @@ fn from_yuyv(bytes: &[u8], width: u32, height: u32, line: u32) -> Option<RgbImag
     let pixel = |x: u32, y: u32| {
         let pair = y as usize * line + (x as usize / 2) * 4;
         let at = |offset: usize| bytes.get(pair + offset).map(|byte| f32::from(*byte));
-        let brightness = 1.164 * (at(if x % 2 == 0 { 0 } else { 2 })? - 16.0);
+        let brightness = 1.164 * (at(if x.is_multiple_of(2) { 0 } else { 2 })? - 16.0);
         let (blue, red) = (at(1)? - 128.0, at(3)? - 128.0);
         Some(
             [
