@@ -1,25 +1,13 @@
-//! Limits of motion as the scan uses them: squared speeds, and accelerations as linear rows.
+//! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the platform's.
 //!
-//! The Cartesian acceleration is a circle in the plane of path acceleration and centripetal acceleration; the scan
-//! takes a polygon inside it. What the scan may use lies a little under the configured limits, because the limits
-//! hold exactly only at the points of the grid and in the middle of its curved intervals.
+//! The platform's acceleration is a circle in the plane of path acceleration and centripetal acceleration. What the
+//! scan may use lies a little under the configured limits, because they hold exactly only at the points of the grid and
+//! in the middle of its curved intervals.
 
 use super::scan::Row;
 use crate::config::Motion;
 use crate::robot::ARMS;
 
-/// Directions of the polygon's sides in a quarter of the circle. Its corners lie on the axes and between: on a straight
-/// line, and at constant speed on a curve, the whole acceleration is used.
-pub(crate) const DIRECTIONS: usize = 4;
-/// Cosine and sine of the directions, 22.5 degrees apart, the first at 11.25.
-pub(crate) const DIRECTION: [(f64, f64); DIRECTIONS] = [
-    (0.980_785_280_403_230_4, 0.195_090_322_016_128_28),
-    (0.831_469_612_302_545_2, 0.555_570_233_019_602_2),
-    (0.555_570_233_019_602_2, 0.831_469_612_302_545_2),
-    (0.195_090_322_016_128_28, 0.980_785_280_403_230_4),
-];
-/// Distance of the inner polygon's sides from its centre in a circle of radius 1: cosine of 11.25 degrees.
-const POLYGON: f64 = 0.980_785_280_403_230_4;
 /// Part of the acceleration limits that the scan uses.
 const ACCELERATION_PART: f64 = 0.9998;
 /// Part of the speed limits that the scan uses.
@@ -34,7 +22,7 @@ pub(crate) struct Limits {
     joint_speed_squared: [f64; ARMS],
     /// rad/s2.
     pub(crate) joint_acceleration: [f64; ARMS],
-    /// Radius of the polygon's inscribed circle, mm/s2.
+    /// Of the platform, mm/s2.
     pub(crate) acceleration: f64,
     drawing_squared: f64,
     travel_squared: f64,
@@ -69,7 +57,7 @@ impl Limits {
         Self {
             joint_speed_squared: [a, b, c].map(speed_squared),
             joint_acceleration: [d, e, f].map(|limit| limit * ACCELERATION_PART),
-            acceleration: motion.acceleration_mm_s2 * ACCELERATION_PART * POLYGON,
+            acceleration: motion.acceleration_mm_s2 * ACCELERATION_PART,
             drawing_squared: speed_squared(motion.speed_mm_s),
             travel_squared: speed_squared(motion.travel_speed_mm_s),
             turn_speed_squared: speed_squared(fourth_speed),
@@ -78,11 +66,6 @@ impl Limits {
             pen_speed_squared: speed_squared(or_none(motion.pen_speed_mm_s) * PEN_PART),
             pen_acceleration: or_none(motion.pen_acceleration_mm_s2) * PEN_PART,
         }
-    }
-
-    /// Cartesian acceleration along the path or across it alone: a corner of the polygon, mm/s2.
-    pub(crate) fn whole_acceleration(&self) -> f64 {
-        self.acceleration * (1.0 / POLYGON)
     }
 
     /// Squared path speed with the pen down or up, mm2/s2.
@@ -113,8 +96,8 @@ impl Limits {
                 cap = acceleration / bend.abs();
             }
         }
-        if curvature * cap > self.whole_acceleration() {
-            cap = self.whole_acceleration() / curvature;
+        if curvature * cap > self.acceleration {
+            cap = self.acceleration / curvature;
         }
         cap
     }

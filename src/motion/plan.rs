@@ -25,8 +25,13 @@ pub(crate) const POINTS: usize = 256;
 pub(crate) const PIECES: usize = 128;
 /// Intervals that the grid grows by in one period at most.
 pub(crate) const GROWTH: usize = 64;
+/// The same while another speed is to be taken over: that looks back over the whole grid.
+const GROWTH_RESCALING: usize = 16;
 /// Change of a squared speed that counts as none, relative.
 const UNCHANGED: f64 = 1.0e-12;
+/// What is added to the curvature in the middle of an interval, as a part of how far its second difference bulges: the
+/// centripetal acceleration may be largest between the middle and an end.
+const BULGE_PART: f64 = 0.25;
 /// Points that begin the grid or continue it from a stop, beside the next interval's end.
 const STOP_POINTS: usize = 2;
 
@@ -157,8 +162,13 @@ impl Plan {
 
     /// Grows the grid over the pieces by at most [`GROWTH`] intervals; returns by how many.
     pub(crate) fn grow(&mut self) -> usize {
+        let most = if self.wanted == self.planned {
+            GROWTH
+        } else {
+            GROWTH_RESCALING
+        };
         let mut grown = 0;
-        while grown < GROWTH && self.points.room() > STOP_POINTS {
+        while grown < most && self.points.room() > STOP_POINTS {
             let Some(piece) = self.pieces.get(self.next_piece).copied() else {
                 break;
             };
@@ -199,7 +209,10 @@ impl Plan {
             middle: Middle::NONE,
         };
         if span.curved {
-            let row = self.row_at(piece, span.middle_parameter());
+            let mut row = self.row_at(piece, span.middle_parameter());
+            let before = self.points.last_mut().map_or(0.0, |last| last.row.curvature);
+            let bulge = 2.0 * row.curvature - before - end.row.curvature;
+            row.curvature += BULGE_PART * bulge.max(0.0);
             let cap = self.limits.cap(&row);
             span.middle = Middle {
                 joints: row.joints,

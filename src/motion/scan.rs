@@ -5,22 +5,26 @@
 //! for which some u obeys the rows at both ends of the interval, on a curve those in its middle too, and leads to a
 //! speed from which the rest can be reached (after Pham and Pham, "A new approach to time-optimal path
 //! parameterization based on reachability analysis"). The width of the range of u is a concave function of x made of
-//! straight stretches, so Newton's method from the right finds its zero exactly, in as many steps as there are
-//! stretches.
+//! straight stretches, where the Cartesian acceleration counts of arcs as well; Newton's method from the right finds
+//! its zero without passing it: exactly on a stretch, with quadratic convergence on an arc.
 //!
 //! Invariant: x = 0, u = 0 obeys every row; so whatever x a point may have, less is allowed too.
 
-use super::limits::{DIRECTION, DIRECTIONS, Limits};
+use super::limits::Limits;
+use crate::robot::vector::root;
 use crate::robot::{ARMS, JointRows};
 
-/// Newton steps at most; more stretches than this do not occur, and if they did, the result is a safe bound.
-const NEWTON_STEPS: usize = 10;
+/// Newton steps at most; more are not needed, and if they were, the result is a safe bound.
+const NEWTON_STEPS: usize = 16;
 /// Relative steps to the inside when rounding keeps Newton's method outside; the last ones are never needed.
 const HAIRS: [f64; 5] = [1.0e-12, 1.0e-10, 1.0e-8, 1.0e-4, 0.5];
 /// Rounding of a range's ends, relative.
 const ROUNDING: f64 = 1.0e-13;
 /// Coefficients of u smaller than this count as zero.
 const COEFFICIENT_SMALL: f64 = 1.0e-15;
+/// Half chords of the circle of accelerations shorter than this part of its radius are taken a little shorter, so that
+/// their change with the speed stays finite where the circle ends.
+const CHORD_SMALL: f64 = 1.0e-4;
 
 /// Limits at one point of the grid, in terms of the path.
 #[derive(Clone, Copy, Debug, Default)]
@@ -76,6 +80,44 @@ impl Range {
     fn restrict_both(&mut self, a: f64, b: f64, c: f64, x: f64) {
         self.restrict(a, b, c, x);
         self.restrict(-a, -b, c, x);
+    }
+
+    /// Tightens the range by the circle u^2 + (k (x + d u))^2 <= c^2: path and centripetal acceleration where the
+    /// curvature is k and the squared speed has grown by d u.
+    fn restrict_circle(&mut self, curvature: f64, growth_mm: f64, acceleration: f64, x: f64) {
+        let (squared, limit) = (curvature * curvature, acceleration * acceleration);
+        let inside = |u: f64| {
+            let y = x + growth_mm * u;
+            u * u + squared * y * y <= limit
+        };
+        if inside(self.low) && inside(self.high) {
+            return;
+        }
+        let leading = 1.0 + squared * growth_mm * growth_mm;
+        let chord_squared = leading * limit - squared * x * x;
+        let small = CHORD_SMALL * acceleration;
+        let inverse = 1.0 / leading;
+        let (half, half_slope) = if chord_squared > small * small {
+            let half = root(chord_squared);
+            (half, -squared * x / half)
+        } else if chord_squared > 0.0 {
+            (chord_squared / small, -2.0 * squared * x / small)
+        } else {
+            let largest = acceleration * root(leading) / curvature;
+            let slope = -2.0 * squared * largest / small;
+            (slope * (x - largest), slope)
+        };
+        let (middle, middle_slope) = (-squared * growth_mm * x, -squared * growth_mm);
+        let high = (middle + half) * inverse;
+        if high < self.high {
+            self.high = high;
+            self.high_slope = (middle_slope + half_slope) * inverse;
+        }
+        let low = (middle - half) * inverse;
+        if low > self.low {
+            self.low = low;
+            self.low_slope = (middle_slope - half_slope) * inverse;
+        }
     }
 
     /// High less low, where rounding does not make an exact meeting of both a negative width.
@@ -161,15 +203,8 @@ impl Interval<'_> {
             let b = self.end.rise_change;
             range.restrict_both(self.end.rise + b * double, b, limit, x);
         }
-        for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * self.start.curvature;
-            range.restrict(*cosine, b, limits.acceleration, x);
-            range.restrict(-cosine, b, limits.acceleration, x);
-            let b = sine * self.end.curvature;
-            let turned = b * double;
-            range.restrict(cosine + turned, b, limits.acceleration, x);
-            range.restrict(turned - cosine, b, limits.acceleration, x);
-        }
+        range.restrict_circle(self.start.curvature, 0.0, limits.acceleration, x);
+        range.restrict_circle(self.end.curvature, double, limits.acceleration, x);
         if let Some((middle, ahead_mm)) = &self.middle {
             let double = 2.0 * ahead_mm;
             range.restrict(double, 1.0, middle.cap, x);
@@ -182,12 +217,7 @@ impl Interval<'_> {
                 let b = middle.rise_change;
                 range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
             }
-            for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-                let b = sine * middle.curvature;
-                let turned = b * double;
-                range.restrict(cosine + turned, b, limits.acceleration, x);
-                range.restrict(turned - cosine, b, limits.acceleration, x);
-            }
+            range.restrict_circle(middle.curvature, double, limits.acceleration, x);
         }
         range
     }
@@ -223,7 +253,7 @@ impl Interval<'_> {
     pub(crate) fn braking(&self, x: f64) -> f64 {
         let limits = self.limits;
         let mut range = Range {
-            low: -limits.whole_acceleration(),
+            low: -limits.acceleration,
             high: 0.0,
             low_slope: 0.0,
             high_slope: 0.0,
@@ -254,10 +284,7 @@ impl Interval<'_> {
                 range.restrict_both(row.rise, row.rise_change, limits.pen_acceleration, 0.0);
             }
         }
-        for (cosine, sine) in DIRECTION.iter().take(DIRECTIONS) {
-            let b = sine * curvature;
-            range.restrict(-cosine, b, limits.acceleration, x);
-        }
+        range.restrict_circle(curvature, 0.0, limits.acceleration, x);
         range.low.min(0.0)
     }
 }
@@ -344,7 +371,7 @@ mod tests {
             lifts: false,
             middle: None,
         };
-        let expected = 2.0 * 2.0 * limits.whole_acceleration();
+        let expected = 2.0 * 2.0 * limits.acceleration;
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);
     }
 }

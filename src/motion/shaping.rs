@@ -34,11 +34,11 @@ const LINE_MIN_MM: f64 = 1.0e-6;
 /// Length that one interval of the grid spans at most on a curve, mm.
 const CURVE_STEP_MM: f64 = 2.0;
 /// Intervals of a blend and of a span at least.
-const BLEND_INTERVALS: u16 = 8;
+const BLEND_INTERVALS: u16 = 10;
 /// The same where the blend is long enough for the joints' derivatives to change on it.
-const LONG_BLEND_INTERVALS: u16 = 14;
+const LONG_BLEND_INTERVALS: u16 = 18;
 /// The same where the turn is sharp and the curvature has a narrow peak.
-const SHARP_BLEND_INTERVALS: u16 = 16;
+const SHARP_BLEND_INTERVALS: u16 = 20;
 /// Cosine of the turn from which it is sharp: 95 degrees.
 const SHARP_TURN_COSINE: f64 = -0.087_155_742_747_658_17;
 /// Trim from which a blend is long, mm.

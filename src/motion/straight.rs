@@ -53,7 +53,7 @@ impl Straight {
             ..Row::NONE
         };
         let mut speed_squared = limits.path_speed_squared(false);
-        let mut acceleration = limits.whole_acceleration();
+        let mut acceleration = limits.acceleration;
         if limits.pen_limited {
             speed_squared = limits.cap_pen(speed_squared, &row);
             if row.rise.abs() * acceleration > limits.pen_acceleration {
