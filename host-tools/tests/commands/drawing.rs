@@ -202,7 +202,7 @@ fn a_photograph_becomes_lines_of_the_same_page_in_each_run() {
 fn a_camera_takes_the_photograph_that_is_drawn() {
     let folder = Folder::new();
     let picture = image::RgbImage::from_fn(96, 64, |x, y| {
-        image::Rgb([if (x / 12 + y / 16) % 2 == 0 { 30 } else { 220 }; 3])
+        image::Rgb([if (x / 12 + y / 16).is_multiple_of(2) { 30 } else { 220 }; 3])
     });
     let mut stream = Vec::new();
     for _ in 0..3 {
