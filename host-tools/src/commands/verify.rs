@@ -5,6 +5,7 @@ use super::{CommandError, code, in_colour};
 use crate::bench::Row;
 use crate::bench::latency::{Disturbance, Isolation, Plan};
 use crate::setup::{self, TARGET};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// Options of `etherpen verify`.
@@ -12,12 +13,20 @@ use std::time::Instant;
 pub struct Arguments {}
 
 /// One step: what a person reads, and cargo's arguments.
-const STEPS: [(&str, &[&str]); 6] = [
+type Step = (&'static str, &'static [&'static str]);
+
+/// What is done on the host, before the tests.
+const HOST: [Step; 4] = [
     ("format", &["fmt", "--all", "--check"]),
     (
         "lints on the host",
         &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"],
     ),
+    ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
+    ("programs of the tests", &["test", "--workspace", "--no-run", "--quiet"]),
+];
+/// What is done for the boards, meanwhile; it has other folders below target/.
+const BOARDS: [Step; 2] = [
     (
         "lints of board nucleo",
         &[
@@ -54,9 +63,9 @@ const STEPS: [(&str, &[&str]); 6] = [
             "warnings",
         ],
     ),
-    ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
-    ("tests, on the host and in the emulator", &["test", "--workspace"]),
 ];
+/// What is done with all of it.
+const TESTS: Step = ("tests, on the host and in the emulator", &["test", "--workspace"]);
 
 /// Runs the command.
 ///
@@ -72,17 +81,19 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     for program in ["tshark", "ip", "chromium"] {
         setup::ensure_program(program)?;
     }
-    for board in ["nucleo", "emulated"] {
-        announce(&format!("firmware of board {board}"));
-        let image = setup::build_firmware(board)?;
-        eprintln!("{}", image.display());
-    }
-    for (name, arguments) in STEPS {
-        announce(name);
-        step(name, arguments)?;
-    }
-    announce("latency with foreign frames");
-    in_time()?;
+    // Side by side, because neither keeps all processors busy; after an error in one the other ends its step.
+    let has_failed = AtomicBool::new(false);
+    let noted = |result: Result<(), CommandError>| {
+        has_failed.fetch_or(result.is_err(), Ordering::Relaxed);
+        result
+    };
+    std::thread::scope(|scope| {
+        let boards = scope.spawn(|| noted(boards(&has_failed)));
+        let host = noted(steps(&HOST, &has_failed));
+        let boards = boards.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        host.and(boards)
+    })?;
+    step(TESTS)?;
     eprintln!(
         "{} in {:.0} s",
         in_colour("verified", "1;32"),
@@ -91,6 +102,8 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     Ok(())
 }
 
+/// Feature of the firmware of `tests/panic.rs`.
+const PANICS: &str = "panic-while-drawing";
 /// Cycles of the latency run.
 const LATENCY_CYCLES: u64 = 100_000;
 /// Figures that every verification holds against their bounds.
@@ -136,11 +149,31 @@ fn in_time() -> Result<(), CommandError> {
     ))
 }
 
+fn steps(all: &[Step], has_failed: &AtomicBool) -> Result<(), CommandError> {
+    let mut left = all.iter().take_while(|_| !has_failed.load(Ordering::Relaxed));
+    left.try_for_each(|one| step(*one))
+}
+
+/// Firmware, lints and latency of the boards.
+fn boards(has_failed: &AtomicBool) -> Result<(), CommandError> {
+    for board in ["nucleo", "emulated"] {
+        announce(&format!("firmware of board {board}"));
+        let image = setup::build_firmware(board)?;
+        eprintln!("{}", image.display());
+    }
+    steps(&BOARDS, has_failed)?;
+    announce("firmware that panics, for its test");
+    setup::build_variant("emulated", &[PANICS])?;
+    announce("latency with foreign frames");
+    in_time()
+}
+
 fn announce(name: &str) {
     eprintln!("{} {name}", in_colour("==", "1;34"));
 }
 
-fn step(name: &str, arguments: &[&str]) -> Result<(), CommandError> {
+fn step((name, arguments): Step) -> Result<(), CommandError> {
+    announce(name);
     let mut command = setup::cargo();
     command.args(arguments);
     if arguments.first() == Some(&"doc") {
