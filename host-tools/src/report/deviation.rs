@@ -96,25 +96,29 @@ pub(super) fn deviation(moments: impl Iterator<Item = Moment>, strokes: &[Number
 pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]) -> Deviation {
     let mut distances = Distances::default();
     let mut stroke = 0;
-    for line in ink_mm {
-        let Some(begin) = line.first() else { continue };
-        let away_mm = |index: usize| {
-            let on = strokes.get(index)?;
-            Some(Follower::beginning_near(&on.1, &on_paper(begin, on)).1)
+    for line in ink_mm.iter().filter(|line| !line.is_empty()) {
+        // The line goes on with the last stroke, or is the next one, which may begin on top of the last.
+        let same = along(line, strokes.get(stroke));
+        let next = along(line, strokes.get(stroke + 1));
+        let is_next = matches!((&same, &next), (Some(same), Some(next)) if worst(next) < worst(same));
+        stroke += usize::from(is_next);
+        let Some(nearest) = (if is_next { next } else { same }) else {
+            break;
         };
-        // The line goes on with the last stroke, or begins the next one.
-        if let (Some(same_mm), Some(next_mm)) = (away_mm(stroke), away_mm(stroke + 1))
-            && next_mm < same_mm
-        {
-            stroke += 1;
-        }
-        let Some(on) = strokes.get(stroke) else { break };
-        let (mut follower, _) = Follower::beginning_near(&on.1, &on_paper(begin, on));
-        for point in line {
-            distances.add(follower.step(&on_paper(point, on)));
-        }
+        nearest.into_iter().for_each(|distance| distances.add(distance));
     }
     distances.result()
+}
+
+/// Distance of every point of a line from a stroke, where the line begins anywhere along it, mm.
+fn along(line: &[[f64; 2]], on: Option<&NumberedStroke>) -> Option<Vec<f64>> {
+    let (begin, on) = (line.first()?, on?);
+    let (mut follower, _) = Follower::beginning_near(&on.1, &on_paper(begin, on));
+    Some(line.iter().map(|point| follower.step(&on_paper(point, on))).collect())
+}
+
+fn worst(distances: &[f64]) -> f64 {
+    distances.iter().copied().fold(0.0, f64::max)
 }
 
 /// A point of ink at the height of a stroke's paper.
@@ -362,6 +366,23 @@ mod tests {
         let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
         let missing_mm = ink_missing(&strokes, &[ink]);
         assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
+    }
+
+    #[test]
+    fn ink_that_begins_on_top_of_the_last_stroke_belongs_to_its_own() {
+        // The second stroke begins on the first one, and is drawn a little beside its own beginning.
+        let strokes = vec![
+            (0, vec![place(0.0, 0.0), place(20.0, 0.0)]),
+            (1, vec![place(10.0, 0.05), place(10.0, 5.0)]),
+            (2, vec![place(30.0, 0.0), place(40.0, 0.0)]),
+        ];
+        let ink = [
+            vec![[0.0, 0.0], [20.0, 0.0]],
+            vec![[10.0, 0.0], [10.0, 5.0]],
+            vec![[30.0, 0.0], [40.0, 0.0]],
+        ];
+        let found = ink_deviation(&ink, &strokes);
+        assert!(found.max_mm < 0.06, "{}", found.max_mm);
     }
 
     #[test]
