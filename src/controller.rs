@@ -174,3 +174,27 @@ impl HostBytes<'_> {
         self.lost
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use std::boxed::Box;
+
+    #[test]
+    fn received_bytes_that_find_no_room_are_counted_and_those_before_them_are_kept() {
+        let channels = Box::leak(Box::new(Channels::new()));
+        let mut parts = channels.split("test");
+        let chunk = [0x55; 100];
+        let mut taken = 0;
+        for _ in 0..50 {
+            taken += parts.host_bytes.received(&chunk);
+        }
+        assert_eq!(taken, RECEIVED_BYTES - 1);
+        assert_eq!(parts.host_bytes.lost() as usize, 50 * chunk.len() - taken);
+        assert_eq!(parts.host_bytes.received(&chunk), 0, "nobody has taken any");
+        parts.link.tick();
+        assert_eq!(parts.host_bytes.received(&[0]), 1, "the link task takes what has come");
+    }
+}

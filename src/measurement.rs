@@ -244,6 +244,10 @@ pub mod disturbance {
     pub const LOG: u8 = 1 << 1;
     /// Foreign frames on the cable, timed to meet the release of `sample`.
     pub const NETWORK: u8 = 1 << 2;
+    /// The emergency-stop input shows an open contact.
+    pub const EMERGENCY_STOP: u8 = 1 << 3;
+    /// The clock's source has failed: the board runs on its substitute.
+    pub const CLOCK: u8 = 1 << 4;
 }
 
 /// A piece of a histogram.

@@ -402,4 +402,39 @@ mod tests {
         let ring = ReceiveRing::start(&memory, PLACE);
         assert_eq!(ring.received(), Received::Nothing);
     }
+
+    #[test]
+    fn rings_that_start_anew_after_an_error_of_the_bus_forget_what_was_under_way_and_work() {
+        let memory = descriptors();
+        for frames in 0..N {
+            // The DMA stops in the middle of whatever it does: some frames received, none fetched, one half written.
+            let mut ring = ReceiveRing::start(&memory, PLACE);
+            let mut dma = Dma {
+                descriptors: &memory,
+                next: 0,
+                tail: ring.first_tail(),
+            };
+            assert_eq!(ring.received(), Received::Nothing, "after {frames} frames");
+            assert!((0..frames).all(|_| dma.receive(WHOLE_FRAME | 64)));
+            memory[frames].write(0xDEAD_BEEF, 0xFFFF_FFFF, OWN);
+            let seen = (0..N)
+                .take_while(|_| ring.received() == Received::Frame(64))
+                .map(|_| ring.give_back());
+            assert_eq!(seen.count(), frames);
+        }
+        let mut ring = TransmitRing::start(&memory, PLACE);
+        while ring.has_room() {
+            ring.hand_over(60);
+        }
+        let mut ring = TransmitRing::start(&memory, PLACE);
+        assert!(ring.has_room());
+        let tail = ring.hand_over(100);
+        let mut dma = Dma {
+            descriptors: &memory,
+            next: 0,
+            tail,
+        };
+        assert_eq!(dma.send().map(|(_, length)| length), Some(100));
+        assert_eq!(dma.send(), None, "what waited before the error is not sent");
+    }
 }

@@ -1,11 +1,12 @@
 //! What the board itself sees: its emergency-stop input and its Ethernet port.
 
-use crate::robot::{Robot, path};
+use crate::robot::{Overrun, Robot, path};
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::board::{Interlock, PortState};
 use etherpen::config::Config;
 use etherpen::link::protocol::Command;
+use etherpen::measurement::disturbance;
 use host_tools::cell::{DriveState, Fault as CellFault};
 
 const BY_INPUT: Fault = Fault::EmergencyStop(StopSource::Input);
@@ -181,5 +182,84 @@ fn a_trajectory_task_that_hangs_in_motion_is_a_quick_stop() {
     robot.run(100);
     let counters = robot.status.as_ref().unwrap().counters;
     assert_eq!(counters.reference_underruns, 1, "the first one stopped the drives");
+    assert_recovers_and_draws(&mut robot);
+}
+
+#[test]
+fn bytes_that_the_serial_port_overruns_are_sent_again_and_the_drawing_is_the_same() {
+    let draw = |overrun| {
+        let mut robot = Robot::idle();
+        robot.overrun = overrun;
+        robot.draw(path());
+        robot.run_until("the path is executed", |robot| robot.ack.finished);
+        robot.overrun = None;
+        robot.run(200);
+        assert_eq!(robot.fault(), None);
+        let errors = robot.status.as_ref().unwrap().counters.link_errors;
+        (robot.ink(), errors)
+    };
+    let (undisturbed, _) = draw(None);
+    // As many as the receiver's FIFO holds.
+    let overrun = Overrun {
+        bytes: 16,
+        period_ms: 3,
+    };
+    let (ink, errors) = draw(Some(overrun));
+    println!("{errors} damaged messages");
+    assert!(errors > 0, "the line lost something");
+    assert_eq!(ink.len(), undisturbed.len());
+    for (stroke, same) in ink.iter().zip(&undisturbed) {
+        // A stroke has a point for each millisecond.
+        assert!(stroke.points_mm.len().abs_diff(same.points_mm.len()) <= 1);
+        let apart_mm = stroke
+            .points_mm
+            .iter()
+            .zip(&same.points_mm)
+            .map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+        assert!(apart_mm.fold(0.0, f64::max) < 0.2);
+    }
+}
+
+#[test]
+fn an_error_of_the_ethernet_dma_costs_the_frames_under_way_and_is_told() {
+    let mut robot = Robot::drawing();
+    for errors in 1..=3 {
+        // The controller's reset takes less than two milliseconds; both telegrams of each are lost.
+        for _ in 0..2 {
+            robot.inject(CellFault::Lose);
+            robot.inject(CellFault::Lose);
+            robot.run(1);
+        }
+        robot.surround(|around| around.board.ethernet_errors = errors);
+        robot.run(100);
+    }
+    robot.run_until("the path is executed", |robot| robot.ack.finished);
+    robot.run(100);
+    assert_eq!(robot.fault(), None);
+    assert_eq!(robot.status.as_ref().unwrap().counters.ethernet_errors, 3);
+}
+
+#[test]
+fn the_emulated_board_stops_for_its_emergency_stop_input_and_for_its_clock_and_recovers() {
+    let mut robot = Robot::emulated_drawing();
+    robot.disturb(disturbance::EMERGENCY_STOP);
+    assert_described_standstill(&mut robot, |fault| *fault == BY_INPUT);
+    assert_eq!(robot.status.as_ref().unwrap().interlock, Some(Interlock::EmergencyStop));
+    assert_eq!(
+        robot.command(Command::Acknowledge),
+        Err(Refusal::CauseRemains(BY_INPUT))
+    );
+    robot.disturb(0);
+    robot.run(300);
+    assert_recovers_and_draws(&mut robot);
+
+    robot.disturb(disturbance::CLOCK);
+    assert_described_standstill(&mut robot, |fault| *fault == Fault::ClockFailure);
+    assert_eq!(
+        robot.command(Command::Acknowledge),
+        Err(Refusal::CauseRemains(Fault::ClockFailure))
+    );
+    robot.disturb(0);
+    robot.run(300);
     assert_recovers_and_draws(&mut robot);
 }

@@ -4,9 +4,12 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, ConfigRefusal, PathAck, PathVertex, Sample, Status};
+use etherpen::measurement::MeasurementRequest;
 use etherpen::motion::Pen;
 use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
+use host_tools::emulator::{Emulator, Link, Options};
 use host_tools::link::session::{Event, Session};
+use host_tools::setup;
 use host_tools::simulation::{self, Host, Surroundings};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -41,6 +44,21 @@ impl Host for Bridge {
     }
 }
 
+impl Link for Bridge {
+    fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
+        Host::exchange(self, ms, from_device, to_device, LINE_BYTES_PER_MS);
+    }
+}
+
+/// A line that brings so many bytes fewer, from its first on, in each so manieth millisecond.
+#[derive(Clone, Copy)]
+pub(crate) struct Overrun {
+    /// Bytes that are lost at once.
+    pub(crate) bytes: usize,
+    /// How often, ms.
+    pub(crate) period_ms: u32,
+}
+
 /// The robot and its operator.
 pub(crate) struct Robot {
     up: Receiver<(u32, Vec<u8>)>,
@@ -50,6 +68,8 @@ pub(crate) struct Robot {
     session: Session,
     /// Whether the operator's cable is plugged in.
     pub(crate) plugged: bool,
+    /// What the firmware's serial port loses of what the operator sends.
+    pub(crate) overrun: Option<Overrun>,
     /// The last status.
     pub(crate) status: Option<Status>,
     /// The last acknowledgement of the path.
@@ -61,25 +81,40 @@ pub(crate) struct Robot {
     /// Refused vertices.
     pub(crate) refused: Vec<etherpen::motion::Refusal>,
     answers: Vec<(u16, Result<(), Refusal>)>,
+    /// The last one: it ends when nobody answers it any more.
+    _emulator: Option<Emulator>,
 }
 
 impl Robot {
-    /// A robot whose firmware waits for its configuration.
+    /// A robot whose firmware's tasks run here, in virtual time, and which waits for its configuration.
     pub(crate) fn new() -> Self {
+        Self::start(|mut segment, mut bridge| {
+            std::thread::spawn(move || simulation::run(&mut segment, &mut bridge, u32::MAX - 1));
+            None
+        })
+    }
+
+    /// A robot whose firmware is the emulated board's image.
+    pub(crate) fn emulated() -> Self {
+        setup::ensure_qemu().expect("the emulator can be had");
+        let image = setup::build_firmware("emulated").expect("the firmware builds");
+        Self::start(|segment, bridge| {
+            let emulator = Emulator::start(&image, &Options::default(), segment, bridge, |_| {});
+            Some(emulator.expect("the emulator starts"))
+        })
+    }
+
+    fn start(run: impl FnOnce(Arc<Mutex<Cell>>, Bridge) -> Option<Emulator>) -> Self {
         let cell = Arc::new(Mutex::new(Cell::new(&Config::default(), CellOptions::default())));
         let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
-        let mut segment = cell.clone();
         let surroundings = Arc::new(Mutex::new(Surroundings::default()));
-        let met = surroundings.clone();
-        std::thread::spawn(move || {
-            let mut bridge = Bridge {
-                up: up_in,
-                down: down_out,
-                surroundings: met,
-                over: false,
-            };
-            simulation::run(&mut segment, &mut bridge, u32::MAX - 1);
-        });
+        let bridge = Bridge {
+            up: up_in,
+            down: down_out,
+            surroundings: surroundings.clone(),
+            over: false,
+        };
+        let emulator = run(cell.clone(), bridge);
         let mut session = Session::new(7);
         session.connect();
         Self {
@@ -89,35 +124,53 @@ impl Robot {
             surroundings,
             session,
             plugged: true,
+            overrun: None,
             status: None,
             ack: PathAck::default(),
             samples: Vec::new(),
             configured: Vec::new(),
             refused: Vec::new(),
             answers: Vec::new(),
+            _emulator: emulator,
         }
     }
 
     /// Referenced, enabled, at rest.
     pub(crate) fn idle() -> Self {
-        let mut robot = Self::new();
-        robot.configure(&Config::default());
-        robot.wait_for(Mode::DrivesOff);
-        robot.command(Command::Reference).unwrap();
-        robot.run(100);
-        robot.command(Command::Enable).unwrap();
-        robot.wait_for(Mode::Idle);
-        robot
+        Self::new().enabled()
     }
 
     /// In the middle of a drawing.
     pub(crate) fn drawing() -> Self {
-        let mut robot = Self::idle();
-        robot.draw(path());
-        robot.run_until("the pen moves", |robot| {
+        Self::idle().in_a_drawing()
+    }
+
+    fn enabled(mut self) -> Self {
+        self.configure(&Config::default());
+        self.wait_for(Mode::DrivesOff);
+        self.command(Command::Reference).unwrap();
+        self.run(100);
+        self.command(Command::Enable).unwrap();
+        self.wait_for(Mode::Idle);
+        self
+    }
+
+    fn in_a_drawing(mut self) -> Self {
+        self.draw(path());
+        self.run_until("the pen moves", |robot| {
             robot.speed_rad_s() > 0.2 && robot.ack.executed > 2
         });
-        robot
+        self
+    }
+
+    /// The emulated board in the middle of a drawing.
+    pub(crate) fn emulated_drawing() -> Self {
+        Self::emulated().enabled().in_a_drawing()
+    }
+
+    /// Asks the board to meet something: a sum of `etherpen::measurement::disturbance`'s bits.
+    pub(crate) fn disturb(&mut self, bits: u8) {
+        self.session.measure(MeasurementRequest::Disturb { bits });
     }
 
     /// Sends a configuration and waits for the answer.
@@ -207,7 +260,11 @@ impl Robot {
                 }
                 length = self.session.transmit(now_ms, &mut line);
             }
-            self.down.send(line[..length].to_vec()).expect("the simulation runs");
+            let overrun = self.overrun.filter(|overrun| ms % overrun.period_ms == 0);
+            let lost = overrun.map_or(0, |overrun| overrun.bytes.min(length));
+            self.down
+                .send(line[lost..length].to_vec())
+                .expect("the simulation runs");
         }
     }
 

@@ -65,7 +65,7 @@ mod app {
     use core::pin::pin;
     use core::sync::atomic::{AtomicU32, Ordering};
     use etherpen::application::Mode;
-    use etherpen::board::{BoardState, PortState};
+    use etherpen::board::{BoardState, EmergencyStopInput, Interlock, PortState};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
     use etherpen::ethercat::transport::raw::RawTransport;
@@ -163,7 +163,12 @@ mod app {
     ///
     /// Period: 1 ms. Priority: 15, critical. Deadline: 500 us for the output telegram that follows from it. Overrun:
     /// it shows as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
-    #[task(binds = TIMER0, priority = 15, shared = [transport, sampler, watch])]
+    #[task(
+        binds = TIMER0,
+        priority = 15,
+        shared = [transport, sampler, watch, &measurements],
+        local = [emergency_stop: EmergencyStopInput = EmergencyStopInput::new()]
+    )]
     fn sample(cx: sample::Context) {
         let began_at = free_run();
         load::woke();
@@ -176,6 +181,9 @@ mod app {
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);
         let elapsed_ns = wire.clock.elapsed_ns();
+        let met = cx.shared.measurements.disturbance();
+        let stopped = cx.local.emergency_stop.step(met & disturbance::EMERGENCY_STOP != 0);
+        sampler.set_interlock(Interlock::of(stopped, met & disturbance::CLOCK != 0));
         if sampler.sample(transport, elapsed_ns, missed) {
             TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
             rtic::pend(Interrupt::FREE15);
