@@ -15,7 +15,7 @@ pub struct Arguments {}
 /// One step: what a person reads, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
 
-/// What is done on the host, before the tests.
+/// What is done on the host.
 const HOST: [Step; 4] = [
     ("format", &["fmt", "--all", "--check"]),
     (
@@ -23,9 +23,9 @@ const HOST: [Step; 4] = [
         &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"],
     ),
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
-    ("programs of the tests", &["test", "--workspace", "--no-run", "--quiet"]),
+    ("tests, on the host and in the emulator", &["test", "--workspace"]),
 ];
-/// What is done for the boards, meanwhile; it has other folders below target/.
+/// What is done for the boards, meanwhile; it has other folders below target/, and the tests wait for what they need of it.
 const BOARDS: [Step; 2] = [
     (
         "lints of board nucleo",
@@ -64,8 +64,6 @@ const BOARDS: [Step; 2] = [
         ],
     ),
 ];
-/// What is done with all of it.
-const TESTS: Step = ("tests, on the host and in the emulator", &["test", "--workspace"]);
 
 /// Runs the command.
 ///
@@ -93,7 +91,6 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
         let boards = boards.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         host.and(boards)
     })?;
-    step(TESTS)?;
     eprintln!(
         "{} in {:.0} s",
         in_colour("verified", "1;32"),
