@@ -108,6 +108,32 @@ fn enable(browser: &mut Browser) {
     press_until(browser, "enable", "Idle");
 }
 
+/// Saves what the plot shows as a picture, and looks whether the signals' curves are in it.
+fn export_picture(browser: &mut Browser) {
+    browser.value(
+        "{ const make = URL.createObjectURL; \
+         URL.createObjectURL = (blob) => { globalThis.saved = blob; URL.createObjectURL = make; return make.call(URL, blob); }; }",
+    );
+    browser.press("#scope-png");
+    browser.until("globalThis.saved?.type === 'image/png'");
+    browser.value(
+        "createImageBitmap(saved).then((picture) => { \
+         const context = new OffscreenCanvas(picture.width, picture.height).getContext('2d'); \
+         context.drawImage(picture, 0, 0); \
+         const { data } = context.getImageData(0, 0, picture.width, picture.height); \
+         const colours = new Set(); \
+         for (let at = 0; at < data.length; at += 4) colours.add(data[at] << 16 | data[at + 1] << 8 | data[at + 2]); \
+         globalThis.savedPicture = { width: picture.width, plot: document.getElementById('scope').width, colours: colours.size }; }), 0",
+    );
+    browser.until("globalThis.savedPicture");
+    let picture = browser.value("savedPicture");
+    assert_eq!(picture["width"], picture["plot"], "{picture}");
+    assert!(
+        picture["colours"].as_u64() > Some(8),
+        "curves, grid and names: {picture}"
+    );
+}
+
 #[test]
 fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     let Some(mut browser) = Browser::start() else { return };
@@ -153,6 +179,20 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     assert_eq!(browser.value("etherpen.link.state.jobs.past[0].done"), true);
     assert_eq!(browser.value("etherpen.link.state.progress.strokes"), 6);
     browser.until("document.getElementById('past').innerText.includes('waves.csv')");
+
+    // The next one is cancelled in the middle: the robot rests, and the history says so.
+    set_override(browser, 10);
+    drop_file(browser, "cancelled.csv", short_drawing().as_bytes());
+    browser.press("#enqueue");
+    browser.press("#queue button.primary");
+    mode(browser, "Drawing");
+    browser.until("etherpen.link.state.progress?.executed > 2");
+    browser.press("#cancel");
+    mode(browser, "DrivesOff");
+    browser.until("etherpen.link.state.jobs.past.length === 2");
+    let past = browser.value("etherpen.link.state.jobs.past.find((job) => !job.done)?.name");
+    assert_eq!(past, "cancelled.csv");
+    browser.until("document.getElementById('past').innerText.includes('cancelled.csv')");
     set_override(browser, 100);
 
     // A capture that waits for a fault, and a drive that is unplugged.
@@ -166,6 +206,7 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     browser.until("etherpen.scope.paused && etherpen.scope.plot.columns.count > 500");
     browser.press("#scope-csv");
     browser.until("etherpen.scope.exported === 1001");
+    export_picture(browser);
     browser.until("!document.getElementById('fault').hidden");
     browser.press("[data-inject='insert-2']");
     acknowledge(browser);

@@ -160,17 +160,20 @@ fn legend(picture: &mut Picture, panel: &Panel, rows: &[Vec<usize>], top: f64) {
     }
 }
 
-/// A scale with some room around the values.
+/// The scale of a panel's values.
 fn range(curves: &Curves, panel: &Panel) -> [f64; 2] {
     let ranges = panel.signals.iter().filter_map(|(k, _)| curves.range(*k));
     let all = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-    let [low, high] = all.unwrap_or([0.0, 1.0]);
-    let room = 0.06 * (high - low);
-    // What does not change still needs a scale.
-    let room = if room > 1e-12 {
-        room
-    } else {
-        (0.1 * high.abs()).max(1e-6)
+    with_room(all.unwrap_or([0.0, 1.0]))
+}
+
+/// Some room around the values; what does not change needs a scale, too, and what is all but zero one of its own.
+fn with_room([low, high]: [f64; 2]) -> [f64; 2] {
+    let (room, tenth) = (0.06 * (high - low), 0.1 * high.abs());
+    let room = match (room > 1e-12, tenth > 1e-4) {
+        (true, _) => room,
+        (false, true) => tenth,
+        (false, false) => 1.0,
     };
     [low - room, high + room]
 }
@@ -239,4 +242,24 @@ fn scale(panel: &Panel, low: f64, high: f64) -> Vec<(f64, String)> {
         }
     };
     shown.map(|value| (value, text(value))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_change_has_a_scale_with_different_marks() {
+        for value in [0.0, -0.0, 1e-9, 0.5967, -620.463_536, 1e6] {
+            let [low, high] = with_room([value, value]);
+            assert!(low < value && value < high, "{value}");
+            let mut texts: Vec<String> = marks(low, high)
+                .into_iter()
+                .map(|mark| number(mark, high - low))
+                .collect();
+            let count = texts.len();
+            texts.dedup();
+            assert!(count > 1 && texts.len() == count, "{value}: {texts:?}");
+        }
+    }
 }
