@@ -1,18 +1,19 @@
 //! The `etherpen` program: from a photograph to a drawing, on the robot, in the emulator or in virtual time.
 #![forbid(unsafe_code)]
 
-use clap::{CommandFactory, Parser};
+use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
     self, CommandError, bench, bus, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
     operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use std::process::ExitCode;
 
+/// Shown under the help and in the manual page of every command.
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 the work failed; 2 wrong usage; 3 the input file cannot be used; \
+    4 a tool is missing; 5 no connection to the machine or the emulator; 6 the firmware speaks another protocol version; \
+    7 the machine stopped with a fault; 130 interrupted.";
+
 /// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
-///
-/// Exit codes: 0 done; 1 the work failed; 2 wrong usage; 3 the input file cannot be used; 4 a tool is missing;
-/// 5 no connection to the machine or the emulator; 6 the firmware speaks another protocol version; 7 the machine
-/// stopped with a fault; 130 interrupted.
 #[derive(Parser)]
 #[command(name = "etherpen", version, max_term_width = 100)]
 struct Arguments {
@@ -77,11 +78,20 @@ enum Subcommand {
     Verify(verify::Arguments),
 }
 
+/// The command line, every command of it with the exit codes.
+fn command_line() -> Command {
+    fn explained(command: Command) -> Command {
+        command.after_help(EXIT_CODES).mut_subcommands(explained)
+    }
+    explained(Arguments::command())
+}
+
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let arguments = Arguments::from_arg_matches(&command_line().get_matches()).unwrap_or_else(|error| error.exit());
+    let result = match arguments.command {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
-        Subcommand::Completions(arguments) => shell::completions(&arguments, Arguments::command()),
+        Subcommand::Completions(arguments) => shell::completions(&arguments, command_line()),
         Subcommand::Config(arguments) => configuration::run(&arguments),
         Subcommand::Console(arguments) => console::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),
@@ -96,7 +106,7 @@ fn main() -> ExitCode {
         Subcommand::Kinematics(arguments) => kinematics::run(&arguments),
         Subcommand::Order(arguments) => order::run(&arguments),
         Subcommand::Preview(arguments) => preview::run(&arguments),
-        Subcommand::Man(arguments) => shell::man(&arguments, Arguments::command()),
+        Subcommand::Man(arguments) => shell::man(&arguments, command_line()),
         Subcommand::Operate(command) => operate::run(&command),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),

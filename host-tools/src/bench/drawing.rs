@@ -1,15 +1,19 @@
 //! The drawing's figures: the vectoriser on photographs, the order of strokes beside vpype's.
 //!
-//! Both order the same files in this run, reading and writing left out, the fastest of three runs each. The best tour
+//! Both order the same files in this run, reading and writing left out; the fastest of three runs counts everywhere. The best tour
 //! known is this program's own with forty times the effort, or vpype's where that is shorter. Seconds depend on the
-//! computer; the target is a share of what vpype takes on it.
+//! computer; the target is a share of what vpype takes on it. Drawing times are the firmware's planner's, at its default
+//! limits; vpype reads curves as lines of its own.
 
 use super::{BenchError, Report, Row, Selection};
+use crate::commands::prepare::planned_s;
+use crate::commands::quickest::travelling;
 use crate::drawing::{
-    Drawing, Input, OrderOptions, OrderReport, VectorizeOptions, edge_coverage, load, order, order_with_effort,
+    Drawing, Input, OrderOptions, Stroke, Travel, VectorizeOptions, edge_coverage, load, order, order_with_effort,
     render_rgb, tone_correlation, vectorize_image,
 };
 use crate::setup;
+use etherpen::config::Config;
 use image::{RgbImage, imageops};
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -24,7 +28,7 @@ const VECTORS: [&str; 4] = ["contours.svg", "grass.svg", "portrait.svg", "street
 const RUNS: usize = 3;
 /// Effort of the search for the best tour.
 const BEST_EFFORT: usize = 40;
-/// A way may be this many times the best one known.
+/// The mean of the ways may be this many times the best ones known; none may be longer than as given.
 const PEN_UP_RATIO_MAX: f64 = 1.10;
 /// Share of vpype's time that the order may take.
 const TIME_SHARE_MAX: f64 = 0.1;
@@ -51,15 +55,16 @@ for path in sys.argv[1:]:
         ordered = execute('linemerge linesort --two-opt', copy.deepcopy(given))
         seconds = time.perf_counter() - begun
         best = seconds if best is None else min(best, seconds)
-    lifts = sum(len(layer) for layer in ordered.layers.values())
-    print(json.dumps({'seconds': best, 'lifts': lifts, 'pen_up_mm': ordered.pen_up_length() * 25.4 / 96}))
+    mm = 25.4 / 96
+    lines = [[[p.real * mm, p.imag * mm] for p in line] for layer in ordered.layers.values() for line in layer]
+    print(json.dumps({'seconds': best, 'strokes': lines, 'pen_up_mm': ordered.pen_up_length() * mm}))
 "#;
 
 /// What vpype did to a file.
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 struct Peer {
     seconds: f64,
-    lifts: f64,
+    strokes: Vec<Vec<[f64; 2]>>,
     pen_up_mm: f64,
 }
 
@@ -87,7 +92,7 @@ pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, Ben
             photograph(file, &mut rows)?;
         }
     }
-    let ordered = ["pen_up_mm", "lifts", "seconds"];
+    let ordered = ["pen_up_mm", "lifts", "seconds", "drawing_s"];
     let wanted = VECTORS.into_iter().filter(|file| {
         ["etherpen", "vpype", "best known"]
             .iter()
@@ -102,7 +107,7 @@ pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, Ben
     };
     for (k, file) in files.into_iter().enumerate() {
         progress(&format!("ordering {file}"));
-        vectors(file, peers.get(k).copied(), &mut rows)?;
+        vectors(file, peers.get(k), &mut rows)?;
     }
     mean_ratio(&mut rows);
     rows.retain(|row: &Row| selection.wants(&row.case, row.subject));
@@ -123,9 +128,12 @@ fn photograph(file: &str, rows: &mut Vec<Row>) -> Result<(), BenchError> {
         return Err(failed(file, "this is no photograph"));
     };
     let options = VectorizeOptions::default();
-    let begun = Instant::now();
-    let drawing = vectorize_image(&picture, &options).map_err(|cause| failed(file, cause))?;
-    let seconds = begun.elapsed().as_secs_f64();
+    let (mut seconds, mut drawing) = (f64::INFINITY, Drawing::default());
+    for _ in 0..RUNS {
+        let begun = Instant::now();
+        drawing = vectorize_image(&picture, &options).map_err(|cause| failed(file, cause))?;
+        seconds = seconds.min(begun.elapsed().as_secs_f64());
+    }
     let megapixels = f64::from(picture.width()) * f64::from(picture.height()) / 1e6;
     let rendered = rendered(&picture, &drawing, &options).map_err(|cause| failed(file, cause))?;
     let figures = [
@@ -167,7 +175,7 @@ fn rendered(
     Ok(imageops::crop_imm(&whole, left, top, width, height).to_image())
 }
 
-fn vectors(file: &str, peer: Option<Peer>, rows: &mut Vec<Row>) -> Result<(), BenchError> {
+fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<Row>) -> Result<(), BenchError> {
     let Input::Artwork(artwork) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
         return Err(failed(file, "this is no vector file"));
     };
@@ -177,28 +185,26 @@ fn vectors(file: &str, peer: Option<Peer>, rows: &mut Vec<Row>) -> Result<(), Be
     };
     let options = OrderOptions {
         join_gap_mm: JOIN_MM,
-        keep_order: false,
+        ..OrderOptions::default()
     };
     let timed = |_| {
         let mut drawing = given.clone();
         let begun = Instant::now();
         let report = order(&mut drawing, &options);
-        (begun.elapsed().as_secs_f64(), report)
+        (begun.elapsed().as_secs_f64(), report, drawing)
     };
     let fastest = (0..RUNS).map(timed).min_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((
-        seconds,
-        OrderReport {
-            lifts_after,
-            pen_up_mm_after,
-            ..
-        },
-    )) = fastest
-    else {
+    let Some((seconds, report, drawing)) = fastest else {
         return Ok(());
     };
-    let long = order_with_effort(&mut given.clone(), &options, BEST_EFFORT).pen_up_mm_after;
-    let best = peer.map_or(long, |peer| peer.pen_up_mm.min(long)).min(pen_up_mm_after);
+    let shortest = OrderOptions {
+        travel: Travel::Length,
+        ..options
+    };
+    let long = order_with_effort(&mut given.clone(), &shortest, BEST_EFFORT).pen_up_mm_after;
+    let best = peer
+        .map_or(long, |peer| peer.pen_up_mm.min(long))
+        .min(report.pen_up_mm_after);
     let mut row = |name: &str, subject, value, unit, target| {
         rows.push(Row {
             case: format!("{name}/{file}"),
@@ -208,31 +214,43 @@ fn vectors(file: &str, peer: Option<Peer>, rows: &mut Vec<Row>) -> Result<(), Be
             target,
         });
     };
-    let lifts = lifts_after as f64;
-    row(
-        "pen_up_mm",
-        "etherpen",
-        pen_up_mm_after,
-        "mm",
-        Some(PEN_UP_RATIO_MAX * best),
-    );
+    let (way_mm, lifts) = (report.pen_up_mm_after, report.lifts_after as f64);
+    let peers_lifts = peer.map(|peer| peer.strokes.len() as f64);
+    let seconds_max = peer.map(|peer| TIME_SHARE_MAX * peer.seconds);
+    row("pen_up_mm", "etherpen", way_mm, "mm", Some(given.pen_up_mm()));
     row("pen_up_mm", "best known", best, "mm", None);
     row("pen_up_mm", "as given", given.pen_up_mm(), "mm", None);
-    row("lifts", "etherpen", lifts, "lifts", peer.map(|peer| peer.lifts));
+    row("lifts", "etherpen", lifts, "lifts", peers_lifts);
     row("lifts", "as given", given.strokes.len() as f64, "lifts", None);
-    row(
-        "seconds",
-        "etherpen",
-        seconds,
-        "s",
-        peer.map(|peer| TIME_SHARE_MAX * peer.seconds),
-    );
+    row("seconds", "etherpen", seconds, "s", seconds_max);
+    for (subject, seconds, target) in drawing_times(&given, &drawing, peer) {
+        row("drawing_s", subject, seconds, "s", target);
+    }
     if let Some(peer) = peer {
         row("pen_up_mm", "vpype", peer.pen_up_mm, "mm", None);
-        row("lifts", "vpype", peer.lifts, "lifts", None);
+        row("lifts", "vpype", peer.strokes.len() as f64, "lifts", None);
         row("seconds", "vpype", peer.seconds, "s", None);
     }
     Ok(())
+}
+
+/// What the planner takes for the strokes as ordered here, as given and as ordered by the peer, s, with the target.
+fn drawing_times(given: &Drawing, ordered: &Drawing, peer: Option<&Peer>) -> Vec<(&'static str, f64, Option<f64>)> {
+    let config = Config::default();
+    let planned_s = |drawing: &Drawing| planned_s(&config, &travelling(drawing, &config));
+    let peers = peer.map(|peer| {
+        let strokes = peer.strokes.iter().map(|points| Stroke { points: points.clone() });
+        planned_s(&Drawing {
+            sheet_mm: given.sheet_mm,
+            strokes: strokes.collect(),
+        })
+    });
+    let given_s = planned_s(given);
+    let target_s = peers.map_or(given_s, |peers_s| peers_s.min(given_s));
+    let ours = ("etherpen", planned_s(ordered), Some(target_s));
+    let others = [("as given", given_s, None)].into_iter();
+    let others = others.chain(peers.map(|peers_s| ("vpype", peers_s, None)));
+    [ours].into_iter().chain(others).collect()
 }
 
 /// The mean over all vector files of the way with the pen up, in best ones known.

@@ -5,9 +5,9 @@ use super::{CommandError, ConfigArguments, code};
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions, Script};
 use crate::emulator::free_running::FreeRunning;
-use crate::emulator::{Emulator, LINK_BYTES_MAX, Link, LogLine, Options, Pace};
+use crate::emulator::{ClientSlot, Emulator, LINK_BYTES_MAX, Link, LogLine, Options, Pace};
 use crate::setup;
-use std::io::{ErrorKind, Read, Write};
+use std::io::Write;
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -51,14 +51,11 @@ enum PaceArgument {
 
 /// Time between two looks at a free-running emulator.
 const LOOK: Duration = Duration::from_millis(100);
-/// Bytes that may wait for a client that does not read; older ones are dropped, as a serial line would.
-const WAITING_BYTES_MAX: usize = 1 << 20;
 
 /// The serial link as a TCP port: one client at a time, bytes as on a line of 921,600 baud.
 struct TcpLine {
     listener: TcpListener,
-    client: Option<TcpStream>,
-    waiting: Vec<u8>,
+    client: ClientSlot<TcpStream>,
 }
 
 impl TcpLine {
@@ -67,8 +64,7 @@ impl TcpLine {
         listener.set_nonblocking(true)?;
         Ok(Self {
             listener,
-            client: None,
-            waiting: Vec::new(),
+            client: ClientSlot::empty(),
         })
     }
 
@@ -77,48 +73,19 @@ impl TcpLine {
             let ready = client.set_nonblocking(true).and_then(|()| client.set_nodelay(true));
             if ready.is_ok() {
                 eprintln!("connected: {address}");
-                self.waiting.clear();
-                self.client = Some(client);
+                self.client.take(client);
             }
-        }
-    }
-
-    /// Moves bytes both ways; false when the client has gone.
-    fn transfer(&mut self, to_device: &mut Vec<u8>) -> bool {
-        let Some(client) = &mut self.client else { return true };
-        let blocked = |error: &std::io::Error| matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
-        match client.write(&self.waiting) {
-            Ok(written) => {
-                self.waiting.drain(..written);
-            }
-            Err(error) if blocked(&error) => {}
-            Err(_) => return false,
-        }
-        let mut bytes = [0; LINK_BYTES_MAX];
-        match client.read(&mut bytes) {
-            Ok(0) => false,
-            Ok(length) => {
-                to_device.extend_from_slice(&bytes[..length]);
-                true
-            }
-            Err(error) => blocked(&error),
         }
     }
 }
 
 impl Link for TcpLine {
     fn exchange(&mut self, _ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
-        if self.client.is_none() {
+        if self.client.is_empty() {
             self.accept();
         }
-        if self.client.is_some() {
-            self.waiting.extend_from_slice(from_device);
-            let excess = self.waiting.len().saturating_sub(WAITING_BYTES_MAX);
-            self.waiting.drain(..excess);
-        }
-        if !self.transfer(to_device) {
+        if !self.client.exchange(from_device, to_device, LINK_BYTES_MAX) {
             eprintln!("disconnected");
-            self.client = None;
         }
     }
 }

@@ -24,6 +24,7 @@ mod outputs;
 pub mod plan;
 pub mod prepare;
 pub mod preview;
+pub(crate) mod quickest;
 pub mod record;
 pub mod recorded;
 pub mod reference;

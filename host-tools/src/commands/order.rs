@@ -1,10 +1,11 @@
 //! `etherpen order`: the lines of a vector file in an order that costs little drawing time.
 
 use super::prepare::{artwork_of, unusable};
+use super::quickest::quickest;
 use super::source::TextArguments;
-use super::{CommandError, code, print_json};
+use super::{CommandError, ConfigArguments, code, print_json};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, load_with, order, parse_length_mm, write_artwork,
+    Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, Travel, load_with, parse_length_mm, write_artwork,
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -14,7 +15,9 @@ use std::time::Instant;
 ///
 /// Lines whose ends meet become one, the lines are sorted and turned round, and the order is improved; lifts come before
 /// distance. Nothing is scaled, moved or left out, and the coordinates stay those of the file. Layers stay apart and in
-/// their order. The result has never more lifts, and never a longer way with the pen up, than the file.
+/// their order. The result has never more lifts, never a longer way with the pen up, and never a longer drawing time by
+/// the firmware's planner than the file. The time is that of the page in the middle of the configured paper; a page on
+/// which the robot cannot draw has none.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Vectors (SVG), or a CSV of strokes; - reads them from standard input.
@@ -32,6 +35,8 @@ pub struct Arguments {
     #[arg(long)]
     keep_order: bool,
     #[command(flatten)]
+    config: ConfigArguments,
+    #[command(flatten)]
     text: TextArguments,
 }
 
@@ -47,11 +52,14 @@ struct Answer {
     pen_up_mm_before: f64,
     pen_up_mm_after: f64,
     pen_down_mm: f64,
+    /// Drawing time by the firmware's planner, over two hours before about; none where the robot cannot draw the page.
+    drawing_s_before: Option<f64>,
+    drawing_s_after: Option<f64>,
     bridged_mm: f64,
     layers: usize,
     /// Reading, ordering and writing.
     seconds: f64,
-    /// Ordering alone.
+    /// Ordering alone, the planner's checks included.
     order_seconds: f64,
 }
 
@@ -61,6 +69,7 @@ struct Answer {
 /// The file cannot be used, or the result cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let begun = Instant::now();
+    let config = arguments.config.load()?;
     let artwork =
         match load_with(&arguments.file, &arguments.text.font()).map_err(|cause| unusable(&arguments.file, &cause))? {
             Input::Artwork(artwork) => artwork,
@@ -71,11 +80,16 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let options = OrderOptions {
         join_gap_mm: arguments.join.unwrap_or(JOIN_MM),
         keep_order: arguments.keep_order,
+        travel: Travel::of(&config),
     };
     let before = sequence(&artwork);
     let order_begun = Instant::now();
-    let ordered = by_layers(&artwork, &options);
+    let chosen = quickest(&by_layers(&artwork), &before, &options, &config);
     let order_seconds = order_begun.elapsed().as_secs_f64();
+    let ordered = match chosen.layers {
+        Some(layers) => with_strokes(&artwork, layers),
+        None => artwork,
+    };
     let after = sequence(&ordered);
     write_text(&arguments.out, &write_artwork(&ordered))?;
     let answer = Answer {
@@ -85,6 +99,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         pen_up_mm_before: before.pen_up_mm(),
         pen_up_mm_after: after.pen_up_mm(),
         pen_down_mm: after.pen_down_mm(),
+        drawing_s_before: chosen.given_s,
+        drawing_s_after: chosen.chosen_s,
         bridged_mm: (after.pen_down_mm() - before.pen_down_mm()).max(0.0),
         layers: ordered.layers.len(),
         seconds: begun.elapsed().as_secs_f64(),
@@ -93,13 +109,17 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if arguments.json {
         return print_json(&answer);
     }
+    let time = |seconds: Option<f64>| seconds.map_or("no time".to_owned(), |seconds| format!("{seconds:.1} s"));
     eprintln!(
-        "etherpen: {} lifts (before: {}), {:.0} mm with the pen up (before: {:.0} mm), {:.0} mm drawn, in {:.2} s",
+        "etherpen: {} lifts (before: {}), {:.0} mm with the pen up (before: {:.0} mm), {:.0} mm drawn, {} to draw (before: \
+         {}); done in {:.2} s",
         answer.lifts_after,
         answer.lifts_before,
         answer.pen_up_mm_after,
         answer.pen_up_mm_before,
         answer.pen_down_mm,
+        time(answer.drawing_s_after),
+        time(answer.drawing_s_before),
         answer.seconds
     );
     Ok(())
@@ -112,26 +132,28 @@ fn sequence(artwork: &Artwork) -> Drawing {
     }
 }
 
-/// Each layer ordered, one after the other; as given where that would be longer.
-fn by_layers(artwork: &Artwork, options: &OrderOptions) -> Artwork {
-    let mut strokes: Vec<LayerStroke> = Vec::new();
-    for layer in 0..artwork.layers.len() {
+/// Each layer's strokes.
+fn by_layers(artwork: &Artwork) -> Vec<Drawing> {
+    let of = |layer: usize| {
         let own = artwork.strokes.iter().filter(|stroke| stroke.layer == layer);
-        let mut drawing = Drawing {
+        Drawing {
             sheet_mm: artwork.page_mm.unwrap_or_default(),
             strokes: own.map(|stroke| stroke.stroke.clone()).collect(),
-        };
-        order(&mut drawing, options);
-        strokes.extend(drawing.strokes.into_iter().map(|stroke| LayerStroke { layer, stroke }));
-    }
-    let result = Artwork {
-        strokes,
-        ..artwork.clone()
+        }
     };
-    if sequence(&result).pen_up_mm() > sequence(artwork).pen_up_mm() {
-        return artwork.clone();
+    (0..artwork.layers.len()).map(of).collect()
+}
+
+/// The artwork with other strokes in its layers.
+fn with_strokes(artwork: &Artwork, layers: Vec<Drawing>) -> Artwork {
+    let strokes = layers.into_iter().enumerate().flat_map(|(layer, drawing)| {
+        let strokes = drawing.strokes.into_iter();
+        strokes.map(move |stroke| LayerStroke { layer, stroke })
+    });
+    Artwork {
+        strokes: strokes.collect(),
+        ..artwork.clone()
     }
-    result
 }
 
 /// Writes a text to a file, or to standard output for `-`.

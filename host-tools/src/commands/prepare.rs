@@ -2,10 +2,11 @@
 //!
 //! Every command that draws, plans or shows a file comes through here, so that what is shown is what is drawn.
 
+use super::quickest::{as_sent, quickest};
 use super::source::SourceArguments;
 use super::{CommandError, code};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, load_with, off_sheet, order,
+    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Travel, load_with, off_sheet,
     to_path, vectorize_image,
 };
 use crate::link::text;
@@ -32,6 +33,9 @@ pub struct Composed {
     pub parts: Vec<(Layer, Drawing)>,
     /// The path in the robot's frame, coordinates as the link carries them, without repetitions.
     pub path: Vec<Vertex>,
+    /// Duration of the strokes by the firmware's planner, s; none for a path in the robot's frame, or where the robot
+    /// cannot draw them.
+    pub planned_s: Option<f64>,
 }
 
 /// A stroke that would not be drawn.
@@ -109,9 +113,13 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
     let order_options = OrderOptions {
         join_gap_mm: options.pen_width_mm(),
         keep_order: options.keeps_order(),
+        travel: Travel::of(config),
     };
-    for (_, drawing) in &mut parts {
-        order(drawing, &order_options);
+    let layers: Vec<Drawing> = parts.iter().map(|(_, drawing)| drawing.clone()).collect();
+    let chosen = quickest(&layers, &in_sequence(&parts), &order_options, config);
+    if let Some(layers) = chosen.layers {
+        let pairs = parts.iter_mut().zip(layers);
+        pairs.for_each(|((_, drawing), ordered)| *drawing = ordered);
     }
     let path = if parts.is_empty() {
         path
@@ -121,13 +129,12 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
     if !path.iter().skip(1).any(|vertex| vertex.pen == Pen::Down) {
         return Err(refused(DrawingError::NothingDrawn));
     }
-    // What travels is what is checked: coordinates as the link carries them, without repetitions.
-    let mut path: Vec<Vertex> = path.iter().map(|vertex| from_wire(&to_wire(vertex))).collect();
-    path.dedup_by(|next, last| next.position == last.position);
     Ok(Composed {
         photograph,
         parts,
-        path,
+        // What travels is what is checked.
+        path: as_sent(&path),
+        planned_s: chosen.chosen_s,
     })
 }
 
@@ -258,7 +265,7 @@ pub fn to_wire(vertex: &Vertex) -> PathVertex {
     }
 }
 
-fn from_wire(wire: &PathVertex) -> Vertex {
+pub(super) fn from_wire(wire: &PathVertex) -> Vertex {
     let [x_mm, y_mm, z_mm] = wire.position_um.map(|um| f64::from(um) / 1_000.0);
     Vertex {
         position: Position { x_mm, y_mm, z_mm },

@@ -128,7 +128,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         pen_down_mm: drawing.pen_down_mm(),
         pen_up_mm: drawing.pen_up_mm(),
         lifts: drawing.strokes.len(),
-        estimated_s: Some(planned_s(&config, &kept)).filter(|seconds| seconds.is_finite()),
+        estimated_s: match composed.planned_s.filter(|_| refused.is_empty()) {
+            None => Some(planned_s(&config, &kept)).filter(|seconds| seconds.is_finite()),
+            known => known,
+        },
         refused: refused.len(),
         refusals: listed
             .map(|refused| Refusal {

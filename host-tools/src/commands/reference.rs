@@ -2,29 +2,37 @@
 
 use super::{CommandError, ConfigArguments, code, job_error, print_json, session_number};
 use crate::cell::{Cell, CellOptions};
+use crate::link::job::Ready;
 use crate::link::port::{Line, Port, PortName};
-use crate::link::reference::{Pose, ReferenceJob, Referenced, Wanted};
+use crate::link::reference::{Pose, Reading, ReferenceJob, Referenced, Wanted, all};
 use crate::link::text;
+use crate::machine::{Client, Order, Snapshot};
 use crate::settings::Settings;
 use crate::simulation;
+use etherpen::application::Mode;
 use etherpen::application::reference::resolver_angle_rad;
 use etherpen::config::Config;
+use etherpen::link::protocol::Command;
 use etherpen::robot::{AXES, Delta, JointAngles, Outside, Position};
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 300_000;
 /// How far the angles of a reference at stored marks may be from those that were stored, rad; an increment of a resolver
 /// is less.
 const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
+/// Longest wait for what another program's machine says, and time between two looks.
+const STATE_MAX: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Options of `etherpen reference`.
 ///
 /// A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. Without --pose and
 /// --position the arms stand within half a motor turn (15 degrees) of their synchronisation marks. The robot may stand
-/// with or without power; it is not moved.
+/// with or without power; it is not moved. Where another program has the port, the reference is taken through it.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
@@ -149,6 +157,9 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
     match &arguments.port {
         Some(port) => {
             let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+            if let Some(client) = Client::find(&name) {
+                return through(client, arguments.acknowledge, config, &wanted);
+            }
             let lost = |cause| CommandError::new(code::CONNECTION, cause);
             let mut line = Line::start(Port::open(&name).map_err(lost)?);
             while job.outcome().is_none() {
@@ -169,6 +180,56 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
             "the run ended before the reference was taken",
         )),
     }
+}
+
+/// Takes the reference through the program that has the port.
+fn through(
+    mut client: Client,
+    acknowledge: bool,
+    config: &Config,
+    wanted: &Wanted,
+) -> Result<Referenced, CommandError> {
+    let owner = client.owner().clone();
+    if wanted.calibrate {
+        let text = format!(
+            "--calibrate gives the machine another configuration, and {owner} owns the port with its own; end that \
+             program, then calibrate"
+        );
+        return Err(CommandError::new(code::CONNECTION, text));
+    }
+    let mode = client.snapshot()?.status.map(|status| status.mode);
+    if acknowledge && mode == Some(Mode::Fault) {
+        client.carry_out(Order::Settle(Command::Acknowledge))?;
+    }
+    client.carry_out(Order::Prepare(Ready::Bus))?;
+    let increments = known(&mut client, |snapshot| all(&snapshot.status.as_ref()?.increments))?;
+    let status = client.snapshot()?.status;
+    if status.and_then(|status| status.config) != config.hash() {
+        let text = format!(
+            "{owner} owns the port and works with another configuration; use the same one (--config), or end that program"
+        );
+        return Err(CommandError::new(code::USAGE, text));
+    }
+    client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
+    let mut reading = Reading::default();
+    let found = known(&mut client, |snapshot| {
+        reading.take(config, snapshot.status.as_ref()?, snapshot.sample.as_ref())
+    });
+    eprintln!("through {owner}");
+    found
+}
+
+/// What the machine's state says, once it says it.
+fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, CommandError> {
+    let until = Instant::now() + STATE_MAX;
+    while Instant::now() < until {
+        if let Some(known) = said(&client.snapshot()?) {
+            return Ok(known);
+        }
+        std::thread::sleep(LOOK);
+    }
+    let text = "the machine does not tell its resolvers' positions; look at the bus (etherpen bus scan)";
+    Err(CommandError::new(code::FAILED, text))
 }
 
 /// Stores the pose as the marks, and reads it back.

@@ -6,11 +6,11 @@
 
 use super::messages::Injection;
 use crate::cell::{Cell, CellOptions, Fault};
-use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
+use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, ErrorKind};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -18,8 +18,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Bytes that may wait for a reader; older ones are dropped, as a serial line would.
-const WAITING_BYTES_MAX: usize = 1 << 20;
 /// Lag behind the wall clock that is not made up for, ms.
 const LAG_MAX_MS: u64 = 50;
 /// Time between two looks at a running emulator.
@@ -91,47 +89,17 @@ impl Segment for LaterCell {
 /// The serial line as a Unix socket: one client at a time.
 struct Socket {
     listener: UnixListener,
-    client: Option<UnixStream>,
-    waiting: Vec<u8>,
+    client: ClientSlot<UnixStream>,
 }
 
 impl Socket {
     fn exchange(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
-        if let Ok((client, _)) = self.listener.accept() {
-            self.waiting.clear();
-            self.client = client.set_nonblocking(true).is_ok().then_some(client);
+        if let Ok((client, _)) = self.listener.accept()
+            && client.set_nonblocking(true).is_ok()
+        {
+            self.client.take(client);
         }
-        if self.client.is_some() {
-            self.waiting.extend_from_slice(from_firmware);
-            let excess = self.waiting.len().saturating_sub(WAITING_BYTES_MAX);
-            self.waiting.drain(..excess);
-        }
-        if !self.transfer(to_firmware, room) {
-            self.client = None;
-        }
-    }
-
-    /// Moves bytes both ways; false when the client has gone.
-    fn transfer(&mut self, to_firmware: &mut Vec<u8>, room: usize) -> bool {
-        let Some(client) = &mut self.client else { return true };
-        let blocked = |error: &io::Error| matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted);
-        match client.write(&self.waiting) {
-            Ok(written) => {
-                self.waiting.drain(..written);
-            }
-            Err(error) if blocked(&error) => {}
-            Err(_) => return false,
-        }
-        let mut bytes = [0; LINK_BYTES_MAX];
-        let room = room.min(bytes.len());
-        match client.read(bytes.get_mut(..room).unwrap_or_default()) {
-            Ok(0) => room == 0,
-            Ok(length) => {
-                to_firmware.extend(bytes.iter().take(length));
-                true
-            }
-            Err(error) => blocked(&error),
-        }
+        self.client.exchange(from_firmware, to_firmware, room);
     }
 }
 
@@ -213,8 +181,7 @@ impl VirtualCell {
         let shared = Arc::new(Shared {
             socket: Mutex::new(Socket {
                 listener,
-                client: None,
-                waiting: Vec::new(),
+                client: ClientSlot::empty(),
             }),
             ended: AtomicBool::new(false),
             restart: AtomicBool::new(false),

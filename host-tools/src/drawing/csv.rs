@@ -4,6 +4,7 @@
 //! point starts where it is, so a list of drawn points alone is one stroke. Errors name the line.
 
 use super::input::Input;
+use super::plot::PLACE_MAX_MM;
 use super::{Drawing, DrawingError, Stroke};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;
@@ -78,6 +79,9 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
             line: number,
             column: k + 1,
         })?;
+        if value.abs() > PLACE_MAX_MM {
+            return Err(DrawingError::FarAway);
+        }
     }
     let pen_down = match *pen {
         "1" => true,
@@ -208,6 +212,10 @@ mod tests {
         assert_eq!(
             failure("x_mm,y_mm,pen\n1,1,1\n1,1e999,1\n"),
             Some(DrawingError::CsvNumber { line: 3, column: 2 })
+        );
+        assert_eq!(
+            failure("x_mm,y_mm,pen\n1,1,1\n1,1e300,1\n"),
+            Some(DrawingError::FarAway)
         );
         assert_eq!(
             failure("x_mm,y_mm,pen\n1,1,down\n"),

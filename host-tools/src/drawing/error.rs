@@ -235,7 +235,10 @@ impl fmt::Display for DrawingError {
             }
             Self::FarAway => write!(f, "a coordinate is more than a kilometre away; check the file's units"),
             Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
-            Self::NothingDrawn => write!(f, "there is nothing to draw in it"),
+            Self::NothingDrawn => write!(
+                f,
+                "there is nothing to draw in it; look whether it has visible lines, inside its page"
+            ),
             Self::NoSuchLayer { layers } => write!(
                 f,
                 "no layer has that name or number; it has {layers}, and `preview --json` lists them"

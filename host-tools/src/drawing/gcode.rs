@@ -3,6 +3,10 @@
 //! Words are read one by one (RS-274/NGC): an unknown motion is an error with its line, because leaving it out would
 //! draw something else; an unknown machine function is skipped and told. The pen's dialect follows from the whole
 //! file: M300 S, M3 and M5, or the height Z; without any of them G0 is up and everything else is drawn.
+//!
+//! The words are read here and not by the crate `gcode`: that one is made to go on behind what it cannot read, where
+//! this has to refuse, and its numbers have single precision, which is a hundredth of a millimetre at a hundred metres
+//! (offsets and machine coordinates are that large).
 
 use super::DrawingError;
 use super::artwork::Artwork;

@@ -2,7 +2,12 @@
 //!
 //! End `2 k` of a set of lines is the start of line `k`, end `2 k + 1` its last point.
 
-use super::line::Point;
+use super::line::{Point, distance};
+
+/// Ends looked at for each line, on average, before the rings that remain are opened as they are.
+const RING_STEPS_A_LINE: usize = 100;
+/// Points of one cell that a point of it sees.
+const CROWD: usize = 4_096;
 
 /// Points in square cells, so that near ones are found without looking at all.
 pub(crate) struct Near {
@@ -77,11 +82,18 @@ impl Near {
         }
     }
 
-    /// Calls `visit` with each point within `radius` (and some beyond).
-    pub(crate) fn visit_within(&self, point: Point, radius: f64, mut visit: impl FnMut(usize)) {
+    /// Calls `visit` with each point within `radius` (and some beyond). Where very many lie together, as where a
+    /// thousand rays begin, each of them sees only some: those that follow it in the cell, so that all are seen by others.
+    pub(crate) fn visit_within(&self, k: usize, point: Point, radius: f64, mut visit: impl FnMut(usize)) {
+        let (column, row) = self.cell_of(point);
         let rings = ((radius / self.cell).ceil() as usize).min(self.rings());
-        for ring in 0..=rings {
-            self.visit_ring(point, ring, &mut visit);
+        for y in row.saturating_sub(rings)..=(row + rings).min(self.rows - 1) {
+            for x in column.saturating_sub(rings)..=(column + rings).min(self.columns - 1) {
+                let cell = &self.cells[y * self.columns + x];
+                let next = cell.partition_point(|&other| other <= k);
+                let following = cell.iter().skip(next).chain(cell.iter().take(next));
+                following.take(CROWD).for_each(|&other| visit(other));
+            }
         }
     }
 }
@@ -94,40 +106,178 @@ pub(crate) fn ends(lines: &[Vec<Point>]) -> Vec<Point> {
         .collect()
 }
 
-/// Joins lines across bridges (length, end, end), the shortest first; no end twice, no closed loop.
+/// Joins lines across bridges (length, end, end) into few; no end twice, and nothing is joined but across a bridge.
+///
+/// The shortest bridges are taken first. Two open ends at one joint then take its ends apart and one each. What has
+/// become a ring goes round between the ends of another line that it meets, as in Hierholzer's way through all edges; a
+/// ring that meets none is opened at its longest bridge.
 pub(crate) fn join_ends(lines: &[Vec<Point>], mut bridges: Vec<(f64, usize, usize)>) -> Vec<Vec<Point>> {
     bridges.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
-    let mut partner = vec![None; 2 * lines.len()];
-    let mut chain: Vec<usize> = (0..lines.len()).collect();
-    for (_, a, b) in bridges {
-        let (one, other) = (root(&mut chain, a / 2), root(&mut chain, b / 2));
-        if partner[a].is_none() && partner[b].is_none() && one != other {
-            (partner[a], partner[b]) = (Some(b), Some(a));
-            chain[one] = other;
+    let mut joints = Joints::new(ends(lines), &bridges);
+    bridges.iter().for_each(|&(_, a, b)| joints.join(a, b));
+    joints.exchange();
+    joints.open_rings();
+    joints.walked(lines)
+}
+
+/// Which ends of lines are joined.
+struct Joints {
+    ends: Vec<Point>,
+    partner: Vec<Option<usize>>,
+    /// The ends that an end may be joined to, the nearest first.
+    near: Vec<Vec<usize>>,
+}
+
+impl Joints {
+    fn new(ends: Vec<Point>, bridges: &[(f64, usize, usize)]) -> Self {
+        let mut near = vec![Vec::new(); ends.len()];
+        for &(_, a, b) in bridges {
+            near[a].push(b);
+            near[b].push(a);
+        }
+        Self {
+            partner: vec![None; ends.len()],
+            ends,
+            near,
         }
     }
-    let mut used = vec![false; lines.len()];
-    let mut result = Vec::new();
-    for start in 0..partner.len() {
-        if partner[start].is_some() || used[start / 2] {
-            continue;
+
+    /// Joins two ends that are open.
+    fn join(&mut self, a: usize, b: usize) {
+        if self.partner[a].is_none() && self.partner[b].is_none() {
+            (self.partner[a], self.partner[b]) = (Some(b), Some(a));
         }
-        let mut points: Vec<Point> = Vec::new();
-        let mut entry = Some(start);
-        while let Some(end) = entry {
-            let line = &lines[end / 2];
-            used[end / 2] = true;
-            if end % 2 == 0 {
-                points.extend(line);
-            } else {
-                points.extend(line.iter().rev());
+    }
+
+    /// Opens the joint of an end.
+    fn part(&mut self, a: usize) {
+        if let Some(b) = self.partner[a].take() {
+            self.partner[b] = None;
+        }
+    }
+
+    /// Makes two joints of one wherever two open ends can have one of its ends each.
+    fn exchange(&mut self) {
+        for open in 0..self.partner.len() {
+            if self.partner[open].is_some() {
+                continue;
             }
-            entry = partner[end ^ 1];
+            let found = self.near[open].iter().find_map(|&a| {
+                let b = self.partner[a]?;
+                let is_free = |&other: &usize| other != open && self.partner[other].is_none();
+                Some((a, b, self.near[b].iter().copied().find(is_free)?))
+            });
+            if let Some((a, b, other)) = found {
+                self.part(a);
+                self.join(open, a);
+                self.join(b, other);
+            }
         }
-        points.dedup();
-        result.push(points);
     }
-    result
+
+    /// Makes every ring a part of a line that it meets, or opens it.
+    fn open_rings(&mut self) {
+        let mut group: Vec<usize> = (0..self.ends.len() / 2).collect();
+        for end in 0..self.ends.len() {
+            if let Some(other) = self.partner[end] {
+                let (one, other) = (root(&mut group, end / 2), root(&mut group, other / 2));
+                group[one] = other;
+            }
+        }
+        let mut has_open_end = vec![false; group.len()];
+        for end in (0..self.ends.len()).filter(|&end| self.partner[end].is_none()) {
+            has_open_end[root(&mut group, end / 2)] = true;
+        }
+        let mut budget = RING_STEPS_A_LINE * group.len();
+        for line in 0..group.len() {
+            let ring = root(&mut group, line);
+            if has_open_end[ring] {
+                continue;
+            }
+            match self.meeting(2 * line, ring, &mut group, &mut budget) {
+                Some((end, other)) => {
+                    let into = root(&mut group, other / 2);
+                    self.splice(end, other);
+                    group[ring] = into;
+                }
+                None => {
+                    self.open(2 * line);
+                    has_open_end[ring] = true;
+                }
+            }
+        }
+    }
+
+    /// An end of the ring through `first`, and the end of something else that takes its place at the joint.
+    fn meeting(&self, first: usize, ring: usize, group: &mut [usize], budget: &mut usize) -> Option<(usize, usize)> {
+        let mut entry = first;
+        loop {
+            for end in [entry, entry ^ 1] {
+                let partner = self.partner[end]?;
+                for &other in &self.near[end] {
+                    *budget = budget.checked_sub(1)?;
+                    let fits = self.partner[other].is_none_or(|far| self.near[partner].contains(&far));
+                    if fits && root(group, other / 2) != ring {
+                        return Some((end, other));
+                    }
+                }
+            }
+            entry = self.partner[entry ^ 1].filter(|&next| next != first)?;
+        }
+    }
+
+    /// Joins an end of a ring to another end, and the ends that both were joined to.
+    fn splice(&mut self, end: usize, other: usize) {
+        let (partner, far) = (self.partner[end], self.partner[other]);
+        self.part(end);
+        self.part(other);
+        self.join(end, other);
+        if let (Some(partner), Some(far)) = (partner, far) {
+            self.join(partner, far);
+        }
+    }
+
+    /// Opens the ring through `first` where its bridge is longest.
+    fn open(&mut self, first: usize) {
+        let (mut longest, mut entry) = ((0.0, first), first);
+        while let Some(next) = self.partner[entry ^ 1] {
+            let bridge = distance(self.ends[entry ^ 1], self.ends[next]);
+            if bridge > longest.0 {
+                longest = (bridge, next);
+            }
+            entry = next;
+            if entry == first {
+                break;
+            }
+        }
+        self.part(longest.1);
+    }
+
+    /// The joined lines, each from an end that is open.
+    fn walked(&self, lines: &[Vec<Point>]) -> Vec<Vec<Point>> {
+        let mut used = vec![false; lines.len()];
+        let mut result = Vec::new();
+        for start in 0..self.partner.len() {
+            if self.partner[start].is_some() || used[start / 2] {
+                continue;
+            }
+            let mut points: Vec<Point> = Vec::new();
+            let mut entry = Some(start);
+            while let Some(end) = entry {
+                let line = &lines[end / 2];
+                used[end / 2] = true;
+                if end % 2 == 0 {
+                    points.extend(line);
+                } else {
+                    points.extend(line.iter().rev());
+                }
+                entry = self.partner[end ^ 1];
+            }
+            points.dedup();
+            result.push(points);
+        }
+        result
+    }
 }
 
 /// The representative of a chain.
@@ -150,9 +300,9 @@ mod tests {
             .map(|k| [f64::from(k * 7919 % 1000), f64::from(k * 104_729 % 613)])
             .collect();
         let index = Near::of(&points);
-        for &centre in points.iter().step_by(50) {
+        for (number, &centre) in points.iter().enumerate().step_by(50) {
             let mut found = Vec::new();
-            index.visit_within(centre, 60.0, |k| found.push(k));
+            index.visit_within(number, centre, 60.0, |k| found.push(k));
             for (k, &point) in points.iter().enumerate() {
                 let count = found.iter().filter(|&&other| other == k).count();
                 assert!(count <= 1 && (count == 1 || line::distance(point, centre) > 60.0));
@@ -169,5 +319,65 @@ mod tests {
         ];
         let joined = join_ends(&lines, vec![(0.0, 1, 3), (0.0, 2, 4), (0.0, 5, 0)]);
         assert_eq!(joined, [vec![[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [0.0, 0.0]]]);
+    }
+
+    #[test]
+    fn in_a_crowd_each_point_sees_some_and_is_seen() {
+        let points = vec![[1.0, 2.0]; CROWD + 500];
+        let index = Near::of(&points);
+        let mut seen = vec![0; points.len()];
+        for (number, &point) in points.iter().enumerate() {
+            index.visit_within(number, point, 0.5, |other| seen[other] += 1);
+        }
+        assert!(seen.iter().all(|&count| count == CROWD), "{:?}", seen.iter().max());
+    }
+
+    /// All bridges between ends at one point.
+    fn meetings(lines: &[Vec<Point>]) -> Vec<(f64, usize, usize)> {
+        let ends = ends(lines);
+        let pairs = (0..ends.len()).flat_map(|a| (a + 1..ends.len()).map(move |b| (a, b)));
+        pairs
+            .filter(|&(a, b)| ends[a] == ends[b])
+            .map(|(a, b)| (0.0, a, b))
+            .collect()
+    }
+
+    #[test]
+    fn rings_are_drawn_on_the_way_of_a_line_that_meets_them() {
+        let ring = |x: f64| vec![[x, 0.0], [x + 1.0, 1.0], [x, 1.0], [x, 0.0]];
+        let line = |from: f64, to: f64| vec![[from, 0.0], [to, 0.0]];
+        // A ring at an open end, one at a joint, two that meet, and one alone.
+        let lines = vec![
+            ring(0.0),
+            line(0.0, 5.0),
+            line(5.0, 9.0),
+            ring(5.0),
+            ring(20.0),
+            ring(20.0),
+            ring(40.0),
+        ];
+        let joined = join_ends(&lines, meetings(&lines));
+        let counts: Vec<usize> = joined.iter().map(Vec::len).collect();
+        assert_eq!(counts.iter().sum::<usize>(), 4 * 5 + 2 * 2 - 3 - 1, "{joined:?}");
+        assert_eq!(joined.len(), 3, "{joined:?}");
+    }
+
+    #[test]
+    fn a_net_takes_as_many_lines_as_half_its_odd_crossings() {
+        // Every side of a net of squares is a line: 4 (n - 1) crossings on the rim have three of them.
+        let n = 9_u32;
+        let at = |x: u32, y: u32| [f64::from(x), f64::from(y)];
+        let mut lines = Vec::new();
+        for (x, y) in (0..=n).flat_map(|x| (0..=n).map(move |y| (x, y))) {
+            if x < n {
+                lines.push(vec![at(x, y), at(x + 1, y)]);
+            }
+            if y < n {
+                lines.push(vec![at(x, y + 1), at(x, y)]);
+            }
+        }
+        let joined = join_ends(&lines, meetings(&lines));
+        assert_eq!(joined.len(), (4 * (n as usize - 1)) / 2);
+        assert_eq!(joined.iter().map(|line| line.len() - 1).sum::<usize>(), lines.len());
     }
 }

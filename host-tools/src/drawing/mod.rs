@@ -32,6 +32,7 @@ mod styles;
 mod svg;
 mod tone;
 mod tour;
+mod travel;
 mod vectorize;
 
 pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
@@ -48,6 +49,7 @@ pub(crate) use render::draw_line;
 pub use render::{edge_coverage, render_png, render_rgb, tone_correlation, write_artwork, write_svg};
 pub use styles::Style;
 pub use svg::{FontFile, TextFont, read_svg, read_svg_with};
+pub use travel::Travel;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 
 /// One line drawn without lifting the pen.
@@ -84,11 +86,17 @@ impl Drawing {
     /// Straight distances from each stroke's end to the next one's start, mm.
     #[must_use]
     pub fn pen_up_mm(&self) -> f64 {
-        let gap = |pair: &[Stroke]| match (pair[0].points.last(), pair[1].points.first()) {
-            (Some(&from), Some(&to)) => line::distance(from, to),
-            _ => 0.0,
-        };
         // An empty sum is a negative zero.
-        self.strokes.windows(2).map(gap).sum::<f64>() + 0.0
+        self.ways_mm().sum::<f64>() + 0.0
+    }
+
+    /// The straight distances from each stroke's end to the next one's start, mm.
+    pub(crate) fn ways_mm(&self) -> impl Iterator<Item = f64> {
+        self.strokes
+            .windows(2)
+            .map(|pair| match (pair[0].points.last(), pair[1].points.first()) {
+                (Some(&from), Some(&to)) => line::distance(from, to),
+                _ => 0.0,
+            })
     }
 }

@@ -1,13 +1,21 @@
 //! The order in which strokes cost least drawing time.
 //!
 //! Lifts come before travel: ends that lie within the pen's width are joined first, then the strokes are put into a
-//! short tour ([`super::tour`]), each drawn from the end that suits it. Invariant: all ink of the given drawing is in the result, and the way with the pen up is never
-//! longer than it was.
+//! quick tour ([`super::tour`]), each drawn from the end that suits it, by what the planner takes for such ways
+//! ([`Travel`]). Invariant: all ink of the given drawing is in the result, and neither lifts nor the way with the pen up
+//! are more than they were.
 
 use super::join::{self, Near};
 use super::line::{self, Point};
 use super::tour::shortest_tour;
+use super::travel::Travel;
 use super::{Drawing, Stroke};
+
+/// A line whose ends meet is a ring from this length on, in widths of the gaps that are joined.
+const RING_GAPS: f64 = 4.0;
+
+/// Ends that an end may be joined to; where more meet, they meet each other too.
+const BRIDGES_MAX: usize = 32;
 
 /// What the order may do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +24,8 @@ pub struct OrderOptions {
     pub join_gap_mm: f64,
     /// Leave order and direction as given, only join a stroke to the next one.
     pub keep_order: bool,
+    /// What ways with the pen up cost.
+    pub travel: Travel,
 }
 
 impl Default for OrderOptions {
@@ -24,6 +34,7 @@ impl Default for OrderOptions {
         Self {
             join_gap_mm: 0.5,
             keep_order: false,
+            travel: Travel::default(),
         }
     }
 }
@@ -62,10 +73,11 @@ pub fn order_with_effort(drawing: &mut Drawing, options: &OrderOptions, effort: 
     let sorted = if options.keep_order || joined.len() < 2 {
         joined
     } else {
-        sorted(joined, effort)
+        sorted(joined, &options.travel, effort)
     };
     drawing.strokes = sorted.into_iter().map(|points| Stroke { points }).collect();
-    if drawing.pen_up_mm() > given.pen_up_mm() {
+    let travel_s = |drawing: &Drawing| drawing.ways_mm().map(|mm| options.travel.seconds(mm)).sum::<f64>();
+    if drawing.pen_up_mm() > given.pen_up_mm() || travel_s(drawing) > travel_s(&given) {
         drawing.strokes.clone_from(&given.strokes);
     }
     OrderReport {
@@ -91,18 +103,22 @@ fn bridges(lines: &[Vec<Point>], options: &OrderOptions) -> Vec<(f64, usize, usi
         return next.filter(|bridge| bridge.0 <= options.join_gap_mm).collect();
     }
     let near = Near::of(&ends);
+    // A line that hardly leaves its beginning is no ring.
+    let is_ring = |k: usize| line::length(&lines[k]) > RING_GAPS * options.join_gap_mm;
     for (a, &from) in ends.iter().enumerate() {
-        near.visit_within(from, options.join_gap_mm, |b| {
+        let mut found = 0;
+        near.visit_within(a, from, options.join_gap_mm, |b| {
             let away = line::distance(from, ends[b]);
-            if a < b && a / 2 != b / 2 && away <= options.join_gap_mm {
+            if a < b && (a / 2 != b / 2 || is_ring(a / 2)) && away <= options.join_gap_mm && found < BRIDGES_MAX {
                 bridges.push((away, a, b));
+                found += 1;
             }
         });
     }
     bridges
 }
 
-fn sorted(lines: Vec<Vec<Point>>, effort: usize) -> Vec<Vec<Point>> {
+fn sorted(lines: Vec<Vec<Point>>, travel: &Travel, effort: usize) -> Vec<Vec<Point>> {
     let turned = |entry: usize| {
         let mut points = lines.get(entry / 2).cloned().unwrap_or_default();
         if entry % 2 == 1 {
@@ -110,7 +126,7 @@ fn sorted(lines: Vec<Vec<Point>>, effort: usize) -> Vec<Vec<Point>> {
         }
         points
     };
-    let tour = shortest_tour(&join::ends(&lines), effort);
+    let tour = shortest_tour(&join::ends(&lines), travel, effort);
     tour.iter().step_by(2).map(|&entry| turned(entry)).collect()
 }
 
@@ -163,6 +179,7 @@ mod tests {
             let options = OrderOptions {
                 join_gap_mm: -1.0,
                 keep_order: false,
+                ..OrderOptions::default()
             };
             let report = order(&mut ordered, &options);
             assert_eq!(ink(&ordered), ink(&given), "seed {seed}");
@@ -187,6 +204,7 @@ mod tests {
             &OrderOptions {
                 join_gap_mm: -1.0,
                 keep_order: false,
+                ..OrderOptions::default()
             },
         );
         assert!(report.pen_up_mm_after < 0.043 * report.pen_up_mm_before, "{report:?}");
@@ -211,6 +229,7 @@ mod tests {
             &OrderOptions {
                 join_gap_mm: 0.2,
                 keep_order: false,
+                ..OrderOptions::default()
             },
         );
         assert_eq!((report.lifts_after, report.bridged_mm), (4, 0.0));
@@ -226,9 +245,30 @@ mod tests {
             &OrderOptions {
                 join_gap_mm: 0.0,
                 keep_order: true,
+                ..OrderOptions::default()
             },
         );
         assert_eq!(kept, given);
+    }
+
+    #[test]
+    fn rays_from_one_point_are_joined_by_twos_however_many_they_are() {
+        let ray = |k: u32| {
+            let (sine, cosine) = f64::from(k).sin_cos();
+            let end = [100.0 + (20.0 + 0.003 * f64::from(k)) * cosine, 100.0 + 80.0 * sine];
+            Stroke {
+                points: vec![[100.0, 100.0], end],
+            }
+        };
+        let mut drawing = Drawing {
+            sheet_mm: [200.0, 200.0],
+            strokes: (0..9_000).map(ray).collect(),
+        };
+        let options = OrderOptions {
+            join_gap_mm: 0.0,
+            ..OrderOptions::default()
+        };
+        assert_eq!(order(&mut drawing, &options).lifts_after, 4_500);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 /// Largest distance of a chord from its arc, mm.
 const TOLERANCE_MM: f64 = 0.02;
 /// Farthest coordinate, mm.
-const PLACE_MAX_MM: f64 = 1e6;
+pub(super) const PLACE_MAX_MM: f64 = 1e6;
 /// Most points of all strokes together.
 const POINTS_MAX: usize = 20_000_000;
 /// Most kinds of things told about.

@@ -5,6 +5,11 @@
 
 /// Widest Gaussian that is computed with its own kernel; wider ones are three passes of a box.
 const KERNEL_SIGMA_MAX: f32 = 2.5;
+/// Threads that work on one plane at most, and the fewest rows that are worth one.
+const THREADS_MAX: usize = 8;
+const BAND_ROWS_MIN: usize = 64;
+/// Side of the squares in which a plane is transposed, pixels.
+const TILE: usize = 32;
 
 /// A picture of one value a pixel, row by row.
 #[derive(Clone, Debug)]
@@ -16,13 +21,30 @@ pub(crate) struct Plane {
 
 impl Plane {
     /// A plane whose value at `(x, y)` is `value(x, y)`; both sides are at least one pixel.
-    pub(crate) fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> f32) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        let mut values = Vec::with_capacity(width * height);
-        for y in 0..height {
-            for x in 0..width {
-                values.push(value(x, y));
+    pub(crate) fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> f32 + Sync) -> Self {
+        Self::from_bands(width.max(1), height.max(1), |top, band, width| {
+            for (y, row) in (top..).zip(band.chunks_exact_mut(width)) {
+                for (x, pixel) in row.iter_mut().enumerate() {
+                    *pixel = value(x, y);
+                }
             }
+        })
+    }
+
+    /// A plane whose rows are filled by several threads, `fill(top, rows, width)` each a band of them from row `top` on.
+    fn from_bands(width: usize, height: usize, fill: impl Fn(usize, &mut [f32], usize) + Sync) -> Self {
+        let mut values = vec![0.0; width * height];
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let rows = height.div_ceil(threads.min(THREADS_MAX)).max(BAND_ROWS_MIN);
+        if rows >= height {
+            fill(0, &mut values, width);
+        } else {
+            std::thread::scope(|scope| {
+                for (k, band) in values.chunks_mut(rows * width).enumerate() {
+                    let fill = &fill;
+                    scope.spawn(move || fill(k * rows, band, width));
+                }
+            });
         }
         Self { width, height, values }
     }
@@ -146,36 +168,56 @@ impl Plane {
     }
 
     fn convolved_rows(&self, kernel: &[f32]) -> Self {
-        let radius = (kernel.len() / 2) as isize;
-        let mut result = self.clone();
-        for (y, row) in result.values.chunks_exact_mut(self.width).enumerate() {
-            for (x, value) in row.iter_mut().enumerate() {
-                *value = (kernel.iter().zip(-radius..))
-                    .map(|(weight, offset)| weight * self.at(x as isize + offset, y as isize))
-                    .sum();
+        self.by_rows(kernel.len() / 2, |source, row| {
+            for (value, around) in row.iter_mut().zip(source.windows(kernel.len())) {
+                *value = kernel.iter().zip(around).map(|(weight, value)| weight * value).sum();
             }
-        }
-        result
+        })
     }
 
     fn averaged_rows(&self, radius: usize) -> Self {
-        let mut result = self.clone();
-        let radius = radius as isize;
-        let scale = 1.0 / (2 * radius + 1) as f64;
-        for (y, row) in result.values.chunks_exact_mut(self.width).enumerate() {
-            let y = y as isize;
-            let mut sum: f64 = (-radius..=radius).map(|x| f64::from(self.at(x, y))).sum();
-            for (x, value) in row.iter_mut().enumerate() {
+        let length = 2 * radius + 1;
+        let scale = 1.0 / length as f64;
+        self.by_rows(radius, |source, row| {
+            let mut sum: f64 = source.iter().take(length).map(|&value| f64::from(value)).sum();
+            let mut ends = source.iter().skip(length).zip(source);
+            for value in row {
                 *value = (sum * scale) as f32;
-                let x = x as isize;
-                sum += f64::from(self.at(x + radius + 1, y)) - f64::from(self.at(x - radius, y));
+                if let Some((&next, &last)) = ends.next() {
+                    sum += f64::from(next) - f64::from(last);
+                }
             }
-        }
-        result
+        })
+    }
+
+    /// A plane of rows that follow each from this plane's row, continued by `margin` pixels to both sides.
+    fn by_rows(&self, margin: usize, follow: impl Fn(&[f32], &mut [f32]) + Sync) -> Self {
+        Self::from_bands(self.width, self.height, |top, band, width| {
+            let mut continued = vec![0.0; width + 2 * margin];
+            let sources = self.values.chunks_exact(width).skip(top);
+            for (source, row) in sources.zip(band.chunks_exact_mut(width)) {
+                let (before, rest) = continued.split_at_mut(margin);
+                let (inside, after) = rest.split_at_mut(width);
+                before.fill(source.first().copied().unwrap_or_default());
+                inside.copy_from_slice(source);
+                after.fill(source.last().copied().unwrap_or_default());
+                follow(&continued, row);
+            }
+        })
     }
 
     fn transposed(&self) -> Self {
-        Self::from_fn(self.height, self.width, |x, y| self.values[x * self.width + y])
+        Self::from_bands(self.height, self.width, |top, band, width| {
+            // Tile by tile, so that what was read stays near.
+            for left in (0..width).step_by(TILE) {
+                let right = (left + TILE).min(width);
+                for (k, row) in band.chunks_exact_mut(width).enumerate() {
+                    for (y, value) in (left..right).zip(&mut row[left..right]) {
+                        *value = self.values[y * self.width + top + k];
+                    }
+                }
+            }
+        })
     }
 }
 

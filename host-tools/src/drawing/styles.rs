@@ -6,6 +6,7 @@ use super::join::{self, Near};
 use super::line::{self, Point};
 use super::raster::Plane;
 use super::tour::shortest_tour;
+use super::travel::Travel;
 
 /// How a photograph is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -60,7 +61,7 @@ pub(super) fn hatch(ink: &Plane, pen: f64, density: f64) -> Vec<Vec<Point>> {
         let near = Near::of(&ends);
         let mut bridges = Vec::new();
         for (a, &from) in ends.iter().enumerate() {
-            near.visit_within(from, 1.7 * spacing, |b| {
+            near.visit_within(a, from, 1.7 * spacing, |b| {
                 let away = line::distance(from, ends[b]);
                 let middle = line::between(from, ends[b], 0.5);
                 let is_dark = calm.sample(middle[0] as f32, middle[1] as f32) >= threshold;
@@ -128,7 +129,7 @@ pub(super) fn one_line(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Ve
         return Vec::new();
     }
     let ends: Vec<Point> = points.iter().flat_map(|&point| [point, point]).collect();
-    let tour = shortest_tour(&ends, 1);
+    let tour = shortest_tour(&ends, &Travel::Length, 1);
     vec![
         tour.iter()
             .step_by(2)

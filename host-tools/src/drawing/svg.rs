@@ -71,6 +71,9 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
         return Err(too_many);
     }
     let head = Head::of(&document);
+    if head.has_senseless_size {
+        return Err(DrawingError::SvgSize);
+    }
     let prepared = head.prepared(text);
     let fonts = Fonts::find(&document, font);
     drop(document);

@@ -239,7 +239,7 @@ pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal) -> Vec<V
     let near = Near::of(&ends);
     let mut bridges = Vec::new();
     for (a, &from) in ends.iter().enumerate() {
-        near.visit_within(from, STRAIGHT_PENS * goal.pen, |b| {
+        near.visit_within(a, from, STRAIGHT_PENS * goal.pen, |b| {
             let to = ends[b];
             if b <= a || a / 2 == b / 2 {
                 return;

@@ -1,4 +1,4 @@
-//! A short way through all strokes: which comes after which, and from which end each is drawn.
+//! A quick way through all strokes: which comes after which, and from which end each is drawn.
 //!
 //! The shortest links are taken first, as long as they make no ring (greedy matching); the chains that remain are put end
 //! to end. Exchanging links (2-opt) and moving short runs (or-opt) among near ends then improve the tour, and small
@@ -10,6 +10,7 @@
 
 use super::join::Near;
 use super::line::{self, Point};
+use super::travel::Travel;
 use std::collections::VecDeque;
 
 /// Nearest ends tried as partners of an end.
@@ -18,10 +19,10 @@ const NEIGHBOURS: usize = 8;
 const RUN_MAX: usize = 3;
 /// Exchanges tried for each end, on average, before the tour is taken as it is.
 const ROUNDS_MAX: usize = 60;
-/// Smallest improvement that counts, mm.
-const GAIN_MIN_MM: f64 = 1e-7;
+/// Smallest improvement that counts, s.
+const GAIN_MIN_S: f64 = 1e-9;
 /// Disturbances tried: one a stroke, within these numbers. More of them shorten a tour by another per cent.
-const KICKS_MIN: usize = 400;
+const KICKS_MIN: usize = 60;
 const KICKS_MAX: usize = 200_000;
 /// Farthest places that are changed together after a disturbance, so that its cost does not grow with the drawing.
 const KICK_SPAN: usize = 400;
@@ -32,21 +33,21 @@ const GIVEN_RATIO: f64 = 1.3;
 
 /// The ends in the order of a short tour; end `2 k` is the start of stroke `k`, end `2 k + 1` its last point. `effort`
 /// multiplies the disturbances.
-pub(super) fn shortest_tour(ends: &[Point], effort: usize) -> Vec<usize> {
+pub(super) fn shortest_tour(ends: &[Point], travel: &Travel, effort: usize) -> Vec<usize> {
     let as_given: Vec<usize> = (0..ends.len()).collect();
     if ends.len() < 4 {
         return as_given;
     }
     let neighbours = neighbours(ends);
-    let mut tour = Tour::new(ends, &neighbours, greedy(ends, &neighbours));
-    let given = Tour::new(ends, &neighbours, as_given);
-    let is_given_good = given.length() <= GIVEN_RATIO * tour.length();
+    let mut tour = Tour::new(ends, travel, &neighbours, greedy(ends, &neighbours));
+    let given = Tour::new(ends, travel, &neighbours, as_given);
+    let is_given_good = given.duration_s() <= GIVEN_RATIO * tour.duration_s();
     let everything: Vec<usize> = (0..ends.len()).collect();
     tour.improve(everything.iter().copied());
     if is_given_good {
         let mut given = given;
         given.improve(everything.iter().copied());
-        if given.length() < tour.length() {
+        if given.duration_s() < tour.duration_s() {
             tour = given;
         }
     }
@@ -131,6 +132,7 @@ enum Change {
 
 struct Tour<'a> {
     ends: &'a [Point],
+    travel: &'a Travel,
     neighbours: &'a [Vec<usize>],
     tour: Vec<usize>,
     /// Place of every end in the tour.
@@ -139,38 +141,44 @@ struct Tour<'a> {
     waiting: Vec<bool>,
     /// What has changed since the last disturbance.
     changes: Vec<Change>,
-    /// How much shorter the tour has become since then, mm.
-    gained_mm: f64,
+    /// How much time the tour has gained since then, s.
+    gained_s: f64,
     /// Farthest places that are changed together.
     span_max: usize,
 }
 
 impl<'a> Tour<'a> {
-    fn new(ends: &'a [Point], neighbours: &'a [Vec<usize>], tour: Vec<usize>) -> Self {
+    fn new(ends: &'a [Point], travel: &'a Travel, neighbours: &'a [Vec<usize>], tour: Vec<usize>) -> Self {
         let mut places = vec![0; ends.len()];
         tour.iter().enumerate().for_each(|(place, &end)| places[end] = place);
         Self {
             ends,
+            travel,
             neighbours,
             tour,
             places,
             queue: VecDeque::new(),
             waiting: vec![false; ends.len()],
             changes: Vec::new(),
-            gained_mm: 0.0,
+            gained_s: 0.0,
             span_max: usize::MAX,
         }
     }
 
-    /// Distance of the ends at two places; beyond either end of the tour there is none.
+    /// Time between the ends at two places; beyond either end of the tour there is none.
     fn link(&self, a: usize, b: usize) -> f64 {
         match (self.tour.get(a), self.tour.get(b)) {
-            (Some(&a), Some(&b)) => distance(self.ends[a], self.ends[b]),
+            (Some(&a), Some(&b)) => self.way_s(a, b),
             _ => 0.0,
         }
     }
 
-    fn length(&self) -> f64 {
+    /// Time between two ends.
+    fn way_s(&self, a: usize, b: usize) -> f64 {
+        self.travel.seconds(distance(self.ends[a], self.ends[b]))
+    }
+
+    fn duration_s(&self) -> f64 {
         (1..self.tour.len())
             .step_by(2)
             .map(|place| self.link(place, place + 1))
@@ -201,7 +209,7 @@ impl<'a> Tour<'a> {
                 self.link(from.wrapping_sub(1), from) + self.link(middle - 1, middle) + self.link(after - 1, after);
             let now =
                 self.link(from.wrapping_sub(1), middle) + self.link(after - 1, from) + self.link(middle - 1, after);
-            self.gained_mm = before - now;
+            self.gained_s = before - now;
             self.change(Change::RotateLeft {
                 from,
                 to: after - 1,
@@ -214,7 +222,7 @@ impl<'a> Tour<'a> {
                 .filter_map(|&place| self.tour.get(place).copied())
                 .collect();
             self.improve(ends.into_iter());
-            if self.gained_mm <= GAIN_MIN_MM {
+            if self.gained_s <= GAIN_MIN_S {
                 while let Some(change) = self.changes.pop() {
                     self.take_back(change);
                 }
@@ -281,7 +289,7 @@ impl<'a> Tour<'a> {
         let now = self.link(place, outward(place));
         for &other in &neighbours[end] {
             // A change that helps has an end whose new link is shorter than its old one.
-            if distance(self.ends[end], self.ends[other]) >= now {
+            if self.way_s(end, other) >= now {
                 return None;
             }
             let goal = self.places[other];
@@ -306,10 +314,10 @@ impl<'a> Tour<'a> {
         }
         let before = self.link(a, outward(a)) + self.link(b, outward(b));
         let after = self.link(a, b) + self.link(outward(a), outward(b));
-        if before - after < GAIN_MIN_MM {
+        if before - after < GAIN_MIN_S {
             return None;
         }
-        self.gained_mm += before - after;
+        self.gained_s += before - after;
         let (from, to) = if a % 2 == 1 { (a + 1, b) } else { (a, b - 1) };
         self.change(Change::Reverse { from, to });
         Some([from.wrapping_sub(1), from, to, to + 1, a, b])
@@ -340,8 +348,8 @@ impl<'a> Tour<'a> {
             let far = from + to - place;
             let before = self.link(from.wrapping_sub(1), from) + self.link(to, to + 1) + self.link(goal, gap);
             let after = self.link(from.wrapping_sub(1), to + 1) + self.link(place, goal) + self.link(far, gap);
-            if before - after >= GAIN_MIN_MM {
-                self.gained_mm += before - after;
+            if before - after >= GAIN_MIN_S {
+                self.gained_s += before - after;
                 return Some(self.relocate(from, to, goal, place));
             }
         }

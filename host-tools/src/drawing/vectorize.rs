@@ -332,7 +332,7 @@ impl Study {
                 &mut result,
                 &OrderOptions {
                     join_gap_mm: options.pen_width_mm,
-                    keep_order: false,
+                    ..OrderOptions::default()
                 },
             );
             let ratio = aim_s / estimate(&result).time_s;
@@ -364,7 +364,7 @@ impl Study {
                 &mut result,
                 &OrderOptions {
                     join_gap_mm,
-                    keep_order: false,
+                    ..OrderOptions::default()
                 },
             );
             let ratio = aim_s / estimate(&result).time_s.max(1e-3);

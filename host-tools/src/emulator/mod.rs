@@ -7,12 +7,14 @@
 //!
 //! [`Emulator::start`] runs in lockstep; [`free_running`] runs without, to play with the UART by hand.
 
+mod client;
 mod error;
 pub mod free_running;
 mod lockstep;
 mod log;
 mod process;
 
+pub(crate) use client::ClientSlot;
 pub use error::EmulatorError;
 pub use log::LogLine;
 

@@ -16,6 +16,8 @@ pub(crate) struct Line {
     state: u64,
     /// Faults of each kind in a million bytes.
     faults_per_million: u64,
+    /// Faults so far.
+    pub(crate) spoilt: u32,
 }
 
 impl Line {
@@ -23,6 +25,7 @@ impl Line {
         Self {
             state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
             faults_per_million,
+            spoilt: 0,
         }
     }
 
@@ -37,7 +40,9 @@ impl Line {
     pub(crate) fn carry(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();
         for byte in bytes {
-            match self.random() % 1_000_000 / self.faults_per_million.max(1) {
+            let kind = self.random() % 1_000_000 / self.faults_per_million.max(1);
+            self.spoilt += u32::from(self.faults_per_million > 0 && kind < 4);
+            match kind {
                 _ if self.faults_per_million == 0 => out.push(*byte),
                 0 => {}
                 1 => out.push(byte ^ (1 << (self.random() % 8))),

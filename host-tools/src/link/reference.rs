@@ -48,6 +48,68 @@ pub struct Wanted {
     pub calibrate: bool,
 }
 
+impl Wanted {
+    /// What the firmware is asked for when its resolvers show these increments.
+    pub(crate) fn command(&self, config: &Config, increments: &[u32; AXES]) -> Command {
+        match (self.known_pose(config, increments), self.position) {
+            (None, None) => Command::Reference,
+            (Some(pose), position) => Command::ReferenceAt { pose, position },
+            // The marks' own angles, checked against the position that was measured.
+            (None, position) => Command::ReferenceAt {
+                pose: angles(config, increments, [None; AXES]),
+                position,
+            },
+        }
+    }
+
+    /// The known pose, if there is one.
+    fn known_pose(&self, config: &Config, increments: &[u32; AXES]) -> Option<JointAngles> {
+        match self.pose {
+            Pose::Marks => None,
+            Pose::Joints(pose) => Some(pose),
+            Pose::Arms([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
+            Pose::Arms([first, second, third]) => {
+                let JointAngles([.., fourth]) = angles(config, increments, [Some(0.0); AXES]);
+                Some(JointAngles([first, second, third, fourth]))
+            }
+        }
+    }
+}
+
+/// Angles that the resolvers show, on the turns nearest to others, or to the marks.
+fn angles(config: &Config, increments: &[u32; AXES], near_rad: [Option<f64>; AXES]) -> JointAngles {
+    let shown = config.axes.iter().zip(increments).zip(near_rad);
+    let mut angles = JointAngles::default();
+    for (angle, ((axis, increments), near_rad)) in angles.0.iter_mut().zip(shown) {
+        *angle = resolver_angle_rad(axis, i64::from(*increments), near_rad);
+    }
+    angles
+}
+
+/// Reading back a reference that the firmware has taken.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Reading {
+    /// The firmware's millisecond from which on its reports belong to the reference.
+    settled_ms: Option<u32>,
+}
+
+impl Reading {
+    /// The reference, once a status and a sample surely know of it.
+    pub(crate) fn take(&mut self, config: &Config, status: &Status, sample: Option<&Sample>) -> Option<Referenced> {
+        let cycle = status.counters.cycles;
+        let settled_ms = *self.settled_ms.get_or_insert(cycle.wrapping_add(SETTLE_MS));
+        let is_after = |ms: u32| ms.wrapping_sub(settled_ms) < u32::MAX / 2;
+        let increments = all(&status.increments).filter(|_| status.referenced && is_after(cycle))?;
+        let sample = sample.filter(|sample| is_after(sample.t_ms))?;
+        let near_rad = sample.measured_rad.map(|angle| Some(f64::from(angle)));
+        Some(Referenced {
+            pose: angles(config, &increments, near_rad),
+            increments,
+            config: config.clone(),
+        })
+    }
+}
+
 /// A reference that was taken.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Referenced {
@@ -89,8 +151,7 @@ pub struct ReferenceJob {
     retry_ms: u64,
     awaited: Option<u16>,
     accepted: bool,
-    /// The firmware's millisecond from which on its reports belong to the reference.
-    settled_ms: Option<u32>,
+    reading: Reading,
     status: Option<Status>,
     sample: Option<Sample>,
     outcome: Option<Result<Referenced, JobError>>,
@@ -114,7 +175,7 @@ impl ReferenceJob {
             retry_ms: 0,
             awaited: None,
             accepted: false,
-            settled_ms: None,
+            reading: Reading::default(),
             status: None,
             sample: None,
             outcome: None,
@@ -281,71 +342,27 @@ impl ReferenceJob {
             }
             return;
         };
-        let pose = self.pose(&increments);
         if self.wanted.calibrate && !self.calibrated {
             self.calibrated = true;
             let at_marks = JointAngles(self.config.axes.map(|axis| axis.sync_angle_rad));
+            let pose = self.wanted.known_pose(&self.config, &increments);
             self.config = marked(&self.config, &pose.unwrap_or(at_marks), &increments);
             return self.configure();
         }
-        let command = match (pose, self.wanted.position) {
-            (None, None) => Command::Reference,
-            (Some(pose), position) => Command::ReferenceAt { pose, position },
-            // The marks' own angles, checked against the position that was measured.
-            (None, position) => Command::ReferenceAt {
-                pose: self.angles(&increments, [None; AXES]),
-                position,
-            },
-        };
+        let command = self.wanted.command(&self.config, &increments);
         self.awaited = Some(self.session.command(command));
-    }
-
-    /// The known pose, if there is one.
-    fn pose(&self, increments: &[u32; AXES]) -> Option<JointAngles> {
-        match self.wanted.pose {
-            Pose::Marks => None,
-            Pose::Joints(pose) => Some(pose),
-            Pose::Arms([first, second, third]) if self.wanted.calibrate => {
-                Some(JointAngles([first, second, third, 0.0]))
-            }
-            Pose::Arms([first, second, third]) => {
-                let JointAngles([.., fourth]) = self.angles(increments, [Some(0.0); AXES]);
-                Some(JointAngles([first, second, third, fourth]))
-            }
-        }
-    }
-
-    /// Angles that the resolvers show, on the turns nearest to others, or to the marks.
-    fn angles(&self, increments: &[u32; AXES], near_rad: [Option<f64>; AXES]) -> JointAngles {
-        let shown = self.config.axes.iter().zip(increments).zip(near_rad);
-        let mut angles = JointAngles::default();
-        for (angle, ((axis, increments), near_rad)) in angles.0.iter_mut().zip(shown) {
-            *angle = resolver_angle_rad(axis, i64::from(*increments), near_rad);
-        }
-        angles
     }
 
     /// Waits for a status and, after it, a sample that know of the reference.
     fn read_back(&mut self, status: &Status) {
-        let cycle = status.counters.cycles;
-        let settled_ms = *self.settled_ms.get_or_insert(cycle.wrapping_add(SETTLE_MS));
-        let is_after = |ms: u32| ms.wrapping_sub(settled_ms) < u32::MAX / 2;
-        let (Some(increments), true, true) = (all(&status.increments), status.referenced, is_after(cycle)) else {
-            return;
-        };
-        let Some(sample) = self.sample.filter(|sample| is_after(sample.t_ms)) else {
-            return;
-        };
-        let near_rad = sample.measured_rad.map(|angle| Some(f64::from(angle)));
-        self.outcome.get_or_insert(Ok(Referenced {
-            pose: self.angles(&increments, near_rad),
-            increments,
-            config: self.config.clone(),
-        }));
+        if let Some(found) = self.reading.take(&self.config, status, self.sample.as_ref()) {
+            self.outcome.get_or_insert(Ok(found));
+        }
     }
 }
 
-fn all(increments: &[Option<u32>; AXES]) -> Option<[u32; AXES]> {
+/// What each axis' resolver shows, once all of them show something.
+pub(crate) fn all(increments: &[Option<u32>; AXES]) -> Option<[u32; AXES]> {
     let shown: Vec<u32> = increments.iter().copied().flatten().collect();
     shown.try_into().ok()
 }

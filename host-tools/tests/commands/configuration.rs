@@ -38,13 +38,13 @@ fn shells_and_manuals_get_every_command() {
     for command in ["draw", "status", "override", "config", "jobs"] {
         assert!(script.contains(command), "{command}");
         let page = fs::read_to_string(folder.join("pages").join(format!("etherpen-{command}.1"))).expect("a page");
-        assert!(page.contains(".TH"), "{command}");
+        assert!(page.contains(".TH") && page.contains("Exit codes"), "{command}");
     }
-    assert!(
-        fs::read_to_string(folder.join("pages/etherpen.1"))
-            .expect("a page")
-            .contains("Exit codes")
-    );
+    for words in [&["--help"][..], &["order", "--help"], &["bus", "sdo", "read", "-h"]] {
+        let (status, help, _) = run(etherpen(&folder).args(words));
+        assert_eq!(status, Some(0), "{words:?}");
+        assert!(help.contains("7 the machine stopped with a fault"), "{words:?}: {help}");
+    }
 }
 
 #[test]

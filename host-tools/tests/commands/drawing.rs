@@ -69,6 +69,7 @@ fn the_order_costs_less_and_keeps_scale_and_ink() {
         let figure = |key: &str| answer[key].as_f64().expect(key);
         assert!(figure("lifts_after") <= figure("lifts_before"), "{stdout}");
         assert!(figure("pen_up_mm_after") < 0.2 * figure("pen_up_mm_before"), "{stdout}");
+        assert!(figure("drawing_s_after") < figure("drawing_s_before"), "{stdout}");
         assert!(figure("seconds") > 0.0);
         let (before, after) = (read(&file), read(&out));
         assert_eq!(after.strokes.len() as f64, figure("strokes"));
@@ -145,6 +146,11 @@ fn files_that_cannot_be_drawn_are_refused_with_a_place_and_a_remedy() {
     let many = format!("{HEAD}{}</svg>", "<path d='M0 0h1'/>".repeat(1_000_001));
     for (name, content, expected) in [
         ("cut.svg", "<svg><g>".to_owned(), "line 1"),
+        (
+            "nan.svg",
+            "<svg xmlns='http://www.w3.org/2000/svg' width='NaN' height='9mm'><path d='M0 0h9'/></svg>".to_owned(),
+            "give the page a size",
+        ),
         (
             "cycle.svg",
             format!("{}<g id='a'><use href='#a'/></g></svg>", HEAD),

@@ -241,7 +241,7 @@ fn a_drawing_is_worked_with_from_another_terminal_and_goes_on_after_its_program_
     let file = strokes().to_string_lossy().into_owned();
     let in_use = format!("draw (process {})", first.id());
     machine.refused(&["draw", &file], code::CONNECTION, &in_use);
-    machine.refused(&["reference", "--port", &port], code::CONNECTION, &in_use);
+    machine.refused(&["reference", "--port", &port], code::FAILED, "at work");
     machine.done(&["bus", "scan", "--port", &port]);
     machine.done(&["hold", "--at-pen-up"]);
     machine.wait_for_mode("Holding");
@@ -265,6 +265,47 @@ fn a_drawing_is_worked_with_from_another_terminal_and_goes_on_after_its_program_
     assert_eq!(jobs.as_array().map(Vec::len), Some(1), "{jobs}");
     assert_eq!(jobs[0]["completed"], true, "{jobs}");
     machine.refused(&words, code::INPUT, "to its end");
+}
+
+#[test]
+fn a_reference_is_taken_through_the_program_that_has_the_port() {
+    let folder = Folder::new();
+    let (_emulate, _, port) = emulate(&folder);
+    let machine = Told {
+        folder: &folder,
+        port: &port,
+    };
+    let mut command = etherpen(&folder);
+    let mut owner = Running::start(command.args(["record", "-o", "run.mcap", "--port", &port]));
+    let pid = owner.id();
+    owner.wait_for("port", |_| (machine.status()["owner"]["pid"] == pid).then_some(()));
+    let (status, stdout, stderr) = machine.tell(&["reference", "--port", &port, "--json"]);
+    assert_eq!(status, Some(0), "{stderr}");
+    assert!(stderr.contains(&format!("record (process {pid})")), "{stderr}");
+    let answer: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    assert_eq!(answer["axes"].as_array().map(Vec::len), Some(4), "{answer}");
+    let status = machine.status();
+    assert_eq!(
+        (&status["mode"], &status["referenced"]),
+        (&"DrivesOff".into(), &true.into()),
+        "{status}"
+    );
+    machine.refused(
+        &["reference", "--port", &port, "--calibrate"],
+        code::CONNECTION,
+        "end that program",
+    );
+    let other = folder.file("other.toml", "[motion]\nspeed_mm_s = 77.0\n");
+    let other = other.to_string_lossy();
+    machine.refused(
+        &["reference", "--port", &port, "--config", &other],
+        code::USAGE,
+        "another configuration",
+    );
+    send(pid, Signal::INT);
+    assert_eq!(owner.end().code(), Some(0), "{}", owner.stderr());
+    // The same without an owner.
+    machine.done(&["reference", "--port", &port]);
 }
 
 #[test]

@@ -6,9 +6,13 @@ use super::{INKSCAPE, Layer, MM_PER_PX, UNNAMED_STROKE, UserSpace, to_mm};
 use std::collections::HashMap;
 use usvg::roxmltree::{Document, Node as XmlNode};
 
+/// Attributes with the coordinates of lines.
+const SHAPES: [&str; 2] = ["d", "points"];
+
 /// What the file's text says that usvg's tree does not.
 pub(super) struct Head {
     pub(super) is_sized: bool,
+    pub(super) has_senseless_size: bool,
     pub(super) user_space: UserSpace,
     pub(super) layers: Vec<Layer>,
     /// Layer by the id of its group.
@@ -31,6 +35,7 @@ impl Head {
                 || ["width", "height"]
                     .iter()
                     .all(|&name| absolute_mm(&root, name).is_some()),
+            has_senseless_size: has_senseless_size(&root),
             user_space: user_space(&root, attributes),
             layers: Vec::new(),
             layer_ids: HashMap::new(),
@@ -59,7 +64,29 @@ impl Head {
         for (name, count) in left_out.into_iter().filter(|(_, count)| *count > 0) {
             head.warnings.push(format!("{count} <{name}> not drawn"));
         }
+        head.find_endless(document);
         head
+    }
+
+    /// Names lines that are left out because a number of them is too large.
+    fn find_endless(&mut self, document: &Document) {
+        let is_endless = |text: &str| {
+            let mut numbers = text.split(|letter: char| !matches!(letter, '0'..='9' | '.' | '-' | '+' | 'e' | 'E'));
+            numbers.any(|number| number.parse::<f32>().is_ok_and(f32::is_infinite))
+        };
+        let has_endless = |node: &XmlNode| SHAPES.iter().any(|&name| node.attribute(name).is_some_and(is_endless));
+        let mut endless = document.descendants().filter(has_endless);
+        if let Some(first) = endless.next() {
+            let line = document.text_pos_at(first.range().start).row;
+            let others = match endless.count() {
+                0 => String::new(),
+                count => format!(", and {count} more"),
+            };
+            self.warnings.push(format!(
+                "line {line}: a coordinate is too large for any drawing; <{}> is left out{others}",
+                first.tag_name().name()
+            ));
+        }
     }
 
     fn find_layers(&mut self, document: &Document) {
@@ -112,6 +139,19 @@ impl Head {
 /// A length of the root that does not depend on a window's size, mm.
 fn absolute_mm(root: &XmlNode, name: &str) -> Option<f64> {
     to_mm(root.attribute(name)?, MM_PER_PX).filter(|mm| *mm > 0.0)
+}
+
+/// Whether the root's width or height is there and no length at all.
+fn has_senseless_size(root: &XmlNode) -> bool {
+    let is_length = |text: &str| {
+        let text = text.trim();
+        let number = text.trim_end_matches(|letter: char| letter.is_ascii_alphabetic() || letter == '%');
+        text == "auto" || number.parse::<f64>().is_ok_and(f64::is_finite)
+    };
+    ["width", "height"]
+        .iter()
+        .filter_map(|&name| root.attribute(name))
+        .any(|text| !is_length(text))
 }
 
 /// How the root's own units follow from millimetres, where its box is not squeezed.

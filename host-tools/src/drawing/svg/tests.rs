@@ -241,3 +241,27 @@ fn outlines_are_closed_and_a_missing_font_is_told() {
         artwork.warnings
     );
 }
+
+#[test]
+fn a_line_with_an_endless_coordinate_is_left_out_and_named() {
+    let text = "<svg xmlns='http://www.w3.org/2000/svg' width='100mm' height='100mm' viewBox='0 0 100 100'>\n\
+        <path d='M1 1h9'/>\n<path d='M0 0L1e39 10'/></svg>";
+    let artwork = read_svg(text).expect("an SVG");
+    assert_eq!(artwork.strokes.len(), 1);
+    let warned = |part: &str| artwork.warnings.iter().any(|warning| warning.contains(part));
+    assert!(warned("line 3: a coordinate is too large"), "{:?}", artwork.warnings);
+}
+
+#[test]
+fn a_size_that_is_no_length_is_refused() {
+    for size in ["NaN", "wide", "", "inf", "1e999mm"] {
+        let text =
+            format!("<svg xmlns='http://www.w3.org/2000/svg' width='{size}' height='9mm'><path d='M0 0h9'/></svg>");
+        assert_eq!(read_svg(&text), Err(DrawingError::SvgSize), "{size}");
+    }
+    for size in ["100%", "auto", " 12.5mm ", "3e1", "20"] {
+        let text =
+            format!("<svg xmlns='http://www.w3.org/2000/svg' width='{size}' height='9mm'><path d='M0 0h9'/></svg>");
+        assert!(read_svg(&text).is_ok(), "{size}");
+    }
+}

@@ -97,6 +97,46 @@ fn over_a_bad_line_the_drawing_is_complete_and_the_gaps_are_told() {
 }
 
 #[test]
+fn a_configuration_gets_over_a_bad_line_and_where_it_cannot_that_is_told() {
+    let prepared = |seed: u64, faults_per_million: u64| {
+        println!("seed {seed:#x}");
+        let mut bench = Bench::new(seed, faults_per_million);
+        let mut job = Job::new(Config::default(), Task::Prepare(Ready::Bus), JobOptions::default());
+        run(&mut bench, &mut job, 60_000, |_, _, _| {});
+        (job.outcome().copied(), bench)
+    };
+    // Two bytes in a thousand, of a kilobyte that has to come whole.
+    for seed in 1..=8 {
+        let (outcome, bench) = prepared(seed, 500);
+        assert_eq!(
+            (outcome, bench.config),
+            (Some(Ok(())), Config::default().hash()),
+            "seed {seed}"
+        );
+        assert_eq!(
+            bench.lines.iter().filter(|line| line.spoilt > 0).count(),
+            2,
+            "seed {seed}"
+        );
+    }
+    // One in a hundred: the greeting and the inquiries get over, the configuration has no chance.
+    for seed in 1..=3 {
+        let (outcome, bench) = prepared(seed, 2_500);
+        let Some(Err(JobError::Timeout { phase, waited_ms })) = outcome else {
+            panic!("seed {seed}: {outcome:?}");
+        };
+        assert!(
+            matches!(phase, Phase::Inspecting | Phase::Configuring),
+            "seed {seed}: {phase}"
+        );
+        assert!(
+            waited_ms < 20_000 && bench.commands.is_empty() && bench.config.is_none(),
+            "seed {seed}"
+        );
+    }
+}
+
+#[test]
 fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
     let (mut bench, mut job) = (Bench::new(1, 0), job(10));
     let fault = Fault::Drive {

@@ -1,0 +1,194 @@
+//! How long the pen is up between two strokes, by the firmware's own planner.
+//!
+//! The planner is asked for a handful of ways over the middle of the paper, from the end of one line to the beginning of
+//! another; what lies in between follows from them, as time grows with the root of a short way and with a long way
+//! itself. Directions and places, in which a delta robot differs a little, are left out.
+//!
+//! Invariant: a longer way never takes less time.
+
+use crate::planning;
+use etherpen::config::{Config, Paper};
+use etherpen::motion::{Pen, Vertex};
+use etherpen::robot::Position;
+use std::sync::OnceLock;
+
+/// Entries of the table, at even steps of the way's root.
+const ENTRIES: usize = 48;
+/// Roots of millimetres between two entries: the last one is for 552 mm.
+const STEP: f64 = 0.5;
+/// Entries that the planner is asked for; the last of them is for 196 mm.
+const ASKED: [usize; 9] = [0, 1, 2, 4, 7, 11, 16, 22, 28];
+/// Length of the lines before and after the way, mm.
+const LINE_MM: f64 = 5.0;
+/// Least share of the paper's shorter side that stays free of the ways.
+const BORDER: f64 = 0.1;
+/// Time that a way takes at least for each millimetre, s: of two that the planner cannot tell apart the shorter is taken.
+const LEAST_S_MM: f64 = 1e-6;
+/// Lift and speed of a robot whose planner does not answer.
+const LIFT_S: f64 = 0.12;
+const SPEED_MM_S: f64 = 800.0;
+
+/// What ways with the pen up cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Travel {
+    /// Their length, a second a millimetre: for comparisons with programs that know no time.
+    Length,
+    /// Their time, lift and landing included.
+    Planned(Times),
+}
+
+/// Times at even steps of the way's root, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Times([f64; ENTRIES]);
+
+impl Default for Travel {
+    /// Those of the built-in configuration.
+    fn default() -> Self {
+        static BUILT_IN: OnceLock<Travel> = OnceLock::new();
+        *BUILT_IN.get_or_init(|| Self::of(&Config::default()))
+    }
+}
+
+impl Travel {
+    /// Asks the planner with this configuration.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        let [width, height] = config.paper.size_mm;
+        let room_mm = (1.0 - BORDER) * width.min(height);
+        let asked = ASKED.iter().filter(|&&entry| way_mm(entry) <= room_mm);
+        let known: Vec<(usize, f64)> = asked
+            .map_while(|&entry| Some((entry, planned_s(config, way_mm(entry))?)))
+            .collect();
+        let mut seconds = [0.0; ENTRIES];
+        let mut least_s = 0.0;
+        for (entry, value) in seconds.iter_mut().enumerate() {
+            least_s = between(&known, entry).max(least_s);
+            *value = least_s + LEAST_S_MM * way_mm(entry);
+        }
+        Self::Planned(Times(seconds))
+    }
+
+    /// Time from the end of one line to the beginning of another that is so far away, s.
+    #[must_use]
+    pub fn seconds(&self, way_mm: f64) -> f64 {
+        let Self::Planned(Times(seconds)) = self else {
+            return way_mm;
+        };
+        let place = way_mm.max(0.0).sqrt() / STEP;
+        // An entry beyond the table is the last pair's, whose line goes on.
+        let entry = (place as usize).min(ENTRIES - 2);
+        let (Some(&from), Some(&to)) = (seconds.get(entry), seconds.get(entry + 1)) else {
+            return 0.0;
+        };
+        from + (to - from) * (place - entry as f64)
+    }
+}
+
+fn way_mm(entry: usize) -> f64 {
+    (STEP * entry as f64).powi(2)
+}
+
+/// The time of an entry between those known: even in the way's root, beyond the last even in the way.
+fn between(known: &[(usize, f64)], entry: usize) -> f64 {
+    let plain = LIFT_S + way_mm(entry) / SPEED_MM_S;
+    let Some(after) = known.iter().position(|&(other, _)| other >= entry) else {
+        let [.., (first, first_s), (last, last_s)] = known else {
+            return plain;
+        };
+        let share = (way_mm(entry) - way_mm(*first)) / (way_mm(*last) - way_mm(*first));
+        return first_s + share * (last_s - first_s);
+    };
+    let (Some(&(low, low_s)), Some(&(high, high_s))) = (known.get(after.saturating_sub(1)), known.get(after)) else {
+        return plain;
+    };
+    if high == low {
+        return high_s;
+    }
+    low_s + (high_s - low_s) * (entry as f64 - low as f64) / (high as f64 - low as f64)
+}
+
+/// The mean of ways along and across the sheet.
+fn planned_s(config: &Config, way_mm: f64) -> Option<f64> {
+    let duration_s = |path: &[Vertex]| Some(planning::plan(config, path, |_, _| ()).ok()?.duration_ms as f64 / 1_000.0);
+    let mut sum_s = 0.0;
+    for along in [0, 1] {
+        let path = way(&config.paper, along, way_mm);
+        let line_s = duration_s(path.get(..2)?)?;
+        sum_s += duration_s(&path)? - 2.0 * line_s;
+    }
+    Some(0.5 * sum_s)
+}
+
+fn at(paper: &Paper, along: usize, [along_mm, across_mm]: [f64; 2], lifted_mm: f64, pen: Pen) -> Vertex {
+    let [x, y] = if along == 0 {
+        [along_mm, across_mm]
+    } else {
+        [across_mm, along_mm]
+    };
+    let [centre_x, centre_y] = paper.centre_mm;
+    Vertex {
+        position: Position {
+            x_mm: centre_x + x,
+            y_mm: centre_y + y,
+            z_mm: paper.pen_down_z_mm + lifted_mm,
+        },
+        pen,
+        stroke: 0,
+    }
+}
+
+/// A line, the way, and another line.
+fn way(paper: &Paper, along: usize, way_mm: f64) -> Vec<Vertex> {
+    let (from, to) = (-0.5 * way_mm, 0.5 * way_mm);
+    let mut path = vec![
+        at(paper, along, [from, -LINE_MM], 0.0, Pen::Up),
+        at(paper, along, [from, 0.0], 0.0, Pen::Down),
+        at(paper, along, [from, 0.0], paper.pen_lift_mm, Pen::Up),
+        at(paper, along, [to, 0.0], paper.pen_lift_mm, Pen::Up),
+        at(paper, along, [to, 0.0], 0.0, Pen::Up),
+        at(paper, along, [to, LINE_MM], 0.0, Pen::Down),
+    ];
+    path.dedup_by(|next, last| next.position == last.position);
+    path
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_longer_way_takes_longer_and_twice_the_way_less_than_twice_the_time() {
+        let travel = Travel::default();
+        let mut last_s = 0.0;
+        for step in 0..3_000 {
+            let mm = 0.25 * f64::from(step);
+            let seconds = travel.seconds(mm);
+            assert!(seconds > last_s, "{mm} mm: {seconds} s after {last_s} s");
+            last_s = seconds;
+        }
+        for mm in [1.0, 10.0, 50.0, 100.0] {
+            assert!(travel.seconds(2.0 * mm) < 2.0 * travel.seconds(mm), "{mm} mm");
+        }
+        assert!((0.05..0.3).contains(&travel.seconds(0.0)), "{}", travel.seconds(0.0));
+        assert!((0.1..0.6).contains(&travel.seconds(100.0)), "{}", travel.seconds(100.0));
+    }
+
+    #[test]
+    fn between_what_was_asked_the_planner_says_nearly_the_same() {
+        let (config, travel) = (Config::default(), Travel::default());
+        for mm in [0.6, 6.0, 37.0, 80.0, 150.0] {
+            let planned = planned_s(&config, mm).expect("within the sheet");
+            let difference = travel.seconds(mm) / planned - 1.0;
+            assert!(difference.abs() < 0.05, "{mm} mm: {difference}");
+        }
+    }
+
+    #[test]
+    fn a_robot_whose_planner_does_not_answer_has_plain_times() {
+        let mut config = Config::default();
+        config.paper.pen_down_z_mm = 0.0;
+        let travel = Travel::of(&config);
+        assert!((travel.seconds(0.0) - LIFT_S).abs() < 1e-9);
+        assert!((travel.seconds(400.0) - LIFT_S - 0.5).abs() < 0.01);
+    }
+}
