@@ -1,15 +1,16 @@
 //! The controller as a board sees it: six task bodies and the lock-free channels between them.
 //!
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
-//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes, `link`
-//! to the low-priority task that speaks the protocol and keeps the operating mode, `supervisor` to the task that
-//! brings up and watches the bus. A simulation calls the same parts in the same order in virtual time.
+//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes and
+//! `usb_bytes` to the one that does so on the board's own USB, `link` to the low-priority task that speaks the protocol and
+//! keeps the operating mode, `supervisor` to the task that brings up and watches the bus. A simulation calls the same parts in the same order in virtual time.
 //!
 //! Architecture invariant: nothing else passes between priorities; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
-use crate::link::task::LinkTask;
+use crate::link::frame::Decoder;
+use crate::link::task::{LinkEnds, LinkTask, PortEnds, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
@@ -26,11 +27,16 @@ pub const VERTICES: usize = 513;
 pub const RECEIVED_BYTES: usize = 4_097;
 /// Bytes that wait for the line to the host.
 pub const SENT_BYTES: usize = 4_097;
+/// The same on USB, which waits by itself when nobody takes its bytes: what comes in a millisecond at full rate.
+pub const USB_RECEIVED_BYTES: usize = 1_025;
+/// Bytes that wait for the host on USB.
+pub const USB_SENT_BYTES: usize = 257;
 /// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
 pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 
 const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
+const _: () = assert!(SENT_BYTES > SENT_AHEAD_BYTES && USB_SENT_BYTES > SENT_AHEAD_BYTES);
 
 /// All queues between the tasks, and the planner's memory: what is large stays where it is.
 pub struct Channels {
@@ -45,6 +51,10 @@ pub struct Channels {
     network: NetworkQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
+    decoder: Decoder,
+    usb_received: Queue<u8, USB_RECEIVED_BYTES>,
+    usb_sent: Queue<u8, USB_SENT_BYTES>,
+    usb_decoder: Decoder,
     measurements: Measurements,
 }
 
@@ -56,6 +66,8 @@ pub struct Parts<'a> {
     pub trajectory: TrajectoryTask<'a>,
     /// For the task that moves the link's bytes.
     pub host_bytes: HostBytes<'a>,
+    /// For the task that moves them on the board's own USB, if it has one.
+    pub usb_bytes: HostBytes<'a>,
     /// For the task that speaks with the host.
     pub link: LinkTask<'a>,
     /// For the task that runs the IP stack, for EtherCAT in UDP.
@@ -87,6 +99,10 @@ impl Channels {
             network: NetworkQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
+            decoder: Decoder::new(),
+            usb_received: Queue::new(),
+            usb_sent: Queue::new(),
+            usb_decoder: Decoder::new(),
             measurements: Measurements::new(),
         }
     }
@@ -103,6 +119,8 @@ impl Channels {
         let (network_end, network, network_settings) = self.network.split();
         let (received_in, received_out) = self.received.split();
         let (sent_in, sent_out) = self.sent.split();
+        let (usb_received_in, usb_received_out) = self.usb_received.split();
+        let (usb_sent_in, usb_sent_out) = self.usb_sent.split();
         let measurements = &self.measurements;
         let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
@@ -119,11 +137,24 @@ impl Channels {
                 sent: sent_out,
                 lost: 0,
             },
+            usb_bytes: HostBytes {
+                received: usb_received_in,
+                sent: usb_sent_out,
+                lost: 0,
+            },
             link: LinkTask::new(
                 board,
-                crate::link::task::LinkEnds {
-                    received: received_out,
-                    sent: sent_in,
+                LinkEnds {
+                    serial: PortEnds {
+                        received: received_out,
+                        decoder: &mut self.decoder,
+                        sent: sent_in,
+                    },
+                    usb: PortEnds {
+                        received: usb_received_out,
+                        decoder: &mut self.usb_decoder,
+                        sent: usb_sent_in,
+                    },
                     reports: reports_out,
                     sampler_commands: sampler_commands_in,
                     vertices: vertices_in,
@@ -157,6 +188,16 @@ impl HostBytes<'_> {
             .count();
         self.lost = self.lost.wrapping_add((bytes.len() - taken) as u32);
         taken
+    }
+
+    /// Received bytes for which there is room now.
+    pub fn room(&self) -> usize {
+        self.received.capacity() - self.received.len()
+    }
+
+    /// Lets go of what waits for a line that nobody reads.
+    pub fn discard(&mut self) {
+        while self.sent.dequeue().is_some() {}
     }
 
     /// Fills `bytes` with what waits for the line; returns how many.

@@ -14,6 +14,10 @@ const DTCM_BYTES_MAX: u32 = 96 * 1024;
 /// Tightly coupled memory for code, and for data.
 const ITCM: Range<u32> = 0..64 * 1024;
 const DTCM: Range<u32> = 0x2000_0000..0x2002_0000;
+/// Memory of what is neither critical nor reached by the Ethernet DMA.
+const AXI_SRAM: Range<u32> = 0x2400_0000..0x2408_0000;
+/// Part of the name of the USB's static: the driver's state and the received packets.
+const USB_STATIC: &str = "local_init_usb_memory";
 /// The flash memory.
 const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
 /// Parts of the names of the critical tasks' own statics.
@@ -31,7 +35,7 @@ const NUCLEO_LEVELS: [(u8, &[&str]); 5] = [
     (15, CRITICAL),
     (10, &["USART3"]),
     (6, &["LPTIM2"]),
-    (3, &["LPTIM3"]),
+    (3, &["LPTIM3", "OTG_FS"]),
     (1, &["LPTIM4", "LPTIM5"]),
 ];
 const CRITICAL: &[&str] = &["TIM1_UP", "ETH", "TIM1_CC"];
@@ -65,7 +69,12 @@ fn the_image_keeps_its_budget_and_lies_where_it_must() {
     assert!(statics <= STATIC_BYTES_MAX);
     let at = |name: &str| image.section(name).map(|section| section.address);
     assert_eq!(at(".vector_table"), Some(0x0800_0000));
-    assert!(at(".bss").is_some_and(|address| (0x2400_0000..0x2408_0000).contains(&address)));
+    assert!(at(".bss").is_some_and(|address| AXI_SRAM.contains(&address)));
+    let usb = image.symbols().iter().find(|symbol| symbol.name.contains(USB_STATIC));
+    assert!(
+        usb.is_some_and(|usb| usb.size > 0 && AXI_SRAM.contains(&usb.address)),
+        "the USB's packets, which the processor copies, take no room of the critical tasks and of the Ethernet DMA"
+    );
     let dma = image.section(".eth_dma").expect("DMA memory");
     assert!(
         dma.size > 0 && dma.address == 0x3004_0000 && dma.size <= 32 * 1024,

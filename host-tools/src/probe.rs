@@ -1,4 +1,4 @@
-//! The board's debug probe: the ST-LINK on USB, and the program probe-rs that talks to it.
+//! The board on USB: its debug probe, the ST-LINK, the program probe-rs that talks to it, and its serial ports.
 //!
 //! Linux shows USB devices as folders (sysfs); what stands there is read without any right, so that a probe that is
 //! there but may not be opened is told from one that is not there.
@@ -10,6 +10,11 @@ use std::path::{Path, PathBuf};
 const VENDOR: &str = "0483";
 /// Product numbers of the ST-LINKs, V2 to V3: 3744 to 375f (ST's own udev rules name them one by one).
 const PRODUCTS: std::ops::RangeInclusive<u16> = 0x3744..=0x375f;
+/// Vendor and product number of the firmware's own USB port, pid.codes' first pair for tests, and the name that it gives
+/// itself, since others test with that pair too (`src/bin/nucleo/usb.rs`).
+const FIRMWARE: (&str, u16, &str) = ("1209", 0x0001, "etherpen robot controller");
+/// Where Linux lists serial ports.
+pub const SERIAL_PORTS: &str = "/sys/class/tty";
 /// Where Linux lists USB devices.
 pub const USB_DEVICES: &str = "/sys/bus/usb/devices";
 /// The command that installs probe-rs.
@@ -57,13 +62,42 @@ pub fn st_links(devices: &Path) -> Vec<StLink> {
     found
 }
 
+/// A way to the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardPort {
+    /// The ST-LINK's serial line.
+    StLink,
+    /// The firmware's own USB.
+    Firmware,
+}
+
+/// Which of the board's ports a serial port is, below a folder such as [`SERIAL_PORTS`]; `None` for any other.
+pub fn board_port(ports: &Path, name: &str) -> Option<BoardPort> {
+    // What a port is linked to is one of its device's interfaces.
+    let device = ports.join(name).join("device/..");
+    let (vendor, product) = numbers(&device)?;
+    if vendor == VENDOR && PRODUCTS.contains(&product) {
+        return Some(BoardPort::StLink);
+    }
+    let ours = (vendor.as_str(), product, read(&device, "product")?.as_str()) == FIRMWARE;
+    ours.then_some(BoardPort::Firmware)
+}
+
+fn read(device: &Path, name: &str) -> Option<String> {
+    let text = std::fs::read_to_string(device.join(name)).ok()?;
+    Some(text.trim().to_owned())
+}
+
+/// Vendor and product number of a device.
+fn numbers(device: &Path) -> Option<(String, u16)> {
+    let product = u16::from_str_radix(&read(device, "idProduct")?, 16).ok()?;
+    Some((read(device, "idVendor")?, product))
+}
+
 fn st_link(device: &Path) -> Option<StLink> {
-    let read = |name: &str| {
-        let text = std::fs::read_to_string(device.join(name)).ok()?;
-        Some(text.trim().to_owned())
-    };
-    let product = u16::from_str_radix(&read("idProduct")?, 16).ok()?;
-    if read("idVendor")? != VENDOR || !PRODUCTS.contains(&product) {
+    let read = |name: &str| read(device, name);
+    let (vendor, product) = numbers(device)?;
+    if vendor != VENDOR || !PRODUCTS.contains(&product) {
         return None;
     }
     let number = |name: &str| read(name)?.parse::<u16>().ok();
@@ -129,5 +163,30 @@ mod tests {
         assert_eq!(found, [expected]);
         assert_eq!(found[0].selector(), "0483:374e:0042");
         assert_eq!(st_links(&root), [], "no such folder, no probe");
+    }
+
+    #[test]
+    fn a_serial_port_of_the_board_is_told_from_others() {
+        let root = std::env::temp_dir().join(format!("etherpen-tty-{}", std::process::id()));
+        let ports = root.join("tty");
+        let port = |name: &str, vendor: &str, product: &str, title: &str| {
+            let device = root.join(name);
+            for folder in [device.join("1.0"), ports.join(name)] {
+                std::fs::create_dir_all(folder).unwrap();
+            }
+            for (file, text) in [("idVendor", vendor), ("idProduct", product), ("product", title)] {
+                std::fs::write(device.join(file), format!("{text}\n")).unwrap();
+            }
+            std::os::unix::fs::symlink(device.join("1.0"), ports.join(name).join("device")).unwrap();
+        };
+        port("ttyACM0", "0483", "374e", "STLINK-V3");
+        port("ttyACM1", "1209", "0001", "etherpen robot controller");
+        port("ttyACM2", "1209", "0001", "a clock");
+        port("ttyACM3", "2341", "0043", "etherpen robot controller");
+        std::fs::create_dir_all(ports.join("ttyS0")).unwrap();
+        let found = ["ttyACM0", "ttyACM1", "ttyACM2", "ttyACM3", "ttyS0"].map(|name| board_port(&ports, name));
+        std::fs::remove_dir_all(&root).unwrap();
+        let (st_link, firmware) = (Some(BoardPort::StLink), Some(BoardPort::Firmware));
+        assert_eq!(found, [st_link, firmware, None, None, None]);
     }
 }

@@ -122,6 +122,8 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         mut sampler,
         mut trajectory,
         mut host_bytes,
+        // The host speaks on the serial line.
+        usb_bytes: _,
         mut link,
         mut supervisor,
         // Raw frames need no addresses.

@@ -3,11 +3,13 @@
 //! A serial line may lose, damage, repeat and delay, and the host may be restarted at any time; what the application
 //! sees must not depend on that. Invariants: a request is handed out once however often it arrives, and its answer is
 //! kept and repeated; the path comes out complete, in order and never more than the application has room for; a frame
-//! once begun is finished; everything lives in the endpoint's own memory. Bytes come in and go out through
-//! [`DeviceEndpoint::receive`] and [`DeviceEndpoint::transmit`], time is the caller's millisecond.
+//! once begun is finished, unless another port takes the link; everything lives in the endpoint's own memory. Frames come
+//! in through [`DeviceEndpoint::receive`], each from a port's decoder, bytes go out through
+//! [`DeviceEndpoint::transmit`], time is the caller's millisecond.
 
-use super::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
+use super::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
 use super::path::{PathReceiver, PathVertices};
+use super::ports::{Hearing, LinkPort, PortHold};
 use super::protocol::{
     Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, SAMPLES_PER_MESSAGE, Sample, Status, Welcome,
 };
@@ -27,7 +29,7 @@ pub const LINE_BYTES_PER_MS: usize = 92;
 
 const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAMPLES_PER_MESSAGE);
 
-const _: () = assert!(size_of::<DeviceEndpoint>() <= 12 * 1024);
+const _: () = assert!(size_of::<DeviceEndpoint>() <= 10 * 1024);
 
 /// What the firmware says about itself in its [`Welcome`].
 #[derive(Clone, Copy, Debug)]
@@ -88,12 +90,12 @@ pub enum DeviceEvent {
 /// What the endpoint has counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounts {
-    /// Frames by their CRC.
-    pub frames: FrameCounts,
     /// Frames with a right CRC that were no message.
     pub not_understood: u32,
     /// Messages before a greeting of the right version.
     pub refused: u32,
+    /// Frames with a right CRC at a port while another one held the link.
+    pub other_port: u32,
     /// Path messages out of order, repeated or without room.
     pub path_dropped: u32,
     /// Samples that were pushed out by newer ones.
@@ -152,7 +154,7 @@ impl<T> Single<T> {
 pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
     identity: Identity,
     previous: PreviousRun,
-    decoder: Decoder,
+    hold: PortHold,
     counts: LinkCounts,
     session: Option<u32>,
     welcome_due: bool,
@@ -180,11 +182,11 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
                 end: RunEnd::PowerOff,
                 fault: None,
             },
-            decoder: Decoder::new(),
+            hold: PortHold::new(),
             counts: LinkCounts {
-                frames: FrameCounts { good: 0, bad: 0 },
                 not_understood: 0,
                 refused: 0,
+                other_port: 0,
                 path_dropped: 0,
                 samples_dropped: 0,
             },
@@ -212,11 +214,13 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// What was counted.
-    pub fn counts(&self) -> LinkCounts {
-        LinkCounts {
-            frames: self.decoder.counts(),
-            ..self.counts
-        }
+    pub const fn counts(&self) -> LinkCounts {
+        self.counts
+    }
+
+    /// The port on which to send what [`Self::transmit`] gives.
+    pub const fn port(&self) -> LinkPort {
+        self.hold.port()
     }
 
     /// Whether a host with the right version has greeted.
@@ -229,9 +233,25 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.session.map(|_| now_ms.saturating_sub(self.heard_ms))
     }
 
-    /// Takes one byte from the line. `free` is the number of vertices the application can take now.
-    pub fn receive(&mut self, byte: u8, now_ms: u64, free: usize) -> Option<DeviceEvent> {
-        let payload = self.decoder.push(byte)?.ok()?;
+    /// Takes the payload of a frame with a right CRC from a port. `free` is the number of vertices the application can take
+    /// now.
+    pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent> {
+        match self.hold.hear(port, now_ms) {
+            Hearing::Held => {}
+            Hearing::Taken => {
+                // Whoever comes has to greet. A 0x00 ends what the line may still hold of a frame that was cut off.
+                self.session = None;
+                self.welcome_due = false;
+                (self.frame_length, self.frame_sent) = (1, 0);
+                if let Some(first) = self.frame.first_mut() {
+                    *first = 0;
+                }
+            }
+            Hearing::Dropped => {
+                self.counts.other_port = self.counts.other_port.wrapping_add(1);
+                return None;
+            }
+        }
         if greeting_version(payload).is_some_and(|version| version != PROTOCOL_VERSION) {
             self.session = None;
             self.welcome_due = true;

@@ -6,5 +6,6 @@
 pub mod device;
 pub mod frame;
 pub mod path;
+pub mod ports;
 pub mod protocol;
 pub mod task;

@@ -6,6 +6,8 @@
 //! milliseconds; its queues hold what arrives meanwhile.
 
 use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use super::frame::Decoder;
+use super::ports::LinkPort;
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
 use crate::application::reference::{PoseCheck, positions_arrive};
 use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
@@ -27,17 +29,27 @@ use heapless::spsc::{Consumer, Producer};
 /// Longest time between two status messages, ms.
 pub const STATUS_PERIOD_MS: u32 = 500;
 /// Bytes kept waiting for the line; few, so that an answer does not queue behind telemetry.
-const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
+pub const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
 
 /// Orders to the trajectory that a stop, a hold or a cancel finds room for whatever else was asked.
 const ORDERS_KEPT_FREE: usize = 8;
 
-/// The link task's ends of the channels.
-pub struct LinkEnds<'a> {
+/// The link task's ends of a port's channels.
+pub struct PortEnds<'a> {
     /// Bytes from the host.
     pub received: Consumer<'a, u8>,
+    /// Finds the frames in them; long, hence in the channels.
+    pub decoder: &'a mut Decoder,
     /// Bytes to the host.
     pub sent: Producer<'a, u8>,
+}
+
+/// The link task's ends of the channels.
+pub struct LinkEnds<'a> {
+    /// The serial line.
+    pub serial: PortEnds<'a>,
+    /// The board's own USB.
+    pub usb: PortEnds<'a>,
     /// What the sampler saw.
     pub reports: Consumer<'a, CycleReport>,
     /// What the sampler is asked for.
@@ -54,6 +66,15 @@ pub struct LinkEnds<'a> {
     pub network: SettingsEnd<'a>,
     /// How long things took.
     pub measurements: &'a Measurements,
+}
+
+impl<'a> LinkEnds<'a> {
+    fn port(&mut self, port: LinkPort) -> &mut PortEnds<'a> {
+        match port {
+            LinkPort::Serial => &mut self.serial,
+            LinkPort::Usb => &mut self.usb,
+        }
+    }
 }
 
 /// The link task.
@@ -158,7 +179,9 @@ impl<'a> LinkTask<'a> {
         self.take_reports();
         self.pass_port_on();
         self.tell_time();
-        self.take_bytes();
+        for port in LinkPort::ALL {
+            self.take_bytes(port);
+        }
         let up_to_date = self.motion.orders == self.orders_sent;
         let progress = Progress {
             idle: self.motion.idle && up_to_date,
@@ -190,10 +213,13 @@ impl<'a> LinkTask<'a> {
         self.now_ms = self.now_ms.wrapping_add(u64::from(passed_ms));
     }
 
-    fn take_bytes(&mut self) {
-        while let Some(byte) = self.ends.received.dequeue() {
+    fn take_bytes(&mut self, port: LinkPort) {
+        while let Some(byte) = self.ends.port(port).received.dequeue() {
             let free = self.free();
-            match self.endpoint.receive(byte, self.now_ms, free) {
+            let Some(Ok(payload)) = self.ends.port(port).decoder.push(byte) else {
+                continue;
+            };
+            match self.endpoint.receive(port, payload, self.now_ms, free) {
                 None => {}
                 Some(DeviceEvent::Connected | DeviceEvent::Inquire) => self.tell_status(),
                 Some(DeviceEvent::Configure { id, config }) => {
@@ -392,7 +418,9 @@ impl<'a> LinkTask<'a> {
         let counts = self.endpoint.counts();
         let not_reported = self.report.map_or(0, |report| report.counters.reports_dropped);
         self.counters.telemetry_dropped = counts.samples_dropped.wrapping_add(not_reported);
-        self.counters.link_errors = counts.frames.bad.wrapping_add(counts.not_understood);
+        let decoders = [&self.ends.serial.decoder, &self.ends.usb.decoder];
+        let errors = decoders.map(|decoder| decoder.counts().bad);
+        self.counters.link_errors = errors.into_iter().fold(counts.not_understood, u32::wrapping_add);
     }
 
     fn sample(&self, report: &CycleReport) -> Sample {
@@ -463,14 +491,15 @@ impl<'a> LinkTask<'a> {
         if changed || (self.now_ms as u32).wrapping_sub(self.told_ms) >= STATUS_PERIOD_MS {
             self.tell_status();
         }
-        let room = SENT_AHEAD_BYTES.saturating_sub(self.ends.sent.len());
+        let sent = &mut self.ends.port(self.endpoint.port()).sent;
+        let room = SENT_AHEAD_BYTES.saturating_sub(sent.len());
         let mut bytes = [0; SENT_AHEAD_BYTES];
         let length = self
             .endpoint
             .transmit(self.now_ms, bytes.get_mut(..room).unwrap_or_default());
         for byte in bytes.iter().take(length) {
             // There is room: the queue is longer than SENT_AHEAD_BYTES.
-            let _ = self.ends.sent.enqueue(*byte);
+            let _ = sent.enqueue(*byte);
         }
     }
 

@@ -267,7 +267,7 @@ fn source(arguments: &ConfigArguments) -> String {
 fn ports() -> Check {
     const NAME: &str = "port";
     let present = serial2::SerialPort::available_ports().unwrap_or_default();
-    let shown: Vec<String> = present.iter().map(|path| path.display().to_string()).collect();
+    let shown: Vec<String> = present.iter().map(|path| shown_port(path)).collect();
     if shown.is_empty() {
         return Check::warning(
             NAME,
@@ -279,6 +279,17 @@ fn ports() -> Check {
     match present.iter().find_map(|path| no_access(path)) {
         None => Check::ok(NAME, format!("{found}; --port P greets the firmware there")),
         Some(remedy) => Check::warning(NAME, found, remedy),
+    }
+}
+
+/// A serial port's name, and what it is on a board.
+fn shown_port(path: &Path) -> String {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let shown = path.display();
+    match probe::board_port(Path::new(probe::SERIAL_PORTS), name) {
+        Some(probe::BoardPort::StLink) => format!("{shown} (the ST-LINK's serial line)"),
+        Some(probe::BoardPort::Firmware) => format!("{shown} (the firmware's own USB)"),
+        None => shown.to_string(),
     }
 }
 

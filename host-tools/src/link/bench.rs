@@ -4,6 +4,8 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use etherpen::link::frame::Decoder;
+use etherpen::link::ports::LinkPort;
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::measurement::Measurements;
 use etherpen::motion::Pen;
@@ -61,6 +63,7 @@ impl Line {
 
 /// A firmware that does what it is told after a while: it executes one vertex a millisecond.
 pub(crate) struct Bench {
+    pub(crate) decoder: Decoder,
     pub(crate) endpoint: DeviceEndpoint,
     pub(crate) mode: Mode,
     pub(crate) fault: Option<Fault>,
@@ -88,6 +91,7 @@ pub(crate) const CAPACITY: usize = 200;
 impl Bench {
     pub(crate) fn new(seed: u64, faults_per_million: u64) -> Self {
         Self {
+            decoder: Decoder::new(),
             endpoint: DeviceEndpoint::new(Identity {
                 firmware: "0.1.0",
                 board: "bench",
@@ -130,7 +134,10 @@ impl Bench {
         assert!(sent.len() <= LINE_BYTES_PER_MS);
         for byte in self.lines[1].carry(&sent) {
             let free = self.free();
-            if let Some(event) = self.endpoint.receive(byte, now_ms, free) {
+            let Some(Ok(payload)) = self.decoder.push(byte) else {
+                continue;
+            };
+            if let Some(event) = self.endpoint.receive(LinkPort::Serial, payload, now_ms, free) {
                 self.take(event, now_ms);
             }
         }

@@ -11,6 +11,8 @@ use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::register::PortErrors;
 use etherpen::ethercat::wire::sii::Identity;
 use etherpen::link::device::{self, DeviceEndpoint, DeviceEvent};
+use etherpen::link::frame::Decoder;
+use etherpen::link::ports::LinkPort;
 use host_tools::commands::code;
 use serde_json::Value;
 use std::io::{ErrorKind, Read, Write};
@@ -180,6 +182,7 @@ fn serve(mut client: &TcpStream, busy: usize, asked: &Mutex<Vec<ServiceRequest>>
     client
         .set_read_timeout(Some(Duration::from_millis(1)))
         .expect("a socket");
+    let mut decoder: Decoder = Decoder::new();
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(device::Identity {
         firmware: "0.1.0",
         board: "test",
@@ -196,7 +199,10 @@ fn serve(mut client: &TcpStream, busy: usize, asked: &Mutex<Vec<ServiceRequest>>
             Err(_) => return,
         };
         for byte in &bytes[..length] {
-            match endpoint.receive(*byte, now_ms, 0) {
+            let Some(Ok(payload)) = decoder.push(*byte) else {
+                continue;
+            };
+            match endpoint.receive(LinkPort::Serial, payload, now_ms, 0) {
                 Some(DeviceEvent::Configure { id, config }) => {
                     endpoint.configured(id, Ok(config.hash().expect("it fits")))
                 }

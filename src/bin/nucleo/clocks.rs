@@ -8,12 +8,12 @@
 //! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle then is as exact as
 //! a crystal, which the internal oscillator (1 %) is not. Without them the board starts on the internal oscillator, so
 //! that it can say so, and moves nothing; when they stop later, the clock security system ends the firmware (`panic.rs`).
-//! CSI feeds the compensation cell of fast outputs.
+//! CSI feeds the compensation cell of fast outputs, HSI48 the USB.
 
 use embassy_stm32::pac::{DBGMCU, RCC};
 use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk, TimerPrescaler,
-    VoltageScale,
+    AHBPrescaler, APBPrescaler, Hse, HseMode, Hsi48Config, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk,
+    TimerPrescaler, VoltageScale, mux::Usbsel,
 };
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, Peripherals, interrupt::Priority};
@@ -68,7 +68,9 @@ pub(crate) fn start() -> (Peripherals, Source) {
         mode: HseMode::Bypass,
     });
     config.rcc.csi = true;
-    config.rcc.hsi48 = None;
+    // For USB, which trims it by itself (`usb.rs`).
+    config.rcc.hsi48 = Some(Hsi48Config { sync_from_usb: false });
+    config.rcc.mux.usbsel = Usbsel::HSI48;
     config.rcc.pll1 = Some(Pll {
         source: match source {
             Source::Exact => PllSource::HSE,

@@ -1,4 +1,4 @@
-//! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK.
+//! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK, USB of its own.
 //!
 //! This folder is wiring: which interrupt releases which task of the library, at which priority, and the drivers of this
 //! chip. What a task does is in `etherpen::controller`; the emulated board runs the same tasks at the same priorities.
@@ -13,7 +13,7 @@
 //!
 //! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
 //! `Cargo.toml` (with its `embassy-stm32` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
-//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins, the serial port's, the emergency-stop input's),
+//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins, the ports', the emergency-stop input's),
 //! `lamps.rs`, `memory.rs` (the SRAM that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every
 //! chip whose MAC embassy calls `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare
 //! vectors, `kept.rs` and `watchdog.rs` the reset flags and the watchdog of an H7. What the inputs and lamps mean is
@@ -48,6 +48,7 @@ mod serial;
 #[path = "../shared/time.rs"]
 mod time;
 mod timer;
+mod usb;
 mod watchdog;
 
 use defmt_rtt as _;
@@ -70,6 +71,7 @@ mod app {
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
+    use crate::usb::{self, Usb};
     use crate::{BOARD, CRITICAL, clocks, kept, lamps, last_word, load, memory, pins, time, timer, watchdog};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
@@ -105,6 +107,7 @@ mod app {
         trajectory: &'static mut TrajectoryTask<'static>,
         link: &'static mut LinkTask<'static>,
         serial: Serial,
+        usb: &'static mut Usb,
         supervisor: &'static mut RobotSupervisor<'static>,
         network: &'static mut NetworkTask<'static>,
         phy: Phy,
@@ -115,7 +118,8 @@ mod app {
     #[init(local = [
         channels: Channels = Channels::new(),
         parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),
-        wire: MaybeUninit<RawTransport<Ethernet>> = MaybeUninit::uninit()
+        wire: MaybeUninit<RawTransport<Ethernet>> = MaybeUninit::uninit(),
+        usb_memory: usb::Memory = usb::Memory::new()
     ])]
     fn init(mut context: init::Context) -> (Shared, Local) {
         let previous = kept::take();
@@ -125,13 +129,18 @@ mod app {
         pins::start(chip);
         defmt::info!("previous run: {}", defmt::Debug2Format(&previous));
         let init::LocalResources {
-            channels, parts, wire, ..
+            channels,
+            parts,
+            wire,
+            usb_memory,
+            ..
         } = context.local;
         let parts = parts.write(channels.split(BOARD));
         parts.link.set_previous_run(previous);
         let wire = wire.write(RawTransport::new(Ethernet::new(hardware_address(uid::uid()))));
         parts.network.set_hardware_address(wire.mac_address());
         let serial = Serial::new(&mut parts.host_bytes);
+        let usb = Usb::start(usb_memory, &uid::uid(), &mut parts.usb_bytes);
         critical::start_up_check(&mut core.SYST, &CRITICAL);
         assert!(supervisor::spawn().is_ok(), "the supervisor starts once");
         assert!(network::spawn().is_ok(), "the network task starts once");
@@ -159,6 +168,7 @@ mod app {
                 trajectory: &mut parts.trajectory,
                 link: &mut parts.link,
                 serial,
+                usb,
                 supervisor: &mut parts.supervisor,
                 network: &mut parts.network,
                 phy: Phy::new(),
@@ -286,7 +296,17 @@ mod app {
         measurements.record(Quantity::Trajectory, taken.saturating_sub(preempted));
     }
 
-    /// Messages of the host, telemetry; then releases the serial port, the supervisor and the PHY.
+    /// Moves packets between the board's own USB and the link's queues.
+    ///
+    /// Period: events of the bus, at most 32 in a millisecond, and every millisecond. Priority: 3. Deadline: none.
+    /// Overrun: the host's packets wait, nothing is lost.
+    #[task(binds = OTG_FS, priority = 3, local = [usb])]
+    fn usb_bytes(context: usb_bytes::Context) {
+        load::woke();
+        context.local.usb.service();
+    }
+
+    /// Messages of the host, telemetry; then releases the ports, the supervisor and the PHY.
     ///
     /// Period: 1 ms. Priority: 3. Deadline: 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
     #[task(binds = LPTIM3, priority = 3, local = [link, modes: Modes = Modes::new(), ms: u32 = 0])]
@@ -304,6 +324,7 @@ mod app {
             kept::keep_fault(&fault);
         }
         rtic::pend(Interrupt::USART3);
+        usb::release();
         rtic::pend(Interrupt::LPTIM4);
         SUPERVISOR.now();
         NETWORK.now();

@@ -5,6 +5,7 @@
 //! | PA1, PA7, PC4, PC5 | RMII reference clock, carrier sense, receive data 0 and 1 | 11 |
 //! | PG11, PG13, PB13 | RMII transmit enable, transmit data 0 and 1 (PB13 through its jumper, closed by default) | 11 |
 //! | PA2, PC1 | PHY management data and clock | 11 |
+//! | PA11, PA12 | the user's USB connector CN13, D- and D+ | 10 |
 //! | PD8, PD9 | USART3 transmit and receive, wired to the ST-LINK's virtual serial port | 7 |
 
 use core::mem;
@@ -14,6 +15,8 @@ use embassy_stm32::{Peri, Peripherals};
 
 /// Alternate function of the Ethernet MAC on every pin used here (datasheet, alternate function tables).
 const ETHERNET_FUNCTION: u8 = 11;
+/// Alternate function of OTG_FS on port A.
+const USB_FUNCTION: u8 = 10;
 /// Alternate function of USART3 on port D.
 const SERIAL_FUNCTION: u8 = 7;
 
@@ -36,6 +39,9 @@ pub(crate) fn start(chip: Peripherals) {
     ];
     for pin in ethernet {
         assign(pin, ETHERNET_FUNCTION, fast);
+    }
+    for pin in [chip.PA11.into(), chip.PA12.into()] {
+        assign(pin, USB_FUNCTION, fast);
     }
     assign(
         chip.PD8.into(),

@@ -1,5 +1,6 @@
 //! Requirements of the firmware's end of the link.
 
+use super::super::frame::Decoder;
 use super::super::protocol::{Counters, Hello, PathVertex, SLAVES_REPORTED, SlaveStatus};
 use super::*;
 use crate::application::{Fault, Mode};
@@ -58,10 +59,29 @@ fn say(
 ) -> heapless::Vec<DeviceEvent, 4> {
     let mut frame = [0; FRAME_BYTES_MAX];
     let length = encode(message, &mut frame).unwrap();
-    frame[..length]
-        .iter()
-        .filter_map(|byte| endpoint.receive(*byte, now_ms, free))
-        .collect()
+    take(
+        &mut Decoder::new(),
+        endpoint,
+        LinkPort::Serial,
+        &frame[..length],
+        now_ms,
+        free,
+    )
+}
+
+fn take(
+    decoder: &mut Decoder,
+    endpoint: &mut DeviceEndpoint,
+    port: LinkPort,
+    bytes: &[u8],
+    now_ms: u64,
+    free: usize,
+) -> heapless::Vec<DeviceEvent, 4> {
+    let events = bytes.iter().filter_map(|byte| {
+        let payload = decoder.push(*byte)?.ok()?;
+        endpoint.receive(port, payload, now_ms, free)
+    });
+    events.collect()
 }
 
 fn hear(endpoint: &mut DeviceEndpoint, now_ms: u64) -> heapless::Vec<DeviceMessage, 16> {
@@ -288,20 +308,21 @@ fn next_random(state: &mut u32) -> u32 {
 fn garbage_makes_no_panic_and_no_event() {
     let seed = 0x5eed_0001_u32;
     let mut state = seed;
-    let mut endpoint = endpoint();
+    let (mut decoder, mut endpoint) = (Decoder::new(), endpoint());
     for now_ms in 0..100_000 {
         let random = next_random(&mut state);
         let byte = (random >> 8) as u8 * u8::from(!random.is_multiple_of(20));
-        assert_eq!(endpoint.receive(byte, now_ms, 10), None, "seed {seed:#x}");
+        let events = take(&mut decoder, &mut endpoint, LinkPort::Serial, &[byte], now_ms, 10);
+        assert!(events.is_empty(), "seed {seed:#x}");
     }
-    assert!(endpoint.counts().frames.bad > 1000);
+    assert!(decoder.counts().bad > 1000);
 }
 
 #[test]
 fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room() {
     let seed = 0x5eed_0002_u32;
     let mut state = seed;
-    let mut endpoint = drawing();
+    let (mut decoder, mut endpoint) = (Decoder::new(), drawing());
     let mut events = 0;
     for now_ms in 0..20_000 {
         let mut payload = [[0u8; 32]; 4];
@@ -311,10 +332,14 @@ fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_
         payload[0][0] = (next_random(&mut state) % 7) as u8;
         let mut frame = [0; FRAME_BYTES_MAX];
         let length = encode(&payload, &mut frame).unwrap();
-        for byte in &frame[..length] {
-            let Some(event) = endpoint.receive(*byte, now_ms, 5) else {
-                continue;
-            };
+        for event in take(
+            &mut decoder,
+            &mut endpoint,
+            LinkPort::Serial,
+            &frame[..length],
+            now_ms,
+            5,
+        ) {
             events += 1;
             match event {
                 DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
@@ -326,4 +351,86 @@ fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_
         endpoint.transmit(now_ms, &mut out);
     }
     assert!(events > 100, "seed {seed:#x}: only {events} messages were understood");
+}
+
+fn say_on(endpoint: &mut DeviceEndpoint, port: LinkPort, now_ms: u64, message: &HostMessage) -> Option<DeviceEvent> {
+    let mut frame = [0; FRAME_BYTES_MAX];
+    let length = encode(message, &mut frame).unwrap();
+    take(&mut Decoder::new(), endpoint, port, &frame[..length], now_ms, 9).pop()
+}
+
+#[test]
+fn the_link_speaks_on_the_port_of_the_host_that_greeted() {
+    for port in LinkPort::ALL {
+        let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
+        assert_eq!(say_on(&mut endpoint, port, 0, &hello(1)), Some(DeviceEvent::Connected));
+        assert_eq!(endpoint.port(), port);
+        assert!(matches!(&hear(&mut endpoint, 0)[..], [DeviceMessage::Welcome(welcome)] if welcome.session == 1));
+    }
+}
+
+#[test]
+fn a_second_host_at_the_other_port_changes_nothing_while_the_first_one_speaks() {
+    let mut endpoint = drawing();
+    for now_ms in (0..5_000).step_by(100) {
+        say_on(&mut endpoint, LinkPort::Serial, now_ms, &HostMessage::Heartbeat);
+        for message in [hello(2), command(77, Command::Cancel), path(0, 3, true)] {
+            assert_eq!(say_on(&mut endpoint, LinkPort::Usb, now_ms + 50, &message), None);
+        }
+        assert_eq!(endpoint.port(), LinkPort::Serial);
+        assert!(
+            !hear(&mut endpoint, now_ms)
+                .iter()
+                .any(|message| matches!(message, DeviceMessage::Welcome(_) | DeviceMessage::Answer { .. }))
+        );
+    }
+    assert_eq!(
+        (endpoint.silence_ms(5_000), endpoint.counts().other_port),
+        (Some(100), 150)
+    );
+}
+
+#[test]
+fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone() {
+    let mut endpoint = drawing();
+    let gone_ms = crate::link::ports::HELD_MS;
+    // A frame that had begun on the old port is not continued on the other one.
+    endpoint.answer(1, Ok(()));
+    let mut begun = [0; 3];
+    assert_eq!(endpoint.transmit(0, &mut begun), 3);
+    assert_eq!(
+        say_on(&mut endpoint, LinkPort::Usb, gone_ms, &hello(2)),
+        Some(DeviceEvent::Connected)
+    );
+    assert_eq!(
+        (endpoint.port(), endpoint.silence_ms(gone_ms)),
+        (LinkPort::Usb, Some(0))
+    );
+    let mut out = [0; 2 * FRAME_BYTES_MAX];
+    let length = endpoint.transmit(gone_ms, &mut out);
+    // What the line had kept of the cut frame costs nothing behind it.
+    let mut decoder: Decoder = Decoder::new();
+    let heard = begun.iter().chain(&out[..length]).filter_map(|byte| {
+        let payload = decoder.push(*byte)?.ok()?;
+        decode::<DeviceMessage>(payload).ok()
+    });
+    let heard: heapless::Vec<DeviceMessage, 16> = heard.collect();
+    assert!(matches!(&heard[..], [DeviceMessage::Welcome(welcome), ..] if welcome.session == 2));
+    assert_eq!(out.first(), Some(&0));
+}
+
+#[test]
+fn a_host_that_takes_over_without_a_greeting_has_no_part_in_the_session_of_another() {
+    let mut endpoint = endpoint();
+    hear(&mut endpoint, 0);
+    let later_ms = crate::link::ports::HELD_MS;
+    assert_eq!(
+        say_on(&mut endpoint, LinkPort::Usb, later_ms, &command(5, Command::Enable)),
+        None
+    );
+    assert_eq!((endpoint.counts().refused, endpoint.silence_ms(later_ms)), (1, None));
+    assert!(
+        matches!(&hear(&mut endpoint, later_ms)[..], [DeviceMessage::Welcome(welcome)] if welcome.session == 0),
+        "it is told to greet"
+    );
 }

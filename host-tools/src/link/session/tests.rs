@@ -58,7 +58,7 @@ fn over_a_perfect_line_the_path_arrives_in_time_and_no_sample_is_lost() {
         (counts.samples_missing, counts.path_repeats, counts.requests_repeated),
         (0, 0, 0)
     );
-    assert_eq!((counts.frames.bad, bench.endpoint.counts().frames.bad), (0, 0));
+    assert_eq!((counts.frames.bad, bench.decoder.counts().bad), (0, 0));
     assert!(u64::from(bench.endpoint.counts().samples_dropped) == 0 && counts.samples > took_ms - 20);
 }
 

@@ -1,0 +1,254 @@
+//! The board's own USB connector as a second port of the link: a CDC-ACM serial port on OTG_FS.
+//!
+//! `usb-device` and `usbd-serial` are the protocol, `synopsys-usb-otg` the controller's registers; here are clock, supply,
+//! names, and how bytes pass between packets and the link's queues. All of it runs at the link's priority. The controller's
+//! flag registers decide what there is to do, and a millisecond has room for `EVENTS_PER_MS_MAX` events: whatever a
+//! host sends, the rest waits in the controller, which tells the host to try again. A packet is taken only when the queue
+//! has room for it, so nothing is lost; what waits for a host that has gone is thrown away. The driver waits for
+//! the controller without a limit only while it empties a FIFO, some of its clocks; should it never do so, the watchdog
+//! resets the chip, as for any task that hangs.
+//!
+//! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs no PLL and not the
+//! ST-LINK's 8 MHz: a board that lacks those can say so here. The connector's supply is not watched (its sense pin is left
+//! alone): a pulled cable is a bus without frames, and a new one begins with a reset of the bus.
+//!
+//! Registers: RM0433, chapters "OTG_HS", "CRS" and "PWR".
+
+use crate::clocks::BUS_HZ;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU32, Ordering};
+use embassy_stm32::pac::crs::vals::Syncsrc;
+use embassy_stm32::pac::{CRS, Interrupt, PWR, RCC, USB_OTG_FS};
+use embassy_stm32::{peripherals, rcc};
+use etherpen::controller::HostBytes;
+use heapless::String;
+use synopsys_usb_otg::{PhyType, UsbBus, UsbPeripheral};
+use usb_device::bus::{UsbBus as _, UsbBusAllocator};
+use usb_device::device::{StringDescriptors, UsbDevice, UsbDeviceBuilder, UsbDeviceState, UsbVidPid};
+use usb_device::{LangID, UsbError};
+use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
+
+/// Vendor and product number: pid.codes' first one for tests. It is nobody's own, so it stays where the firmware is built.
+const VENDOR_PRODUCT: UsbVidPid = UsbVidPid(0x1209, 0x0001);
+/// What the host shows. `etherpen doctor` knows the port by them and the numbers above.
+const MANUFACTURER: &str = "etherpen";
+const PRODUCT: &str = "etherpen robot controller";
+/// Most that it draws from the connector, mA; it has a supply of its own.
+const CURRENT_MAX_MA: usize = 100;
+
+/// Longest packet of an endpoint at full speed, bytes.
+const PACKET_BYTES: usize = 64;
+/// Longest packet that is sent: a shorter one than the longest ends a transfer, so no empty one has to follow.
+const SENT_PACKET_BYTES: usize = PACKET_BYTES - 1;
+/// Words that keep received packets: those of the control and of the data endpoint.
+const MEMORY_WORDS: usize = 2 * PACKET_BYTES / 4;
+/// Events of the controller that are served in a millisecond: the link's full rate takes six.
+const EVENTS_PER_MS_MAX: u32 = 32;
+/// The endpoint of control transfers, from the host.
+const CONTROL_OUT: u8 = 0;
+/// Speed code (OTG_DSTS) that neither this controller nor its driver knows.
+const LOW_SPEED: u8 = 0b10;
+/// Looks at the supply's detector before the port is started without its word: some milliseconds.
+const SUPPLY_LOOKS_MAX: u32 = 100_000;
+/// The start of frame of OTG_FS as the source of the clock recovery (CRS_CFGR, revision V): the value that the register
+/// description leaves unnamed; the one named "USB" is OTG_HS.
+const FRAMES_OF_OTG_FS: Syncsrc = Syncsrc::from_bits(0b11);
+
+/// Events left of this millisecond.
+static EVENTS_LEFT: AtomicU32 = AtomicU32::new(0);
+
+/// The controller.
+struct Otg;
+
+// SAFETY: the register block is that of OTG_FS, which `Usb` alone uses but for its global interrupt switch, written at the
+// same priority; it is there as long as the chip runs. What `enable` does is done before, by `Usb::start`.
+unsafe impl UsbPeripheral for Otg {
+    const REGISTERS: *const () = USB_OTG_FS.as_ptr().cast_const().cast();
+    // The chip's OTG_FS has the register layout of OTG_HS (RM0433: OTG_HS2) with only the internal full-speed PHY.
+    const HIGH_SPEED: bool = true;
+    const FIFO_DEPTH_WORDS: usize = 1024;
+    const ENDPOINT_COUNT: usize = 9;
+
+    fn enable() {}
+
+    fn ahb_frequency_hz(&self) -> u32 {
+        BUS_HZ
+    }
+
+    fn phy_type(&self) -> PhyType {
+        PhyType::InternalFullSpeed
+    }
+}
+
+/// What the port keeps for good.
+pub(crate) struct Memory {
+    packets: [u32; MEMORY_WORDS],
+    bus: MaybeUninit<UsbBusAllocator<UsbBus<Otg>>>,
+    serial_number: String<24>,
+    usb: MaybeUninit<Usb>,
+}
+
+impl Memory {
+    pub(crate) const fn new() -> Self {
+        Self {
+            packets: [0; MEMORY_WORDS],
+            bus: MaybeUninit::uninit(),
+            serial_number: String::new(),
+            usb: MaybeUninit::uninit(),
+        }
+    }
+}
+
+/// The port with the link's ends of the byte queues.
+pub(crate) struct Usb {
+    device: UsbDevice<'static, UsbBus<Otg>>,
+    port: CdcAcmClass<'static, UsbBus<Otg>>,
+    bytes: &'static mut HostBytes<'static>,
+    /// What could not be sent yet.
+    packet: [u8; SENT_PACKET_BYTES],
+    packet_bytes: usize,
+    open: bool,
+}
+
+impl Usb {
+    /// Starts clock, supply and controller; the pins must be assigned already. `unique` tells one board from another.
+    ///
+    /// Never inlined: what it builds would lie in the frame of the start-up, the deepest of all stacks.
+    #[inline(never)]
+    pub(crate) fn start(
+        memory: &'static mut Memory,
+        unique: &[u8; 12],
+        bytes: &'static mut HostBytes<'static>,
+    ) -> &'static mut Self {
+        start_clock_and_supply();
+        let digits = unique.iter().flat_map(|byte| [byte >> 4, byte & 0xF]);
+        for digit in digits.filter_map(|digit| char::from_digit(digit.into(), 16)) {
+            // There is room: two digits a byte.
+            let _ = memory.serial_number.push(digit);
+        }
+        let bus = memory.bus.write(UsbBus::new(Otg, &mut memory.packets));
+        let port = CdcAcmClass::new(bus, PACKET_BYTES as u16);
+        let names = StringDescriptors::new(LangID::EN_US)
+            .manufacturer(MANUFACTURER)
+            .product(PRODUCT)
+            .serial_number(&memory.serial_number);
+        let builder = UsbDeviceBuilder::new(bus, VENDOR_PRODUCT)
+            .device_class(USB_CLASS_CDC)
+            .self_powered(true)
+            .max_packet_size_0(PACKET_BYTES as u8)
+            .and_then(|builder| builder.max_power(CURRENT_MAX_MA))
+            .and_then(|builder| builder.strings(&[names]));
+        let Ok(builder) = builder else {
+            panic!("one language, a packet size and a current that exist")
+        };
+        memory.usb.write(Self {
+            device: builder.build(),
+            port,
+            bytes,
+            packet: [0; SENT_PACKET_BYTES],
+            packet_bytes: 0,
+            open: false,
+        })
+    }
+
+    /// Serves what the controller reports, as many events as are left of this millisecond.
+    pub(crate) fn service(&mut self) {
+        let mut left = EVENTS_LEFT.load(Ordering::Relaxed);
+        loop {
+            self.watch();
+            self.receive();
+            self.transmit();
+            if !reports() {
+                break;
+            }
+            let Some(fewer) = left.checked_sub(1) else {
+                set_interrupt(false);
+                break;
+            };
+            left = fewer;
+            drop_nonsense();
+            self.device.poll(&mut [&mut self.port]);
+            // A packet that the control endpoint did not expect and left would block it, and all behind it.
+            let _ = self.device.bus().read(CONTROL_OUT.into(), &mut [0; PACKET_BYTES]);
+        }
+        EVENTS_LEFT.store(left, Ordering::Relaxed);
+    }
+
+    /// Notes whether a program on the host has the port open.
+    fn watch(&mut self) {
+        let open = self.device.state() == UsbDeviceState::Configured && self.port.dtr();
+        if open != self.open {
+            self.open = open;
+            defmt::info!("USB: port {=str}", if open { "open" } else { "closed" });
+        }
+    }
+
+    fn receive(&mut self) {
+        let mut packet = [0; PACKET_BYTES];
+        if self.bytes.room() < packet.len() {
+            return;
+        }
+        if let Ok(count) = self.port.read_packet(&mut packet) {
+            self.bytes.received(packet.get(..count).unwrap_or_default());
+        }
+    }
+
+    fn transmit(&mut self) {
+        if !self.open {
+            self.bytes.discard();
+            self.packet_bytes = 0;
+            return;
+        }
+        if self.packet_bytes == 0 {
+            self.packet_bytes = self.bytes.to_send(&mut self.packet);
+        }
+        let packet = self.packet.get(..self.packet_bytes).unwrap_or_default();
+        if !packet.is_empty() && self.port.write_packet(packet) != Err(UsbError::WouldBlock) {
+            self.packet_bytes = 0;
+        }
+    }
+}
+
+/// Gives the port a new millisecond's events and releases its task; called by the link, whose priority it has.
+pub(crate) fn release() {
+    EVENTS_LEFT.store(EVENTS_PER_MS_MAX, Ordering::Relaxed);
+    set_interrupt(true);
+    rtic::pend(Interrupt::OTG_FS);
+}
+
+/// Whether the controller reports anything that is enabled.
+fn reports() -> bool {
+    USB_OTG_FS.gintsts().read().0 & USB_OTG_FS.gintmsk().read().0 != 0
+}
+
+/// Takes off the controller what it cannot mean; the driver would end the firmware over it.
+fn drop_nonsense() {
+    let flags = USB_OTG_FS.gintsts().read();
+    if flags.rxflvl() && usize::from(USB_OTG_FS.grxstsr().read().epnum()) >= Otg::ENDPOINT_COUNT {
+        let _ = USB_OTG_FS.grxstsp().read();
+    }
+    if flags.enumdne() && USB_OTG_FS.dsts().read().enumspd().to_bits() == LOW_SPEED {
+        USB_OTG_FS.gintsts().write(|clear| clear.set_enumdne(true));
+    }
+}
+
+fn set_interrupt(enabled: bool) {
+    USB_OTG_FS.gahbcfg().modify(|bus| bus.set_gint(enabled));
+}
+
+fn start_clock_and_supply() {
+    rcc::enable_and_reset::<peripherals::CRS>();
+    CRS.cfgr().modify(|recovery| recovery.set_syncsrc(FRAMES_OF_OTG_FS));
+    CRS.cr().modify(|recovery| {
+        recovery.set_autotrimen(true);
+        recovery.set_cen(true);
+    });
+    // The board feeds VDD33USB with 3.3 V; the chip's own regulator stays off, the detector lets the PHY work.
+    PWR.cr3().modify(|supply| supply.set_usb33den(true));
+    if !(0..SUPPLY_LOOKS_MAX).any(|_| PWR.cr3().read().usb33rdy()) {
+        defmt::error!("USB: no supply at VDD33USB");
+    }
+    rcc::enable_and_reset::<peripherals::USB_OTG_FS>();
+    // Else the controller waits, while the core sleeps, for the clock of an external PHY that is not there.
+    RCC.ahb1lpenr().modify(|asleep| asleep.set_usb_otg_fs_ulpilpen(false));
+}

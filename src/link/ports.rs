@@ -1,0 +1,118 @@
+//! Which of a board's ports the link speaks on.
+//!
+//! A board may offer the link on a serial line and on USB at the same time. Two programs that speak at once must not
+//! share a robot, a port that is merely opened (by a modem manager, by a terminal) must not take it from the one in use,
+//! and a cable that was pulled must not keep it. Invariant: the link is held by the port whose host has spoken last; what
+//! comes from the other one is dropped until the holder has been silent for [`HELD_MS`].
+
+/// Silence after which the other port may have the link, ms: longer than a host's repetitions take, and than the silence
+/// after which a drawing holds by default.
+pub const HELD_MS: u64 = 1_000;
+
+/// A port on which a host may speak.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LinkPort {
+    /// A serial line, the port of a board that has no other.
+    #[default]
+    Serial,
+    /// The board's own USB.
+    Usb,
+}
+
+impl LinkPort {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Serial, Self::Usb];
+}
+
+/// What becomes of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hearing {
+    /// It came from the holder.
+    Held,
+    /// The link was free: its port is the holder from here on.
+    Taken,
+    /// Another port holds the link: it must not count.
+    Dropped,
+}
+
+/// The port that holds the link.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PortHold {
+    port: LinkPort,
+    heard_ms: Option<u64>,
+}
+
+impl PortHold {
+    /// A link that nobody holds.
+    pub const fn new() -> Self {
+        Self {
+            port: LinkPort::Serial,
+            heard_ms: None,
+        }
+    }
+
+    /// The port to speak on: the holder's, or that of the last one.
+    pub const fn port(&self) -> LinkPort {
+        self.port
+    }
+
+    /// Decides on a message with a right check sum.
+    pub fn hear(&mut self, port: LinkPort, now_ms: u64) -> Hearing {
+        let held = |heard_ms: u64| now_ms.saturating_sub(heard_ms) < HELD_MS;
+        let hearing = match self.heard_ms {
+            _ if port == self.port => Hearing::Held,
+            Some(heard_ms) if held(heard_ms) => return Hearing::Dropped,
+            _ => Hearing::Taken,
+        };
+        *self = Self {
+            port,
+            heard_ms: Some(now_ms),
+        };
+        hearing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use LinkPort::{Serial, Usb};
+
+    #[test]
+    fn the_first_to_speak_has_the_link_whichever_port_it_is() {
+        for port in LinkPort::ALL {
+            let mut hold = PortHold::new();
+            assert_ne!(hold.hear(port, 5), Hearing::Dropped);
+            assert_eq!((hold.port(), hold.hear(port, 6)), (port, Hearing::Held));
+        }
+    }
+
+    #[test]
+    fn a_port_keeps_the_link_as_long_as_it_is_not_silent() {
+        let mut hold = PortHold::new();
+        assert_eq!(hold.hear(Usb, 0), Hearing::Taken);
+        for now_ms in (1..100_000).step_by(HELD_MS as usize - 1) {
+            assert_eq!(hold.hear(Serial, now_ms), Hearing::Dropped);
+            assert_eq!(hold.hear(Usb, now_ms), Hearing::Held);
+        }
+    }
+
+    #[test]
+    fn a_silent_port_gives_the_link_away_but_only_to_one_that_speaks() {
+        let mut hold = PortHold::new();
+        hold.hear(Serial, 100);
+        assert_eq!(hold.hear(Usb, 100 + HELD_MS - 1), Hearing::Dropped);
+        assert_eq!(hold.port(), Serial);
+        assert_eq!(hold.hear(Usb, 100 + HELD_MS), Hearing::Taken);
+        assert_eq!((hold.port(), hold.hear(Serial, 101 + HELD_MS)), (Usb, Hearing::Dropped));
+    }
+
+    #[test]
+    fn what_is_dropped_does_not_prolong_the_silence_of_its_port() {
+        let mut hold = PortHold::new();
+        hold.hear(Serial, 0);
+        for now_ms in 1..HELD_MS {
+            assert_eq!(hold.hear(Usb, now_ms), Hearing::Dropped);
+        }
+        assert_eq!(hold.hear(Usb, HELD_MS), Hearing::Taken);
+    }
+}
