@@ -143,8 +143,8 @@ pub(super) fn plan(
         return Err(CommandError::new(code::INPUT, text));
     };
     eprintln!(
-        "the firmware does not hold this drawing any more: going on from the log at stroke {} of {}, with {:.0} mm drawn \
-         again where that stroke was broken",
+        "the firmware does not hold this drawing any more: going on from the log at stroke {} of {}, from the last \
+         corner that the log knows; what was drawn beyond it, and {:.0} mm before it, are drawn again",
         next.stroke.saturating_add(1),
         entry.strokes_total,
         OVERLAP_UM / 1_000.0

@@ -5,7 +5,7 @@
 //! firmware: a restart of the firmware finds drives and robot as they are.
 
 use super::messages::Injection;
-use crate::cell::{Cell, CellOptions, Fault};
+use crate::cell::{Cell, CellOptions, Fault, InkStroke};
 use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
@@ -209,6 +209,11 @@ impl VirtualCell {
     /// Why the firmware does not run any more, if it does not.
     pub fn failure(&self) -> Option<String> {
         lock(&self.shared.failure).clone()
+    }
+
+    /// The ink on the paper so far; the last stroke may still grow.
+    pub fn ink(&self) -> Vec<InkStroke> {
+        self.cell.lock().ink().to_vec()
     }
 
     /// Lets something go wrong; gives what a person reads about it, or why it is not possible.

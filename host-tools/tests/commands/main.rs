@@ -18,6 +18,8 @@ mod pictures;
 mod plan;
 mod program;
 mod recording;
+#[cfg(target_os = "linux")]
+mod restarted;
 mod segment;
 
 use etherpen::board::PreviousRun;

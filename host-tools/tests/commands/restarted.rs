@@ -1,0 +1,150 @@
+//! A drawing whose firmware starts anew in the middle: the emulator is ended and started again, the drives, the robot and
+//! the paper stay as they are, and the drawing goes on from the log of jobs.
+
+use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
+use etherpen::config::Config;
+use host_tools::cell::{CellOptions, InkStroke};
+use host_tools::commands::code;
+use host_tools::console::messages::Injection;
+use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::setup;
+
+/// Farthest that a point of ink may lie from the other run's ink, mm.
+const SAME_MM: f64 = 0.03;
+/// Longest way that the drives take to stop when no telegrams come any more, mm: it belongs to no stroke.
+const STOP_MM: f64 = 6.0;
+/// Ink that is drawn twice at most where the stroke broke, mm: the overlap of a millimetre, the leg that broke, and those
+/// whose execution the firmware had not told yet; a leg is four millimetres long.
+const TWICE_MAX_MM: f64 = 17.0;
+
+type Point = [f64; 2];
+
+fn distance_mm(a: &Point, b: &Point) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+fn length_mm(points: &[Point]) -> f64 {
+    points.windows(2).map(|pair| distance_mm(&pair[0], &pair[1])).sum()
+}
+
+fn whole_mm(ink: &[InkStroke]) -> f64 {
+    ink.iter().map(|stroke| length_mm(&stroke.points_mm)).sum()
+}
+
+/// Distance of a point from the nearest ink, mm.
+fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
+    let pairs = ink.iter().flat_map(|stroke| stroke.points_mm.windows(2));
+    let to_segment = |pair: &[Point]| {
+        let (along, from) = (
+            [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]],
+            [point[0] - pair[0][0], point[1] - pair[0][1]],
+        );
+        let squared = along[0].powi(2) + along[1].powi(2);
+        let share = if squared > 0.0 {
+            ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        (from[0] - share * along[0]).hypot(from[1] - share * along[1])
+    };
+    pairs.map(to_segment).fold(f64::INFINITY, f64::min)
+}
+
+/// A cell with the emulated firmware, and the program that works with it.
+struct Bench {
+    folder: Folder,
+    cell: VirtualCell,
+}
+
+impl Bench {
+    fn new() -> Self {
+        setup::ensure_qemu().expect("the emulator can be had");
+        let image = setup::build_firmware("emulated").expect("the firmware builds");
+        let cell = VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Emulated(image));
+        Self {
+            folder: Folder::new(),
+            cell: cell.expect("the cell starts"),
+        }
+    }
+
+    fn command(&self, words: &[&str]) -> std::process::Command {
+        let mut command = etherpen(&self.folder);
+        command.args(words).env("ETHERPEN_PORT", self.cell.port().to_string());
+        command
+    }
+
+    /// Runs a command to its end, which has this exit code; gives what it said on stderr.
+    fn ends_with(&self, words: &[&str], expected: u8) -> String {
+        let (status, _, stderr) = run(&mut self.command(words));
+        assert_eq!(status, Some(i32::from(expected)), "{words:?}: {stderr}");
+        stderr
+    }
+}
+
+fn drawn_undisturbed(file: &str) -> Vec<InkStroke> {
+    let bench = Bench::new();
+    bench.ends_with(&["draw", file], 0);
+    bench.cell.ink()
+}
+
+#[test]
+fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_missing_and_a_leg_or_two_twice() {
+    let file = strokes().to_string_lossy().into_owned();
+    let whole = drawn_undisturbed(&file);
+    let bench = Bench::new();
+    let mut first = Running::start(&mut bench.command(&["draw", &file]));
+    // In the middle of a stroke that is neither the first nor the last one.
+    first.wait_for("third stroke", |_| {
+        let ink = bench.cell.ink();
+        let last = ink.last().map_or(0.0, |stroke| length_mm(&stroke.points_mm));
+        (ink.len() == 3 && last > 20.0).then_some(())
+    });
+    bench.cell.inject(Injection::Restart).expect("it is an emulator");
+    let status = first.end();
+    assert_eq!(status.code(), Some(i32::from(code::CONNECTION)), "{}", first.stderr());
+    wait_until("word of --resume", || first.stderr().contains("draw --resume"));
+    println!("{}", first.stderr());
+    let stderr = bench.ends_with(&["draw", &file, "--resume"], code::FAILED);
+    assert!(stderr.contains("etherpen reference"), "{stderr}");
+    let broken = bench.cell.ink();
+    // A person measures where the platform stands: on the paper, where the pen has stopped.
+    let paper = Config::default().paper;
+    let [x, y] = *broken.last().and_then(|stroke| stroke.points_mm.last()).expect("ink");
+    let x_mm = x - 0.5 * paper.size_mm[0] + paper.centre_mm[0];
+    let y_mm = 0.5 * paper.size_mm[1] - y + paper.centre_mm[1];
+    let position = format!("{x_mm:.0},{y_mm:.0},{:.0}", paper.pen_down_z_mm);
+    let port = bench.cell.port().to_string();
+    bench.ends_with(&["reference", "--position", &position, "--port", &port], 0);
+    // The drives have latched that no telegrams came.
+    let stderr = bench.ends_with(&["draw", &file, "--resume"], code::FAULT);
+    assert!(stderr.contains("acknowledge"), "{stderr}");
+    bench.ends_with(&["acknowledge"], 0);
+    let stderr = bench.ends_with(&["draw", &file, "--resume"], 0);
+    println!("{stderr}");
+    assert!(stderr.contains("going on from the log at stroke 3 of 6"), "{stderr}");
+    let ink = bench.cell.ink();
+    let missing_mm = whole
+        .iter()
+        .flat_map(|stroke| &stroke.points_mm)
+        .map(|point| away_mm(point, &ink))
+        .fold(0.0, f64::max);
+    assert!(
+        missing_mm <= SAME_MM,
+        "ink is missing {missing_mm} mm away from any other"
+    );
+    let elsewhere: Vec<Point> = (ink.iter().flat_map(|stroke| &stroke.points_mm))
+        .filter(|point| away_mm(point, &whole) > SAME_MM)
+        .copied()
+        .collect();
+    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(&whole), whole_mm(&ink), length_mm(&elsewhere));
+    println!(
+        "{whole_mm:.2} mm undisturbed, {drawn_mm:.2} mm with the restart, {stray_mm:.2} mm of them beside the lines while \
+         the drives stopped; {} pieces",
+        ink.len()
+    );
+    assert!(stray_mm < STOP_MM, "{stray_mm} mm beside the lines");
+    let twice_mm = drawn_mm - stray_mm - whole_mm;
+    assert!(twice_mm < TWICE_MAX_MM, "{twice_mm} mm were drawn twice");
+    let done = bench.ends_with(&["draw", &file, "--resume"], code::INPUT);
+    assert!(done.contains("to its end"), "{done}");
+}
