@@ -1,9 +1,10 @@
-//! The controller as a board sees it: six task bodies and the lock-free channels between them.
+//! The controller as a board sees it: seven task bodies and the lock-free channels between them.
 //!
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
 //! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes and
-//! `usb_bytes` to the one that does so on the board's own USB, `link` to the low-priority task that speaks the protocol and
-//! keeps the operating mode, `supervisor` to the task that brings up and watches the bus. A simulation calls the same parts in the same order in virtual time.
+//! `usb_bytes` to the one that does so on the board's own USB, `link` to the low-priority task that speaks the protocol
+//! and keeps the operating mode, `network` to the task that runs the IP stack, `supervisor` to the task that brings up
+//! and watches the bus. A simulation calls the same parts in the same order in virtual time.
 //!
 //! Architecture invariant: nothing else passes between priorities; no part waits for another.
 

@@ -94,8 +94,8 @@ pub struct LinkTask<'a> {
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
-    /// Number of the request that the bus is working on.
-    asked: Option<u16>,
+    /// What the bus is working on: the number of the request, or none of one that an earlier session made.
+    asked: Option<Option<u16>>,
     now_ms: u64,
     board: BoardState,
     /// The port as the supervisor knows it.
@@ -221,7 +221,11 @@ impl<'a> LinkTask<'a> {
             };
             match self.endpoint.receive(port, payload, self.now_ms, free) {
                 None => {}
-                Some(DeviceEvent::Connected | DeviceEvent::Inquire) => self.tell_status(),
+                Some(DeviceEvent::Connected) => {
+                    self.asked = self.asked.map(|_| None);
+                    self.tell_status();
+                }
+                Some(DeviceEvent::Inquire) => self.tell_status(),
                 Some(DeviceEvent::Configure { id, config }) => {
                     let result = self.configure(&config);
                     self.endpoint.configured(id, result);
@@ -245,7 +249,7 @@ impl<'a> LinkTask<'a> {
         let error = if request.changes() && !self.application.may_configure() {
             ServiceError::NotInMode(self.application.mode())
         } else if self.asked.is_none() && self.ends.bus.services.enqueue(request).is_ok() {
-            self.asked = Some(id);
+            self.asked = Some(Some(id));
             return;
         } else {
             ServiceError::Busy
@@ -364,7 +368,7 @@ impl<'a> LinkTask<'a> {
             self.take_event(&event);
         }
         while let Some(result) = self.ends.bus.answers.dequeue() {
-            if let Some(id) = self.asked.take() {
+            if let Some(Some(id)) = self.asked.take() {
                 self.endpoint.bus_answered(id, result);
             }
         }

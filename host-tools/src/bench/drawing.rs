@@ -1,9 +1,9 @@
 //! The drawing's figures: the vectoriser on photographs, the order of strokes beside vpype's.
 //!
-//! Both order the same files in this run, reading and writing left out; the fastest of three runs counts everywhere. The best tour
-//! known is this program's own with forty times the effort, or vpype's where that is shorter. Seconds depend on the
-//! computer; the target is a share of what vpype takes on it. Drawing times are the firmware's planner's, at its default
-//! limits; vpype reads curves as lines of its own.
+//! Both order the same files in this run, reading and writing left out; the fastest of three runs counts everywhere. The
+//! best tour known is this program's own with forty times the effort, or vpype's where that is shorter. Seconds depend on
+//! the computer; the target is a share of what vpype takes on it. Drawing times are the firmware's planner's, at its
+//! default limits; vpype reads curves as lines of its own.
 
 use super::{BenchError, Report, Row, Selection};
 use crate::commands::prepare::planned_s;

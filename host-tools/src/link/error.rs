@@ -130,7 +130,7 @@ impl fmt::Display for JobError {
             Self::NoAnswer { waited_ms } => write!(
                 f,
                 "no firmware answered within {:.1} s; check that the board runs, that this is its port, and that no \
-                 other program has it open",
+                 other program has it open or works through the board's other port",
                 seconds(*waited_ms)
             ),
             Self::LinkLost { silent_ms } => write!(

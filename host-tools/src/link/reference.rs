@@ -97,10 +97,13 @@ impl Reading {
     /// The reference, once a status and a sample surely know of it.
     pub(crate) fn take(&mut self, config: &Config, status: &Status, sample: Option<&Sample>) -> Option<Referenced> {
         let cycle = status.counters.cycles;
-        let settled_ms = *self.settled_ms.get_or_insert(cycle.wrapping_add(SETTLE_MS));
-        let is_after = |ms: u32| ms.wrapping_sub(settled_ms) < u32::MAX / 2;
-        let increments = all(&status.increments).filter(|_| status.referenced && is_after(cycle))?;
-        let sample = sample.filter(|sample| is_after(sample.t_ms))?;
+        let is_after = |ms: u32, other_ms: u32| ms.wrapping_sub(other_ms) < u32::MAX / 2;
+        // A status may be from long before the reference; the sample beside it is not.
+        let sampled_ms = sample.map(|sample| sample.t_ms).filter(|&ms| is_after(ms, cycle));
+        let known_ms = sampled_ms.unwrap_or(cycle);
+        let settled_ms = *self.settled_ms.get_or_insert(known_ms.wrapping_add(SETTLE_MS));
+        let increments = all(&status.increments).filter(|_| status.referenced && is_after(cycle, settled_ms))?;
+        let sample = sample.filter(|sample| is_after(sample.t_ms, settled_ms))?;
         let near_rad = sample.measured_rad.map(|angle| Some(f64::from(angle)));
         Some(Referenced {
             pose: angles(config, &increments, near_rad),
