@@ -81,7 +81,13 @@ enum Subcommand {
 /// The command line, every command of it with the exit codes.
 fn command_line() -> Command {
     fn explained(command: Command) -> Command {
-        command.after_help(EXIT_CODES).mut_subcommands(explained)
+        // A long text of its own would take the place of the short one.
+        let own = command.get_after_long_help().map(ToString::to_string);
+        let command = command.after_help(EXIT_CODES).mut_subcommands(explained);
+        match own {
+            Some(own) => command.after_long_help(format!("{own}\n\n{EXIT_CODES}")),
+            None => command,
+        }
     }
     explained(Arguments::command())
 }

@@ -40,7 +40,12 @@ fn shells_and_manuals_get_every_command() {
         let page = fs::read_to_string(folder.join("pages").join(format!("etherpen-{command}.1"))).expect("a page");
         assert!(page.contains(".TH") && page.contains("Exit codes"), "{command}");
     }
-    for words in [&["--help"][..], &["order", "--help"], &["bus", "sdo", "read", "-h"]] {
+    for words in [
+        &["--help"][..],
+        &["order", "--help"],
+        &["segment", "--help"],
+        &["bus", "sdo", "read", "-h"],
+    ] {
         let (status, help, _) = run(etherpen(&folder).args(words));
         assert_eq!(status, Some(0), "{words:?}");
         assert!(help.contains("7 the machine stopped with a fault"), "{words:?}: {help}");
