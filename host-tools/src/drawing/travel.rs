@@ -30,6 +30,7 @@ const SPEED_MM_S: f64 = 800.0;
 
 /// What ways with the pen up cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // one for a drawing
 pub enum Travel {
     /// Their length, a second a millimetre: for comparisons with programs that know no time.
     Length,
