@@ -221,7 +221,7 @@ fn bytes_that_the_serial_port_overruns_are_sent_again_and_the_drawing_is_the_sam
 }
 
 #[test]
-fn an_error_of_the_ethernet_dma_costs_the_frames_under_way_and_is_told() {
+fn errors_of_the_ethernet_dma_are_told_and_a_drawing_survives_the_frames_that_they_cost() {
     let mut robot = Robot::drawing();
     for errors in 1..=3 {
         // The controller's reset takes less than two milliseconds; both telegrams of each are lost.

@@ -62,6 +62,9 @@ pub(super) fn quickest(layers: &[Drawing], given: &Drawing, options: &OrderOptio
         (is_quicker && sequence.pen_up_mm() <= given.pen_up_mm()).then_some((layers, seconds))
     };
     let chosen = is_fit(first, first_s).or_else(|| {
+        if options.keep_order {
+            return None;
+        }
         let joined = layers_of(&OrderOptions {
             keep_order: true,
             ..*options
@@ -98,7 +101,7 @@ fn durations_s<const N: usize>(drawings: [&Drawing; N], config: &Config) -> [Opt
     };
     std::thread::scope(|scope| {
         let threads = drawings.map(|drawing| scope.spawn(move || duration_s(drawing)));
-        threads.map(|thread| thread.join().ok().flatten())
+        threads.map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     })
 }
 

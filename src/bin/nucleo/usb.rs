@@ -6,7 +6,7 @@
 //! host sends, the rest waits in the controller, which tells the host to try again. A packet is taken only when the queue
 //! has room for it, so nothing is lost; what waits for a host that has gone is thrown away. The driver waits for
 //! the controller without a limit only while it empties a FIFO, some of its clocks; should it never do so, the watchdog
-//! resets the chip, as for any task that hangs.
+//! resets the chip, as for any task that hangs; at the start, before the watchdog runs, the firmware would stay there.
 //!
 //! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs no PLL and not the
 //! ST-LINK's 8 MHz: a board that lacks those can say so here. The connector's supply is not watched (its sense pin is left
