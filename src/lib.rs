@@ -8,16 +8,19 @@
 //! # Bird's eye view
 //!
 //! The library is everything that is not a board. [`controller::Channels`] holds the lock-free queues and splits into
-//! the bodies of five tasks; a board (`src/bin/nucleo`, `src/bin/emulated`) gives each an interrupt and a priority, and
-//! the host's simulation calls them in the same order in virtual time:
+//! seven parts; a board (`src/bin/nucleo`, `src/bin/emulated`) gives each the interrupts that release it and a priority,
+//! and the host's simulation calls them in the same order in virtual time (`docs/tasks.md` lists every task of both
+//! boards):
 //!
 //! | part | released by | priority | does |
 //! |---|---|---|---|
 //! | [`control::sampler::Sampler`] | timer, Ethernet, deadline | 15 | input telegram, control, output telegram |
-//! | [`controller::HostBytes`] | every millisecond | 10 | the link's bytes in and out |
+//! | [`controller::HostBytes`] | serial line, every millisecond | 10 | the link's bytes in and out |
 //! | [`motion::task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms references |
+//! | [`controller::HostBytes`], a second one | USB, every millisecond | 3 | the link's bytes on a board's own USB port |
 //! | [`link::task::LinkTask`] | every millisecond | 3 | protocol, operating mode, configuration |
 //! | [`ethercat::supervisor::Supervisor`] | every millisecond | 1 | brings the bus up, watches and repairs it |
+//! | [`network::NetworkTask`] | every millisecond | 1 | the IP stack that finds the addresses for EtherCAT in UDP |
 //!
 //! # One vertex, from the photograph to the motor
 //!
@@ -34,7 +37,8 @@
 //!
 //! # Invariants
 //!
-//! - Nothing but lock-free queues passes between priorities; nothing above waits for anything below.
+//! - Lock-free queues, atomics and histograms with one writer are all that priorities share; nothing above waits for
+//!   anything below.
 //! - The critical tasks do the same bounded work every millisecond, whatever arrives; they never lock, log or allocate.
 //! - A committed plan ends at rest, so that a lost link, a late planner or an empty queue ends at rest on the path.
 //! - Every fault has one way: quick stop, standstill, brakes, power off, latched until acknowledged ([`application`]).

@@ -37,7 +37,7 @@ pub struct Geometry {
 }
 
 impl Default for Geometry {
-    /// The IRB 340 (design notes, motion, section 3).
+    /// The IRB 340, from public descriptions of the robot, which differ from each other by 2 %: measure your own.
     fn default() -> Self {
         Self {
             base_radius_mm: 200.0,

@@ -2,11 +2,12 @@
 //!
 //! A measurement is older than the moment it is used, and a command acts later than the moment it is computed. The
 //! controller compares the measurement with the reference as old as the measurement, and feeds forward the velocity
-//! that will be wanted when the drive follows (design notes, motion, section 4). Fractions of a millisecond are
-//! interpolated between neighbouring references.
+//! that will be wanted when the drive follows. Fractions of a millisecond are interpolated between neighbouring
+//! references. Gains and delays are found by `etherpen identify`.
 //!
-//! Invariant: a finite reference and measurement give a finite command within plus and minus the axis's output limit;
-//! anything else gives 0.
+//! Invariant: the command is what the law asks for, neither clamped nor filtered, so that the supervision sees a demand
+//! beyond the limit or one that is not a number. `ethercat_robot` clamps what is sent to a drive, and sends 0 instead
+//! of what is not a number.
 
 use crate::config::Axis;
 

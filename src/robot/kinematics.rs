@@ -1,8 +1,9 @@
 //! Kinematics of the delta robot: positions, joint angles and their derivatives.
 //!
-//! Each arm is solved in its own vertical plane, where the shoulder is the origin: u outwards, w upwards, y across
-//! (design notes, motion, section 3). The derivatives along a path need no trigonometry. Forward kinematics
-//! intersects three spheres in a frame built from their centres, so equal heights are no special case.
+//! Each arm is solved in its own vertical plane, where the shoulder is the origin: u outwards, w upwards, y across. The
+//! elbow is where the upper arm's circle meets the forearm's sphere. The derivatives along a path need no trigonometry.
+//! Forward kinematics intersects three spheres in a frame built from their centres, so equal heights are no special
+//! case.
 //!
 //! Invariant: a result is finite or an error; no input panics.
 

@@ -1,7 +1,8 @@
 //! Mailbox server: CANopen over EtherCAT as a slave speaks it.
 //!
 //! Takes one mailbox message, queues the answers. SDO upload and download in expedited, normal and segmented form, of
-//! one entry or of a whole object (complete access), SDO information, emergencies; what is not spoken is refused by an abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
+//! one entry or of a whole object (complete access), SDO information, emergencies; what is not spoken is refused by an
+//! abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
 //! coding; abort codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
 
 use super::abort::Abort;

@@ -1,8 +1,10 @@
 //! The virtual cell: an EtherCAT segment with drives, motors, the delta robot and its pen.
 //!
 //! It stands for the hardware, for any master: Ethernet frames go in at a time of the caller's clock, replies come
-//! out, and what the motors did is on the sheet of paper. It knows nothing of the master and shares no logic with it,
-//! only names of registers and commands.
+//! out, and what the motors did is on the sheet of paper. Bus and drives are written from the slave's side and share
+//! names and layouts of registers and of the SII with the master, none of its logic. The robot's geometry is the
+//! controller's own ([`etherpen::robot::Delta`]): an error in the kinematics would not show in the ink, so the
+//! kinematics have tests of their own.
 //!
 //! Time: the first call sets the start. Drives, watchdogs, robot and paper advance once a millisecond, at boundaries
 //! half a millisecond beside the first frame (and beside the first one after a long silence), so frames that come once
