@@ -27,11 +27,11 @@ const BOARDS: [Board; 2] = [
     },
 ];
 
-/// Code of the critical path in ITCM, its data in DTCM, other statics in AXI SRAM, what the Ethernet DMA touches in SRAM3,
+/// Code of the critical path in ITCM, its data and the log's memory, which a debug probe reads past the caches, in DTCM; other statics in AXI SRAM, what the Ethernet DMA touches in SRAM3,
 /// which it reaches and `src/bin/nucleo/memory.rs` makes non-cacheable. The stack has the lower part of DTCM for itself: an
 /// overflow then leaves the memory and faults instead of overwriting.
 ///
-/// Both tightly coupled sections are filled by `src/bin/nucleo/coupled.rs`. Which functions a critical task reaches is known
+/// All tightly coupled sections are filled by `src/bin/nucleo/coupled.rs`. Which functions a critical task reaches is known
 /// to the test of the images, which names those that no pattern here takes. These come before the general sections, so
 /// that the linker asks them first.
 const NUCLEO_REGIONS: &str = "\
@@ -65,6 +65,14 @@ SECTIONS
     __eitcm = .;
   } > H743_ITCM AT > H743_FLASH
   __siitcm = LOADADDR(.itcm);
+  .rtt : ALIGN(8)
+  {
+    __srtt = .;
+    *(.data._SEGGER_RTT .data.defmt-rtt.NAME);
+    . = ALIGN(8);
+    __ertt = .;
+  } > H743_DTCM_DATA AT > H743_FLASH
+  __sirtt = LOADADDR(.rtt);
 } INSERT AFTER .rodata;
 SECTIONS
 {
@@ -73,6 +81,7 @@ SECTIONS
     __sdtcm = .;
     *(.bss.*__rtic_internal_local_init_parts* .bss.*__rtic_internal_local_init_wire*);
     *(.uninit.rtic*);
+    *(.uninit.defmt-rtt.BUFFER);
     . = ALIGN(8);
     __edtcm = .;
   } > H743_DTCM_DATA

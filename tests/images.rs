@@ -28,6 +28,8 @@ const CRITICAL_STATICS: [&str; 5] = [
     "shared_resource_wire",
     "shared_resource_watch",
 ];
+/// Parts of the names of what a debug probe reads of the log: control block, channel's name, buffer.
+const LOG_STATICS: [&str; 3] = ["_SEGGER_RTT", "9defmt_rtt4NAME", "9defmt_rtt6BUFFER"];
 /// What the processor pushes for an exception: 26 words with floating-point registers, and a word of alignment.
 const EXCEPTION_FRAME_BYTES: u32 = 108;
 /// Tasks of the board nucleo by priority, from the highest; those of one priority never nest.
@@ -63,7 +65,10 @@ fn task<'a>(image: &'a Image, name: &str) -> &'a Function {
 fn the_image_keeps_its_budget_and_lies_where_it_must() {
     let image = nucleo();
     let size = |name: &str| image.section(name).map_or(0, |section| section.size);
-    let statics: u32 = [".data", ".bss", ".uninit", ".dtcm", ".eth_dma"].map(size).iter().sum();
+    let statics: u32 = [".data", ".rtt", ".bss", ".uninit", ".dtcm", ".eth_dma"]
+        .map(size)
+        .iter()
+        .sum();
     println!("flash {} bytes, static memory {statics} bytes", image.flash_bytes());
     assert!(image.flash_bytes() <= FLASH_BYTES_MAX);
     assert!(statics <= STATIC_BYTES_MAX);
@@ -156,6 +161,53 @@ fn code_and_data_of_the_critical_path_lie_in_tightly_coupled_memory() {
 }
 
 #[test]
+fn the_log_lies_where_no_cache_is_and_never_waits_for_a_probe() {
+    let image = nucleo();
+    for part in LOG_STATICS {
+        let named: Vec<_> = image
+            .symbols()
+            .iter()
+            .filter(|symbol| symbol.name.contains(part))
+            .collect();
+        let [one] = named.as_slice() else {
+            panic!("{part}: {named:?}")
+        };
+        assert!(
+            DTCM.contains(&one.address) && DTCM.contains(&(one.address + one.size - 1)),
+            "{one:x?}"
+        );
+    }
+    let block = image.section(".rtt").expect("the log's control block");
+    assert!(DTCM.contains(&block.address) && block.size > 0);
+    // A waiting write would be inlined; the names of inlined functions are in the debug information.
+    let bytes = std::fs::read(setup::build_firmware("nucleo").expect("the firmware is built")).expect("the image");
+    let names = |name: &str| {
+        bytes
+            .windows(name.len())
+            .filter(|text| *text == name.as_bytes())
+            .count()
+    };
+    assert!(
+        names("17nonblocking_write17h") > 0,
+        "the debug information names what the log calls"
+    );
+    assert_eq!(
+        names("14blocking_write17h"),
+        0,
+        "a log line waits until a debug probe reads"
+    );
+    for waits in [
+        "_defmt_flush",
+        "defmt_rtt..Logger$u20$as$u20$defmt..traits..Logger$GT$5flush",
+    ] {
+        assert!(
+            image.functions().iter().all(|function| !function.name.contains(waits)),
+            "{waits} waits"
+        );
+    }
+}
+
+#[test]
 fn the_stack_of_every_priority_is_bounded_and_all_fit_their_memory() {
     let image = nucleo();
     let graph = CallGraph::new(&image, &[PANIC]);
@@ -177,7 +229,8 @@ fn the_stack_of_every_priority_is_bounded_and_all_fit_their_memory() {
     let (start_up, panic) = (bound(start), bound(panic.expect("the panic handler")));
     println!("start-up, alone: at most {start_up} bytes; a panic, above all others: {panic}");
     sum += graph.frame(start) + panic;
-    let data = image.section(".dtcm").map_or(0, |section| section.size);
+    let size = |name: &str| image.section(name).map_or(0, |section| section.size);
+    let data = size(".dtcm") + size(".rtt");
     println!("all nested: at most {sum} bytes, with {data} bytes of data, of {DTCM_BYTES_MAX}");
     assert!(sum + data <= DTCM_BYTES_MAX);
     assert!(start_up + panic + data <= DTCM_BYTES_MAX);

@@ -6,17 +6,22 @@
 //! Revision Y cannot run at scale 0 and is refused by its identity before the clocks change.
 //!
 //! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle then is as exact as
-//! a crystal, which the internal oscillator (1 %) is not. Without them the board starts on the internal oscillator, so
-//! that it can say so, and moves nothing; when they stop later, the clock security system ends the firmware (`panic.rs`).
+//! a crystal, which the internal oscillator (1 %) is not. A board that is fed by E5V has them late, or only when a computer
+//! is plugged in. So the start waits two seconds for them, then runs on the internal oscillator, says so, and lets no
+//! drive have power. When they come later, the firmware starts again on them: no drive has power then, and a
+//! start is the one way into this clock tree that is tried at every power-up. When they stop, the clock security system
+//! ends the firmware (`panic.rs`).
+//!
+//! Every register is written before what it feeds runs, and every wait has an end (`start_up.rs`).
 //! CSI feeds the compensation cell of fast outputs, HSI48 the USB.
+//!
+//! Registers: RM0433, chapters "PWR", "RCC" and "FLASH".
 
-use embassy_stm32::pac::{DBGMCU, RCC};
-use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, HseMode, Hsi48Config, Pll, PllDiv, PllMul, PllPreDiv, PllSource, Sysclk,
-    TimerPrescaler, VoltageScale, mux::Usbsel,
-};
-use embassy_stm32::time::Hertz;
-use embassy_stm32::{Config, Peripherals, interrupt::Priority};
+use crate::start_up::Waits;
+use stm32_metapac::flash::regs::Acr;
+use stm32_metapac::pwr::vals::Vos;
+use stm32_metapac::rcc::vals::{Hpre, Plldiv, Pllm, Plln, Pllrge, Pllsrc, Pllvcosel, Ppre, Sw, Usbsel};
+use stm32_metapac::{DBGMCU, FLASH, PWR, RCC, SYSCFG};
 
 /// Clock of the processor, Hz.
 pub(crate) const CORE_HZ: u32 = 480_000_000;
@@ -26,15 +31,22 @@ pub(crate) const BUS_HZ: u32 = CORE_HZ / 2;
 pub(crate) const TIMER_HZ: u32 = BUS_HZ;
 /// Clock of the peripherals on APB1 to APB4, Hz.
 pub(crate) const PERIPHERAL_HZ: u32 = BUS_HZ / 2;
+/// The internal oscillator, which everything runs on after a reset, Hz.
+pub(crate) const HSI_HZ: u32 = 64_000_000;
 
 const HSE_HZ: u32 = 8_000_000;
 const PLL_MULTIPLIER: u32 = 120;
-const _: () = assert!(HSE_HZ * PLL_MULTIPLIER / 2 == CORE_HZ);
+/// The internal oscillator by this is as fast as the 8 MHz.
+const HSI_DIVIDER: u32 = 8;
+const _: () = assert!(HSE_HZ * PLL_MULTIPLIER / 2 == CORE_HZ && HSI_HZ / HSI_DIVIDER == HSE_HZ);
 
-/// The internal oscillator's 64 MHz by this are as fast as the 8 MHz.
-const HSI_DIVIDER: PllPreDiv = PllPreDiv::DIV8;
-/// Looks at the 8 MHz before they count as missing: some milliseconds.
-const HSE_LOOKS_MAX: u32 = 100_000;
+/// Time that the 8 MHz have to come, ms.
+const HSE_WAIT_MS: u32 = 2_000;
+/// Wait states of the flash memory at 240 MHz and voltage scale 0, and its programming delay (RM0433, FLASH_ACR).
+const FLASH_LATENCY: u8 = 4;
+const FLASH_PROGRAMMING_DELAY: u8 = 2;
+/// `REV_ID` of DBGMCU_IDC for revision Y (RM0433, debug chapter).
+const REVISION_Y: u16 = 0x1003;
 
 /// Where the clocks come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,74 +57,135 @@ pub(crate) enum Source {
     Substitute,
 }
 
-/// `REV_ID` of DBGMCU_IDC for revision Y (RM0433, debug chapter).
-const REVISION_Y: u16 = 0x1003;
-
-/// Starts the clocks and hands out the chip's peripherals and where the clocks come from.
-///
-/// No embassy time driver is linked, and the DMA interrupts that the HAL enables get the lowest priority: nothing sits
-/// at hardware priority 0.
+/// Starts the clocks and gives where they come from. The chip must be as after a reset, but for its lamps.
 ///
 /// # Panics
 ///
-/// On revision Y silicon, and when called twice.
-pub(crate) fn start() -> (Peripherals, Source) {
+/// On revision Y silicon, and when something that has to get ready does not.
+pub(crate) fn start(waits: &mut Waits) -> Source {
     assert!(
         DBGMCU.idc().read().rev_id() != REVISION_Y,
         "silicon revision Y: 480 MHz is out of its range"
     );
-    let source = look_for_hse();
-    let mut config = Config::default();
-    config.rcc.hse = (source == Source::Exact).then_some(Hse {
-        freq: Hertz(HSE_HZ),
-        mode: HseMode::Bypass,
+    // A debug probe reads the log's memory while the core sleeps, too.
+    DBGMCU.cr().modify(|debug| {
+        debug.set_dbgsleep_d1(true);
+        debug.set_d1dbgcken(true);
+        debug.set_d3dbgcken(true);
     });
-    config.rcc.csi = true;
-    // For USB, which trims it by itself (`usb.rs`).
-    config.rcc.hsi48 = Some(Hsi48Config { sync_from_usb: false });
-    config.rcc.mux.usbsel = Usbsel::HSI48;
-    config.rcc.pll1 = Some(Pll {
-        source: match source {
-            Source::Exact => PllSource::HSE,
-            Source::Substitute => PllSource::HSI,
-        },
-        prediv: match source {
-            Source::Exact => PllPreDiv::DIV1,
-            Source::Substitute => HSI_DIVIDER,
-        },
-        mul: PllMul::MUL120,
-        fracn: None,
-        divp: Some(PllDiv::DIV2),
-        divq: None,
-        divr: None,
-    });
-    config.rcc.sys = Sysclk::PLL1_P;
-    config.rcc.d1c_pre = AHBPrescaler::DIV1;
-    config.rcc.ahb_pre = AHBPrescaler::DIV2;
-    config.rcc.apb1_pre = APBPrescaler::DIV2;
-    config.rcc.apb2_pre = APBPrescaler::DIV2;
-    config.rcc.apb3_pre = APBPrescaler::DIV2;
-    config.rcc.apb4_pre = APBPrescaler::DIV2;
-    config.rcc.timer_prescaler = TimerPrescaler::DefaultX2;
-    config.rcc.voltage_scale = VoltageScale::Scale0;
-    config.dma_interrupt_priority = Priority::P15;
-    config.bdma_interrupt_priority = Priority::P15;
-    config.mdma_interrupt_priority = Priority::P15;
-    let chip = embassy_stm32::init(config);
+    RCC.apb4enr().modify(|enable| enable.set_syscfgen(true));
+    let _ = RCC.apb4enr().read();
+    start_voltage(waits);
+    let source = start_oscillators(waits);
+    start_pll(waits, source);
+    switch_over(waits);
     if source == Source::Exact {
         // From here on a clock that stops is a non-maskable interrupt.
         RCC.cr().modify(|control| control.set_hsecsson(true));
     }
-    (chip, source)
+    source
 }
 
-/// Whether the 8 MHz are there, looked for in vain for a bounded time; the oscillator is off again afterwards.
-fn look_for_hse() -> Source {
+/// Whether the firmware runs on the internal oscillator and the ST-LINK's clock has come since.
+pub(crate) fn exact_source_has_come() -> bool {
+    RCC.pllckselr().read().pllsrc() == Pllsrc::HSI && RCC.cr().read().hserdy()
+}
+
+/// Voltage scale 0: scale 1 first, then the overdrive.
+fn start_voltage(waits: &mut Waits) {
+    // The supply's configuration: the values after a reset, fixed by being written once.
+    PWR.cr3().modify(|supply| {
+        supply.set_scuen(true);
+        supply.set_ldoen(true);
+        supply.set_bypass(false);
+    });
+    waits.must("core voltage (ACTVOSRDY)", || PWR.csr1().read().actvosrdy());
+    PWR.d3cr().modify(|voltage| voltage.set_vos(Vos::SCALE1));
+    waits.must("voltage scale 1 (VOSRDY)", || PWR.d3cr().read().vosrdy());
+    SYSCFG.pwrcr().modify(|overdrive| overdrive.set_oden(1));
+    waits.must("voltage scale 0 (VOSRDY)", || PWR.d3cr().read().vosrdy());
+}
+
+/// All oscillators: what the PLL runs on is given; the HSE stays on in any case, so that it is seen when it comes.
+fn start_oscillators(waits: &mut Waits) -> Source {
+    waits.must("internal oscillator (HSIRDY)", || RCC.cr().read().hsirdy());
+    // The bypass may be chosen only while the oscillator is off.
     RCC.cr().modify(|control| control.set_hsebyp(true));
-    RCC.cr().modify(|control| control.set_hseon(true));
-    let found = (0..HSE_LOOKS_MAX).any(|_| RCC.cr().read().hserdy());
-    RCC.cr().modify(|control| control.set_hseon(false));
-    // Its mode may be changed only when it has stopped.
-    let _ = (0..HSE_LOOKS_MAX).any(|_| !RCC.cr().read().hserdy());
-    if found { Source::Exact } else { Source::Substitute }
+    RCC.cr().modify(|control| {
+        control.set_hseon(true);
+        control.set_csion(true);
+        control.set_hsi48on(true);
+    });
+    waits.must("oscillator of fast outputs (CSIRDY)", || RCC.cr().read().csirdy());
+    waits.must("oscillator of the USB (HSI48RDY)", || RCC.cr().read().hsi48rdy());
+    if waits.comes(HSE_WAIT_MS, || RCC.cr().read().hserdy()) {
+        Source::Exact
+    } else {
+        Source::Substitute
+    }
+}
+
+fn start_pll(waits: &mut Waits, source: Source) {
+    let (input, divider) = match source {
+        Source::Exact => (Pllsrc::HSE, Pllm::DIV1),
+        Source::Substitute => (Pllsrc::HSI, Pllm::from_bits(HSI_DIVIDER as u8)),
+    };
+    RCC.pllckselr().modify(|select| {
+        select.set_pllsrc(input);
+        select.set_divm(0, divider);
+    });
+    RCC.pllcfgr().modify(|config| {
+        config.set_pllvcosel(0, Pllvcosel::WIDE_VCO);
+        config.set_pllrge(0, Pllrge::RANGE8);
+        config.set_pllfracen(0, false);
+        config.set_divpen(0, true);
+        config.set_divqen(0, false);
+        config.set_divren(0, false);
+    });
+    RCC.plldivr(0).modify(|dividers| {
+        dividers.set_plln(Plln::from_bits((PLL_MULTIPLIER - 1) as u16));
+        dividers.set_pllp(Plldiv::DIV2);
+    });
+    RCC.cr().modify(|control| control.set_pllon(0, true));
+    waits.must("PLL (PLL1RDY)", || RCC.cr().read().pllrdy(0));
+    // The chip ignores a new source or divider of a PLL that runs.
+    let selected = RCC.pllckselr().read();
+    assert!(
+        selected.pllsrc() == input && selected.divm(0) == divider,
+        "PLL source (PLLCKSELR): {:#010x}",
+        selected.0
+    );
+}
+
+/// From the internal oscillator to the PLL: slower buses and more wait states first.
+fn switch_over(waits: &mut Waits) {
+    RCC.d1cfgr().modify(|dividers| {
+        dividers.set_d1cpre(Hpre::DIV1);
+        dividers.set_hpre(Hpre::DIV2);
+        dividers.set_d1ppre(Ppre::DIV2);
+    });
+    RCC.d2cfgr().modify(|dividers| {
+        dividers.set_d2ppre1(Ppre::DIV2);
+        dividers.set_d2ppre2(Ppre::DIV2);
+    });
+    RCC.d3cfgr().modify(|divider| divider.set_d3ppre(Ppre::DIV2));
+    let access = |mut access: Acr| {
+        access.set_latency(FLASH_LATENCY);
+        access.set_wrhighfreq(FLASH_PROGRAMMING_DELAY);
+        access
+    };
+    FLASH.acr().modify(|now| *now = access(*now));
+    waits.must("flash wait states (FLASH_ACR)", || {
+        let now = FLASH.acr().read();
+        now == access(now)
+    });
+    RCC.d2ccip2r().modify(|kernel| kernel.set_usbsel(Usbsel::HSI48));
+    // Outputs keep their edges over voltage and temperature.
+    SYSCFG.cccsr().modify(|cell| cell.set_en(true));
+    waits.must("compensation of fast outputs (CCCSR.READY)", || {
+        SYSCFG.cccsr().read().rdy()
+    });
+    RCC.cfgr().modify(|select| select.set_sw(Sw::PLL1_P));
+    waits.must("switch to the PLL (SWS)", || RCC.cfgr().read().sws() == Sw::PLL1_P);
+    waits.clocked_at(CORE_HZ);
 }

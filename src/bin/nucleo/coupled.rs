@@ -2,7 +2,8 @@
 //!
 //! The critical tasks' code lies in ITCM and their own data in DTCM, where every access takes the same time whatever the
 //! caches and the other masters of the buses do. `build.rs` says what goes there. The code is kept in flash memory and
-//! copied by the start code, before Rust's memory is initialised: copying and clearing memory are among it.
+//! copied by the start code, before Rust's memory is initialised: copying and clearing memory are among it. What a debug
+//! probe reads of the log lies in DTCM, too, because no cache is between it and the probe.
 //!
 //! Invariant: nothing of ITCM is called, and nothing of DTCM but the stack is read, before this has run.
 
@@ -38,14 +39,22 @@ global_asm!(
     "    ldr r3, [r2], #4",
     "    str r3, [r0], #4",
     "    b 10b",
-    "20: ldr r0, =__sdtcm",
-    "    ldr r1, =__edtcm",
-    "    movs r2, #0",
+    "20: ldr r0, =__srtt",
+    "    ldr r1, =__ertt",
+    "    ldr r2, =__sirtt",
     "30: cmp r0, r1",
     "    bhs 40f",
-    "    str r2, [r0], #4",
+    "    ldr r3, [r2], #4",
+    "    str r3, [r0], #4",
     "    b 30b",
-    "40: dsb",
+    "40: ldr r0, =__sdtcm",
+    "    ldr r1, =__edtcm",
+    "    movs r2, #0",
+    "50: cmp r0, r1",
+    "    bhs 60f",
+    "    str r2, [r0], #4",
+    "    b 50b",
+    "60: dsb",
     "    isb",
     "    bx lr",
     ".ltorg",

@@ -11,7 +11,7 @@ use core::sync::atomic::{Ordering, compiler_fence};
 use cortex_m::peripheral::{NVIC, SYST, syst::SystClkSource};
 use cortex_m::register::{basepri, basepri_max};
 use critical_section::RawRestoreState;
-use embassy_stm32::pac::{Interrupt, NVIC_PRIO_BITS};
+use stm32_metapac::{Interrupt, NVIC_PRIO_BITS};
 
 /// RTIC priority of the critical tasks; 16 is left out because BASEPRI cannot mask it in a lock of its own.
 pub(crate) const CRITICAL_PRIORITY: u8 = 15;

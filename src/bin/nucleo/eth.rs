@@ -18,10 +18,10 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Context;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
-use embassy_stm32::pac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
 use etherpen::board::PortState;
 use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethernet::descriptors::{DESCRIPTOR_BYTES, Descriptor, Place, ReceiveRing, Received, TransmitRing};
+use stm32_metapac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
 
 /// Descriptors of a ring. A cycle exchanges two frames; the rest is room for foreign frames until the next interrupt.
 const RING_LENGTH: usize = 8;
@@ -187,7 +187,8 @@ impl Ethernet {
     /// Sets MAC, queues and DMA up after their reset. Bounded: register writes and one pass over the rings.
     fn start(&self) -> Rings {
         let mac = ETH.ethernet_mac();
-        mac.maccr().write(|control| {
+        // The register has bits that are set after a reset and belong to nobody: they are kept.
+        mac.maccr().modify(|control| {
             control.set_fes(true);
             control.set_dm(true);
             // Strips padding and check sequence of frames with a length field, and the check sequence of the others.

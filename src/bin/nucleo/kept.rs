@@ -1,4 +1,4 @@
-//! What memory keeps over a reset: what ended the firmware, and the last fault.
+//! What memory keeps over a reset: what ended the firmware, the last fault, and how far a start came.
 //!
 //! Invariant: a record is either whole or none: its mark is removed first and written last.
 
@@ -7,12 +7,15 @@ use core::fmt;
 use core::mem::MaybeUninit;
 use core::ptr;
 use core::sync::atomic::{Ordering, compiler_fence};
-use embassy_stm32::pac::RCC;
+use cortex_m::peripheral::SCB;
 use etherpen::application::Fault;
 use etherpen::board::{CAUSE_BYTES_MAX, PreviousRun, RunEnd};
+use stm32_metapac::RCC;
 
 /// Bytes of a fault as it is kept.
 const FAULT_BYTES_MAX: usize = 32;
+/// Bytes of the name of a step of the start.
+const STEP_BYTES_MAX: usize = 16;
 /// Distinguishes a written record from memory after power-on.
 const WRITTEN: u32 = 0x7061_6E63;
 
@@ -30,8 +33,8 @@ struct Record<const BYTES: usize> {
 
 struct Kept<const BYTES: usize>(UnsafeCell<MaybeUninit<Record<BYTES>>>);
 
-// SAFETY: `take` runs before interrupts are enabled; after that one context at a time reaches a record: the link task the
-// last fault, and whoever has masked all interrupts for good the cause.
+// SAFETY: `take` and the start's steps run before interrupts are enabled; after that one context at a time reaches a record:
+// the link task the last fault, and whoever has masked all interrupts for good the cause.
 unsafe impl<const BYTES: usize> Sync for Kept<BYTES> {}
 
 impl<const BYTES: usize> Kept<BYTES> {
@@ -73,19 +76,46 @@ impl<const BYTES: usize> Kept<BYTES> {
     /// No other context may reach the record meanwhile.
     unsafe fn keep(&self, bytes: &[u8; BYTES], length: usize) {
         let record = self.record();
-        // SAFETY: as the caller promises. The core's peripherals are stolen for the cache's maintenance of these lines alone,
-        // which nobody else does after the start.
+        // SAFETY: as the caller promises.
         unsafe {
             ptr::write_volatile(&raw mut (*record).written, 0);
             ptr::write_volatile(&raw mut (*record).bytes, *bytes);
             ptr::write_volatile(&raw mut (*record).length, length as u32);
             compiler_fence(Ordering::SeqCst);
             ptr::write_volatile(&raw mut (*record).written, WRITTEN);
-            cortex_m::asm::dsb();
+            self.clean();
+        }
+    }
+
+    /// Removes the record.
+    ///
+    /// # Safety
+    /// No other context may reach the record meanwhile.
+    unsafe fn forget(&self) {
+        // SAFETY: as the caller promises.
+        unsafe {
+            ptr::write_volatile(&raw mut (*self.record()).written, 0);
+            self.clean();
+        }
+    }
+
+    /// Brings the record from the cache into the memory.
+    ///
+    /// # Safety
+    /// No other context may reach the record meanwhile.
+    unsafe fn clean(&self) {
+        let record = self.record();
+        cortex_m::asm::dsb();
+        // SAFETY: as the caller promises. The core's peripherals are stolen for the cache's maintenance of these lines alone,
+        // which nobody else does after the start.
+        unsafe {
             ptr::write_volatile(&raw mut (*record).flush, 0);
-            let mut core = cortex_m::Peripherals::steal();
-            core.SCB
-                .clean_dcache_by_address(record as usize, size_of::<Record<BYTES>>());
+            // A cache that is off is not valid either, and what is cleaned from it would be made up.
+            if SCB::dcache_enabled() {
+                let mut core = cortex_m::Peripherals::steal();
+                core.SCB
+                    .clean_dcache_by_address(record as usize, size_of::<Record<BYTES>>());
+            }
         }
     }
 }
@@ -95,23 +125,49 @@ impl<const BYTES: usize> Kept<BYTES> {
 static CAUSE: Kept<CAUSE_BYTES_MAX> = Kept::new();
 #[unsafe(link_section = ".uninit.kept_fault")]
 static FAULT: Kept<FAULT_BYTES_MAX> = Kept::new();
+#[unsafe(link_section = ".uninit.kept_step")]
+static STEP: Kept<STEP_BYTES_MAX> = Kept::new();
 
-/// What is known of the run before this one. Call once, before interrupts are enabled.
-pub(crate) fn take() -> PreviousRun {
+/// What is known of the run before this one, and whether it ended while it was starting. Call once, before interrupts are
+/// enabled.
+pub(crate) fn take() -> (PreviousRun, bool) {
     let flags = RCC.rsr().read();
     RCC.rsr().modify(|status| status.set_rmvf(true));
     // SAFETY: interrupts are not enabled yet, so no other context exists.
-    let (cause, fault) = unsafe { (CAUSE.take(), FAULT.take()) };
-    let end = match cause {
-        Some((bytes, length)) => PreviousRun::panicked(readable(bytes.get(..length).unwrap_or_default())),
-        None if flags.iwdg1rstf() => RunEnd::Watchdog,
-        None if flags.porrstf() || flags.borrstf() => RunEnd::PowerOff,
-        None => RunEnd::Reset,
+    let (cause, fault, step) = unsafe { (CAUSE.take(), FAULT.take(), STEP.take()) };
+    let failed = step.is_some() && (cause.is_some() || flags.iwdg1rstf());
+    let end = match (cause, step) {
+        (Some((bytes, length)), _) => PreviousRun::panicked(readable(bytes.get(..length).unwrap_or_default())),
+        (None, Some((bytes, length))) if failed => {
+            let mut text = Text::new();
+            let step = readable(bytes.get(..length).unwrap_or_default());
+            // It is shorter than the text's room.
+            let _ = fmt::write(&mut text, format_args!("start-up: step \"{step}\" did not end"));
+            PreviousRun::panicked(text.as_str())
+        }
+        _ if flags.iwdg1rstf() => RunEnd::Watchdog,
+        _ if flags.porrstf() || flags.borrstf() => RunEnd::PowerOff,
+        _ => RunEnd::Reset,
     };
-    PreviousRun {
-        end,
-        fault: fault.and_then(|(bytes, length)| postcard::from_bytes(bytes.get(..length)?).ok()),
+    let fault = fault.and_then(|(bytes, length)| postcard::from_bytes(bytes.get(..length)?).ok());
+    (PreviousRun { end, fault }, failed)
+}
+
+/// Notes that a step of the start begins; a name that is too long is cut. Call before interrupts are enabled.
+pub(crate) fn starting(step: &str) {
+    let mut bytes = [0; STEP_BYTES_MAX];
+    let length = step.len().min(STEP_BYTES_MAX);
+    for (kept, byte) in bytes.iter_mut().zip(step.bytes()) {
+        *kept = byte;
     }
+    // SAFETY: interrupts are not enabled yet, so no other context exists.
+    unsafe { STEP.keep(&bytes, length) };
+}
+
+/// Notes that the start has succeeded. Call before interrupts are enabled.
+pub(crate) fn started() {
+    // SAFETY: interrupts are not enabled yet, so no other context exists.
+    unsafe { STEP.forget() };
 }
 
 fn readable(bytes: &[u8]) -> &str {
@@ -134,10 +190,7 @@ pub(crate) unsafe fn keep_cause(cause: fmt::Arguments) {
     if unsafe { CAUSE.is_written() } {
         return;
     }
-    let mut text = Text {
-        bytes: [0; CAUSE_BYTES_MAX],
-        length: 0,
-    };
+    let mut text = Text::new();
     // A text that does not fit is cut; what fits is kept.
     let _ = fmt::write(&mut text, cause);
     // SAFETY: as above.
@@ -155,6 +208,19 @@ pub(crate) fn keep_fault(fault: &Fault) {
 struct Text {
     bytes: [u8; CAUSE_BYTES_MAX],
     length: usize,
+}
+
+impl Text {
+    const fn new() -> Self {
+        Text {
+            bytes: [0; CAUSE_BYTES_MAX],
+            length: 0,
+        }
+    }
+
+    fn as_str(&self) -> &str {
+        readable(self.bytes.get(..self.length).unwrap_or_default())
+    }
 }
 
 impl fmt::Write for Text {

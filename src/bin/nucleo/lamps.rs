@@ -1,11 +1,20 @@
 //! The board's three lamps: LD1 green, LD2 yellow, LD3 red. What they mean is `etherpen::board::Lamps`.
 
-use embassy_stm32::pac::gpio::Gpio;
-use embassy_stm32::pac::{GPIOB, GPIOE};
+use crate::pins;
 use etherpen::board::Lamps;
+use stm32_metapac::gpio::Gpio;
+use stm32_metapac::{GPIOB, GPIOE};
 
 /// Port and bit of LD1, LD2 and LD3 (UM2407, LEDs).
 const PLACES: [(Gpio, u8); 3] = [(GPIOB, 0), (GPIOE, 1), (GPIOB, 14)];
+
+/// Makes them outputs; the first thing of a start.
+pub(crate) fn start() {
+    pins::clock_ports();
+    for (port, bit) in PLACES {
+        pins::output(port, bit);
+    }
+}
 
 /// Shows them; one write for each, which changes no other pin.
 pub(crate) fn show(lamps: Lamps) {

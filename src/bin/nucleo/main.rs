@@ -7,15 +7,15 @@
 //!
 //! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
 //! they release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section.
-//! Critical sections mask up to priority 14 (`critical.rs`). Nothing else is at hardware priority 0 or 1: the HAL's time
-//! driver is not linked, and `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in
+//! Critical sections mask up to priority 14 (`critical.rs`). Nothing else is at hardware priority 0 or 1:
+//! `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in
 //! DTCM (`coupled.rs`); DMA memory is in SRAM3, not cached (`memory.rs`).
 //!
 //! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
-//! `Cargo.toml` (with its `embassy-stm32` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
+//! `Cargo.toml` (with its `stm32-metapac` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
 //! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins, the ports', the emergency-stop input's),
 //! `lamps.rs`, `memory.rs` (the SRAM that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every
-//! chip whose MAC embassy calls `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare
+//! chip whose MAC that crate calls `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare
 //! vectors, `kept.rs` and `watchdog.rs` the reset flags and the watchdog of an H7. What the inputs and lamps mean is
 //! `etherpen::board`, the same for all. `tests/images.rs` gets the addresses that its memory must have, and
 //! `etherpen flash` the chip's.
@@ -45,6 +45,7 @@ mod phy;
 mod pins;
 mod release;
 mod serial;
+mod start_up;
 #[path = "../shared/time.rs"]
 mod time;
 mod timer;
@@ -52,7 +53,7 @@ mod usb;
 mod watchdog;
 
 use defmt_rtt as _;
-use embassy_stm32::pac::Interrupt;
+use stm32_metapac::Interrupt;
 
 /// Name by which the host knows the board.
 const BOARD: &str = "nucleo";
@@ -61,7 +62,7 @@ pub(crate) type Port = eth::Ethernet;
 /// Interrupts of the critical tasks.
 const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
 
-#[rtic::app(device = embassy_stm32::pac, peripherals = false, dispatchers = [LPTIM5])]
+#[rtic::app(device = stm32_metapac, peripherals = false, dispatchers = [LPTIM5])]
 mod app {
     use crate::clocks::Source;
     use crate::critical::{self, CRITICAL_PRIORITY};
@@ -71,14 +72,13 @@ mod app {
     use crate::phy::{self as link_state, Sma};
     use crate::release::Release;
     use crate::serial::{self, Serial};
+    use crate::start_up::{self, Waits};
     use crate::usb::{self, Usb};
-    use crate::{BOARD, CRITICAL, clocks, kept, lamps, last_word, load, memory, pins, time, timer, watchdog};
+    use crate::{BOARD, CRITICAL, clocks, kept, lamps, last_word, load, memory, panic, pins, time, timer, watchdog};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
-    use embassy_stm32::pac::Interrupt;
-    use embassy_stm32::uid;
-    use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, Lamps};
+    use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, Lamps, RunEnd};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
     use etherpen::ethercat::clock::steering::CountCorrection;
@@ -89,6 +89,7 @@ mod app {
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
     use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
+    use stm32_metapac::{Interrupt, UID};
 
     /// What the critical tasks share: they have one priority, so no lock exists.
     #[shared]
@@ -114,7 +115,10 @@ mod app {
         clock_source: Source,
     }
 
-    /// Runs once with interrupts disabled: memory and clocks, drivers, then the check of all priorities.
+    /// Runs once with interrupts disabled: lamps, memory and clocks, drivers, then the check of all priorities.
+    ///
+    /// The watchdog runs from the first line on, and memory keeps the step that is under way: a start that fails is told by
+    /// the next one (`start_up.rs`).
     #[init(local = [
         channels: Channels = Channels::new(),
         parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),
@@ -122,11 +126,21 @@ mod app {
         usb_memory: usb::Memory = usb::Memory::new()
     ])]
     fn init(mut context: init::Context) -> (Shared, Local) {
-        let previous = kept::take();
+        watchdog::start();
+        lamps::start();
+        lamps::show(start_up::STARTING);
+        let (previous, start_failed) = kept::take();
+        kept::starting("memory");
         let core = &mut context.core;
         memory::start(&mut core.MPU, &mut core.SCB, &mut core.CPUID);
-        let (chip, clock_source) = clocks::start();
-        pins::start(chip);
+        let mut waits = Waits::new(&mut core.SYST);
+        if let (true, RunEnd::Panic(cause)) = (start_failed, &previous.end) {
+            waits.tell(cause);
+        }
+        kept::starting("clocks");
+        let clock_source = clocks::start(&mut waits);
+        kept::starting("pins");
+        pins::start();
         defmt::info!("previous run: {}", defmt::Debug2Format(&previous));
         let init::LocalResources {
             channels,
@@ -137,10 +151,15 @@ mod app {
         } = context.local;
         let parts = parts.write(channels.split(BOARD));
         parts.link.set_previous_run(previous);
-        let wire = wire.write(RawTransport::new(Ethernet::new(hardware_address(uid::uid()))));
+        kept::starting("Ethernet");
+        let unique = unique_number();
+        let wire = wire.write(RawTransport::new(Ethernet::new(hardware_address(unique))));
         parts.network.set_hardware_address(wire.mac_address());
+        kept::starting("serial line");
         let serial = Serial::new(&mut parts.host_bytes);
-        let usb = Usb::start(usb_memory, &uid::uid(), &mut parts.usb_bytes);
+        kept::starting("USB");
+        let usb = Usb::start(usb_memory, &unique, &mut parts.usb_bytes, &mut waits);
+        kept::starting("tasks");
         critical::start_up_check(&mut core.SYST, &CRITICAL);
         assert!(supervisor::spawn().is_ok(), "the supervisor starts once");
         assert!(network::spawn().is_ok(), "the network task starts once");
@@ -155,7 +174,8 @@ mod app {
         }
         last_word::prepare(&mut parts.sampler, wire);
         timer::start();
-        watchdog::start();
+        watchdog::tighten();
+        kept::started();
         parts.measurements.set_counts_per_s(clocks::TIMER_HZ);
         (
             Shared {
@@ -362,7 +382,8 @@ mod app {
         .await
     }
 
-    /// Polls the PHY for the link's state, and logs what changed and what was counted.
+    /// Polls the PHY for the link's state, logs what changed and what was counted, and starts the firmware again on the
+    /// ST-LINK's clock when it comes late: until then no drive gets power.
     ///
     /// Period: 1 ms. Priority: 1. Deadline: none. Overrun: steps merge; the link's state is known later.
     #[task(binds = LPTIM4, priority = 1, local = [phy, health: Health = Health::new()])]
@@ -372,6 +393,20 @@ mod app {
             defmt::info!("PHY: {}", defmt::Debug2Format(&event));
         }
         context.local.health.step();
+        if clocks::exact_source_has_come() {
+            panic::end(format_args!(
+                "the 8 MHz from the ST-LINK have come: started again on them"
+            ));
+        }
+    }
+
+    /// The chip's own number.
+    fn unique_number() -> [u8; 12] {
+        let mut bytes = [0; 12];
+        for (word, four) in bytes.chunks_exact_mut(4).enumerate() {
+            four.copy_from_slice(&UID.uid(word).read().to_le_bytes());
+        }
+        bytes
     }
 
     /// A locally administered address from the chip's unique number (FNV-1a), so that two boards differ.

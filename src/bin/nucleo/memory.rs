@@ -5,10 +5,19 @@
 //! access still allowed. It must be in force before the D-cache is on and before the first descriptor is written.
 //!
 //! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to go.
+//! A third one forbids the addresses of external memories, of which the board has none: the default map calls them normal
+//! memory, which the core may read ahead of need, and a controller that is not set up may never answer.
+//!
+//! The Ethernet's SRAM is cleared once: its error correction makes up a word's check bits only when the word is written
+//! whole, and the DMA writes bytes (RM0433, RAM ECC).
 
+use core::ptr;
 use cortex_m::peripheral::{CPUID, MPU, SCB};
-use embassy_stm32::pac::RCC;
+use stm32_metapac::RCC;
 
+/// Start and size of SRAM3, which the Ethernet DMA uses.
+const ETHERNET_SRAM_START: u32 = 0x3004_0000;
+const ETHERNET_SRAM_SIZE: u32 = 32 * 1024;
 /// Start of SRAM1, SRAM2 and SRAM3, which follow each other (RM0433, memory map).
 const D2_SRAM_START: u32 = 0x3000_0000;
 /// SRAM1 128 KiB, SRAM2 128 KiB, SRAM3 32 KiB.
@@ -29,10 +38,16 @@ const ITCM_START: u32 = 0;
 const ITCM_SIZE: u32 = 64 * 1024;
 /// Read-only, instructions may be fetched, otherwise as above but not shared.
 const READ_ONLY_CODE: u32 = 0b110 << 24 | 0b001 << 19;
+/// The whole address space in eighths, of which the fourth and the fifth count: 0x6000_0000 to 0x9FFF_FFFF.
+const ALL_ADDRESSES: u32 = 31 << 1;
+const EXTERNAL_MEMORIES: u32 = !(1 << 3 | 1 << 4) & 0xFF;
+/// Never execute, no access, strongly ordered.
+const NO_ACCESS: u32 = 1 << 28;
 /// MPU_CTRL: on, with the default map for everything outside the region.
 const MPU_ENABLE: u32 = 0b101;
 
-/// Clocks the D2 SRAM, makes it non-cacheable and the ITCM read-only, and turns both caches on.
+/// Clocks the D2 SRAM, makes it non-cacheable, the ITCM read-only and external memories unreachable, clears the Ethernet's
+/// SRAM and turns both caches on.
 pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     RCC.ahb2enr().modify(|enable| {
         enable.set_sram1en(true);
@@ -54,10 +69,19 @@ pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
         mpu.rbar.write(ITCM_START);
         mpu.rasr
             .write(READ_ONLY_CODE | (ITCM_SIZE.trailing_zeros() - 1) << 1 | REGION_ENABLE);
+        mpu.rnr.write(2);
+        mpu.rbar.write(0);
+        mpu.rasr
+            .write(NO_ACCESS | EXTERNAL_MEMORIES << 8 | ALL_ADDRESSES | REGION_ENABLE);
         mpu.ctrl.write(MPU_ENABLE);
     }
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
+    for word in (ETHERNET_SRAM_START..ETHERNET_SRAM_START + ETHERNET_SRAM_SIZE).step_by(4) {
+        // SAFETY: the memory has just been clocked, and the one static in it, the Ethernet's, is not used before the driver
+        // exists, which begins by writing what it reads.
+        unsafe { ptr::write_volatile(word as *mut u32, 0) };
+    }
     scb.enable_icache();
     scb.enable_dcache(cpuid);
 }

@@ -10,12 +10,13 @@ use core::fmt;
 use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
-use embassy_stm32::pac::RCC;
+use stm32_metapac::RCC;
 
 /// Time for the last frame to leave: the longest takes 123 us at 100 Mbit/s.
 const FRAME_CYCLES: u32 = CORE_HZ / 5_000;
 
-fn end(cause: fmt::Arguments) -> ! {
+/// Ends the firmware: its cause is kept, the drives are told to stop, the chip starts again.
+pub(crate) fn end(cause: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
     // SAFETY: interrupts are masked, and nothing returns from here.
     unsafe {

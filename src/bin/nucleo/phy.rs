@@ -4,9 +4,9 @@
 
 use crate::clocks::BUS_HZ;
 use core::sync::atomic::{AtomicU8, Ordering};
-use embassy_stm32::pac::ETH;
 use etherpen::board::PortState;
 use etherpen::ethernet::phy::Management;
+use stm32_metapac::ETH;
 
 /// Clock range field: bus clock / 102, for a management clock of at most 2.5 MHz (RM0433, ETH_MACMDIOAR).
 const CLOCK_RANGE_150_250_MHZ: u8 = 0b0100;

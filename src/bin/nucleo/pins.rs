@@ -7,69 +7,91 @@
 //! | PA2, PC1 | PHY management data and clock | 11 |
 //! | PA11, PA12 | the user's USB connector CN13, D- and D+ | 10 |
 //! | PD8, PD9 | USART3 transmit and receive, wired to the ST-LINK's virtual serial port | 7 |
+//! | PG14 | emergency-stop input, D2 on the board's connector | input |
+//!
+//! A pin's function, speed and pull are set before its mode, so that it changes from open to its signal at once.
 
-use core::mem;
-use embassy_stm32::gpio::{AfType, AnyPin, Flex, OutputType, Pull, Speed};
-use embassy_stm32::pac::GPIOG;
-use embassy_stm32::{Peri, Peripherals};
+use stm32_metapac::gpio::Gpio;
+use stm32_metapac::gpio::vals::{Moder, Ospeedr, Pupdr};
+use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, GPIOG, RCC};
 
 /// Alternate function of the Ethernet MAC on every pin used here (datasheet, alternate function tables).
 const ETHERNET_FUNCTION: u8 = 11;
+const ETHERNET: [(Gpio, u8); 9] = [
+    (GPIOA, 1),
+    (GPIOA, 2),
+    (GPIOA, 7),
+    (GPIOB, 13),
+    (GPIOC, 1),
+    (GPIOC, 4),
+    (GPIOC, 5),
+    (GPIOG, 11),
+    (GPIOG, 13),
+];
 /// Alternate function of OTG_FS on port A.
 const USB_FUNCTION: u8 = 10;
+const USB: [(Gpio, u8); 2] = [(GPIOA, 11), (GPIOA, 12)];
 /// Alternate function of USART3 on port D.
 const SERIAL_FUNCTION: u8 = 7;
+const SERIAL_TRANSMIT: (Gpio, u8) = (GPIOD, 8);
+const SERIAL_RECEIVE: (Gpio, u8) = (GPIOD, 9);
+/// Port and bit of the emergency-stop input.
+const EMERGENCY_STOP: (Gpio, u8) = (GPIOG, 14);
 
-/// Bit of the emergency-stop input, D2 on the board's connector: PG14.
-const EMERGENCY_STOP: u32 = 1 << 14;
+/// Clocks the ports that are used.
+pub(crate) fn clock_ports() {
+    RCC.ahb4enr().modify(|enable| {
+        enable.set_gpioaen(true);
+        enable.set_gpioben(true);
+        enable.set_gpiocen(true);
+        enable.set_gpioden(true);
+        enable.set_gpioeen(true);
+        enable.set_gpiogen(true);
+    });
+    // The clock enable takes effect two bus cycles later; a read back spends them.
+    let _ = RCC.ahb4enr().read();
+}
 
-/// Gives every pin to its peripheral, for good.
-pub(crate) fn start(chip: Peripherals) {
-    let fast = AfType::output(OutputType::PushPull, Speed::VeryHigh);
-    let ethernet: [Peri<'static, AnyPin>; 9] = [
-        chip.PA1.into(),
-        chip.PA2.into(),
-        chip.PA7.into(),
-        chip.PB13.into(),
-        chip.PC1.into(),
-        chip.PC4.into(),
-        chip.PC5.into(),
-        chip.PG11.into(),
-        chip.PG13.into(),
-    ];
-    for pin in ethernet {
-        assign(pin, ETHERNET_FUNCTION, fast);
+/// Gives every pin but the lamps' to its peripheral, for good.
+pub(crate) fn start() {
+    for pin in ETHERNET {
+        assign(pin, ETHERNET_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
     }
-    for pin in [chip.PA11.into(), chip.PA12.into()] {
-        assign(pin, USB_FUNCTION, fast);
+    for pin in USB {
+        assign(pin, USB_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
     }
-    assign(
-        chip.PD8.into(),
-        SERIAL_FUNCTION,
-        AfType::output(OutputType::PushPull, Speed::High),
-    );
-    // Pulled up: an open line reads idle instead of a stream of breaks.
-    assign(chip.PD9.into(), SERIAL_FUNCTION, AfType::input(Pull::Up));
+    start_serial();
+    let (port, bit) = EMERGENCY_STOP;
+    let pin = usize::from(bit);
     // Pulled up: an open wire reads high, which is a stop.
-    let mut emergency_stop = Flex::new(chip.PG14);
-    emergency_stop.set_as_input(Pull::Up);
-    mem::forget(emergency_stop);
-    let lamps: [Peri<'static, AnyPin>; 3] = [chip.PB0.into(), chip.PE1.into(), chip.PB14.into()];
-    for pin in lamps {
-        let mut lamp = Flex::new(pin);
-        lamp.set_as_output(Speed::Low);
-        mem::forget(lamp);
-    }
+    port.pupdr().modify(|pulls| pulls.set_pupdr(pin, Pupdr::PULL_UP));
+    port.moder().modify(|modes| modes.set_moder(pin, Moder::INPUT));
+}
+
+/// Gives the serial line its pins.
+pub(crate) fn start_serial() {
+    assign(SERIAL_TRANSMIT, SERIAL_FUNCTION, Ospeedr::HIGH_SPEED, Pupdr::FLOATING);
+    // Pulled up: an open line reads idle instead of a stream of breaks.
+    assign(SERIAL_RECEIVE, SERIAL_FUNCTION, Ospeedr::LOW_SPEED, Pupdr::PULL_UP);
+}
+
+/// Makes a pin an output that shows what its port's output register says.
+pub(crate) fn output(port: Gpio, bit: u8) {
+    port.moder()
+        .modify(|modes| modes.set_moder(usize::from(bit), Moder::OUTPUT));
 }
 
 /// Whether the emergency-stop input reads open at this moment. Safe in a critical task: one register read.
 pub(crate) fn emergency_stop_shows_open() -> bool {
-    GPIOG.idr().read().0 & EMERGENCY_STOP != 0
+    let (port, bit) = EMERGENCY_STOP;
+    port.idr().read().0 & 1 << bit != 0
 }
 
-fn assign(pin: Peri<'static, AnyPin>, function: u8, kind: AfType) {
-    let mut pin = Flex::new(pin);
-    pin.set_as_af_unchecked(function, kind);
-    // Dropping it would disconnect the pin.
-    mem::forget(pin);
+fn assign((port, bit): (Gpio, u8), function: u8, speed: Ospeedr, pull: Pupdr) {
+    let pin = usize::from(bit);
+    port.afr(pin / 8)
+        .modify(|functions| functions.set_afr(pin % 8, function));
+    port.ospeedr().modify(|speeds| speeds.set_ospeedr(pin, speed));
+    port.pupdr().modify(|pulls| pulls.set_pupdr(pin, pull));
+    port.moder().modify(|modes| modes.set_moder(pin, Moder::ALTERNATE));
 }

@@ -4,16 +4,18 @@
 //! while bytes wait: eight times fewer interrupts than bytes. Errors of the line are counted, never waited for; the
 //! link's check sums find what they damaged.
 
-use crate::clocks::PERIPHERAL_HZ;
+use crate::clocks::{HSI_HZ, PERIPHERAL_HZ};
+use crate::pins;
 use core::sync::atomic::{AtomicU32, Ordering};
-use embassy_stm32::pac::USART3;
-use embassy_stm32::{peripherals, rcc};
 use etherpen::controller::HostBytes;
+use stm32_metapac::{RCC, USART3};
 
 /// Rate of the line; 8 data bits, no parity, 1 stop bit.
 pub(crate) const BAUD: u32 = 921_600;
-/// Divider from the kernel clock, rounded to the nearest.
-const DIVIDER: u32 = (PERIPHERAL_HZ + BAUD / 2) / BAUD;
+/// Divider from the kernel clock.
+const DIVIDER: u32 = divider(PERIPHERAL_HZ);
+/// Divider before the clock tree has been started.
+const DIVIDER_OF_HSI: u32 = divider(HSI_HZ);
 /// Bytes of either FIFO (RM0433, USART implementation).
 const FIFO_DEPTH: usize = 16;
 /// FIFO threshold codes: receive half full, transmit empty.
@@ -22,10 +24,46 @@ const TRANSMIT_EMPTY: u8 = 0b101;
 
 /// A receiver tolerates 2 % of the two ends together.
 const _: () = assert!((PERIPHERAL_HZ / DIVIDER).abs_diff(BAUD) * 100 < BAUD);
+const _: () = assert!((HSI_HZ / DIVIDER_OF_HSI).abs_diff(BAUD) * 100 < BAUD);
 const _: () = assert!(DIVIDER >= 16 && DIVIDER <= u16::MAX as u32);
 
 /// Bytes that were lost or damaged on the line or found the queue full.
 pub(crate) static BYTES_LOST: AtomicU32 = AtomicU32::new(0);
+
+/// Divider from a kernel clock, rounded to the nearest.
+const fn divider(hz: u32) -> u32 {
+    (hz + BAUD / 2) / BAUD
+}
+
+/// Clocks the port, and puts it into the state after a reset.
+fn clock_and_reset() {
+    RCC.apb1lenr().modify(|enable| enable.set_usart3en(true));
+    // The clock enable takes effect two bus cycles later; a read back spends them.
+    let _ = RCC.apb1lenr().read();
+    RCC.apb1lrstr().modify(|reset| reset.set_usart3rst(true));
+    RCC.apb1lrstr().modify(|reset| reset.set_usart3rst(false));
+}
+
+/// Opens the port for [`put`] while the chip runs as after a reset.
+pub(crate) fn open_on_internal_oscillator() {
+    pins::start_serial();
+    clock_and_reset();
+    USART3.brr().write(|rate| rate.0 = DIVIDER_OF_HSI);
+    USART3.cr1().write(|control| {
+        control.set_te(true);
+        control.set_ue(true);
+    });
+}
+
+/// Whether [`put`] may send a byte.
+pub(crate) fn has_room() -> bool {
+    USART3.isr().read().txe()
+}
+
+/// Sends a byte.
+pub(crate) fn put(byte: u8) {
+    USART3.tdr().write(|data| data.0 = u32::from(byte));
+}
 
 /// The port with the link's ends of the byte queues.
 pub(crate) struct Serial {
@@ -35,7 +73,7 @@ pub(crate) struct Serial {
 impl Serial {
     /// Configures and enables the port; the pins must be assigned already.
     pub(crate) fn new(bytes: &'static mut HostBytes<'static>) -> Self {
-        rcc::enable_and_reset::<peripherals::USART3>();
+        clock_and_reset();
         USART3.brr().write(|rate| rate.0 = DIVIDER);
         USART3.cr3().write(|control| {
             control.set_rxftcfg(RECEIVE_HALF_FULL);

@@ -5,11 +5,10 @@
 //! on the same clock and measures what is longer than a period.
 
 use crate::clocks::TIMER_HZ;
-use embassy_stm32::pac::timer::regs::SrAdv;
-use embassy_stm32::pac::timer::vals::Urs;
-use embassy_stm32::pac::{TIM1, TIM2};
-use embassy_stm32::{peripherals, rcc};
 use etherpen::ethercat::clock::steering::{CORRECTION_MAX_NS, CountCorrection};
+use stm32_metapac::timer::regs::SrAdv;
+use stm32_metapac::timer::vals::Urs;
+use stm32_metapac::{RCC, TIM1, TIM2};
 
 /// Rate of the sample task, Hz.
 const SAMPLE_HZ: u32 = 1_000;
@@ -50,10 +49,12 @@ const COMPARE_1: SrAdv = SrAdv(1 << 1);
 
 /// Configures and starts both timers: the first release is a sample's, 700 us later.
 pub(crate) fn start() {
-    rcc::enable_and_reset::<peripherals::TIM2>();
+    RCC.apb1lenr().modify(|enable| enable.set_tim2en(true));
+    RCC.apb2enr().modify(|enable| enable.set_tim1en(true));
+    // The clock enable takes effect two bus cycles later; a read back spends them.
+    let _ = RCC.apb2enr().read();
     TIM2.arr().write_value(u32::MAX);
     TIM2.cr1().write(|control| control.set_cen(true));
-    rcc::enable_and_reset::<peripherals::TIM1>();
     TIM1.psc().write_value((PRESCALER - 1) as u16);
     TIM1.arr().write(|reload| reload.set_arr((TICKS_PER_SAMPLE - 1) as u16));
     // Compare mode stays "frozen" and the channel is no output: a match sets the flag and nothing else.

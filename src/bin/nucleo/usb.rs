@@ -5,8 +5,8 @@
 //! flag registers decide what there is to do, and a millisecond has room for `EVENTS_PER_MS_MAX` events: whatever a
 //! host sends, the rest waits in the controller, which tells the host to try again. A packet is taken only when the queue
 //! has room for it, so nothing is lost; what waits for a host that has gone is thrown away. The driver waits for
-//! the controller without a limit only while it empties a FIFO, some of its clocks; should it never do so, the watchdog
-//! resets the chip, as for any task that hangs; at the start, before the watchdog runs, the firmware would stay there.
+//! the controller without a limit only while it empties a FIFO or is reset, some of its clocks; should that never end, the
+//! watchdog resets the chip, as for any task that hangs, also at the start (`start_up.rs`).
 //!
 //! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs no PLL and not the
 //! ST-LINK's 8 MHz: a board that lacks those can say so here. The connector's supply is not watched (its sense pin is left
@@ -15,13 +15,13 @@
 //! Registers: RM0433, chapters "OTG_HS", "CRS" and "PWR".
 
 use crate::clocks::BUS_HZ;
+use crate::start_up::Waits;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};
-use embassy_stm32::pac::crs::vals::Syncsrc;
-use embassy_stm32::pac::{CRS, Interrupt, PWR, RCC, USB_OTG_FS};
-use embassy_stm32::{peripherals, rcc};
 use etherpen::controller::HostBytes;
 use heapless::String;
+use stm32_metapac::crs::vals::Syncsrc;
+use stm32_metapac::{CRS, Interrupt, PWR, RCC, USB_OTG_FS};
 use synopsys_usb_otg::{PhyType, UsbBus, UsbPeripheral};
 use usb_device::bus::{UsbBus as _, UsbBusAllocator};
 use usb_device::device::{StringDescriptors, UsbDevice, UsbDeviceBuilder, UsbDeviceState, UsbVidPid};
@@ -48,8 +48,8 @@ const EVENTS_PER_MS_MAX: u32 = 32;
 const CONTROL_OUT: u8 = 0;
 /// Speed code (OTG_DSTS) that neither this controller nor its driver knows.
 const LOW_SPEED: u8 = 0b10;
-/// Looks at the supply's detector before the port is started without its word: some milliseconds.
-const SUPPLY_LOOKS_MAX: u32 = 100_000;
+/// Time that the supply's detector has before the port is started without its word, ms.
+const SUPPLY_WAIT_MS: u32 = 10;
 /// The start of frame of OTG_FS as the source of the clock recovery (CRS_CFGR, revision V): the value that the register
 /// description leaves unnamed; the one named "USB" is OTG_HS.
 const FRAMES_OF_OTG_FS: Syncsrc = Syncsrc::from_bits(0b11);
@@ -119,8 +119,9 @@ impl Usb {
         memory: &'static mut Memory,
         unique: &[u8; 12],
         bytes: &'static mut HostBytes<'static>,
+        waits: &mut Waits,
     ) -> &'static mut Self {
-        start_clock_and_supply();
+        start_clock_and_supply(waits);
         let digits = unique.iter().flat_map(|byte| [byte >> 4, byte & 0xF]);
         for digit in digits.filter_map(|digit| char::from_digit(digit.into(), 16)) {
             // There is room: two digits a byte.
@@ -236,8 +237,10 @@ fn set_interrupt(enabled: bool) {
     USB_OTG_FS.gahbcfg().modify(|bus| bus.set_gint(enabled));
 }
 
-fn start_clock_and_supply() {
-    rcc::enable_and_reset::<peripherals::CRS>();
+fn start_clock_and_supply(waits: &mut Waits) {
+    RCC.apb1henr().modify(|enable| enable.set_crsen(true));
+    // The clock enable takes effect two bus cycles later; a read back spends them.
+    let _ = RCC.apb1henr().read();
     CRS.cfgr().modify(|recovery| recovery.set_syncsrc(FRAMES_OF_OTG_FS));
     CRS.cr().modify(|recovery| {
         recovery.set_autotrimen(true);
@@ -245,10 +248,11 @@ fn start_clock_and_supply() {
     });
     // The board feeds VDD33USB with 3.3 V; the chip's own regulator stays off, the detector lets the PHY work.
     PWR.cr3().modify(|supply| supply.set_usb33den(true));
-    if !(0..SUPPLY_LOOKS_MAX).any(|_| PWR.cr3().read().usb33rdy()) {
+    if !waits.comes(SUPPLY_WAIT_MS, || PWR.cr3().read().usb33rdy()) {
         defmt::error!("USB: no supply at VDD33USB");
     }
-    rcc::enable_and_reset::<peripherals::USB_OTG_FS>();
+    RCC.ahb1enr().modify(|enable| enable.set_usb_otg_fsen(true));
+    let _ = RCC.ahb1enr().read();
     // Else the controller waits, while the core sleeps, for the clock of an external PHY that is not there.
     RCC.ahb1lpenr().modify(|asleep| asleep.set_usb_otg_fs_ulpilpen(false));
 }

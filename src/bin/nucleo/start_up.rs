@@ -1,0 +1,110 @@
+//! The start-up: waits that end, and what is shown when a start fails.
+//!
+//! Nothing of the start-up can hang for ever. A wait of ours has a bound in milliseconds and panics by name; whatever else
+//! hangs (a driver's own wait, a bus that does not answer) is ended by the watchdog, which runs from the first lines on.
+//! Either way the chip is reset, and memory keeps what did not come (`kept.rs`). The next start tells it
+//! before it tries again: at that moment the chip runs on its internal oscillator with everything else off, so lamps and
+//! serial line need nothing that may have failed.
+
+use crate::clocks::HSI_HZ;
+use crate::{lamps, serial, watchdog};
+use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use etherpen::board::Lamps;
+
+/// Time for everything that gets ready in less than a millisecond, ms.
+const READY_MS: u32 = 100;
+/// Time that a failed start is shown before the next one, and of one step of its pattern, ms.
+const TOLD_MS: u32 = 4_000;
+const PATTERN_MS: u32 = 250;
+/// Time for a byte to leave the serial line, ms.
+const BYTE_MS: u32 = 2;
+
+/// All lamps: the firmware is starting, and none of them is broken.
+pub(crate) const STARTING: Lamps = Lamps {
+    green: true,
+    yellow: true,
+    red: true,
+};
+/// A start that failed: red and yellow in turn.
+const FAILED: [Lamps; 2] = [
+    Lamps {
+        green: false,
+        yellow: true,
+        red: false,
+    },
+    Lamps {
+        green: false,
+        yellow: false,
+        red: true,
+    },
+];
+
+/// Waits by the core's timer.
+pub(crate) struct Waits<'a> {
+    timer: &'a mut SYST,
+}
+
+impl<'a> Waits<'a> {
+    pub(crate) fn new(timer: &'a mut SYST) -> Self {
+        timer.set_clock_source(SystClkSource::Core);
+        let mut waits = Self { timer };
+        waits.clocked_at(HSI_HZ);
+        waits.timer.enable_counter();
+        waits
+    }
+
+    /// Tells how fast the core runs from here on, Hz.
+    pub(crate) fn clocked_at(&mut self, hz: u32) {
+        self.timer.set_reload(hz / 1_000 - 1);
+        self.timer.clear_current();
+    }
+
+    /// Whether `come` holds within `ms` milliseconds. Feeds the watchdog meanwhile.
+    pub(crate) fn comes(&mut self, ms: u32, come: impl Fn() -> bool) -> bool {
+        let mut left = ms;
+        while !come() {
+            if self.timer.has_wrapped() {
+                watchdog::feed();
+                left = left.saturating_sub(1);
+            }
+            if left == 0 {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Waits for what has to get ready.
+    ///
+    /// # Panics
+    ///
+    /// When it does not.
+    pub(crate) fn must(&mut self, what: &str, ready: impl Fn() -> bool) {
+        assert!(self.comes(READY_MS, ready), "start-up: {what} does not come");
+    }
+
+    /// Shows that the last start failed, and says why on the serial line, for some seconds.
+    ///
+    /// The chip must run on its internal oscillator.
+    pub(crate) fn tell(&mut self, cause: &str) {
+        serial::open_on_internal_oscillator();
+        for step in 0..(TOLD_MS / PATTERN_MS) as usize {
+            lamps::show(FAILED[step % FAILED.len()]);
+            if step % 4 == 0 {
+                for text in ["\r\netherpen: the start failed: ", cause, "; trying again\r\n"] {
+                    self.say(text);
+                }
+            }
+            self.comes(PATTERN_MS, || false);
+        }
+        lamps::show(STARTING);
+    }
+
+    fn say(&mut self, text: &str) {
+        for byte in text.bytes() {
+            if self.comes(BYTE_MS, serial::has_room) {
+                serial::put(byte);
+            }
+        }
+    }
+}
