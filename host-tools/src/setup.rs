@@ -199,20 +199,35 @@ fn install(package: &str) -> bool {
 
 /// The version of vpype that the drawing is compared with.
 const VPYPE: &str = "vpype==1.15.0";
+/// The version of unicorn, a Cortex-M7 of its own, that the board's start-up is run on.
+const UNICORN: &str = "unicorn==2.1.4";
 
 /// A Python that has vpype, in a folder of its own below the target folder; it is set up where it is missing.
 ///
 /// # Errors
 /// What is missing and how to get it.
 pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
-    let dir = target_dir().join("vpype");
+    ensure_python("vpype", VPYPE, "; or leave vpype out: --subject etherpen")
+}
+
+/// A Python that has unicorn, in a folder of its own below the target folder; it is set up where it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_unicorn() -> Result<PathBuf, SetupError> {
+    ensure_python("unicorn", UNICORN, "")
+}
+
+/// A Python that has a module of PyPI's package of the same name in the given version.
+fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf, SetupError> {
+    let dir = target_dir().join(module);
     let python = dir.join("bin/python");
-    let is_there = || output(Command::new(&python).args(["-c", "import vpype"])).is_some();
+    let is_there = || output(Command::new(&python).args(["-c", &format!("import {module}")])).is_some();
     if is_there() {
         return Ok(python);
     }
     ensure_program("python3")?;
-    eprintln!("etherpen: setting up {VPYPE} in {}", dir.display());
+    eprintln!("etherpen: setting up {package} in {}", dir.display());
     let environment = || output(Command::new("python3").args(["-m", "venv"]).arg(&dir)).is_some();
     let there = environment() || (install("python3-venv") && environment());
     if !there {
@@ -221,15 +236,21 @@ pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
         );
     }
     let mut pip = Command::new(&python);
-    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", VPYPE]);
+    pip.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        package,
+    ]);
     // Data goes to stdout; what a package manager says is no data.
     let installed = pip.stdin(Stdio::null()).stdout(Stdio::null()).status();
     if installed.is_ok_and(|status| status.success()) && is_there() {
         return Ok(python);
     }
     error(format!(
-        "{VPYPE} could not be installed from PyPI.\nTry: {} -m pip install {VPYPE}; \
-         or leave vpype out: --subject etherpen",
+        "{package} could not be installed from PyPI.\nTry: {} -m pip install {package}{otherwise}",
         python.display()
     ))
 }

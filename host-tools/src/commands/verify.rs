@@ -79,6 +79,7 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     for program in ["tshark", "ip", "chromium"] {
         setup::ensure_program(program)?;
     }
+    setup::ensure_unicorn()?;
     // Side by side, because neither keeps all processors busy; after an error in one the other ends its step.
     let has_failed = AtomicBool::new(false);
     let noted = |result: Result<(), CommandError>| {
