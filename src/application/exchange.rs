@@ -5,7 +5,7 @@
 use super::Fault;
 use crate::board::Interlock;
 use crate::motion::MotionCommand;
-use crate::robot::JointAngles;
+use crate::robot::{AXES, JointAngles};
 
 /// What the drives are asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,26 +54,41 @@ pub enum Action {
 }
 
 /// What the critical tasks report about a millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
-    /// Measured pose; joint angles are true only when `referenced`.
+    /// Measured pose; joint angles are true only of a referenced axis.
     pub pose: JointAngles,
-    /// Whether the angles are referenced.
-    pub referenced: bool,
+    /// The first axis without a reference, from 0.
+    pub unreferenced: Option<u8>,
     /// Whether all four drives are in operation enabled.
     pub powered: bool,
     /// Whether no drive has power.
     pub unpowered: bool,
     /// Whether all axes stand still.
     pub standstill: bool,
-    /// Whether a drive reports a fault.
-    pub drive_fault: bool,
-    /// Whether valid inputs of all drives arrive.
-    pub inputs_valid: bool,
+    /// What the first drive that reports a fault says: [`Fault::Drive`].
+    pub drive_fault: Option<Fault>,
+    /// The first axis whose drive sends no valid inputs, from 0.
+    pub silent: Option<u8>,
     /// Fault latched by the critical tasks; the drives are in quick stop already.
     pub fault: Option<Fault>,
     /// What on the board keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
+}
+
+impl Condition {
+    /// Nothing was reported yet.
+    pub const UNKNOWN: Self = Self {
+        pose: JointAngles([0.0; AXES]),
+        unreferenced: Some(0),
+        powered: false,
+        unpowered: true,
+        standstill: false,
+        drive_fault: None,
+        silent: Some(0),
+        fault: None,
+        interlock: None,
+    };
 }
 
 /// What the bus's supervisor reports.
@@ -81,8 +96,10 @@ pub struct Condition {
 pub enum BusCondition {
     /// All drives are operational.
     Operational,
-    /// A slave is missing, in another state, or the bus could not be brought up.
+    /// A slave is missing or in another state.
     Failed(Fault),
+    /// The bus could not be brought up, or a slave not be brought back: the supervisor has given up.
+    Refused(Fault),
 }
 
 /// What the trajectory reports.

@@ -6,7 +6,8 @@
 //! [`Action`]s. It decides; the critical tasks have already stopped the drives when it learns of a fault.
 //!
 //! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the power is
-//! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged.
+//! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged; an
+//! acknowledgement that does not succeed leaves a fault that names what is wrong now; all waiting ends.
 
 mod exchange;
 pub mod reference;
@@ -16,7 +17,7 @@ pub use exchange::{Action, BusCondition, Condition, Power, Progress};
 pub use terms::{Fault, Mode, Refusal, StopSource};
 
 use crate::motion::MotionCommand;
-use crate::robot::{AXES, JointAngles};
+use crate::robot::JointAngles;
 use heapless::Vec;
 
 /// Time for the brakes to close before the power is taken from the drives, ms.
@@ -95,17 +96,7 @@ impl Application {
             mode: Mode::Startup,
             fault: None,
             now_ms: 0,
-            condition: Condition {
-                pose: JointAngles([0.0; AXES]),
-                referenced: false,
-                powered: false,
-                unpowered: true,
-                standstill: false,
-                drive_fault: false,
-                inputs_valid: false,
-                fault: None,
-                interlock: None,
-            },
+            condition: Condition::UNKNOWN,
             bus: None,
             epoch: 0,
             override_percent: 100,
@@ -131,6 +122,11 @@ impl Application {
         self.fault
     }
 
+    /// Whether the fault was acknowledged, and bus and drives are being brought back.
+    pub fn is_recovering(&self) -> bool {
+        self.recovering_since_ms.is_some()
+    }
+
     /// Path speed override, percent.
     pub fn override_percent(&self) -> u8 {
         self.override_percent
@@ -148,7 +144,7 @@ impl Application {
             Mode::Startup | Mode::DrivesOff => true,
             Mode::Fault => matches!(
                 self.fault,
-                Some(Fault::UnexpectedBus { .. } | Fault::BusConfiguration { .. })
+                Some(Fault::UnexpectedBus { .. } | Fault::BusConfiguration { .. } | Fault::OtherProduct { .. })
             ),
             _ => false,
         };
@@ -166,17 +162,24 @@ impl Application {
 
     /// The bus's supervisor has something to say.
     pub fn bus(&mut self, condition: BusCondition) {
+        let was_whole = self.bus == Some(BusCondition::Operational);
         match (condition, self.bus) {
             // The first slave that is wrong is the cause, those behind it follow from it.
-            (BusCondition::Failed(_), Some(BusCondition::Failed(_))) => {}
+            (BusCondition::Failed(_), Some(BusCondition::Failed(_) | BusCondition::Refused(_))) => {}
             _ => self.bus = Some(condition),
         }
         match (condition, self.fault) {
             (BusCondition::Operational, _) if self.mode == Mode::BusConfiguring => self.mode = Mode::DrivesOff,
             (BusCondition::Operational, _) => {}
-            (BusCondition::Failed(fault), None) => self.enter_fault(fault),
-            (BusCondition::Failed(fault), Some(known)) if names_better(&fault, &known) => self.fault = Some(fault),
-            (BusCondition::Failed(_), Some(_)) => {}
+            (BusCondition::Refused(fault), Some(_)) if self.recovering_since_ms.is_some() => self.give_up(fault),
+            // It was whole, and is not any more.
+            (BusCondition::Failed(_), Some(_)) if self.recovering_since_ms.is_some() && was_whole => self.recover_bus(),
+            (BusCondition::Failed(fault) | BusCondition::Refused(fault), None) => self.enter_fault(fault),
+            (BusCondition::Failed(fault) | BusCondition::Refused(fault), Some(known)) => {
+                if names_better(&fault, &known) {
+                    self.fault = Some(fault);
+                }
+            }
         }
     }
 
@@ -251,6 +254,7 @@ impl Application {
         {
             self.enter_fault(fault);
         }
+        self.look_at_reference();
         self.step_enabling();
         self.step_stop();
         self.step_recovery();
@@ -279,8 +283,11 @@ impl Application {
         }
     }
 
+    /// A motion may begin: nothing else is under way, not even the taking of a reference, which takes the references of a
+    /// motion from the drives.
     fn require_idle(&self) -> Result<(), Refusal> {
         match self.mode {
+            Mode::Idle if self.enabling != Enabling::No => Err(Refusal::Moving),
             Mode::Idle => Ok(()),
             Mode::Unreferenced => Err(Refusal::NotReferenced),
             Mode::Startup => Err(Refusal::NotConfigured),
@@ -336,6 +343,7 @@ impl Application {
         match self.mode {
             Mode::Idle | Mode::Unreferenced => {
                 self.mode = Mode::Stopping;
+                self.enabling = Enabling::No;
                 self.begin_stop();
                 Ok(())
             }
@@ -359,8 +367,11 @@ impl Application {
 
     fn acknowledge(&mut self) -> Result<(), Refusal> {
         self.require(Mode::Fault)?;
-        if self.stop.is_some() || self.recovering_since_ms.is_some() {
+        if self.stop.is_some() {
             return Err(Refusal::Moving);
+        }
+        if self.recovering_since_ms.is_some() {
+            return Err(Refusal::Recovering);
         }
         if let Some(interlock) = self.condition.interlock {
             return Err(Refusal::CauseRemains(interlock.fault()));
@@ -370,17 +381,19 @@ impl Application {
             self.act(Action::ClearFault);
             return Ok(());
         }
-        if !matches!(self.bus, Some(BusCondition::Operational)) || !self.condition.inputs_valid {
-            self.act(Action::RecoverBus);
-            self.bus = None;
-        }
+        // The supervisor has to look: slaves that left OP may go on answering with what they last had.
+        self.recover_bus();
         self.act(Action::ClearFault);
-        self.act(Action::Power(if self.condition.drive_fault {
-            Power::FaultReset
-        } else {
-            Power::Off
+        self.act(Action::Power(match self.condition.drive_fault {
+            Some(_) => Power::FaultReset,
+            None => Power::Off,
         }));
         Ok(())
+    }
+
+    fn recover_bus(&mut self) {
+        self.act(Action::RecoverBus);
+        self.bus = None;
     }
 
     fn follow_from_here(&mut self) {
@@ -423,27 +436,39 @@ impl Application {
         self.now_ms.wrapping_sub(since_ms)
     }
 
+    /// Whoever is to move, or may be asked to, needs the angles of all axes.
+    fn look_at_reference(&mut self) {
+        let needed = match self.mode {
+            Mode::Idle | Mode::Moving | Mode::Drawing | Mode::Holding => true,
+            Mode::Stopping => self.cancelling,
+            _ => false,
+        };
+        if let Some(axis) = self.condition.unreferenced.filter(|_| needed) {
+            self.enter_fault(Fault::ReferenceLost { axis });
+        }
+    }
+
     fn step_enabling(&mut self) {
         match self.enabling {
             Enabling::No => {}
             Enabling::Referencing { since_ms } => {
-                if self.condition.referenced && self.waited_ms(since_ms) >= SETTLE_MS {
-                    self.enabling = Enabling::No;
-                    if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
-                        self.follow_from_here();
-                        self.mode = Mode::Idle;
-                    }
-                } else if self.waited_ms(since_ms) > ENABLE_MAX_MS {
-                    self.enabling = Enabling::No;
+                let taken = self.condition.unreferenced.is_none() && self.waited_ms(since_ms) >= SETTLE_MS;
+                if !taken && self.waited_ms(since_ms) <= ENABLE_MAX_MS {
+                    return;
+                }
+                self.enabling = Enabling::No;
+                if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
+                    // Taking a reference ends the following; without one the drives hold the pose again.
+                    self.follow_from_here();
+                    self.mode = if taken { Mode::Idle } else { Mode::Unreferenced };
                 }
             }
             Enabling::Powering { since_ms } => {
                 if self.condition.powered {
                     self.enabling = Enabling::No;
-                    self.mode = if self.condition.referenced {
-                        Mode::Idle
-                    } else {
-                        Mode::Unreferenced
+                    self.mode = match self.condition.unreferenced {
+                        None => Mode::Idle,
+                        Some(_) => Mode::Unreferenced,
                     };
                 } else if self.waited_ms(since_ms) > ENABLE_MAX_MS {
                     self.enter_fault(Fault::EnableTimeout {
@@ -489,24 +514,39 @@ impl Application {
             self.mode = Mode::Startup;
             return;
         }
-        let bus_is_well = match self.bus {
-            Some(BusCondition::Operational) => self.condition.inputs_valid,
-            Some(BusCondition::Failed(_)) | None => false,
-        };
-        if bus_is_well && self.condition.drive_fault && self.waited_ms(since_ms) < RECOVERY_MAX_MS {
-            self.act(Action::Power(Power::FaultReset));
-        } else if bus_is_well && !self.condition.drive_fault {
-            self.recovering_since_ms = None;
-            self.fault = None;
-            self.act(Action::Power(Power::Off));
-            self.act(Action::ClearFault);
-            self.mode = Mode::DrivesOff;
-        } else if self.waited_ms(since_ms) > RECOVERY_MAX_MS {
-            self.recovering_since_ms = None;
-            if let Some(BusCondition::Failed(fault)) = self.bus {
-                self.fault = Some(fault);
+        let timed_out = self.waited_ms(since_ms) > RECOVERY_MAX_MS;
+        match (self.condition.fault, self.missing()) {
+            // It came after the acknowledgement.
+            (Some(fault), _) => self.give_up(fault),
+            (None, None) => {
+                self.recovering_since_ms = None;
+                self.fault = None;
+                self.act(Action::Power(Power::Off));
+                self.mode = Mode::DrivesOff;
             }
+            (None, Some(missing)) if timed_out => self.give_up(missing),
+            (None, Some(Fault::Drive { .. })) => self.act(Action::Power(Power::FaultReset)),
+            (None, Some(_)) => {}
         }
+    }
+
+    /// What keeps the drives from being enabled again, as far as it is known.
+    fn missing(&self) -> Option<Fault> {
+        match (self.bus, self.condition.silent, self.condition.drive_fault) {
+            (Some(BusCondition::Failed(fault) | BusCondition::Refused(fault)), ..) => Some(fault),
+            (None, ..) => Some(Fault::RepairTimeout {
+                waited_ms: RECOVERY_MAX_MS as u16,
+            }),
+            (Some(BusCondition::Operational), Some(slave), _) => Some(Fault::SlaveLost { slave }),
+            (Some(BusCondition::Operational), None, drive_fault) => drive_fault,
+        }
+    }
+
+    /// An acknowledgement did not succeed, and this is why.
+    fn give_up(&mut self, fault: Fault) {
+        self.recovering_since_ms = None;
+        self.fault = Some(fault);
+        self.act(Action::Power(Power::Off));
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
@@ -535,15 +575,24 @@ fn names_better(fault: &Fault, known: &Fault) -> bool {
         // Whatever the bus is missed for, this is why.
         return matches!(
             known,
-            Fault::Blind { .. } | Fault::SlaveLost { .. } | Fault::SlaveState { .. } | Fault::UnexpectedBus { .. }
+            Fault::Blind { .. }
+                | Fault::SlaveLost { .. }
+                | Fault::SlaveState { .. }
+                | Fault::UnexpectedBus { .. }
+                | Fault::RepairTimeout { .. }
         );
     }
     let is_specific = !matches!(fault, Fault::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
-    let is_vague = matches!(known, Fault::Blind { .. } | Fault::SlaveState { slave: u8::MAX, .. });
+    let is_vague = matches!(
+        known,
+        Fault::Blind { .. } | Fault::RepairTimeout { .. } | Fault::SlaveState { slave: u8::MAX, .. }
+    );
     is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(fault))
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);
 
+#[cfg(test)]
+mod search;
 #[cfg(test)]
 mod tests;

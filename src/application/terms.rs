@@ -145,6 +145,20 @@ pub enum Fault {
     },
     /// The board's exact clock has failed; it runs on a substitute.
     ClockFailure,
+    /// Another product than before stands in a slave's place.
+    OtherProduct {
+        /// Position in the chain, from 0.
+        slave: u8,
+        /// Product code expected.
+        expected: u32,
+        /// Product code found.
+        found: u32,
+    },
+    /// The bus was not repaired in time, and why is not known yet.
+    RepairTimeout {
+        /// How long was waited, ms.
+        waited_ms: u16,
+    },
 }
 
 /// Why a command was refused; nothing has changed.
@@ -189,4 +203,6 @@ pub enum Refusal {
     },
     /// Too many commands at once.
     Busy,
+    /// The fault was acknowledged before, and bus and drives are being brought back.
+    Recovering,
 }

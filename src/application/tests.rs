@@ -20,10 +20,9 @@ struct Plant {
 impl Plant {
     fn new() -> Self {
         let condition = Condition {
-            unpowered: true,
             standstill: true,
-            inputs_valid: true,
-            ..Condition::default()
+            silent: None,
+            ..Condition::UNKNOWN
         };
         Self {
             application: Application::new(),
@@ -45,7 +44,7 @@ impl Plant {
             self.now_ms += 1;
             let settled = self.now_ms - self.power_since_ms >= 20;
             match self.power {
-                Power::On if settled && !self.condition.drive_fault => {
+                Power::On if settled && self.condition.drive_fault.is_none() => {
                     (self.condition.powered, self.condition.unpowered) = (true, false);
                 }
                 Power::QuickStop => {
@@ -53,7 +52,7 @@ impl Plant {
                     self.condition.standstill = self.now_ms - self.power_since_ms >= 30;
                 }
                 Power::Off if settled => (self.condition.powered, self.condition.unpowered) = (false, true),
-                Power::FaultReset => self.condition.drive_fault = false,
+                Power::FaultReset => self.condition.drive_fault = None,
                 _ => {}
             }
             for action in self
@@ -68,8 +67,9 @@ impl Plant {
     fn take(&mut self, action: Action) {
         match action {
             Action::Power(power) if power != self.power => (self.power, self.power_since_ms) = (power, self.now_ms),
-            Action::TakeReference { .. } => self.condition.referenced = true,
+            Action::TakeReference { .. } => self.condition.unreferenced = None,
             Action::ClearFault => self.condition.fault = None,
+            Action::RecoverBus if self.condition.silent.is_none() => self.application.bus(BusCondition::Operational),
             _ => {}
         }
         self.actions.push(action);
@@ -256,7 +256,7 @@ fn a_drive_fault_is_reset_by_the_acknowledgement() {
         status_word: 0x0008,
     };
     plant.condition.fault = Some(fault);
-    plant.condition.drive_fault = true;
+    plant.condition.drive_fault = Some(fault);
     plant.run(1_000);
     assert_eq!((plant.mode(), plant.application.fault()), (Mode::Fault, Some(fault)));
     plant.order(Command::Acknowledge).unwrap();
@@ -269,7 +269,7 @@ fn a_drive_fault_is_reset_by_the_acknowledgement() {
 fn a_lost_slave_stays_a_fault_until_the_bus_is_well_again() {
     let mut plant = Plant::drawing();
     plant.condition.fault = Some(Fault::SlaveLost { slave: 1 });
-    plant.condition.inputs_valid = false;
+    plant.condition.silent = Some(1);
     plant.run(1_000);
     let named = Fault::SlaveState {
         slave: 1,
@@ -283,35 +283,101 @@ fn a_lost_slave_stays_a_fault_until_the_bus_is_well_again() {
     plant.run(1_000);
     assert_eq!(plant.mode(), Mode::Fault, "the slave is not back yet");
     plant.application.bus(BusCondition::Operational);
-    plant.condition.inputs_valid = true;
+    plant.condition.silent = None;
     plant.run(100);
     assert_eq!(plant.mode(), Mode::DrivesOff);
 }
 
 #[test]
 fn a_recovery_that_fails_names_what_is_still_wrong() {
-    let mut plant = Plant::bus_up();
-    plant
-        .application
-        .bus(BusCondition::Failed(Fault::SlaveLost { slave: 3 }));
-    plant.run(10);
-    plant.order(Command::Acknowledge).unwrap();
-    plant
-        .application
-        .bus(BusCondition::Failed(Fault::UnexpectedBus { found: 3, expected: 4 }));
-    plant.run(RECOVERY_MAX_MS + 100);
-    assert_eq!(plant.mode(), Mode::Fault);
-    assert_eq!(
-        plant.application.fault(),
-        Some(Fault::UnexpectedBus { found: 3, expected: 4 })
-    );
+    let unexpected = Fault::UnexpectedBus { found: 3, expected: 4 };
+    let lost = Fault::SlaveLost { slave: 3 };
+    let broken = || {
+        let mut plant = Plant::bus_up();
+        plant.condition.silent = Some(3);
+        plant.application.bus(BusCondition::Failed(lost));
+        plant.run(10);
+        plant.order(Command::Acknowledge).unwrap();
+        assert!(plant.application.is_recovering());
+        assert_eq!(plant.order(Command::Acknowledge), Err(Refusal::Recovering));
+        plant
+    };
+    let told = |plant: &Plant| {
+        (
+            plant.mode(),
+            plant.application.fault(),
+            plant.application.is_recovering(),
+        )
+    };
+    // The supervisor has given up: at once.
+    let mut plant = broken();
+    plant.application.bus(BusCondition::Refused(unexpected));
+    plant.run(1);
+    assert_eq!(told(&plant), (Mode::Fault, Some(unexpected), false));
     assert!(plant.order(Command::Acknowledge).is_ok(), "it may be tried again");
+    // The supervisor says nothing.
+    let mut plant = broken();
+    plant.run(RECOVERY_MAX_MS + 100);
+    let silence = Fault::RepairTimeout {
+        waited_ms: RECOVERY_MAX_MS as u16,
+    };
+    assert_eq!(told(&plant), (Mode::Fault, Some(silence), false));
+    // The bus is whole, and still no position comes.
+    let mut plant = broken();
+    plant.application.bus(BusCondition::Operational);
+    plant.run(RECOVERY_MAX_MS + 100);
+    assert_eq!(told(&plant), (Mode::Fault, Some(lost), false));
+    // A drive's fault cannot be reset.
+    let mut plant = broken();
+    let drive = Fault::Drive {
+        axis: 1,
+        status_word: 8,
+    };
+    plant.application.bus(BusCondition::Operational);
+    plant.condition.silent = None;
+    for _ in 0..RECOVERY_MAX_MS + 100 {
+        plant.condition.drive_fault = Some(drive);
+        plant.run(1);
+    }
+    assert_eq!(told(&plant), (Mode::Fault, Some(drive), false));
+    assert_eq!(plant.power, Power::Off, "nobody goes on resetting it");
+}
+
+#[test]
+fn a_motion_and_a_reference_in_one_millisecond_exclude_each_other() {
+    let position = Position {
+        x_mm: 0.0,
+        y_mm: 0.0,
+        z_mm: -800.0,
+    };
+    let motions = [
+        Command::Move { position },
+        Command::Pen { pen: Pen::Up },
+        Command::Jog {
+            velocity_mm_s: [1.0, 0.0, 0.0],
+        },
+        Command::Draw { job: 1 },
+    ];
+    for motion in motions {
+        let mut plant = Plant::idle();
+        plant.application.command(Command::Reference).unwrap();
+        assert_eq!(plant.application.command(motion), Err(Refusal::Moving), "{motion:?}");
+        plant.run(10);
+        plant.order(motion).unwrap();
+        let mut plant = Plant::idle();
+        plant.application.command(motion).unwrap();
+        let now = Err(Refusal::NotInMode(plant.mode()));
+        assert_eq!(plant.application.command(Command::Reference), now, "{motion:?}");
+    }
 }
 
 #[test]
 fn drives_that_do_not_take_power_are_a_fault() {
     let mut plant = Plant::bus_up();
-    plant.condition.drive_fault = true;
+    plant.condition.drive_fault = Some(Fault::Drive {
+        axis: 0,
+        status_word: 8,
+    });
     plant.order(Command::Enable).unwrap();
     plant.run(ENABLE_MAX_MS + 10);
     assert!(matches!(plant.application.fault(), Some(Fault::EnableTimeout { .. })));

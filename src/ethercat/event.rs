@@ -144,13 +144,26 @@ pub enum BusEvent {
 impl BusEvent {
     /// What the event means to the operating modes; `None` when nothing.
     pub fn condition(&self) -> Option<BusCondition> {
-        let fault = match *self {
+        let refused = match *self {
             Self::Operational => return Some(BusCondition::Operational),
-            Self::SlaveLost { position } => Fault::SlaveLost { slave: position },
-            Self::SlaveLeft { position, report } => Fault::SlaveState {
-                slave: position,
-                al_state: report.status,
-                al_code: report.code,
+            Self::SlaveLost { position } => {
+                return Some(BusCondition::Failed(Fault::SlaveLost { slave: position }));
+            }
+            Self::SlaveLeft { position, report } => {
+                return Some(BusCondition::Failed(Fault::SlaveState {
+                    slave: position,
+                    al_state: report.status,
+                    al_code: report.code,
+                }));
+            }
+            Self::Refused {
+                position: Some(slave),
+                error: BusError::Identity { expected, actual },
+                ..
+            } => Fault::OtherProduct {
+                slave,
+                expected,
+                found: actual,
             },
             Self::Refused {
                 error: BusError::NoLink { port },
@@ -183,6 +196,6 @@ impl BusEvent {
             | Self::Emergency { .. }
             | Self::CableErrors { .. } => return None,
         };
-        Some(BusCondition::Failed(fault))
+        Some(BusCondition::Refused(refused))
     }
 }

@@ -14,7 +14,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 6;
+pub const PROTOCOL_VERSION: u16 = 7;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -239,6 +239,8 @@ pub struct Status {
     pub mode: Mode,
     /// The latched fault.
     pub fault: Option<Fault>,
+    /// Whether the fault was acknowledged, and bus and drives are being brought back.
+    pub recovering: bool,
     /// What on the board keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
     /// The bus' Ethernet port.

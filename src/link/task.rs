@@ -10,7 +10,7 @@ use super::frame::Decoder;
 use super::ports::LinkPort;
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
 use crate::application::reference::{PoseCheck, positions_arrive};
-use crate::application::{Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
+use crate::application::{ACTIONS_MAX, Action, Application, Condition, Fault, Mode, Power, Progress, Refusal};
 use crate::board::{BoardState, Interlock, PortState, PreviousRun};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
@@ -31,8 +31,9 @@ pub const STATUS_PERIOD_MS: u32 = 500;
 /// Bytes kept waiting for the line; few, so that an answer does not queue behind telemetry.
 pub const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
 
-/// Orders to the trajectory that a stop, a hold or a cancel finds room for whatever else was asked.
-const ORDERS_KEPT_FREE: usize = 8;
+/// Orders to the trajectory, and to the sampler, for which a command has to find room; a stop and what the operating modes
+/// do by themselves have it to themselves.
+const ORDERS_KEPT_FREE: usize = ACTIONS_MAX;
 
 /// The link task's ends of a port's channels.
 pub struct PortEnds<'a> {
@@ -100,6 +101,8 @@ pub struct LinkTask<'a> {
     board: BoardState,
     /// The port as the supervisor knows it.
     port_passed_on: PortState,
+    /// The supervisor is still to be told to bring lost slaves back.
+    recovery_due: bool,
     told: Told,
     told_ms: u32,
 }
@@ -109,6 +112,7 @@ pub struct LinkTask<'a> {
 struct Told {
     mode: Mode,
     fault: Option<Fault>,
+    recovering: bool,
     interlock: Option<Interlock>,
     port: PortState,
 }
@@ -128,10 +132,7 @@ impl<'a> LinkTask<'a> {
             admission: None,
             pose_check: None,
             config_hash: None,
-            condition: Condition {
-                unpowered: true,
-                ..Condition::default()
-            },
+            condition: Condition::UNKNOWN,
             motion: MotionReport::default(),
             report: None,
             slaves: Vec::new(),
@@ -142,9 +143,11 @@ impl<'a> LinkTask<'a> {
             now_ms: 0,
             board: BoardState::default(),
             port_passed_on: PortState::Unknown,
+            recovery_due: false,
             told: Told {
                 mode: Mode::Startup,
                 fault: None,
+                recovering: false,
                 interlock: None,
                 port: PortState::Unknown,
             },
@@ -177,7 +180,7 @@ impl<'a> LinkTask<'a> {
     pub fn tick(&mut self) {
         self.take_events();
         self.take_reports();
-        self.pass_port_on();
+        self.instruct_supervisor();
         self.tell_time();
         for port in LinkPort::ALL {
             self.take_bytes(port);
@@ -198,11 +201,20 @@ impl<'a> LinkTask<'a> {
         self.tell();
     }
 
-    /// Tells the supervisor what became of the port; again in the next millisecond when its queue is full.
-    fn pass_port_on(&mut self) {
-        let port = self.board.port;
-        if port != self.port_passed_on && self.ends.bus.commands.enqueue(BusCommand::Port(port)).is_ok() {
+    /// Tells the supervisor what became of the port, or to repair the bus. One at a time: so there is always room for a new
+    /// configuration.
+    fn instruct_supervisor(&mut self) {
+        let (commands, port) = (&mut self.ends.bus.commands, self.board.port);
+        if commands.len() > 0 {
+            return;
+        }
+        // There is room.
+        if port != self.port_passed_on {
+            let _ = commands.enqueue(BusCommand::Port(port));
             self.port_passed_on = port;
+        } else if self.recovery_due {
+            let _ = commands.enqueue(BusCommand::Recover);
+            self.recovery_due = false;
         }
     }
 
@@ -283,6 +295,8 @@ impl<'a> LinkTask<'a> {
         self.tell_trajectory(MotionOrder::Configure(config.clone()));
         // The stack's task empties the queue every millisecond.
         let _ = self.ends.network.enqueue(config.bus.network());
+        self.recovery_due = false;
+        // There is room, see `instruct_supervisor`.
         let _ = self.ends.bus.commands.enqueue(BusCommand::Start(BusSetup {
             bus: config.bus.clone(),
             axes: config.axes,
@@ -291,12 +305,9 @@ impl<'a> LinkTask<'a> {
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal> {
-        let orders = &self.ends.motion_orders;
-        let moves = matches!(
-            command,
-            Command::Jog { .. } | Command::Move { .. } | Command::Pen { .. } | Command::Override { .. }
-        );
-        if moves && orders.capacity() - orders.len() < ORDERS_KEPT_FREE {
+        let (orders, demands) = (&self.ends.motion_orders, &self.ends.sampler_commands);
+        let room = (orders.capacity() - orders.len()).min(demands.capacity() - demands.len());
+        if room < ORDERS_KEPT_FREE && command != Command::Stop {
             return Err(Refusal::Busy);
         }
         if let Command::Move { position } = command {
@@ -314,10 +325,15 @@ impl<'a> LinkTask<'a> {
             }
             self.motion = MotionReport::default();
         }
+        self.carry_out_all();
+        Ok(())
+    }
+
+    /// What the operating modes want done.
+    fn carry_out_all(&mut self) {
         for action in self.application.take_actions() {
             self.carry_out(action);
         }
-        Ok(())
     }
 
     /// A reference needs the positions of all axes, one at a known pose also a pose that agrees with them.
@@ -404,6 +420,7 @@ impl<'a> LinkTask<'a> {
         }
         if let Some(condition) = event.condition() {
             self.application.bus(condition);
+            self.carry_out_all();
         }
     }
 
@@ -473,9 +490,7 @@ impl<'a> LinkTask<'a> {
             Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),
             Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),
             Action::Motion(command) => self.tell_trajectory(MotionOrder::Command(command)),
-            Action::RecoverBus => {
-                let _ = self.ends.bus.commands.enqueue(BusCommand::Recover);
-            }
+            Action::RecoverBus => self.recovery_due = true,
         }
     }
 
@@ -511,6 +526,7 @@ impl<'a> LinkTask<'a> {
         Told {
             mode: self.application.mode(),
             fault: self.application.fault(),
+            recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
         }
@@ -526,9 +542,10 @@ impl<'a> LinkTask<'a> {
         self.endpoint.status(Status {
             mode: self.application.mode(),
             fault: self.application.fault(),
+            recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
-            referenced: self.condition.referenced,
+            referenced: self.condition.unreferenced.is_none(),
             increments: self.increments(),
             config: self.config_hash,
             override_percent: self.application.override_percent(),
@@ -546,22 +563,21 @@ fn millimetres(position_um: [i32; 3]) -> Position {
 fn condition(report: &CycleReport) -> Condition {
     let status = report.status_word.map(StatusWord);
     let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;
-    let answering = || {
-        status
-            .iter()
-            .zip(report.valid)
-            .filter_map(|(status, valid)| valid.then_some(status))
-    };
-    let valid = report.valid.iter().all(|valid| *valid);
+    let first = |flags: [bool; AXES]| (0..).zip(flags).find_map(|(axis, flag)| flag.then_some(axis));
+    let silent = first(report.valid.map(|valid| !valid));
+    let faulty = |axis: usize| report.valid[axis] && status[axis].is_fault();
     Condition {
         pose: JointAngles(report.measured_rad),
-        referenced: report.referenced.iter().all(|referenced| *referenced),
-        powered: valid && status.iter().all(in_operation),
+        unreferenced: first(report.referenced.map(|referenced| !referenced)),
+        powered: silent.is_none() && status.iter().all(in_operation),
         // A drive that does not answer is as it was when it last did.
         unpowered: !status.iter().any(|status| status.is_powered()),
         standstill: report.standstill,
-        drive_fault: answering().any(|status| status.is_fault()),
-        inputs_valid: valid,
+        drive_fault: (0..AXES).find(|axis| faulty(*axis)).map(|axis| Fault::Drive {
+            axis: axis as u8,
+            status_word: report.status_word[axis],
+        }),
+        silent,
         fault: report.fault,
         interlock: report.interlock,
     }

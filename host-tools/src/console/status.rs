@@ -142,7 +142,7 @@ pub fn view(status: &Status) -> StatusView {
     let good = operational == slaves.len() && operational > 0;
     StatusView {
         mode: mode_name(status.mode),
-        text: text::mode(status.mode),
+        text: text::doing(status),
         fault: status.fault.as_ref().map(text::fault),
         stopped: status.mode == Mode::Fault
             && matches!(
@@ -152,7 +152,10 @@ pub fn view(status: &Status) -> StatusView {
         referenced: status.referenced,
         configured: status.config.is_some(),
         override_percent: status.override_percent,
-        allowed: allowed(status.mode, status.referenced),
+        allowed: match status.recovering {
+            true => vec!["override"],
+            false => allowed(status.mode, status.referenced),
+        },
         bus: BusView {
             text: match status.slaves.len() {
                 0 => "no slaves yet".to_owned(),
@@ -199,6 +202,7 @@ mod tests {
             config: Some(1),
             override_percent: 100,
             counters: Counters::default(),
+            recovering: false,
             interlock: None,
             port: PortState::default(),
             slaves: FixedVec::from_slice(&[slave(8, 0, 0x0637), slave(0x14, 0x1B, 0x0218)]).unwrap(),

@@ -289,6 +289,7 @@ impl Bench {
             self.endpoint.status(Status {
                 mode: self.mode,
                 fault: self.fault,
+                recovering: false,
                 interlock: None,
                 port: PortState::Unknown,
                 referenced: self.referenced,

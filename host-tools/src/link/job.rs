@@ -419,7 +419,9 @@ impl Job {
                     self.start_path();
                 }
             }
-            Err(Refusal::Moving) if own && self.waits_for_standstill() => self.retry_ms = self.now_ms + RETRY_MS,
+            Err(Refusal::Moving | Refusal::Recovering) if own && self.waits_for_standstill() => {
+                self.retry_ms = self.now_ms + RETRY_MS;
+            }
             Err(_) if own && self.phase == Phase::Resting => self.retry_ms = self.now_ms + RETRY_MS,
             Err(refusal) if own => {
                 self.ending.get_or_insert(JobError::Refused(command, refusal));

@@ -242,7 +242,9 @@ impl ReferenceJob {
                 self.accepted = true;
                 self.status = None;
             }
-            Err(Refusal::Moving | Refusal::NoPosition { .. }) if patient => self.retry_ms = self.now_ms + RETRY_MS,
+            Err(Refusal::Moving | Refusal::Recovering | Refusal::NoPosition { .. }) if patient => {
+                self.retry_ms = self.now_ms + RETRY_MS;
+            }
             Err(refusal) => self.fail(JobError::Refused(command, refusal)),
         }
     }

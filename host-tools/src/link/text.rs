@@ -8,7 +8,7 @@ use etherpen::config::ConfigError;
 use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
-use etherpen::link::protocol::{Command, ConfigRefusal};
+use etherpen::link::protocol::{Command, ConfigRefusal, Status};
 use etherpen::motion::RefusalReason;
 use etherpen::robot::{KinematicsError, Outside};
 
@@ -25,6 +25,14 @@ pub fn mode(mode: Mode) -> &'static str {
         Mode::Holding => "the drawing is held",
         Mode::Stopping => "coming to a standstill",
         Mode::Fault => "stopped by a fault",
+    }
+}
+
+/// What the firmware does, in a few words: its mode, and whether it is on the way out of a fault.
+pub fn doing(status: &Status) -> &'static str {
+    match status.recovering {
+        true => "the fault was acknowledged: bringing back the bus and the drives",
+        false => mode(status.mode),
     }
 }
 
@@ -56,8 +64,13 @@ pub fn refusal(refusal: &Refusal) -> String {
         Refusal::Target(target) => vertex(target),
         Refusal::OverrideRange(percent) => format!("an override of {percent} % is outside 10 to 200 %"),
         Refusal::CauseRemains(cause) => format!("its cause is still there: {}", fault(cause)),
-        Refusal::Moving => "the robot is still moving or changing its power; try again when it stands".into(),
+        Refusal::Moving => {
+            "the robot is still moving, changing its power or taking its reference; try again when it stands".into()
+        }
         Refusal::Busy => "too many commands at once; wait a moment".into(),
+        Refusal::Recovering => {
+            "the fault was acknowledged already, and the bus and the drives are being brought back; wait".into()
+        }
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
         Refusal::NoPosition { axis } => format!("no position of axis {} arrives; look at its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(
@@ -267,6 +280,15 @@ pub fn fault(fault: &Fault) -> String {
                                 move anything; check the board's USB supply, then reset the board"
                 .into()
         }
+        Fault::OtherProduct { slave, expected, found } => format!(
+            "slave {} is another product than before (product code {found:#010x}, expected {expected:#010x}); put the right \
+             one back, then acknowledge",
+            one(slave)
+        ),
+        Fault::RepairTimeout { waited_ms } => format!(
+            "the bus was not brought back within {waited_ms} ms, and why is not known yet; look at the slaves (etherpen bus \
+             scan), then acknowledge again"
+        ),
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"

@@ -254,6 +254,7 @@ fn firmware(listener: &TcpListener) {
         let status = Status {
             mode: Mode::DrivesOff,
             fault: None,
+            recovering: false,
             interlock: None,
             port: Default::default(),
             referenced: false,

@@ -86,7 +86,7 @@ impl Desk<'_> {
         while let Some(observation) = self.observations.dequeue() {
             self.seen = Some(observation);
         }
-        self.take_port();
+        self.clear_the_way();
         self.suspicion_ms = if self.seen.is_some_and(|seen| expected.differs(&seen)) {
             self.suspicion_ms.saturating_add(1)
         } else {
@@ -94,11 +94,15 @@ impl Desk<'_> {
         };
     }
 
-    /// Takes what became of the port, so that no other command waits behind it.
-    fn take_port(&mut self) {
+    /// Takes what became of the port, so that no other command waits behind it, and lets a start pass a repair.
+    fn clear_the_way(&mut self) {
         while let Some(BusCommand::Port(port)) = front(&self.commands) {
             self.port = *port;
             // It is the one that was just looked at.
+            let _ = self.commands.dequeue();
+        }
+        if self.commands.len() > 1 && matches!(front(&self.commands), Some(BusCommand::Recover)) {
+            // What was asked for after a repair makes it pointless.
             let _ = self.commands.dequeue();
         }
     }

@@ -344,18 +344,18 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             let Some(slave) = self.bus.slaves.get(number).copied() else {
                 continue;
             };
-            let left_alone = matches!(slave.condition, Condition::Operational | Condition::Parked);
-            if slave.axis.is_none() || left_alone {
+            if slave.axis.is_none() || slave.condition == Condition::Operational {
                 continue;
             }
             match self.repair_guarded(number).await {
-                Ok(()) => {
+                Ok(Ok(())) => {
                     self.bus.send_plan().await;
                     let position = slave.position as u8;
                     self.bus.emit(BusEvent::Repaired { position }).await;
                     self.bus.introduce(number).await;
                 }
-                Err(failure) => self.bus.refuse(failure).await,
+                Ok(Err(failure)) => self.bus.refuse(failure).await,
+                Err(_) => return,
             }
         }
         if self.bus.is_operational() {
@@ -364,7 +364,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
     }
 
     /// Repairs a slave; begins again when another one demands attention.
-    async fn repair_guarded(&mut self, number: usize) -> Result<(), Failure> {
+    async fn repair_guarded(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
         for _ in 0..REPAIR_TRIES_MAX {
             let Self { bus, desk, .. } = self;
             bus.work_on(Some(number)).await;
@@ -378,16 +378,15 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
             };
             bus.work_on(None).await;
             match result {
-                Ok(result) => return result,
                 Err(Interruption::Bus) => self.inspect_all().await,
-                Err(Interruption::Command) => break,
+                done => return done,
             }
         }
         let error = BusError::SlaveCount {
             expected: self.bus.slaves.len() as u16,
             actual: self.desk.slaves(),
         };
-        Err(Failure::of(number as u16, Step::Watch)(error))
+        Ok(Err(Failure::of(number as u16, Step::Watch)(error)))
     }
 
     /// Takes the slaves out of OP: outputs become safe, are sent, and only then do the states follow.

@@ -1,7 +1,7 @@
 //! Bringing one slave to a state because someone asked for it.
 //!
 //! Invariant: up one state at a time, with everything that a state needs set up before; a slave in use that was brought
-//! below OP is left there until it is asked up again or the bus is started anew.
+//! below OP is left there until it is asked up again, or the bus is repaired or started anew.
 
 use super::super::coe::ObjectDictionary;
 use super::super::error::BusError;

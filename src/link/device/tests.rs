@@ -199,6 +199,7 @@ fn full_status() -> Status {
     Status {
         mode: Mode::Drawing,
         fault: None,
+        recovering: false,
         interlock: Some(Interlock::Clock),
         port: PortState::Up,
         referenced: true,

@@ -216,7 +216,7 @@ fn tell(arguments: &Arguments, order: &str, way: &Way, snapshot: &Snapshot) -> R
         });
     }
     if let Some(status) = status {
-        eprintln!("{order}: done; {}", text::mode(status.mode));
+        eprintln!("{order}: done; {}", text::doing(status));
     }
     Ok(())
 }

@@ -81,7 +81,7 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         board: snapshot.welcome.as_ref().map(|welcome| welcome.board.to_string()),
         firmware: snapshot.welcome.as_ref().map(|welcome| welcome.firmware.to_string()),
         mode: status.map(|status| status.mode),
-        mode_text: status.map(|status| text::mode(status.mode)),
+        mode_text: status.map(text::doing),
         fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
         referenced,
         override_percent: status.map(|status| status.override_percent),

@@ -1,0 +1,107 @@
+//! Every way through the operating modes that there is.
+//!
+//! Breadth first from the start: all commands, any number of them in one millisecond, all that the bus, the drives, the
+//! trajectory and the host may do meanwhile, until no state is new. Time is told apart only where the state machine does: a
+//! state holds which of its thresholds each timer has passed, and time goes on by a millisecond or up to the next threshold.
+//! At most one of the long timers runs at a time (asserted), so that nothing is lost by that.
+//!
+//! From each state that was found, the world is then whole and the operator does what is sensible, without a stop: the robot
+//! has to get to [`Idle`](super::Mode::Idle).
+
+extern crate std;
+
+mod trajectory;
+mod world;
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::println;
+use std::vec::Vec;
+use world::{Move, State};
+
+/// Longest way from any state to Idle in a whole world, ms of virtual time.
+const WAY_MAX_MS: u32 = 15_000;
+/// Most commands that the operator gives on it.
+const COMMANDS_MAX: u32 = 6;
+
+/// What was found.
+struct Found {
+    states: Vec<State>,
+    transitions: usize,
+    modes: HashMap<std::string::String, usize>,
+}
+
+/// All states, each with its transitions checked.
+fn search() -> Found {
+    let (mut seen, mut open) = (HashSet::new(), VecDeque::new());
+    let mut found = Found {
+        states: Vec::new(),
+        transitions: 0,
+        modes: HashMap::new(),
+    };
+    let first = State::new();
+    seen.insert(first.key());
+    open.push_back(first);
+    while let Some(state) = open.pop_front() {
+        for step in Move::all(&state) {
+            let mut after = state.clone();
+            after.make(step);
+            after.check(&state, step);
+            found.transitions += 1;
+            if seen.insert(after.key()) {
+                open.push_back(after);
+            }
+        }
+        *found
+            .modes
+            .entry(std::format!("{:?}", state.application.mode))
+            .or_default() += 1;
+        found.states.push(state);
+    }
+    found
+}
+
+/// How far it is from a state to Idle, or where the way ends.
+fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Result<(u32, u32), State> {
+    let mut state = from.clone();
+    state.heal();
+    let mut way: Vec<(world::Key, u32, u32)> = Vec::new();
+    let (mut waited_ms, mut commands) = (0, 0);
+    let rest = loop {
+        let key = state.key();
+        if let Some(rest) = known.get(&key) {
+            break *rest;
+        }
+        if state.is_idle() {
+            break (0, 0);
+        }
+        if way.iter().any(|(before, ..)| *before == key) {
+            return Err(state);
+        }
+        way.push((key, waited_ms, commands));
+        let (ms, given) = state.go_on_sensibly();
+        (waited_ms, commands) = (waited_ms + ms, commands + given);
+    };
+    let total = (waited_ms + rest.0, commands + rest.1);
+    for (key, at_ms, given) in way {
+        known.insert(key, (total.0 - at_ms, total.1 - given));
+    }
+    Ok(total)
+}
+
+#[test]
+fn from_every_state_there_is_a_way_back_to_idle_and_no_command_does_half_of_what_it_says() {
+    let found = search();
+    println!("{} states, {} transitions", found.states.len(), found.transitions);
+    println!("{:?}", found.modes);
+    assert_eq!(found.modes.len(), 10, "every mode is reached");
+    let mut known = HashMap::new();
+    let (mut longest_ms, mut most_commands) = (0, 0);
+    for state in &found.states {
+        match way_to_idle(state, &mut known) {
+            Ok((ms, commands)) => (longest_ms, most_commands) = (longest_ms.max(ms), most_commands.max(commands)),
+            Err(end) => panic!("no way from\n{state:?}\nit ends in\n{end:?}\n"),
+        }
+    }
+    println!("to Idle at most {longest_ms} ms and {most_commands} commands");
+    assert!(longest_ms <= WAY_MAX_MS && most_commands <= COMMANDS_MAX);
+}

@@ -1,0 +1,380 @@
+//! The trajectory task as the operating modes see it, small enough to be searched; held against the real one.
+//!
+//! A [`Model`] takes the same orders at once, and moves only when it is let: how long a motion takes is left open. Orders that
+//! come between two releases meet no step of the real task, so that taking them at once is exact. Invariant: whatever the
+//! real task reports is among what the model allows.
+
+extern crate std;
+
+use crate::application::Progress;
+use crate::motion::MotionCommand;
+use crate::motion::task::MotionOrder;
+use std::vec::Vec;
+
+/// What the trajectory does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) enum Doing {
+    #[default]
+    Rest,
+    /// A jog, a move, or the way to a rest after which nothing follows.
+    Moving,
+    /// The path; behind it nothing, whatever was planned.
+    Path,
+    /// On the way to a hold.
+    Braking,
+    Held,
+}
+
+/// How far the path has come that was announced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) enum Data {
+    #[default]
+    None,
+    /// Announced.
+    Awaited,
+    /// Announced, and held before it began.
+    Held,
+    /// All of it has come.
+    Come,
+}
+
+/// The trajectory task.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(super) struct Model {
+    /// Start to which the references belong that it gives.
+    pub(super) epoch: Option<u8>,
+    /// It was told where it is.
+    pub(super) placed: bool,
+    pub(super) doing: Doing,
+    pub(super) data: Data,
+}
+
+impl Model {
+    /// Takes an order. `otherwise` chooses where the real task may do one thing or the other: a target may be outside the work
+    /// area, and a brake may have come to its end already.
+    pub(super) fn take(&mut self, order: &MotionOrder, otherwise: bool) {
+        match order {
+            MotionOrder::Configure(_) => *self = Self::default(),
+            MotionOrder::Place { epoch, .. } => {
+                (self.epoch, self.placed, self.doing) = (Some(*epoch), true, Doing::Rest);
+            }
+            MotionOrder::BeginPath if self.data == Data::Held => {}
+            MotionOrder::BeginPath => self.data = Data::Awaited,
+            MotionOrder::Abandon => (self.epoch, self.data) = (None, Data::None),
+            MotionOrder::Command(command) => self.command(*command, otherwise),
+        }
+    }
+
+    fn command(&mut self, command: MotionCommand, otherwise: bool) {
+        match command {
+            MotionCommand::Cancel => self.data = Data::None,
+            MotionCommand::Hold if self.data == Data::Awaited => self.data = Data::Held,
+            MotionCommand::Resume if self.data == Data::Held => self.data = Data::Awaited,
+            _ => {}
+        }
+        if !self.placed {
+            return;
+        }
+        self.doing = match (command, self.doing) {
+            (MotionCommand::Cancel, Doing::Braking) if otherwise => Doing::Rest,
+            (MotionCommand::Cancel, Doing::Path | Doing::Braking) => Doing::Moving,
+            (MotionCommand::Cancel, Doing::Held) => Doing::Rest,
+            (MotionCommand::Hold, Doing::Path) => Doing::Braking,
+            (MotionCommand::Resume, Doing::Braking | Doing::Held) => Doing::Path,
+            (MotionCommand::MoveTo(_) | MotionCommand::Pen(_) | MotionCommand::Jog(_), Doing::Rest) if !otherwise => {
+                Doing::Moving
+            }
+            (_, doing) => doing,
+        };
+    }
+
+    /// All of the path has come.
+    pub(super) fn bring_path(&mut self) {
+        if self.data == Data::Awaited {
+            let begins = self.placed && self.doing == Doing::Rest;
+            (self.data, self.doing) = match begins {
+                true => (Data::Come, Doing::Path),
+                false => (Data::None, self.doing),
+            };
+        }
+    }
+
+    /// Comes to the end of what it does; only while its references are taken.
+    pub(super) fn arrive(&mut self) {
+        self.doing = match self.doing {
+            Doing::Rest | Doing::Moving => Doing::Rest,
+            Doing::Path => {
+                self.data = Data::None;
+                Doing::Rest
+            }
+            Doing::Braking | Doing::Held => Doing::Held,
+        };
+    }
+
+    pub(super) fn progress(&self) -> Progress {
+        Progress {
+            idle: self.doing == Doing::Rest && self.data == Data::None,
+            held: self.doing == Doing::Held || self.data == Data::Held,
+        }
+    }
+}
+
+/// What may be, as far as it was seen.
+struct Guesses(Vec<Model>);
+
+impl Guesses {
+    fn each(&mut self, change: impl Fn(Model) -> Vec<Model>) {
+        let mut next: Vec<Model> = Vec::new();
+        for guess in self.0.drain(..).flat_map(change) {
+            if !next.contains(&guess) {
+                next.push(guess);
+            }
+        }
+        self.0 = next;
+    }
+}
+
+mod real {
+    //! The real task, driven by random orders.
+
+    use super::*;
+    use crate::config::Config;
+    use crate::control::sampler::Queued;
+    use crate::motion::task::{MotionReport, PathItem, TrajectoryTask};
+    use crate::motion::{PERIOD_MS, Pen, Trajectory, Vertex};
+    use crate::robot::{Delta, JointAngles, Position};
+    use heapless::spsc::{Consumer, Producer, Queue};
+    use std::boxed::Box;
+    use std::{println, vec};
+
+    struct Bench {
+        task: TrajectoryTask<'static>,
+        orders: Producer<'static, MotionOrder>,
+        vertices: Producer<'static, PathItem>,
+        references: Consumer<'static, Queued>,
+        reports: Consumer<'static, MotionReport>,
+    }
+
+    fn queue<T, const N: usize>() -> (Producer<'static, T>, Consumer<'static, T>) {
+        Box::leak(Box::new(Queue::<T, N>::new())).split()
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let (orders, orders_out) = queue::<_, 17>();
+            let (vertices, vertices_out) = queue::<_, 65>();
+            let (references_in, references) = queue::<_, 40>();
+            let (reports_in, reports) = queue::<_, 5>();
+            let trajectory = Box::leak(Box::new(Trajectory::unconfigured()));
+            let task = TrajectoryTask::new(trajectory, orders_out, vertices_out, references_in, reports_in);
+            Self {
+                task,
+                orders,
+                vertices,
+                references,
+                reports,
+            }
+        }
+
+        /// A release; the sampler takes the references of this start and of no other.
+        fn release(&mut self, followed: Option<u8>) -> MotionReport {
+            self.task.release();
+            for _ in 0..PERIOD_MS {
+                while self
+                    .references
+                    .peek()
+                    .is_some_and(|queued| Some(queued.epoch) != followed)
+                    && followed.is_some()
+                {
+                    self.references.dequeue();
+                }
+                if followed.is_some() {
+                    self.references.dequeue();
+                }
+            }
+            self.reports.dequeue().expect("a report")
+        }
+    }
+
+    /// xorshift64*.
+    struct Random(u64);
+
+    impl Random {
+        fn below(&mut self, bound: u64) -> u64 {
+            self.0 ^= self.0 >> 12;
+            self.0 ^= self.0 << 25;
+            self.0 ^= self.0 >> 27;
+            (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % bound
+        }
+    }
+
+    const ABOVE: Position = Position {
+        x_mm: 0.0,
+        y_mm: 0.0,
+        z_mm: -840.0,
+    };
+
+    fn pose(config: &Config) -> JointAngles {
+        let delta = Delta::new(&config.geometry).expect("a robot");
+        let [first, second, third] = delta.inverse(&ABOVE).expect("it is reached");
+        JointAngles([first, second, third, 0.0])
+    }
+
+    fn somewhere(random: &mut Random, z_mm: f64) -> Position {
+        Position {
+            x_mm: random.below(60) as f64 - 30.0,
+            y_mm: random.below(60) as f64 - 30.0,
+            z_mm,
+        }
+    }
+
+    fn order(random: &mut Random, pose: JointAngles, epoch: &mut u8) -> MotionOrder {
+        MotionOrder::Command(match random.below(9) {
+            0 => {
+                *epoch = epoch.wrapping_add(1);
+                return MotionOrder::Place { pose, epoch: *epoch };
+            }
+            1 => return MotionOrder::Abandon,
+            2 => return MotionOrder::BeginPath,
+            3 => MotionCommand::Hold,
+            4 => MotionCommand::Resume,
+            5 => MotionCommand::Cancel,
+            6 => MotionCommand::MoveTo(somewhere(random, -840.0)),
+            7 => MotionCommand::Pen(Pen::Up),
+            _ => MotionCommand::Jog([20.0, 5.0, 0.0]),
+        })
+    }
+
+    /// Orders that the operating modes never give in this state are left out: another start, path or motion while one runs.
+    fn is_given(order: &MotionOrder, guesses: &Guesses) -> bool {
+        let all = |holds: fn(&Model) -> bool| guesses.0.iter().all(holds);
+        let at_rest = all(|guess| guess.doing == Doing::Rest && guess.data == Data::None);
+        match order {
+            MotionOrder::BeginPath => at_rest,
+            MotionOrder::Command(MotionCommand::MoveTo(_) | MotionCommand::Pen(_)) => at_rest,
+            MotionOrder::Command(MotionCommand::Jog(_)) => all(|guess| guess.data == Data::None),
+            MotionOrder::Place { .. } => all(|guess| guess.data == Data::None),
+            _ => true,
+        }
+    }
+
+    fn walk(seed: u64) -> (usize, usize) {
+        let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let config = Config::default();
+        let pose = pose(&config);
+        let mut bench = Bench::new();
+        let mut guesses = Guesses(vec![Model::default()]);
+        assert!(bench.orders.enqueue(MotionOrder::Configure(config)).is_ok());
+        let (mut epoch, mut followed, mut taken, mut arrivals) = (0, None, 0, 0);
+        let mut story: Vec<std::string::String> = Vec::new();
+        for _ in 0..600 {
+            let before = taken;
+            for _ in 0..random.below(4) {
+                let order = order(&mut random, pose, &mut epoch);
+                if !is_given(&order, &guesses) {
+                    continue;
+                }
+                taken += 1;
+                story.push(std::format!("{order:?}"));
+                assert!(bench.orders.enqueue(order.clone()).is_ok());
+                guesses.each(|guess| {
+                    let both = [false, true].map(|otherwise| {
+                        let mut after = guess;
+                        after.take(&order, otherwise);
+                        after
+                    });
+                    both.to_vec()
+                });
+                if matches!(order, MotionOrder::Place { .. }) && random.below(4) > 0 {
+                    followed = Some(epoch);
+                }
+            }
+            if random.below(30) == 0 {
+                followed = None;
+            }
+            // A path does not come between two releases that also forget one.
+            let quiet = taken == before;
+            if quiet && random.below(4) == 0 && guesses.0.iter().all(|guess| guess.data == Data::Awaited) {
+                for _ in 0..4 {
+                    let position = somewhere(&mut random, -845.0);
+                    let vertex = Vertex {
+                        position,
+                        pen: Pen::Up,
+                        stroke: 0,
+                    };
+                    assert!(bench.vertices.enqueue(PathItem::Vertex(vertex)).is_ok());
+                }
+                assert!(bench.vertices.enqueue(PathItem::End).is_ok());
+                story.push("the path comes".into());
+                guesses.each(|guess| {
+                    let mut after = guess;
+                    after.bring_path();
+                    vec![after]
+                });
+            }
+            let report = bench.release(followed);
+            let seen = Progress {
+                idle: report.idle,
+                held: report.held,
+            };
+            guesses.each(|guess| {
+                let mut after = vec![guess];
+                // What is not followed fills the ring and stands, but for what fits in there.
+                if guess.epoch.is_some() {
+                    let mut arrived = guess;
+                    arrived.arrive();
+                    after.push(arrived);
+                }
+                after
+            });
+            let before = guesses.0.clone();
+            guesses.0.retain(|guess| guess.progress() == seen);
+            story.push(std::format!("{seen:?}"));
+            let last = story.len().saturating_sub(20);
+            assert!(
+                !guesses.0.is_empty(),
+                "seed {seed}: after {:#?}\n{report:?} is none of {before:?}",
+                &story[last..]
+            );
+        }
+        // What is followed and left alone comes to an end.
+        if followed == Some(epoch) && guesses.0.iter().all(|guess| guess.epoch == followed) {
+            let awaits = guesses
+                .0
+                .iter()
+                .all(|guess| matches!(guess.data, Data::Awaited | Data::Held));
+            let ends = (0..1_000).any(|_| {
+                let report = bench.release(followed);
+                report.idle || report.held || awaits
+            });
+            assert!(ends, "seed {seed}: {:?}", guesses.0);
+            arrivals += 1;
+        }
+        (taken, arrivals)
+    }
+
+    #[test]
+    fn the_trajectory_of_the_search_allows_whatever_the_real_one_does() {
+        let results = (1..=60).map(walk);
+        let (taken, arrivals) = results.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        println!("60 seeds, {taken} orders, {arrivals} ends watched");
+        assert!(taken > 5_000 && arrivals > 10, "{taken} {arrivals}");
+    }
+
+    #[test]
+    fn a_motion_whose_references_nobody_takes_never_ends() {
+        let config = Config::default();
+        let pose = pose(&config);
+        let target = Position { x_mm: 50.0, ..ABOVE };
+        let mut bench = Bench::new();
+        for order in [
+            MotionOrder::Configure(config),
+            MotionOrder::Place { pose, epoch: 1 },
+            MotionOrder::Command(MotionCommand::MoveTo(target)),
+        ] {
+            assert!(bench.orders.enqueue(order).is_ok());
+        }
+        assert!((0..1_000).all(|_| !bench.release(None).idle));
+        assert!((0..1_000).any(|_| bench.release(Some(1)).idle));
+    }
+}

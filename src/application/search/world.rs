@@ -1,0 +1,613 @@
+//! What surrounds the operating modes in the search: drives, bus, trajectory, host, operator.
+//!
+//! Anything may happen at any time, except what cannot be: drives do not get power that nobody asked for, an angle is not
+//! referenced by itself, a motion whose references nobody takes does not end. [`State::check`] holds every transition to
+//! what the operating modes promise.
+
+extern crate std;
+
+use super::super::*;
+use super::trajectory::{Data, Doing, Model};
+use crate::board::Interlock;
+use crate::link::protocol::Command;
+use crate::motion::Pen;
+use crate::motion::task::MotionOrder;
+use crate::robot::Position;
+use std::vec::Vec;
+
+const BLIND: Fault = Fault::Blind {
+    blind_ms: 6,
+    limit_ms: 5,
+};
+const DRIVE: Fault = Fault::Drive {
+    axis: 2,
+    status_word: 8,
+};
+const LEFT: Fault = Fault::SlaveState {
+    slave: 1,
+    al_state: 0x14,
+    al_code: 0x1B,
+};
+const UNEXPECTED: Fault = Fault::UnexpectedBus { found: 3, expected: 4 };
+const PLACE: Position = Position {
+    x_mm: 0.0,
+    y_mm: 0.0,
+    z_mm: -840.0,
+};
+
+/// Commands, those of which the operands decide twice.
+const COMMANDS: [Command; 18] = [
+    Command::Reference,
+    Command::ReferenceAt {
+        pose: JointAngles([0.0; 4]),
+        position: None,
+    },
+    Command::Enable,
+    Command::Disable,
+    Command::Jog {
+        velocity_mm_s: [10.0, 0.0, 0.0],
+    },
+    Command::Jog {
+        velocity_mm_s: [0.0; 3],
+    },
+    Command::Jog {
+        velocity_mm_s: [f32::NAN, 0.0, 0.0],
+    },
+    Command::Move { position: PLACE },
+    Command::Draw { job: 1 },
+    Command::Hold,
+    Command::Resume,
+    Command::Cancel,
+    Command::Override { percent: 100 },
+    Command::Override { percent: 9 },
+    Command::Pen { pen: Pen::Up },
+    Command::Pen { pen: Pen::Down },
+    Command::Stop,
+    Command::Acknowledge,
+];
+
+/// What the bus's supervisor may say by itself, and when it was asked for something.
+const NEWS: [BusCondition; 3] = [
+    BusCondition::Failed(Fault::SlaveLost { slave: 1 }),
+    BusCondition::Failed(LEFT),
+    BusCondition::Refused(Fault::NoLink {
+        port: crate::board::PortState::Down,
+    }),
+];
+const ANSWERS: [BusCondition; 2] = [BusCondition::Operational, BusCondition::Refused(UNEXPECTED)];
+
+/// A deviation of a millisecond's report from the one before, or of what else is told with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    Nothing,
+    Powered(bool),
+    Standstill,
+    Silence,
+    DriveFault,
+    Referenced(bool),
+    Interlock,
+    Fault,
+    HostSilent,
+}
+
+const CHANGES: [Change; 11] = [
+    Change::Nothing,
+    Change::Powered(true),
+    Change::Powered(false),
+    Change::Standstill,
+    Change::Silence,
+    Change::DriveFault,
+    Change::Referenced(true),
+    Change::Referenced(false),
+    Change::Interlock,
+    Change::Fault,
+    Change::HostSilent,
+];
+
+/// One transition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Move {
+    Configure,
+    Command(Command),
+    Bus(BusCondition),
+    /// The trajectory task runs; it refuses what it was asked for, or not.
+    Release,
+    PathComes,
+    Arrives,
+    /// So much time, then a report with up to two changes.
+    Time(u32, Change, Change),
+}
+
+impl Move {
+    /// What may happen in a state.
+    pub(super) fn all(state: &State) -> Vec<Self> {
+        let mut moves: Vec<Self> = COMMANDS.into_iter().map(Self::Command).collect();
+        if state.application.may_configure() {
+            moves.push(Self::Configure);
+        }
+        moves.extend(NEWS.into_iter().map(Self::Bus));
+        if state.supervisor_asked {
+            moves.extend(ANSWERS.into_iter().map(Self::Bus));
+        }
+        moves.extend([Self::Release, Self::PathComes]);
+        if state.is_followed() {
+            moves.push(Self::Arrives);
+        }
+        for ms in state.times_ms() {
+            for (number, first) in CHANGES.into_iter().enumerate() {
+                if first != Change::Nothing && !state.may(first) {
+                    continue;
+                }
+                moves.push(Self::Time(ms, first, Change::Nothing));
+                let seconds = CHANGES.into_iter().skip(number + 1).filter(|second| state.may(*second));
+                moves.extend(
+                    seconds
+                        .filter(|_| first != Change::Nothing)
+                        .map(|second| Self::Time(ms, first, second)),
+                );
+            }
+        }
+        moves
+    }
+}
+
+/// What tells states apart.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Key {
+    mode: u8,
+    fault: Option<u8>,
+    bus: Option<u8>,
+    enabling: (u8, u8),
+    stop: (u8, u8),
+    recovering: Option<u8>,
+    motion: u8,
+    flags: [bool; 12],
+    power: u8,
+    epochs: [Option<bool>; 2],
+    trajectory: Model,
+}
+
+/// The operating modes and what surrounds them.
+#[derive(Clone, Debug)]
+pub(super) struct State {
+    pub(super) application: Application,
+    now_ms: u32,
+    /// The last report.
+    condition: Condition,
+    /// A reference was ordered, and may be taken from the next millisecond on.
+    taking: bool,
+    /// The start that the sampler follows.
+    followed: Option<u8>,
+    trajectory: Model,
+    /// The trajectory has taken all orders, and told so.
+    up_to_date: bool,
+    /// The supervisor owes an answer.
+    supervisor_asked: bool,
+    /// Actions of the last transition.
+    actions: Vec<Action>,
+    refused: bool,
+}
+
+impl Clone for Application {
+    fn clone(&self) -> Self {
+        Self {
+            actions: self.actions.clone(),
+            ..*self
+        }
+    }
+}
+
+fn passed(thresholds_ms: &[u32], waited_ms: u32) -> u8 {
+    thresholds_ms
+        .iter()
+        .filter(|threshold| waited_ms >= **threshold)
+        .count() as u8
+}
+
+fn kind(fault: &Fault) -> u8 {
+    match fault {
+        Fault::EmergencyStop(_) => 0,
+        Fault::Blind { .. } => 1,
+        Fault::SlaveLost { .. } => 2,
+        Fault::SlaveState { .. } => 3,
+        Fault::Drive { .. } => 4,
+        Fault::UnexpectedBus { .. } => 5,
+        Fault::NoLink { .. } => 6,
+        Fault::EnableTimeout { .. } => 7,
+        Fault::ReferenceLost { .. } => 8,
+        Fault::RepairTimeout { .. } => 9,
+        _ => 10,
+    }
+}
+
+impl State {
+    pub(super) fn new() -> Self {
+        Self {
+            application: Application::new(),
+            now_ms: 0,
+            condition: Condition::UNKNOWN,
+            taking: false,
+            followed: None,
+            trajectory: Model::default(),
+            up_to_date: true,
+            supervisor_asked: false,
+            actions: Vec::new(),
+            refused: false,
+        }
+    }
+
+    /// The timers with their thresholds: the first state in which something happens.
+    fn timers(&self) -> [(Option<u32>, &'static [u32]); 4] {
+        let application = &self.application;
+        let enabling = match application.enabling {
+            Enabling::No => (None, [].as_slice()),
+            Enabling::Referencing { since_ms } => (Some(since_ms), [SETTLE_MS, ENABLE_MAX_MS + 1].as_slice()),
+            Enabling::Powering { since_ms } => (Some(since_ms), [ENABLE_MAX_MS + 1].as_slice()),
+        };
+        let stop = match application.stop {
+            None => (None, [].as_slice()),
+            Some(Stop::Ramp { since_ms }) => (Some(since_ms), [STANDSTILL_MAX_MS + 1].as_slice()),
+            Some(Stop::Brake { since_ms }) => (Some(since_ms), [BRAKE_DELAY_MS].as_slice()),
+            Some(Stop::Release { since_ms }) => (Some(since_ms), [ENABLE_MAX_MS + 1].as_slice()),
+        };
+        let recovering = (
+            application.recovering_since_ms,
+            [RESET_MS, RECOVERY_MAX_MS + 1].as_slice(),
+        );
+        let moves = matches!(
+            application.mode,
+            Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping
+        );
+        let motion = (moves.then_some(application.motion_started_ms), [SETTLE_MS].as_slice());
+        [enabling, stop, recovering, motion]
+    }
+
+    pub(super) fn key(&self) -> Key {
+        let application = &self.application;
+        let [enabling, stop, recovering, motion] = self.timers().map(|(since_ms, thresholds)| {
+            since_ms.map_or(0, |since_ms| passed(thresholds, self.now_ms.wrapping_sub(since_ms)))
+        });
+        let condition = &self.condition;
+        let newest = |epoch: Option<u8>| epoch.map(|epoch| epoch == application.epoch);
+        Key {
+            mode: application.mode as u8,
+            fault: application.fault.as_ref().map(kind),
+            bus: application.bus.as_ref().map(|bus| match bus {
+                BusCondition::Operational => 255,
+                BusCondition::Failed(fault) | BusCondition::Refused(fault) => kind(fault),
+            }),
+            enabling: (
+                match application.enabling {
+                    Enabling::No => 0,
+                    Enabling::Referencing { .. } => 1,
+                    Enabling::Powering { .. } => 2,
+                },
+                enabling,
+            ),
+            stop: (
+                match application.stop {
+                    None => 0,
+                    Some(Stop::Ramp { .. }) => 1,
+                    Some(Stop::Brake { .. }) => 2,
+                    Some(Stop::Release { .. }) => 3,
+                },
+                stop,
+            ),
+            recovering: application.recovering_since_ms.map(|_| recovering),
+            motion,
+            flags: [
+                application.cancelling,
+                application.has_configuration,
+                condition.standstill,
+                condition.silent.is_some(),
+                condition.drive_fault.is_some(),
+                condition.unreferenced.is_some(),
+                condition.interlock.is_some(),
+                condition.powered,
+                condition.fault.is_some(),
+                self.taking,
+                self.up_to_date,
+                self.supervisor_asked,
+            ],
+            power: application.power as u8,
+            epochs: [newest(self.followed), newest(self.trajectory.epoch)],
+            // What it does matters only where something may be moving: it is placed anew before anything moves again.
+            trajectory: Model {
+                epoch: None,
+                doing: if self.may_move() {
+                    self.trajectory.doing
+                } else {
+                    Doing::Rest
+                },
+                ..self.trajectory
+            },
+        }
+    }
+
+    fn may_move(&self) -> bool {
+        match self.application.mode {
+            Mode::Idle | Mode::Unreferenced | Mode::Moving | Mode::Drawing | Mode::Holding => true,
+            Mode::Stopping => self.application.cancelling,
+            _ => false,
+        }
+    }
+
+    /// Times after which something may be different.
+    fn times_ms(&self) -> Vec<u32> {
+        let mut times_ms: Vec<u32> = std::vec![1];
+        for (since_ms, thresholds_ms) in self.timers() {
+            let Some(since_ms) = since_ms else { continue };
+            let waited_ms = self.now_ms.wrapping_sub(since_ms);
+            let next = thresholds_ms.iter().find(|threshold| **threshold > waited_ms);
+            times_ms.extend(next.map(|threshold| threshold - waited_ms).filter(|ms| *ms > 1));
+        }
+        times_ms.sort_unstable();
+        times_ms.dedup();
+        times_ms
+    }
+
+    /// Whether a change can come with the next report.
+    fn may(&self, change: Change) -> bool {
+        let condition = &self.condition;
+        let power = self.application.power;
+        match change {
+            Change::Nothing => false,
+            Change::Powered(true) => {
+                !condition.powered
+                    && power == Power::On
+                    && condition.silent.is_none()
+                    && condition.drive_fault.is_none()
+            }
+            Change::Powered(false) => condition.powered,
+            Change::DriveFault => condition.drive_fault.is_none() || power == Power::FaultReset,
+            Change::Referenced(true) => condition.unreferenced.is_some() && self.taking,
+            Change::Referenced(false) => condition.unreferenced.is_none(),
+            Change::Fault => condition.fault.is_none(),
+            Change::Standstill | Change::Silence | Change::Interlock | Change::HostSilent => true,
+        }
+    }
+
+    fn change(&mut self, change: Change) {
+        let condition = &mut self.condition;
+        match change {
+            Change::Nothing | Change::HostSilent => {}
+            Change::Powered(powered) => (condition.powered, condition.unpowered) = (powered, !powered),
+            Change::Standstill => condition.standstill = !condition.standstill,
+            Change::Silence => {
+                condition.silent = if condition.silent.is_some() { None } else { Some(1) };
+            }
+            Change::DriveFault => {
+                condition.drive_fault = if condition.drive_fault.is_some() {
+                    None
+                } else {
+                    Some(DRIVE)
+                };
+            }
+            Change::Referenced(referenced) => condition.unreferenced = (!referenced).then_some(3),
+            Change::Interlock => {
+                condition.interlock = match condition.interlock {
+                    Some(_) => None,
+                    None => Some(Interlock::EmergencyStop),
+                };
+            }
+            Change::Fault => condition.fault = Some(BLIND),
+        }
+        if let Some(interlock) = condition.interlock {
+            condition.fault.get_or_insert(interlock.fault());
+        }
+        if condition.silent.is_some() || condition.drive_fault.is_some() {
+            condition.powered = false;
+        }
+    }
+
+    fn is_followed(&self) -> bool {
+        self.followed.is_some() && self.followed == self.trajectory.epoch
+    }
+
+    fn progress(&self) -> Progress {
+        let progress = self.trajectory.progress();
+        Progress {
+            idle: progress.idle && self.up_to_date,
+            held: progress.held && self.up_to_date,
+        }
+    }
+
+    pub(super) fn make(&mut self, step: Move) {
+        self.actions.clear();
+        self.refused = false;
+        match step {
+            Move::Configure => {
+                self.application.configured(500);
+                self.order(&MotionOrder::Configure(crate::config::Config::default()));
+                self.condition.unreferenced = Some(0);
+                self.supervisor_asked = true;
+            }
+            Move::Command(command) => {
+                self.refused = self.application.command(command).is_err();
+                let actions = self.application.take_actions();
+                self.take(&actions);
+            }
+            Move::Bus(condition) => {
+                self.supervisor_asked &= !ANSWERS.contains(&condition);
+                self.application.bus(condition);
+                let actions = self.application.take_actions();
+                self.take(&actions);
+            }
+            Move::Release => self.up_to_date = true,
+            Move::PathComes => self.trajectory.bring_path(),
+            Move::Arrives => self.trajectory.arrive(),
+            Move::Time(ms, first, second) => self.pass(ms, first, second),
+        }
+    }
+
+    fn pass(&mut self, ms: u32, first: Change, second: Change) {
+        self.now_ms += ms;
+        self.change(first);
+        self.change(second);
+        // What was ordered is done, or was refused, before the second report.
+        self.taking = false;
+        let silent = first == Change::HostSilent || second == Change::HostSilent;
+        let silence_ms = if silent { 501 } else { 0 };
+        let progress = self.progress();
+        let actions = self
+            .application
+            .step(self.now_ms, &self.condition, progress, silence_ms);
+        self.take(&actions);
+    }
+
+    fn order(&mut self, order: &MotionOrder) {
+        self.trajectory.take(order, false);
+        self.up_to_date = false;
+    }
+
+    /// What the tasks do that the actions go to.
+    fn take(&mut self, actions: &[Action]) {
+        for action in actions {
+            self.actions.push(*action);
+            match *action {
+                Action::Power(power) => {
+                    if power != Power::On {
+                        self.followed = None;
+                    }
+                    if matches!(power, Power::QuickStop | Power::Off) {
+                        self.order(&MotionOrder::Abandon);
+                    }
+                }
+                Action::ClearFault => self.condition.fault = None,
+                Action::TakeReference { .. } => (self.followed, self.taking) = (None, true),
+                Action::Place { pose, epoch } => self.order(&MotionOrder::Place { pose, epoch }),
+                Action::Follow { epoch } => self.followed = Some(epoch),
+                Action::BeginPath => self.order(&MotionOrder::BeginPath),
+                Action::Motion(command) => self.order(&MotionOrder::Command(command)),
+                Action::RecoverBus => self.supervisor_asked = true,
+            }
+        }
+    }
+
+    /// Holds a transition to what the operating modes promise.
+    pub(super) fn check(&self, before: &Self, step: Move) {
+        let (application, old) = (&self.application, &before.application);
+        let told = || std::format!("{step:?}\nfrom {before:?}\nto {self:?}");
+        assert!(self.actions.len() < ACTIONS_MAX, "too many actions: {}", told());
+        if self.refused {
+            assert!(
+                self.actions.is_empty() && self.key() == before.key(),
+                "half refused: {}",
+                told()
+            );
+        }
+        let (enables, configures) = (step == Move::Command(Command::Enable), step == Move::Configure);
+        let powers = self.actions.contains(&Action::Power(Power::On));
+        assert!(
+            !powers || enables && old.mode == Mode::DrivesOff && old.has_configuration,
+            "power: {}",
+            told()
+        );
+        let off = matches!(application.mode, Mode::Startup | Mode::BusConfiguring | Mode::Fault);
+        assert!(
+            !off || matches!(application.power, Power::Off | Power::FaultReset),
+            "power in vain: {}",
+            told()
+        );
+        let resets = application.power == Power::FaultReset;
+        assert!(
+            !resets || application.recovering_since_ms.is_some(),
+            "a reset for ever: {}",
+            told()
+        );
+        let is_fault = application.mode == Mode::Fault;
+        assert!(
+            !is_fault || application.fault.is_some(),
+            "a fault without a cause: {}",
+            told()
+        );
+        let stops = application.stop.is_some() || application.cancelling;
+        assert!(
+            application.mode != Mode::Stopping || stops,
+            "it stops for nothing: {}",
+            told()
+        );
+        // What moves was referenced when it was last looked at.
+        let moves = |mode| matches!(mode, Mode::Idle | Mode::Moving | Mode::Drawing | Mode::Holding);
+        if moves(application.mode) && matches!(step, Move::Time(..)) {
+            assert!(self.condition.unreferenced.is_none(), "without a reference: {}", told());
+        }
+        // Nothing begins while the sampler follows nothing.
+        let begins = matches!(application.mode, Mode::Moving | Mode::Drawing) && old.mode == Mode::Idle;
+        assert!(!begins || self.is_followed(), "nobody follows: {}", told());
+        let latched = old.fault.is_none_or(|_| application.fault.is_some());
+        let cleared = configures || matches!(step, Move::Time(..)) && old.recovering_since_ms.is_some();
+        assert!(latched || cleared, "a fault was forgotten: {}", told());
+        let timers = self.timers();
+        let long = timers.iter().take(3).filter(|(since_ms, _)| since_ms.is_some()).count();
+        assert!(long <= 1, "two timers: {}", told());
+    }
+
+    pub(super) fn is_idle(&self) -> bool {
+        self.application.mode == Mode::Idle && self.application.enabling == Enabling::No && self.is_followed()
+    }
+
+    /// The world is whole from now on.
+    pub(super) fn heal(&mut self) {
+        let condition = &mut self.condition;
+        (condition.silent, condition.interlock) = (None, None);
+        condition.powered = false;
+    }
+
+    /// The operator does what is sensible in this mode, or waits; the world does what it was asked for. Time that passed and
+    /// commands that were given.
+    pub(super) fn go_on_sensibly(&mut self) -> (u32, u32) {
+        self.make(Move::Release);
+        if self.is_followed() && self.trajectory.data != Data::Awaited {
+            self.make(Move::Arrives);
+        }
+        let power = self.application.power;
+        if power == Power::FaultReset {
+            self.condition.drive_fault = None;
+        }
+        let powered = power == Power::On && self.condition.drive_fault.is_none();
+        (self.condition.powered, self.condition.unpowered) = (powered, !powered);
+        self.condition.standstill = true;
+        let application = &self.application;
+        if self.supervisor_asked
+            && application
+                .recovering_since_ms
+                .is_some_and(|since_ms| self.now_ms > since_ms)
+            || application.mode == Mode::BusConfiguring
+        {
+            self.make(Move::Bus(BusCondition::Operational));
+        }
+        let application = &self.application;
+        let referenced = self.condition.unreferenced.is_none();
+        let busy = application.enabling != Enabling::No || application.recovering_since_ms.is_some();
+        let wanted = match application.mode {
+            _ if busy => None,
+            Mode::Startup => Some(Move::Configure),
+            Mode::DrivesOff if !referenced => Some(Move::Command(Command::Reference)),
+            Mode::Unreferenced => Some(Move::Command(Command::Reference)),
+            Mode::DrivesOff => Some(Move::Command(Command::Enable)),
+            Mode::Moving | Mode::Drawing | Mode::Holding if !self.progress().idle => {
+                Some(Move::Command(Command::Cancel))
+            }
+            Mode::Fault => Some(Move::Command(Command::Acknowledge)),
+            _ => None,
+        };
+        let given = wanted.is_some_and(|step| {
+            self.make(step);
+            !self.refused
+        });
+        if self.taking {
+            self.condition.unreferenced = None;
+        }
+        let before = self.key();
+        self.pass(1, Change::Nothing, Change::Nothing);
+        let mut ms = 1;
+        if !given && self.key() == before {
+            // Nothing but time has to pass.
+            let more_ms = self.times_ms().last().copied().unwrap_or(1);
+            self.pass(more_ms, Change::Nothing, Change::Nothing);
+            ms += more_ms;
+        }
+        (ms, u32::from(given))
+    }
+}
