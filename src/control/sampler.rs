@@ -318,7 +318,10 @@ impl<'a> Sampler<'a> {
                     self.epoch = Some(epoch);
                     self.window.clear();
                 }
-                SamplerCommand::ClearFault => self.supervision.clear(),
+                SamplerCommand::ClearFault => {
+                    self.supervision.clear();
+                    self.steering.begin_anew();
+                }
             }
         }
     }

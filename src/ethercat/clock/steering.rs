@@ -54,6 +54,8 @@ pub struct ClockSteering {
     missing_cycles: u8,
     locked_cycles: u16,
     error_ns: i32,
+    /// The clock was lost or has jumped: whole periods between then and now do not count.
+    begins_anew: bool,
 }
 
 impl ClockSteering {
@@ -65,7 +67,15 @@ impl ClockSteering {
             missing_cycles: 0,
             locked_cycles: 0,
             error_ns: 0,
+            begins_anew: false,
         }
+    }
+
+    /// Forgets a fault: the sample is led back to its phase by the short way, at most half a period, and locks anew. The
+    /// slaves' SYNC0 keeps to that phase, whatever became of the time.
+    pub fn begin_anew(&mut self) {
+        (self.missing_cycles, self.locked_cycles) = (0, 0);
+        self.begins_anew = true;
     }
 
     /// Phase error of the last reading, ns: positive when the sample came too late.
@@ -88,7 +98,12 @@ impl ClockSteering {
         };
         self.missing_cycles = 0;
         let released_ns = reference_ns.wrapping_sub(reading.elapsed_ns);
-        let expected_ns = expected_ns.unwrap_or(released_ns);
+        let expected_ns = match expected_ns {
+            None => released_ns,
+            Some(expected_ns) if self.begins_anew => same_phase(expected_ns, released_ns),
+            Some(expected_ns) => expected_ns,
+        };
+        self.begins_anew = false;
         self.expected_ns = Some(expected_ns);
         let error_ns = released_ns.wrapping_sub(expected_ns) as i32;
         self.error_ns = error_ns;
@@ -127,6 +142,14 @@ impl ClockSteering {
     fn integral_ns(&self) -> i32 {
         -(self.integral >> INTEGRAL_SHIFT) as i32
     }
+}
+
+/// The time nearest to `near_ns` that is whole periods away from `time_ns`.
+#[cold]
+fn same_phase(time_ns: u32, near_ns: u32) -> u32 {
+    let (period_ns, off_ns) = (PERIOD_NS as i32, near_ns.wrapping_sub(time_ns) as i32);
+    let phase_ns = off_ns.wrapping_add(period_ns / 2).rem_euclid(period_ns) - period_ns / 2;
+    near_ns.wrapping_sub(phase_ns as u32)
 }
 
 /// Hands corrections in ns to a timer that only takes whole counts; what does not fit a count is kept for later.
@@ -280,6 +303,48 @@ mod tests {
         };
         assert_eq!(bench.steering.fault(20_000), Some(jump));
         assert_eq!(bench.steering.fault(40_000), None);
+    }
+
+    #[test]
+    fn after_a_jump_of_any_size_the_sample_comes_back_to_its_phase_once_the_fault_is_forgotten() {
+        for jump_ns in [
+            -2_000_000_000,
+            -419_319_330,
+            -1_000_000,
+            -30_000,
+            30_000,
+            499_999,
+            500_001,
+            7_300_000_000,
+        ] {
+            let mut bench = Bench::new(50_000);
+            for _ in 0..1_000 {
+                bench.cycle(0, true);
+            }
+            let phase_ns = bench.release_ns.rem_euclid(i64::from(PERIOD_NS));
+            for _ in 0..20 {
+                bench.cycle(0, false);
+            }
+            assert!(bench.steering.fault(20_000).is_some(), "the clock was away");
+            bench.cycle(jump_ns, true);
+            let jumped = jump_ns.unsigned_abs() > 20_000;
+            assert_eq!(bench.steering.fault(20_000).is_some(), jumped, "{jump_ns}");
+            bench.steering.begin_anew();
+            let mut longest = 0;
+            for cycle in 0..3_000 {
+                bench.cycle(jump_ns, true);
+                assert_eq!(bench.steering.fault(20_000), None, "{jump_ns}, cycle {cycle}");
+                if bench.steering.error_ns().abs() > 1_000 {
+                    longest = cycle;
+                }
+            }
+            let off_ns = (bench.release_ns + jump_ns - phase_ns).rem_euclid(i64::from(PERIOD_NS));
+            let off_ns = off_ns.min(i64::from(PERIOD_NS) - off_ns);
+            println!("jump of {jump_ns} ns: within 1 us after {longest} ms, {off_ns} ns off its phase at the end");
+            assert!(bench.steering.is_locked() && longest < 1_500);
+            // Beyond what 32 bits tell apart, any phase is as good.
+            assert!(off_ns < 200 || jump_ns.unsigned_abs() > 1 << 31, "{off_ns}");
+        }
     }
 
     #[test]

@@ -15,8 +15,9 @@ use crate::ethercat::wire::{Address, Command, read_u8, read_u16, write_bytes};
 use core::ops::Range;
 use heapless::Vec;
 
-/// Longest wait for the SII to become free, ms.
-pub const SII_TIMEOUT_MS: u32 = 100;
+/// Longest wait for the SII to become free, ms: memories that the slave's own processor serves take their time, above all
+/// after power-up.
+pub const SII_TIMEOUT_MS: u32 = 1_000;
 /// How often a command that was not acknowledged is repeated.
 const SII_TRIES_MAX: u8 = 3;
 /// Slaves that are read side by side.
