@@ -4,6 +4,9 @@
 //! firmware says over the link.
 
 mod board;
+mod bursts;
+mod commands;
+mod liveness;
 mod robot;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};

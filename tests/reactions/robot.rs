@@ -3,7 +3,9 @@
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
-use etherpen::link::protocol::{Command, ConfigRefusal, PathAck, PathVertex, Sample, Status};
+use etherpen::ethercat::service::ServiceRequest;
+use etherpen::link::frame::{FRAME_BYTES_MAX, encode};
+use etherpen::link::protocol::{Command, ConfigRefusal, HostMessage, PathAck, PathVertex, Sample, Status};
 use etherpen::measurement::MeasurementRequest;
 use etherpen::motion::Pen;
 use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
@@ -18,6 +20,9 @@ use std::sync::{Arc, Mutex};
 const WAIT_MAX_MS: u32 = 60_000;
 /// Bytes on the line in a millisecond.
 const LINE_BYTES_PER_MS: usize = simulation::LINE_BYTES_PER_MS;
+
+/// Number from which commands beside the session count, far from its own.
+const FIRST_BESIDE: u16 = 0x8000;
 
 struct Bridge {
     up: SyncSender<(u32, Vec<u8>)>,
@@ -64,12 +69,17 @@ pub(crate) struct Robot {
     up: Receiver<(u32, Vec<u8>)>,
     down: SyncSender<Vec<u8>>,
     cell: Arc<Mutex<Cell>>,
+    config: Config,
     surroundings: Arc<Mutex<Surroundings>>,
     session: Session,
     /// Whether the operator's cable is plugged in.
     pub(crate) plugged: bool,
     /// What the firmware's serial port loses of what the operator sends.
     pub(crate) overrun: Option<Overrun>,
+    job: u16,
+    /// Number of the last command beside the session, and what of them is still to be sent.
+    beside: u16,
+    at_once: Vec<u8>,
     /// The last status.
     pub(crate) status: Option<Status>,
     /// The last acknowledgement of the path.
@@ -88,7 +98,12 @@ pub(crate) struct Robot {
 impl Robot {
     /// A robot whose firmware's tasks run here, in virtual time, and which waits for its configuration.
     pub(crate) fn new() -> Self {
-        Self::start(|mut segment, mut bridge| {
+        Self::of(&Config::default(), CellOptions::default())
+    }
+
+    /// The same with another cell.
+    pub(crate) fn of(config: &Config, options: CellOptions) -> Self {
+        Self::start(config, options, |mut segment, mut bridge| {
             std::thread::spawn(move || simulation::run(&mut segment, &mut bridge, u32::MAX - 1));
             None
         })
@@ -98,14 +113,18 @@ impl Robot {
     pub(crate) fn emulated() -> Self {
         setup::ensure_qemu().expect("the emulator can be had");
         let image = setup::build_firmware("emulated").expect("the firmware builds");
-        Self::start(|segment, bridge| {
+        Self::start(&Config::default(), CellOptions::default(), |segment, bridge| {
             let emulator = Emulator::start(&image, &Options::default(), segment, bridge, |_| {});
             Some(emulator.expect("the emulator starts"))
         })
     }
 
-    fn start(run: impl FnOnce(Arc<Mutex<Cell>>, Bridge) -> Option<Emulator>) -> Self {
-        let cell = Arc::new(Mutex::new(Cell::new(&Config::default(), CellOptions::default())));
+    fn start(
+        config: &Config,
+        options: CellOptions,
+        run: impl FnOnce(Arc<Mutex<Cell>>, Bridge) -> Option<Emulator>,
+    ) -> Self {
+        let cell = Arc::new(Mutex::new(Cell::new(config, options)));
         let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
         let surroundings = Arc::new(Mutex::new(Surroundings::default()));
         let bridge = Bridge {
@@ -121,10 +140,14 @@ impl Robot {
             up,
             down,
             cell,
+            config: config.clone(),
             surroundings,
             session,
             plugged: true,
             overrun: None,
+            job: 0,
+            beside: FIRST_BESIDE,
+            at_once: Vec::new(),
             status: None,
             ack: PathAck::default(),
             samples: Vec::new(),
@@ -145,8 +168,10 @@ impl Robot {
         Self::idle().in_a_drawing()
     }
 
-    fn enabled(mut self) -> Self {
-        self.configure(&Config::default());
+    /// Brings it to rest with power, referenced.
+    pub(crate) fn enabled(mut self) -> Self {
+        let config = self.config.clone();
+        self.configure(&config);
         self.wait_for(Mode::DrivesOff);
         self.command(Command::Reference).unwrap();
         self.run(100);
@@ -155,7 +180,8 @@ impl Robot {
         self
     }
 
-    fn in_a_drawing(mut self) -> Self {
+    /// Begins a drawing and waits until the pen moves.
+    pub(crate) fn in_a_drawing(mut self) -> Self {
         self.draw(path());
         self.run_until("the pen moves", |robot| {
             robot.speed_rad_s() > 0.2 && robot.ack.executed > 2
@@ -182,8 +208,37 @@ impl Robot {
 
     /// Starts a drawing.
     pub(crate) fn draw(&mut self, path: Vec<PathVertex>) {
-        self.command(Command::Draw { job: 1 }).unwrap();
-        self.session.start_path(1, path.into());
+        self.job += 1;
+        self.command(Command::Draw { job: self.job }).unwrap();
+        self.session.start_path(self.job, path.into());
+    }
+
+    /// Whether the drawing that was started last was executed to its end.
+    pub(crate) fn has_drawn(&self) -> bool {
+        self.ack.finished && self.ack.job == self.job && self.mode() == Mode::Idle
+    }
+
+    /// Sends a command without waiting; the number of the request.
+    pub(crate) fn send(&mut self, command: Command) -> u16 {
+        self.session.command(command)
+    }
+
+    /// Sends a command beside the session, which gives one after the other: all of a millisecond come at once. Nobody hears
+    /// the answer.
+    pub(crate) fn send_at_once(&mut self, command: Command) {
+        self.beside = self.beside.wrapping_add(1).max(FIRST_BESIDE);
+        let message = HostMessage::Command {
+            id: self.beside,
+            command,
+        };
+        let mut frame = [0; FRAME_BYTES_MAX];
+        let length = encode(&message, &mut frame).expect("a command fits a frame");
+        self.at_once.extend_from_slice(&frame[..length]);
+    }
+
+    /// Asks something of the bus without waiting.
+    pub(crate) fn ask(&mut self, request: ServiceRequest) {
+        self.session.bus(request);
     }
 
     /// Sends a command and waits for the answer.
@@ -259,6 +314,12 @@ impl Robot {
                     self.take(event);
                 }
                 length = self.session.transmit(now_ms, &mut line);
+            }
+            // Not in the middle of a frame of the session's.
+            if length == 0 {
+                length = self.at_once.len().min(line.len());
+                line[..length].copy_from_slice(&self.at_once[..length]);
+                self.at_once.drain(..length);
             }
             let overrun = self.overrun.filter(|overrun| ms % overrun.period_ms == 0);
             let lost = overrun.map_or(0, |overrun| overrun.bytes.min(length));

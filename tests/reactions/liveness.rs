@@ -1,0 +1,237 @@
+//! Whatever happened: once the world is whole, an acknowledgement leads back to a drawing, or to what is wrong.
+
+use crate::robot::{Robot, path};
+use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::config::Config;
+use etherpen::ethercat::service::ServiceRequest;
+use etherpen::ethercat::state::AlState as Wanted;
+use etherpen::link::protocol::Command;
+use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFault};
+
+/// Longest time from an acknowledgement to what follows from it, ms.
+const ANSWER_MAX_MS: u32 = 15_000;
+/// Longest time for the drawing, ms.
+const DRAWING_MAX_MS: u32 = 20_000;
+/// How often an operator acknowledges before calling for help.
+const ACKNOWLEDGEMENTS_MAX: u32 = 3;
+
+/// A robot with or without distributed clocks.
+pub(crate) fn with(clocks: bool) -> Robot {
+    let mut config = Config::default();
+    config.bus.clocks = clocks;
+    Robot::of(&config, CellOptions::default())
+}
+
+/// Acknowledges once and waits for what follows: the fault that remains, if one does.
+fn acknowledge(robot: &mut Robot) -> Option<Fault> {
+    for _ in 0..ANSWER_MAX_MS {
+        match robot.command(Command::Acknowledge) {
+            Ok(()) => break,
+            // An earlier one has just come to its end.
+            Err(Refusal::NotInMode(_)) => break,
+            Err(Refusal::Moving | Refusal::Recovering) => robot.run(10),
+            Err(other) => panic!("{other:?}, {:?}", robot.status),
+        }
+    }
+    robot.run(20);
+    for _ in 0..ANSWER_MAX_MS {
+        if !robot.status.as_ref().is_some_and(|status| status.recovering) {
+            return robot.fault();
+        }
+        robot.run(1);
+    }
+    panic!("no answer within {ANSWER_MAX_MS} ms: {:?}", robot.status);
+}
+
+/// Acknowledges as an operator would, until there is no fault; gives how often.
+fn acknowledge_all(robot: &mut Robot, most: u32) -> u32 {
+    for tries in 0..most {
+        if robot.mode() == Mode::Stopping {
+            robot.run_until("it stands", |robot| robot.mode() != Mode::Stopping);
+        }
+        if robot.mode() != Mode::Fault {
+            return tries;
+        }
+        let left = acknowledge(robot);
+        println!("    acknowledged: {left:?}");
+    }
+    assert_eq!(robot.fault(), None, "after {most} acknowledgements");
+    most
+}
+
+/// Gives a command as an operator would: again, as long as the robot is said to be moving.
+fn insist(robot: &mut Robot, command: Command) {
+    for _ in 0..100 {
+        match robot.command(command) {
+            Err(Refusal::Moving | Refusal::NoPosition { .. }) => robot.run(100),
+            result => return assert_eq!(result, Ok(()), "{command:?}, {:?}", robot.status),
+        }
+    }
+    panic!("{command:?} is refused for ever: {:?}", robot.status);
+}
+
+/// From rest without a fault: reference, power, a drawing, and its ink.
+fn draws(robot: &mut Robot) {
+    if !robot.status.as_ref().is_some_and(|status| status.referenced) {
+        // The arms are not at the marks: the operator measures the pose.
+        let pose = robot.cell().joints;
+        insist(robot, Command::ReferenceAt { pose, position: None });
+        robot.run(100);
+    }
+    if robot.mode() == Mode::DrivesOff {
+        insist(robot, Command::Enable);
+    }
+    for _ in 0..ANSWER_MAX_MS {
+        if robot.mode() == Mode::Idle {
+            break;
+        }
+        assert_eq!(robot.fault(), None, "{:?} {:?}", robot.status, robot.cell());
+        robot.run(1);
+    }
+    let before = inked(robot).len();
+    robot.draw(path());
+    for _ in 0..DRAWING_MAX_MS {
+        if robot.has_drawn() {
+            break;
+        }
+        assert_eq!(robot.fault(), None, "{:?} {:?}", robot.status, robot.cell());
+        robot.run(1);
+    }
+    assert!(robot.has_drawn(), "{:?}", robot.status);
+    assert_ink(robot, before);
+}
+
+/// All points of ink, mm in the sheet.
+fn inked(robot: &Robot) -> Vec<[f64; 2]> {
+    robot.ink().iter().flat_map(|stroke| stroke.points_mm.clone()).collect()
+}
+
+/// The ink behind so many points is the path's: each vertex has ink within 0.2 mm, in order.
+fn assert_ink(robot: &Robot, from: usize) {
+    let drawn = inked(robot).split_off(from);
+    let mut at = 0;
+    for vertex in path().iter().filter(|vertex| vertex.pen == etherpen::motion::Pen::Down) {
+        let [x_mm, y_mm] = [0, 1].map(|axis| f64::from(vertex.position_um[axis]) / 1e3);
+        let paper = Config::default().paper;
+        let wanted = [
+            x_mm - paper.centre_mm[0] + 0.5 * paper.size_mm[0],
+            paper.centre_mm[1] + 0.5 * paper.size_mm[1] - y_mm,
+        ];
+        let near = drawn[at..]
+            .iter()
+            .position(|point| (point[0] - wanted[0]).hypot(point[1] - wanted[1]) < 0.2);
+        at += near.unwrap_or_else(|| panic!("no ink at {wanted:?} among {} points", drawn.len()));
+    }
+}
+
+/// Acknowledges at most so often, then draws; gives how often.
+pub(crate) fn come_back(robot: &mut Robot, most: u32) -> u32 {
+    let tries = acknowledge_all(robot, most);
+    draws(robot);
+    tries
+}
+
+#[test]
+fn a_reference_clock_that_was_off_for_a_moment_is_followed_again() {
+    for off_ms in [1, 5, 30, 200, 3_000] {
+        for slave in [1, 3] {
+            println!("slave {slave} off for {off_ms} ms");
+            let mut robot = with(true).enabled().in_a_drawing();
+            robot.inject(CellFault::Power(slave, off_ms));
+            robot.run_until("a fault is told", |robot| robot.fault().is_some());
+            robot.run(off_ms as u32 + 1_000);
+            println!("    {:?}", robot.fault());
+            come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+        }
+    }
+}
+
+#[test]
+fn frames_that_stay_away_for_a_moment_cost_the_clocks_nothing_for_ever() {
+    for stall_ms in [15, 60, 500, 5_000] {
+        println!("nothing for {stall_ms} ms");
+        let mut robot = with(true).enabled().in_a_drawing();
+        robot.inject(CellFault::Stall(stall_ms));
+        robot.run_until("a fault is told", |robot| robot.fault().is_some());
+        robot.run(stall_ms as u32 + 500);
+        println!("    {:?}", robot.fault());
+        come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+    }
+}
+
+#[test]
+fn an_information_memory_that_was_busy_is_read_when_it_is_free() {
+    for busy_ms in [50, 500, 4_000] {
+        println!("busy for {busy_ms} ms after a power dip");
+        let mut robot = Robot::drawing();
+        robot.inject(CellFault::Power(2, 100));
+        robot.inject(CellFault::Sii(2, SiiFault::Busy));
+        robot.run(busy_ms);
+        robot.inject(CellFault::Sii(2, SiiFault::Whole));
+        robot.run_until("a fault is told", |robot| robot.mode() == Mode::Fault);
+        println!("    {:?}", robot.fault());
+        come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+    }
+}
+
+#[test]
+fn an_information_memory_that_takes_half_a_second_a_reading_is_read() {
+    let options = CellOptions {
+        sii_busy_us: 500_000,
+        ..CellOptions::default()
+    };
+    let mut robot = Robot::of(&Config::default(), options).enabled().in_a_drawing();
+    robot.inject(CellFault::Power(2, 100));
+    robot.run_until("a fault is told", |robot| robot.mode() == Mode::Fault);
+    robot.run(1_000);
+    come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+}
+
+#[test]
+fn another_product_is_named_until_the_right_one_is_back() {
+    for (product, clocks) in [
+        (Product::Cia402, false),
+        (Product::Ek1100, false),
+        (Product::Cia402, true),
+    ] {
+        println!("{product:?}, clocks {clocks}");
+        let mut robot = with(clocks).enabled().in_a_drawing();
+        for _ in 0..2 {
+            robot.inject(CellFault::Swap(2, product));
+            robot.run_until("a fault is told", |robot| robot.mode() == Mode::Fault);
+            robot.run(1_000);
+            for _ in 0..2 {
+                let left = acknowledge(&mut robot);
+                assert!(
+                    matches!(left, Some(Fault::OtherProduct { slave: 1, expected, found })
+                        if expected == 0x07D0_6014 && found != expected),
+                    "{left:?}"
+                );
+            }
+            robot.inject(CellFault::Swap(2, Product::Ax2000));
+            robot.run(1_000);
+            come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+            robot.run(10);
+        }
+    }
+}
+
+#[test]
+fn a_slave_that_someone_brought_down_is_brought_up_by_an_acknowledgement() {
+    for clocks in [false, true] {
+        for state in [Wanted::Init, Wanted::PreOperational, Wanted::SafeOperational] {
+            println!("{state:?}, clocks {clocks}");
+            let mut robot = with(clocks).enabled();
+            robot.command(Command::Disable).unwrap();
+            robot.wait_for(Mode::DrivesOff);
+            robot.ask(ServiceRequest::SetState { slave: 2, state });
+            robot.run(1_000);
+            assert_ne!(robot.cell().slaves[2].al_state, AlState::Operational);
+            assert_eq!(robot.mode(), Mode::DrivesOff);
+            robot.command(Command::Enable).unwrap();
+            robot.wait_for(Mode::Fault);
+            println!("    {:?}", robot.fault());
+            come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+        }
+    }
+}
