@@ -522,6 +522,7 @@ impl Application {
                 self.recovering_since_ms = None;
                 self.fault = None;
                 self.act(Action::Power(Power::Off));
+                self.act(Action::ClearFault);
                 self.mode = Mode::DrivesOff;
             }
             (None, Some(missing)) if timed_out => self.give_up(missing),

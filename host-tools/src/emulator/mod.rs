@@ -58,6 +58,11 @@ impl<S: Segment> Segment for Arc<Mutex<S>> {
         segment.frame(time_us, frame)
     }
 
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        let mut segment = self.lock().unwrap_or_else(PoisonError::into_inner);
+        segment.frame_at_ns(time_ns, frame)
+    }
+
     fn advance_to(&mut self, time_us: u64) {
         let mut segment = self.lock().unwrap_or_else(PoisonError::into_inner);
         segment.advance_to(time_us);

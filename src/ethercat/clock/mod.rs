@@ -59,6 +59,8 @@ pub struct SlaveClock {
     pub offset_ns: u64,
     /// Delay of a frame from the reference, ns.
     pub delay_ns: u32,
+    /// Whether it took part in the last measurement.
+    pub measured: bool,
 }
 
 /// The clocks of a bus, in chain order.
@@ -141,7 +143,7 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Lets one frame latch the times of all slaves, and computes the delays.
+/// Lets one frame latch the times of all slaves, and computes the delays. Slaves that do not answer keep theirs.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -152,25 +154,36 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
-    for (station, slave) in stations.iter().zip(clocks.slaves.iter_mut()) {
-        let status = port.read_u16(*station, register::DL_STATUS).await?;
+    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
+    for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
+        slave.measured = false;
+        let status = match port.read_u16(*station, register::DL_STATUS).await {
+            // Another one that is lost too: the frames pass its place.
+            Err(BusError::WorkingCounter { actual: 0, .. }) => continue,
+            status => status?,
+        };
+        slave.measured = true;
         slave.ports = PortTimes {
             has_clock: slave.width.is_some(),
             open: open_ports(status),
             ..PortTimes::default()
         };
-        let Some(width) = slave.width else { continue };
-        let times = port.read(*station, register::DC_RECEIVE_TIME, TIMES_LEN).await?;
-        slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
-        let local_ns = read_u64(&times, TIMES_LEN - 8);
-        slave.local_ns = match width {
-            Width::Bits32 => local_ns & u64::from(u32::MAX),
-            Width::Bits64 => local_ns,
-        };
+        if let Some(width) = slave.width {
+            let times = port.read(*station, register::DC_RECEIVE_TIME, TIMES_LEN).await?;
+            slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
+            let local_ns = read_u64(&times, TIMES_LEN - 8);
+            slave.local_ns = match width {
+                Width::Bits32 => local_ns & u64::from(u32::MAX),
+                Width::Bits64 => local_ns,
+            };
+        }
+        // There is room for all slaves.
+        let _ = (there.push(position), ports.push(slave.ports));
     }
-    let ports: Vec<PortTimes, SLAVES> = clocks.slaves.iter().map(|slave| slave.ports).collect();
-    for (slave, delay_ns) in clocks.slaves.iter_mut().zip(propagation_delays_ns::<SLAVES>(&ports)) {
-        slave.delay_ns = delay_ns;
+    for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
+        if let Some(slave) = clocks.slaves.get_mut(*position) {
+            slave.delay_ns = delay_ns;
+        }
     }
     Ok(())
 }
@@ -221,11 +234,13 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     position: usize,
 ) -> Result<(), BusError> {
-    let source = (0..clocks.slaves.len()).find(|other| *other != position && clocks.has_clock(*other));
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
     measure(port, stations, clocks).await?;
+    let measured = |other: &usize| clocks.slaves.get(*other).is_some_and(|slave| slave.measured);
+    let mut others = (0..clocks.slaves.len()).filter(|other| *other != position && clocks.has_clock(*other));
+    let source = others.find(measured);
     let offset_ns = source
         .and_then(|source| clocks.offset_ns(position, source))
         .unwrap_or(0);

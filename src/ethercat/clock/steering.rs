@@ -54,8 +54,6 @@ pub struct ClockSteering {
     missing_cycles: u8,
     locked_cycles: u16,
     error_ns: i32,
-    /// The clock was lost or has jumped: whole periods between then and now do not count.
-    begins_anew: bool,
 }
 
 impl ClockSteering {
@@ -67,15 +65,13 @@ impl ClockSteering {
             missing_cycles: 0,
             locked_cycles: 0,
             error_ns: 0,
-            begins_anew: false,
         }
     }
 
-    /// Forgets a fault: the sample is led back to its phase by the short way, at most half a period, and locks anew. The
-    /// slaves' SYNC0 keeps to that phase, whatever became of the time.
+    /// Forgets a fault: locks anew. Until then the sample is led back to its phase by the short way, at most half a period:
+    /// the slaves' SYNC0 keeps to that phase, whatever becomes of the time.
     pub fn begin_anew(&mut self) {
         (self.missing_cycles, self.locked_cycles) = (0, 0);
-        self.begins_anew = true;
     }
 
     /// Phase error of the last reading, ns: positive when the sample came too late.
@@ -100,10 +96,9 @@ impl ClockSteering {
         let released_ns = reference_ns.wrapping_sub(reading.elapsed_ns);
         let expected_ns = match expected_ns {
             None => released_ns,
-            Some(expected_ns) if self.begins_anew => same_phase(expected_ns, released_ns),
-            Some(expected_ns) => expected_ns,
+            Some(expected_ns) if self.is_locked() => expected_ns,
+            Some(expected_ns) => same_phase(expected_ns, released_ns),
         };
-        self.begins_anew = false;
         self.expected_ns = Some(expected_ns);
         let error_ns = released_ns.wrapping_sub(expected_ns) as i32;
         self.error_ns = error_ns;
@@ -145,7 +140,6 @@ impl ClockSteering {
 }
 
 /// The time nearest to `near_ns` that is whole periods away from `time_ns`.
-#[cold]
 fn same_phase(time_ns: u32, near_ns: u32) -> u32 {
     let (period_ns, off_ns) = (PERIOD_NS as i32, near_ns.wrapping_sub(time_ns) as i32);
     let phase_ns = off_ns.wrapping_add(period_ns / 2).rem_euclid(period_ns) - period_ns / 2;
@@ -330,6 +324,10 @@ mod tests {
             let jumped = jump_ns.unsigned_abs() > 20_000;
             assert_eq!(bench.steering.fault(20_000).is_some(), jumped, "{jump_ns}");
             bench.steering.begin_anew();
+            // A repair may set the time once more.
+            for _ in 0..50 {
+                bench.cycle(3 * jump_ns, true);
+            }
             let mut longest = 0;
             for cycle in 0..3_000 {
                 bench.cycle(jump_ns, true);

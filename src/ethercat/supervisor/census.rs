@@ -1,9 +1,10 @@
 //! Who has come: slaves that return and slaves that were not there before.
 //!
 //! A slave without an address that is where a missing one has to be, and is the same product, has returned. One that is
-//! in use waits for [`BusCommand::Recover`](super::BusCommand::Recover); one that is not is known again at once. Every
-//! other one is an extra slave: it is identified, gets a number behind all others, wherever it was plugged in, and is
-//! never used.
+//! in use waits for [`BusCommand::Recover`](super::BusCommand::Recover), and so does whoever stands in its place, because it
+//! cannot be read or is another product: given a number, it would be found by no repair. One that is not in use is known
+//! again at once. Every other one is an extra slave: it is identified, gets a number behind all others, wherever it was
+//! plugged in, and is never used.
 //!
 //! Invariant: nothing here changes a slave's state or gives it process data.
 
@@ -26,15 +27,21 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             }
             // Who cannot be read is an unknown device.
             let fixed = self.fixed_at(place).await.unwrap_or_default();
-            let returned = self.slaves.iter().position(|slave| {
-                let here = || {
-                    self.strangers_between(usize::from(slave.position), &places)
-                        .contains(&place)
-                };
-                slave.condition == Condition::Lost && self.is_same(slave, &fixed.identity).is_ok() && here()
-            });
+            let belongs_here = |slave: &Slave| {
+                let between = self.strangers_between(usize::from(slave.position), &places);
+                slave.condition == Condition::Lost && between.contains(&place)
+            };
+            let returned = self
+                .slaves
+                .iter()
+                .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
+            let is_awaited = self
+                .slaves
+                .iter()
+                .any(|slave| slave.axis.is_some() && belongs_here(slave));
             match returned {
                 Some(number) => self.greet(number, place).await?,
+                None if is_awaited => {}
                 None => extra |= self.admit(place, fixed).await?,
             }
         }
