@@ -14,6 +14,7 @@ pub mod image;
 pub mod link;
 pub mod machine;
 pub mod master;
+pub mod matching;
 pub mod planning;
 pub mod probe;
 pub mod recording;

@@ -3,15 +3,16 @@
 
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
-    self, CommandError, bench, bus, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
-    operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    self, CommandError, bench, bus, configuration, confined, console, demo, doctor, draw, emulate, flash, identify,
+    kinematics, operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize,
+    verify,
 };
 use std::process::ExitCode;
 
 /// Shown under the help and in the manual page of every command.
 const EXIT_CODES: &str = "Exit codes: 0 done; 1 the work failed; 2 wrong usage; 3 the input file cannot be used; \
     4 a tool is missing; 5 no connection to the machine or the emulator; 6 the firmware speaks another protocol version; \
-    7 the machine stopped with a fault; 130 interrupted.";
+    7 the machine stopped with a fault; 8 the path ended and a part of the drawing is missing; 130 interrupted.";
 
 /// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
 #[derive(Parser)]
@@ -30,6 +31,9 @@ enum Subcommand {
     Bus(bus::Arguments),
     /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell.
     Completions(shell::Completions),
+    /// Make strokes of a file for another process of this program.
+    #[command(name = confined::COMMAND, hide = true)]
+    Confined,
     /// Look at the configuration.
     Config(configuration::Arguments),
     /// The operator's page in a browser: on a board, in the emulator, or in virtual time.
@@ -93,11 +97,13 @@ fn command_line() -> Command {
 }
 
 fn main() -> ExitCode {
+    confined::enable();
     let arguments = Arguments::from_arg_matches(&command_line().get_matches()).unwrap_or_else(|error| error.exit());
     let result = match arguments.command {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Completions(arguments) => shell::completions(&arguments, command_line()),
+        Subcommand::Confined => confined::run(),
         Subcommand::Config(arguments) => configuration::run(&arguments),
         Subcommand::Console(arguments) => console::run(&arguments),
         Subcommand::Demo(arguments) => demo::run(&arguments),

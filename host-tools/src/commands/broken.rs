@@ -169,7 +169,10 @@ pub(super) fn plan(
 }
 
 /// Where the machine stands, and what it says of the path that it has.
-fn state(machine: &Machine) -> Result<Snapshot, CommandError> {
+///
+/// # Errors
+/// There is no connection, or the machine says nothing.
+pub(super) fn state(machine: &Machine) -> Result<Snapshot, CommandError> {
     let until = Instant::now() + STATE_MAX;
     let mut known_since = None;
     loop {

@@ -3,9 +3,10 @@
 //! The machine is shared while it draws, so that other terminals can hold, resume, cancel and stop. Every drawing is kept
 //! in the log of jobs, from which a broken one goes on.
 
-use super::broken::{self, Plan};
+use super::broken::{self, Plan, state};
 use super::display::Display;
 use super::operator::{Key, Operator};
+use super::outline::around;
 use super::outputs::{Outcome, make_folder, summarise};
 use super::prepare::{Prepared, compose, planned_s, prepare_with, to_wire};
 use super::source::SourceArguments;
@@ -29,6 +30,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 const NEWS_MAX: usize = 10_000;
 /// Time between two looks at the keyboard.
 const LOOK: Duration = Duration::from_millis(20);
+/// Path speed while the pen goes around a drawing's border, percent, slow enough to be watched, and the usual one.
+const OUTLINE_PACE: u8 = 20;
+const PACE_FULL: u8 = 100;
+/// Longest wait for the answer to a pace.
+const ANSWER_MAX: Duration = Duration::from_secs(2);
 /// Time between two lines of the log.
 const LOG: Duration = Duration::from_millis(200);
 
@@ -55,6 +61,11 @@ pub struct Arguments {
     /// Draw layer by layer, with a pause without power to change the pen in between; results go to DIR/layer-N.
     #[arg(long, conflicts_with_all = ["camera", "resume"])]
     pause: bool,
+    /// First go around the drawing with the pen up, slowly, to see that it lies on the paper; then wait, without power, for
+    /// Enter. Without a terminal a line on standard input is the Enter; where standard input ends without one, nothing is
+    /// drawn.
+    #[arg(long, conflicts_with = "resume")]
+    outline: bool,
     #[command(flatten)]
     drawing: DrawingArguments,
 }
@@ -68,6 +79,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let file = file(arguments)?;
     let mut operator = Operator::start();
     let (source, out) = (&arguments.drawing.source, &arguments.drawing.out);
+    if arguments.outline {
+        outline(arguments, &config, &file, &mut operator)?;
+    }
     if !arguments.pause {
         let part = Part::new(&file, source.clone(), out.clone(), file.display().to_string());
         return draw(arguments, &config, &part, &mut operator);
@@ -94,6 +108,50 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         )?;
     }
     Ok(())
+}
+
+/// Goes around the drawing with the pen up, and waits until a person wants it drawn.
+fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), CommandError> {
+    if file.as_os_str() == "-" {
+        let text = "--outline reads the file once more for the drawing: standard input cannot be read again";
+        return Err(CommandError::new(code::USAGE, text));
+    }
+    let prepared = prepare_with(file, config, &arguments.drawing.source)?;
+    let Some((border, [width_mm, height_mm])) = around(&prepared.path, config) else {
+        return Ok(());
+    };
+    let machine = start(arguments, config)?;
+    // Before a machine has said where it stands it goes at its own pace.
+    let pace = state(&machine)?
+        .status
+        .map_or(PACE_FULL, |status| status.override_percent);
+    // A machine that does not take the pace goes at its own.
+    let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
+    paced(OUTLINE_PACE);
+    let plan = Plan::whole(&border, None);
+    let ended = Session::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
+    paced(pace);
+    ended?.result?;
+    drop(machine);
+    eprintln!(
+        "etherpen: the pen went around {width_mm:.1} x {height_mm:.1} mm without touching; Enter draws, Ctrl-C ends"
+    );
+    match operator.wait_or_early() {
+        Some(Key::Enter) => Ok(()),
+        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+            code::INTERRUPTED,
+            "ended after the outline; nothing was drawn",
+        )),
+    }
+}
+
+fn start(arguments: &Arguments, config: &Config) -> Result<Machine, CommandError> {
+    let options = MachineOptions {
+        acknowledge: arguments.acknowledge,
+        ..MachineOptions::default()
+    };
+    Machine::start(arguments.port.port.clone(), config.clone(), options)
+        .map_err(|cause| CommandError::new(code::CONNECTION, cause))
 }
 
 /// Names of a file's layers, in the order of drawing.
@@ -149,12 +207,7 @@ fn draw(arguments: &Arguments, config: &Config, part: &Part, operator: &mut Oper
         true => Some(broken::find(&hash, part.file)?),
         false => None,
     };
-    let options = MachineOptions {
-        acknowledge: arguments.acknowledge,
-        ..MachineOptions::default()
-    };
-    let machine = Machine::start(arguments.port.port.clone(), config.clone(), options)
-        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let machine = start(arguments, config)?;
     let plan = match before {
         Some(record) => broken::plan(record, &machine, config, &path)?,
         None => Plan::whole(&path, begin_log(arguments, part.file, config, &path, hash)),
@@ -414,6 +467,8 @@ impl<'a> Session<'a> {
                 if holding || snapshot.interrupted {
                     self.operator.held = false;
                     self.ask(Order::Resume);
+                } else {
+                    self.operator.note_early_enter();
                 }
             }
         }
@@ -438,7 +493,7 @@ impl<'a> Session<'a> {
             Ok(()) => "drawn".to_owned(),
             Err(failure) => failure.text.clone(),
         });
-        if ended.report.progress.vertices > 0 {
+        if ended.report.progress.vertices_total > 0 {
             record.entry.progress(&whole);
         }
         record.entry.drawn_s = self.plan.drawn_before_s + ended.report.drawn_s;

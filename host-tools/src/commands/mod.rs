@@ -4,8 +4,10 @@
 
 pub mod bench;
 mod broken;
+mod budget;
 pub mod bus;
 pub mod configuration;
+pub mod confined;
 pub mod console;
 pub mod demo;
 mod display;
@@ -20,6 +22,7 @@ mod latency;
 pub mod operate;
 mod operator;
 pub mod order;
+mod outline;
 mod outputs;
 pub mod plan;
 pub mod prepare;
@@ -71,6 +74,8 @@ pub mod code {
     pub const VERSION: u8 = 6;
     /// The machine stopped with a fault.
     pub const FAULT: u8 = 7;
+    /// The path ended, and a part of the drawing is missing.
+    pub const INCOMPLETE: u8 = 8;
     /// Interrupted by the user.
     pub const INTERRUPTED: u8 = 130;
 }
@@ -183,6 +188,7 @@ pub fn job_error(error: &JobError) -> CommandError {
         JobError::Fault { .. } => code::FAULT,
         JobError::Vertex(_) => code::INPUT,
         JobError::Config(_) | JobError::ConfigHash { .. } => code::USAGE,
+        JobError::NotFollowed { .. } => code::INCOMPLETE,
         JobError::Cancelled => code::INTERRUPTED,
         _ => code::FAILED,
     };

@@ -3,6 +3,7 @@
 use crate::link::job::Control;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -26,6 +27,8 @@ pub(super) struct Operator {
     reads: Arc<AtomicBool>,
     /// Whether a hold was asked for.
     pub(super) held: bool,
+    /// Whether a line came on a standard input that is no terminal before it was waited for.
+    early: bool,
 }
 
 impl Operator {
@@ -61,6 +64,20 @@ impl Operator {
             keys,
             reads,
             held: false,
+            early: false,
+        }
+    }
+
+    /// Notes an Enter that nothing waited for. On a terminal it means nothing: a person answers what is asked.
+    pub(super) fn note_early_enter(&mut self) {
+        self.early |= !std::io::stdin().is_terminal();
+    }
+
+    /// Waits for the next key; an early Enter counts as one.
+    pub(super) fn wait_or_early(&mut self) -> Option<Key> {
+        match std::mem::take(&mut self.early) {
+            true => Some(Key::Enter),
+            false => self.wait(),
         }
     }
 

@@ -53,6 +53,7 @@ impl Outcome<'_> {
             path: &self.prepared.path,
             samples: &self.job.samples,
             ink_mm: ink.as_deref(),
+            verdict: &self.job.verification.verdict(),
             counters: self.counters(),
             completed: self.completed,
             planned_s: self.planned_s,
@@ -249,6 +250,13 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
             ),
             report.ink_deviation_rms_mm,
             good(report.ink_missing_mm == 0.0, format!("{:.1} mm", report.ink_missing_mm))
+        );
+    }
+    if report.not_verified_mm > 0.0 {
+        eprintln!(
+            "Not verified: {:.1} of {:.1} mm, for which telemetry was lost on the line.",
+            report.not_verified_mm,
+            report.followed_mm + report.not_followed_mm + report.not_verified_mm
         );
     }
     let shares = report

@@ -2,12 +2,14 @@
 //!
 //! Every command that draws, plans or shows a file comes through here, so that what is shown is what is drawn.
 
+use super::budget;
+use super::confined;
 use super::quickest::{as_sent, quickest};
 use super::source::SourceArguments;
 use super::{CommandError, code};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Travel, load_with, off_sheet,
-    to_path, vectorize_image,
+    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Travel, VectorizeOptions,
+    load_content, off_sheet, read_file, to_path, vectorize_image,
 };
 use crate::link::text;
 use etherpen::config::Config;
@@ -85,19 +87,39 @@ pub(super) fn unusable(file: &Path, cause: &dyn std::fmt::Display) -> CommandErr
     CommandError::new(code::INPUT, format!("{shown}: {cause}"))
 }
 
-/// Reads, vectorises and orders a file; says on stderr what a person should know about it.
+/// Reads, vectorises and orders a file; says on stderr what a person should know about it. The program does it in a
+/// process of its own ([`confined`]).
 ///
 /// # Errors
 /// The file cannot be used, or there is nothing to draw in it.
 pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Result<Composed, CommandError> {
+    let content = read_file(file).map_err(|cause| unusable(file, &cause))?;
+    if confined::is_enabled() {
+        return confined::compose(file, content, config, options);
+    }
+    compose_content(file, &content, config, options)
+}
+
+/// Vectorises and orders a file's content in this process.
+///
+/// # Errors
+/// The file cannot be used, or there is nothing to draw in it.
+pub(super) fn compose_content(
+    file: &Path,
+    content: &[u8],
+    config: &Config,
+    options: &SourceArguments,
+) -> Result<Composed, CommandError> {
     let refused = |cause: DrawingError| unusable(file, &cause);
     let mut photograph = None;
     let mut parts = Vec::new();
-    let path = match load_with(file, &options.font()).map_err(refused)? {
+    let mut known_s = None;
+    let path = match load_content(file, content, &options.font()).map_err(refused)? {
         Input::Photograph(picture) => {
-            let (picture, place_mm, drawing) = from_photograph(picture, config, options).map_err(refused)?;
-            photograph = Some((picture, place_mm));
-            parts.push((Layer::default(), drawing));
+            let made = from_photograph(picture, config, options).map_err(refused)?;
+            photograph = Some((made.picture, made.place_mm));
+            known_s = made.planned_s;
+            parts.push((Layer::default(), made.drawing));
             Vec::new()
         }
         Input::Drawing(drawing) => {
@@ -110,16 +132,14 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
         }
         Input::Path(path) => path.vertices,
     };
-    let order_options = OrderOptions {
-        join_gap_mm: options.pen_width_mm(),
-        keep_order: options.keeps_order(),
-        travel: Travel::of(config),
-    };
-    let layers: Vec<Drawing> = parts.iter().map(|(_, drawing)| drawing.clone()).collect();
-    let chosen = quickest(&layers, &in_sequence(&parts), &order_options, config);
-    if let Some(layers) = chosen.layers {
-        let pairs = parts.iter_mut().zip(layers);
-        pairs.for_each(|((_, drawing), ordered)| *drawing = ordered);
+    if known_s.is_none() {
+        let layers: Vec<Drawing> = parts.iter().map(|(_, drawing)| drawing.clone()).collect();
+        let chosen = quickest(&layers, &in_sequence(&parts), &order_options(config, options), config);
+        if let Some(layers) = chosen.layers {
+            let pairs = parts.iter_mut().zip(layers);
+            pairs.for_each(|((_, drawing), ordered)| *drawing = ordered);
+        }
+        known_s = chosen.chosen_s;
     }
     let path = if parts.is_empty() {
         path
@@ -134,8 +154,16 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
         parts,
         // What travels is what is checked.
         path: as_sent(&path),
-        planned_s: chosen.chosen_s,
+        planned_s: known_s,
     })
+}
+
+fn order_options(config: &Config, options: &SourceArguments) -> OrderOptions {
+    OrderOptions {
+        join_gap_mm: options.pen_width_mm(),
+        keep_order: options.keeps_order(),
+        travel: Travel::of(config),
+    }
 }
 
 /// All layers' strokes, one layer after the other.
@@ -149,9 +177,19 @@ pub(super) fn in_sequence(parts: &[(Layer, Drawing)]) -> Drawing {
     }
 }
 
-type FromPhotograph = (RgbImage, [f64; 4], Drawing);
+/// A photograph's strokes.
+pub(super) struct FromPhotograph {
+    /// The picture as it was turned.
+    pub(super) picture: RgbImage,
+    /// Its place on the sheet: left, top, width and height, mm.
+    pub(super) place_mm: [f64; 4],
+    /// The strokes.
+    pub(super) drawing: Drawing,
+    /// Their duration in this order by the firmware's planner, s, where they were made for a time.
+    pub(super) planned_s: Option<f64>,
+}
 
-/// A photograph's strokes; the picture as it was turned, and its place on the sheet.
+/// Makes strokes of a photograph, within a time where one is asked for.
 pub(super) fn from_photograph(
     picture: RgbImage,
     config: &Config,
@@ -163,10 +201,29 @@ pub(super) fn from_photograph(
         2 => imageops::rotate180(&picture),
         _ => imageops::rotate270(&picture),
     };
-    let options = options.vectorize_options(config);
-    let drawing = vectorize_image(&picture, &options)?;
+    let source = options;
+    let options = source.vectorize_options(config);
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
-    Ok((picture, place_mm, drawing))
+    let timed = match source.time_budget_s() {
+        None => None,
+        Some(budget_s) => budget::within(budget_s, config, &order_options(config, source), |widths| {
+            let wider = VectorizeOptions {
+                pen_width_mm: widths * options.pen_width_mm,
+                ..options
+            };
+            vectorize_image(&picture, &wider)
+        })?,
+    };
+    let (drawing, planned_s) = match timed {
+        Some(timed) => (timed.drawing, Some(timed.planned_s)),
+        None => (vectorize_image(&picture, &options)?, None),
+    };
+    Ok(FromPhotograph {
+        picture,
+        place_mm,
+        drawing,
+        planned_s,
+    })
 }
 
 /// Strokes on a sheet as artwork whose page is that sheet.

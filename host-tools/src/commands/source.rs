@@ -5,9 +5,10 @@ use crate::drawing::{
     parse_size_mm,
 };
 use etherpen::config::Config;
+use serde::{Deserialize, Serialize};
 
 /// How a file becomes strokes on the sheet. Lengths take a unit (mm, cm, in, pt, px); without one they are millimetres.
-#[derive(clap::Args, Clone, Debug, Default)]
+#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
 #[command(next_help_heading = "From the file to strokes")]
 pub struct SourceArguments {
     /// Scale vectors to the sheet inside its margin, instead of keeping their true size.
@@ -42,10 +43,11 @@ pub struct SourceArguments {
     /// Photographs: how fine edges and lines become, 0 (few) to 1 (many) [default: 0.5].
     #[arg(long, value_name = "SHARE", value_parser = share)]
     detail: Option<f64>,
-    /// Photographs: longest drawing time, about: 90s, 3m [default: 110s].
+    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Kept by coarser lines everywhere; used to
+    /// 97 percent or more unless the whole picture takes less [default: as detailed as suits about 110s].
     #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
     max_time: Option<f64>,
-    /// Photographs: most strokes [default: 900].
+    /// Photographs: most strokes [default: 900; with --max-time as many as fit].
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     max_strokes: Option<u32>,
     /// Photographs: seed of everything random [default: 1].
@@ -54,7 +56,7 @@ pub struct SourceArguments {
 }
 
 /// What text in an SVG is drawn with.
-#[derive(clap::Args, Clone, Debug, Default)]
+#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TextArguments {
     /// Text in an SVG: letters of single lines, instead of the outlines of a font.
     #[arg(long)]
@@ -82,6 +84,9 @@ fn share(text: &str) -> Result<f64, String> {
         _ => Err("a number from 0 to 1 is needed".to_owned()),
     }
 }
+
+/// A time that bounds no drawing, s.
+const UNBOUNDED_S: f64 = 1e9;
 
 /// Two lengths, mm.
 type Size = [f64; 2];
@@ -122,10 +127,21 @@ impl SourceArguments {
             pen_width_mm: self.pen_width.unwrap_or(plain.pen_width_mm),
             style: Style::from_name(&self.style).unwrap_or_default(),
             detail: self.detail.unwrap_or(plain.detail),
-            strokes_max: self.max_strokes.map_or(plain.strokes_max, |count| count as usize),
-            time_max_s: self.max_time.unwrap_or(plain.time_max_s),
+            // A time that is asked for is met by planning, with all the detail that the pen's width allows.
+            strokes_max: match (self.max_strokes, self.max_time) {
+                (Some(count), _) => count as usize,
+                (None, Some(_)) => usize::MAX,
+                (None, None) => plain.strokes_max,
+            },
+            time_max_s: self.max_time.map_or(plain.time_max_s, |_| UNBOUNDED_S),
             seed: self.seed.unwrap_or(plain.seed),
         }
+    }
+
+    /// Longest time that a photograph's drawing may take, s, if one is asked for.
+    #[must_use]
+    pub fn time_budget_s(&self) -> Option<f64> {
+        self.max_time
     }
 
     /// Quarters by which a photograph is turned clockwise, 0 to 3; `None` where it is turned by anything else.

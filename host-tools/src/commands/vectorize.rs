@@ -49,7 +49,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let Input::Photograph(picture) = load(&arguments.photo).map_err(refused)? else {
         return Err(refused(DrawingError::NoPhotograph));
     };
-    let (_, [_, _, width, height], drawing) = from_photograph(picture, &config, &arguments.source).map_err(refused)?;
+    let made = from_photograph(picture, &config, &arguments.source).map_err(refused)?;
+    let ([_, _, width, height], drawing) = (made.place_mm, made.drawing);
     let svg = write_svg(&drawing.strokes, drawing.sheet_mm, arguments.source.pen_width_mm());
     write_text(&arguments.out, &svg)?;
     let answer = Answer {

@@ -7,12 +7,13 @@
 
 use super::line::Point;
 use super::{Drawing, DrawingError, Stroke};
+use serde::{Deserialize, Serialize};
 
 /// A pen position this far beyond the sheet's edge is rounding, mm.
 const EDGE_MM: f64 = 0.01;
 
 /// Strokes that belong together: a layer of the file, or all of one colour.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Layer {
     /// The layer's label, or its colour as `#rrggbb`.
     pub name: String,
@@ -126,18 +127,20 @@ impl Artwork {
         if self.strokes.is_empty() {
             return Err(DrawingError::NothingDrawn);
         }
-        let mut parts = Vec::new();
-        for (index, layer) in self.layers.iter().enumerate() {
-            if !self.is_wanted(index, &placement.layers) {
+        let mut layers: Vec<Vec<Stroke>> = vec![Vec::new(); self.layers.len()];
+        for stroke in &self.strokes {
+            let Some(strokes) = layers.get_mut(stroke.layer) else {
                 continue;
-            }
-            let strokes = (self.strokes.iter().filter(|stroke| stroke.layer == index))
-                .map(|stroke| Stroke {
-                    points: stroke.stroke.points.iter().map(|&point| frame.place(point)).collect(),
-                })
-                .collect();
-            parts.push((layer.clone(), Drawing { sheet_mm, strokes }));
+            };
+            strokes.push(Stroke {
+                points: stroke.stroke.points.iter().map(|&point| frame.place(point)).collect(),
+            });
         }
+        let wanted =
+            (self.layers.iter().zip(layers).enumerate()).filter(|(index, _)| self.is_wanted(*index, &placement.layers));
+        let parts: Vec<(Layer, Drawing)> = wanted
+            .map(|(_, (layer, strokes))| (layer.clone(), Drawing { sheet_mm, strokes }))
+            .collect();
         if parts.is_empty() {
             return Err(DrawingError::NoSuchLayer {
                 layers: self.layers.len(),

@@ -51,6 +51,9 @@ impl Region {
 
 /// The parts of a line that lie in one of the regions; `None` when that is too much work.
 pub(crate) fn clip(points: &[Point], regions: &[Region], steps: &mut usize) -> Option<Vec<Vec<Point>>> {
+    if *steps > STEPS_MAX {
+        return None;
+    }
     let edges: usize = regions.iter().map(|region| region.edges.len()).sum();
     let mut parts: Vec<Vec<Point>> = Vec::new();
     let mut part: Vec<Point> = Vec::new();

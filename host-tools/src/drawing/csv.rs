@@ -5,7 +5,7 @@
 
 use super::input::Input;
 use super::plot::PLACE_MAX_MM;
-use super::{Drawing, DrawingError, Stroke};
+use super::{Drawing, DrawingError, FilePlace, Stroke};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;
 
@@ -80,7 +80,9 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
             column: k + 1,
         })?;
         if value.abs() > PLACE_MAX_MM {
-            return Err(DrawingError::FarAway);
+            return Err(DrawingError::FarAway {
+                place: FilePlace::Line(number),
+            });
         }
     }
     let pen_down = match *pen {
@@ -215,7 +217,9 @@ mod tests {
         );
         assert_eq!(
             failure("x_mm,y_mm,pen\n1,1,1\n1,1e300,1\n"),
-            Some(DrawingError::FarAway)
+            Some(DrawingError::FarAway {
+                place: FilePlace::Line(3)
+            })
         );
         assert_eq!(
             failure("x_mm,y_mm,pen\n1,1,down\n"),

@@ -5,6 +5,27 @@
 use std::fmt;
 use std::io;
 
+/// A place in a file of text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FilePlace {
+    /// A line; the first is 1.
+    Line(usize),
+    /// An instruction of HPGL; the first is 1.
+    Instruction(usize),
+    /// Not known.
+    Somewhere,
+}
+
+impl fmt::Display for FilePlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Line(line) => write!(f, "line {line}: "),
+            Self::Instruction(number) => write!(f, "instruction {number}: "),
+            Self::Somewhere => Ok(()),
+        }
+    }
+}
+
 /// Why a file did not become a drawing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DrawingError {
@@ -96,8 +117,18 @@ pub enum DrawingError {
         /// Which one, the first is 1.
         instruction: usize,
     },
-    /// A coordinate is more than a kilometre away.
-    FarAway,
+    /// A coordinate is more than a kilometre away, or no number.
+    FarAway {
+        /// Where the file has it.
+        place: FilePlace,
+    },
+    /// Even the coarsest drawing of a photograph takes longer than asked for.
+    TimeTooShort {
+        /// The time asked for, ms.
+        asked_ms: u64,
+        /// What the coarsest drawing takes, ms.
+        shortest_ms: u64,
+    },
     /// A photograph is turned by something else than quarters.
     BadRotation,
     /// A vector file without a line.
@@ -233,7 +264,17 @@ impl fmt::Display for DrawingError {
                     "instruction {instruction}: a number is missing or wrong; export it again"
                 )
             }
-            Self::FarAway => write!(f, "a coordinate is more than a kilometre away; check the file's units"),
+            Self::FarAway { place } => write!(
+                f,
+                "{place}a coordinate is more than a kilometre away; check the file's units and transforms"
+            ),
+            Self::TimeTooShort { asked_ms, shortest_ms } => write!(
+                f,
+                "it cannot be drawn in {:.1} s: the coarsest drawing takes {:.1} s; give it more time (--max-time), or make \
+                 it smaller (--size)",
+                asked_ms as f64 / 1_000.0,
+                shortest_ms as f64 / 1_000.0
+            ),
             Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
             Self::NothingDrawn => write!(
                 f,
@@ -266,6 +307,19 @@ impl fmt::Display for DrawingError {
             Self::CsvNothingDrawn => {
                 write!(f, "no stroke: at least two points in a row need pen 1")
             }
+        }
+    }
+}
+
+impl DrawingError {
+    /// The same error with its place in the file, where that was not known.
+    #[must_use]
+    pub(super) fn at(self, place: FilePlace) -> Self {
+        match self {
+            Self::FarAway {
+                place: FilePlace::Somewhere,
+            } => Self::FarAway { place },
+            other => other,
         }
     }
 }

@@ -8,11 +8,11 @@
 //! this has to refuse, and its numbers have single precision, which is a hundredth of a millimetre at a hundred metres
 //! (offsets and machine coordinates are that large).
 
-use super::DrawingError;
 use super::artwork::Artwork;
 use super::length::MM_PER_INCH;
 use super::line;
 use super::plot::{Plot, arc_angle};
+use super::{DrawingError, FilePlace};
 
 /// How far the ends of an arc may lie from one circle: share of its radius, and mm.
 const ARC_SHARE: f64 = 0.01;
@@ -63,7 +63,8 @@ pub(super) fn read_gcode(text: &str) -> Result<Artwork, DrawingError> {
         );
     }
     for block in &blocks {
-        reader.block(block)?;
+        let place = FilePlace::Line(block.first().map_or(0, |word| word.line));
+        reader.block(block).map_err(|error| error.at(place))?;
     }
     Ok(reader.plot.finish())
 }
@@ -341,7 +342,12 @@ mod tests {
             ("M3\nG2 X10 Y0", DrawingError::GcodeArc { line: 2 }),
             ("M3\nG2 X10 Y0 R1", DrawingError::GcodeArc { line: 2 }),
             ("M3\nG3 X10 Y0 I0 J0", DrawingError::GcodeArc { line: 2 }),
-            ("G1 X99999999", DrawingError::FarAway),
+            (
+                "G1 X99999999",
+                DrawingError::FarAway {
+                    place: FilePlace::Line(1),
+                },
+            ),
         ] {
             assert_eq!(read_gcode(text).err(), Some(error), "{text}");
         }

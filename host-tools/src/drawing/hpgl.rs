@@ -3,10 +3,10 @@
 //! Two letters and numbers, 40 units a millimetre (Hewlett-Packard, *The HP-GL/2 and HP RTL Reference Guide*). Settings
 //! of a plotter's own are passed over; what would have drawn something and is not known is told.
 
-use super::DrawingError;
 use super::artwork::Artwork;
 use super::line::Point;
 use super::plot::Plot;
+use super::{DrawingError, FilePlace};
 
 /// Millimetres of a plotter's unit.
 const MM_PER_UNIT: f64 = 0.025;
@@ -45,17 +45,18 @@ pub(super) fn read_hpgl(text: &str) -> Result<Artwork, DrawingError> {
             numbers(parameters, number)?
         };
         let refused = DrawingError::HpglNumber { instruction: number };
+        let in_place = |error: DrawingError| error.at(FilePlace::Instruction(number));
         match name.as_str() {
             "PA" | "PR" => {
                 is_relative = name == "PR";
-                go_all(&mut plot, &values, is_relative, refused)?;
+                go_all(&mut plot, &values, is_relative, refused).map_err(in_place)?;
             }
             "PU" | "PD" => {
                 plot.set_down(name == "PD");
-                go_all(&mut plot, &values, is_relative, refused)?;
+                go_all(&mut plot, &values, is_relative, refused).map_err(in_place)?;
             }
             "SP" => plot.change(values.first().map_or(0, |pen| pen.max(0.0) as usize)),
-            "CI" | "AA" | "AR" | "EA" | "ER" => shape(&mut plot, &name, &values, refused)?,
+            "CI" | "AA" | "AR" | "EA" | "ER" => shape(&mut plot, &name, &values, refused).map_err(in_place)?,
             "LB" => plot.warn("labels (LB) are not drawn".to_owned()),
             "SC" if values.is_empty() => {}
             name if SETTINGS.contains(&name) || is_text => {}

@@ -47,16 +47,24 @@ pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
 /// [`DrawingError`] says what is wrong with the file and what to try.
 pub fn load_with(path: impl AsRef<Path>, font: &TextFont) -> Result<Input, DrawingError> {
     let path = path.as_ref();
-    let bytes = read(path)?;
+    load_content(path, &read_file(path)?, font)
+}
+
+/// Makes of a file's content what [`load`] makes of a file; its name says what kind of text it is where that is not clear.
+///
+/// # Errors
+///
+/// [`DrawingError`] says what is wrong with the file and what to try.
+pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input, DrawingError> {
     if bytes.is_empty() {
         return Err(DrawingError::Empty);
     }
-    match image::guess_format(&bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => return decode(&bytes, format).map(Input::Photograph),
+    match image::guess_format(bytes) {
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => return decode(bytes, format).map(Input::Photograph),
         Ok(_) => return Err(DrawingError::Unsupported),
         Err(_) => {}
     }
-    let text = std::str::from_utf8(&bytes).map_err(|_| DrawingError::UnknownContent)?;
+    let text = std::str::from_utf8(bytes).map_err(|_| DrawingError::UnknownContent)?;
     let text = text.trim_start_matches('\u{feff}');
     match kind(path, text) {
         Some(Kind::Svg) => read_svg_with(text, font).map(Input::Artwork),
@@ -67,7 +75,12 @@ pub fn load_with(path: impl AsRef<Path>, font: &TextFont) -> Result<Input, Drawi
     }
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, DrawingError> {
+/// Reads a file's content, `-` for standard input.
+///
+/// # Errors
+///
+/// It cannot be read, or is larger than is accepted.
+pub fn read_file(path: &Path) -> Result<Vec<u8>, DrawingError> {
     let mut bytes = Vec::new();
     let most = FILE_BYTES_MAX + 1;
     if path.as_os_str() == "-" {

@@ -16,6 +16,8 @@ mod edges;
 mod error;
 mod focus;
 mod gcode;
+#[cfg(test)]
+mod hostile;
 mod hpgl;
 mod input;
 mod join;
@@ -38,8 +40,8 @@ mod vectorize;
 pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
 pub use camera::{CameraError, take_photograph};
 pub use csv::{Path3d, read_csv};
-pub use error::DrawingError;
-pub use input::{Input, load, load_with};
+pub use error::{DrawingError, FilePlace};
+pub use input::{Input, load, load_content, load_with, read_file};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
 pub use order::{OrderOptions, OrderReport, order, order_with_effort};
 pub use path::to_path;
@@ -52,8 +54,10 @@ pub use svg::{FontFile, TextFont, read_svg, read_svg_with};
 pub use travel::Travel;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
 
+use serde::{Deserialize, Serialize};
+
 /// One line drawn without lifting the pen.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stroke {
     /// Corners of the line on the sheet, mm: x to the right, y down, origin at the top left.
     pub points: Vec<[f64; 2]>,
@@ -68,7 +72,7 @@ impl Stroke {
 }
 
 /// Strokes on a sheet, in the order in which they are drawn.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Drawing {
     /// Width and height of the sheet, mm.
     pub sheet_mm: [f64; 2],

@@ -5,7 +5,8 @@
 
 use super::artwork::{Artwork, Layer, LayerStroke};
 use super::line::Point;
-use super::{DrawingError, Stroke};
+use super::{DrawingError, FilePlace, Stroke};
+use std::collections::HashMap;
 use std::f64::consts::TAU;
 
 /// Largest distance of a chord from its arc, mm.
@@ -26,7 +27,9 @@ pub(super) struct Plot {
     pen: usize,
     line: Vec<Point>,
     points: usize,
-    layers: Vec<(usize, Layer)>,
+    layers: Vec<Layer>,
+    /// The layer of each pen.
+    pens: HashMap<usize, usize>,
     strokes: Vec<LayerStroke>,
     warnings: Vec<(String, usize)>,
 }
@@ -63,7 +66,9 @@ impl Plot {
     /// [`DrawingError::TooManyPoints`] and [`DrawingError::FarAway`].
     pub(super) fn go(&mut self, to: Point) -> Result<(), DrawingError> {
         if !to.iter().all(|value| value.abs() <= PLACE_MAX_MM) {
-            return Err(DrawingError::FarAway);
+            return Err(DrawingError::FarAway {
+                place: FilePlace::Somewhere,
+            });
         }
         if self.is_down && to != self.at {
             if self.line.is_empty() {
@@ -87,6 +92,9 @@ impl Plot {
         let (x, y) = (self.at[0] - centre[0], self.at[1] - centre[1]);
         let radius = x.hypot(y);
         let largest = 2.0 * (1.0 - (TOLERANCE_MM / radius.max(TOLERANCE_MM)).min(1.0)).acos();
+        if !self.is_down {
+            return self.go(to);
+        }
         let chords = (angle_rad.abs() / largest.max(1e-3)).ceil().clamp(1.0, 1e5);
         for k in 1..chords as u32 {
             let (sine, cosine) = (angle_rad * f64::from(k) / chords).sin_cos();
@@ -101,21 +109,14 @@ impl Plot {
             return;
         }
         let pen = self.pen;
-        let layer = self
-            .layers
-            .iter()
-            .position(|(known, _)| *known == pen)
-            .unwrap_or_else(|| {
-                let name = format!("pen {pen}");
-                self.layers.push((
-                    pen,
-                    Layer {
-                        name,
-                        ..Layer::default()
-                    },
-                ));
-                self.layers.len() - 1
+        let layers = &mut self.layers;
+        let layer = *self.pens.entry(pen).or_insert_with(|| {
+            layers.push(Layer {
+                name: format!("pen {pen}"),
+                ..Layer::default()
             });
+            layers.len() - 1
+        });
         self.strokes.push(LayerStroke {
             layer,
             stroke: Stroke { points },
@@ -131,7 +132,7 @@ impl Plot {
         };
         Artwork {
             page_mm: None,
-            layers: self.layers.into_iter().map(|(_, layer)| layer).collect(),
+            layers: self.layers,
             strokes: self.strokes,
             warnings: self.warnings.into_iter().map(told).collect(),
             ..Artwork::default()

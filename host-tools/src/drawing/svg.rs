@@ -17,12 +17,13 @@ use super::artwork::{Artwork, Layer, LayerStroke, UserSpace};
 use super::clip::{Region, clip};
 use super::length::{MM_PER_PX, to_mm};
 use super::line::{self, Point};
-use super::{DrawingError, Stroke};
+use super::plot::PLACE_MAX_MM;
+use super::{DrawingError, FilePlace, Stroke};
 use dashes::cut_into_dashes;
-use head::Head;
+use head::{Head, farthest_line, senseless_line};
 use kurbo::{Affine, BezPath, PathEl};
 use messages::Collected;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use text::Fonts;
 pub use text::{FontFile, TextFont};
 use usvg::roxmltree::{Document, ParsingOptions};
@@ -34,6 +35,8 @@ const TOLERANCE_MM: f64 = 0.02;
 const POINTS_MAX: usize = 20_000_000;
 /// Most dashes of one line; one with more is drawn solid.
 const DASHES_MAX: f64 = 100_000.0;
+/// Most dashes of all lines together; lines after that are drawn solid.
+const ALL_DASHES_MAX: f64 = 2_000_000.0;
 /// Most warnings kept; a damaged file has one for each element.
 const WARNINGS_MAX: usize = 12;
 /// Most elements of a file, as many as usvg takes.
@@ -56,8 +59,8 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
 /// Reads an SVG.
 ///
 /// # Errors
-/// [`DrawingError::SvgSyntax`], [`DrawingError::SvgCycle`], [`DrawingError::SvgSize`], [`DrawingError::SvgElements`] or
-/// [`DrawingError::TooManyPoints`].
+/// [`DrawingError::SvgSyntax`], [`DrawingError::SvgCycle`], [`DrawingError::SvgSize`], [`DrawingError::SvgElements`],
+/// [`DrawingError::FarAway`] with the line of the number that is too large, or [`DrawingError::TooManyPoints`].
 pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingError> {
     let options = ParsingOptions {
         allow_dtd: true,
@@ -73,6 +76,11 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     let head = Head::of(&document);
     if head.has_senseless_size {
         return Err(DrawingError::SvgSize);
+    }
+    if let Some(line) = senseless_line(&document) {
+        return Err(DrawingError::FarAway {
+            place: FilePlace::Line(line),
+        });
     }
     let prepared = head.prepared(text);
     let fonts = Fonts::find(&document, font);
@@ -92,22 +100,40 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
         _ => DrawingError::UnknownContent,
     })?;
     let page_mm = [tree.size().width(), tree.size().height()].map(|px| f64::from(px) * MM_PER_PX);
+    let in_place = |error: DrawingError| match error {
+        DrawingError::FarAway { .. } => error.at(farthest_line(text).map_or(FilePlace::Somewhere, FilePlace::Line)),
+        other => other,
+    };
+    check_place(page_mm).map_err(in_place)?;
     let mut reader = Reader {
         page_mm,
         layer_ids: head.layer_ids,
         by_label: !head.layers.is_empty(),
+        layer_names: HashMap::new(),
+        drawn_layers: HashSet::new(),
         layers: head.layers,
         strokes: Vec::new(),
         points: 0,
         clips: Vec::new(),
         papers: 0,
         cut_steps: 0,
+        dashes: 0.0,
         warnings,
         letters_are_open: fonts.are_open,
         is_open: false,
     };
-    reader.group(tree.root(), None)?;
+    reader.group(tree.root(), None).map_err(in_place)?;
     Ok(reader.finish(head.is_sized.then_some(page_mm), head.user_space))
+}
+
+/// Refuses a place that no drawing has.
+fn check_place(at: Point) -> Result<(), DrawingError> {
+    if at.iter().all(|mm| mm.abs() <= PLACE_MAX_MM) {
+        return Ok(());
+    }
+    Err(DrawingError::FarAway {
+        place: FilePlace::Somewhere,
+    })
 }
 
 fn syntax(error: &usvg::roxmltree::Error) -> DrawingError {
@@ -138,11 +164,17 @@ struct Reader {
     layer_ids: HashMap<String, usize>,
     by_label: bool,
     layers: Vec<Layer>,
+    /// The layer of each colour.
+    layer_names: HashMap<String, usize>,
+    /// Layers with a stroke.
+    drawn_layers: HashSet<usize>,
     strokes: Vec<LayerStroke>,
     points: usize,
     clips: Vec<Clip>,
     papers: usize,
     cut_steps: usize,
+    /// Dashes of all lines, about.
+    dashes: f64,
     warnings: Vec<String>,
     letters_are_open: bool,
     /// Whether the closing lines of what is read are left out.
@@ -205,6 +237,7 @@ impl Reader {
                 usvg::Node::Path(path) => {
                     let is_even_odd = path.fill().is_some_and(|fill| fill.rule() == usvg::FillRule::EvenOdd);
                     let lines = self.lines(path.data(), at)?;
+                    self.count_points(lines.iter().map(Vec::len).sum())?;
                     out.push(Region::new(lines, is_even_odd));
                 }
                 usvg::Node::Image(_) | usvg::Node::Text(_) => {}
@@ -231,10 +264,7 @@ impl Reader {
             _ => lines,
         };
         for points in self.clipped(lines) {
-            self.points += points.len();
-            if self.points > POINTS_MAX {
-                return Err(DrawingError::TooManyPoints { points_max: POINTS_MAX });
-            }
+            self.count_points(points.len())?;
             self.strokes.push(LayerStroke {
                 layer,
                 stroke: Stroke { points },
@@ -243,11 +273,18 @@ impl Reader {
         Ok(())
     }
 
+    fn count_points(&mut self, points: usize) -> Result<(), DrawingError> {
+        self.points += points;
+        if self.points > POINTS_MAX {
+            return Err(DrawingError::TooManyPoints { points_max: POINTS_MAX });
+        }
+        Ok(())
+    }
+
     /// The layer of a stroke: its group's where the file has layers, its colour's where it has none.
     fn layer_of(&mut self, layer: Option<usize>, colour: [u8; 3]) -> usize {
         if let Some(layer) = layer {
-            if !self.strokes.iter().rev().take(1).any(|last| last.layer == layer)
-                && !self.strokes.iter().any(|stroke| stroke.layer == layer)
+            if self.drawn_layers.insert(layer)
                 && let Some(known) = self.layers.get_mut(layer)
             {
                 known.colour = colour;
@@ -260,10 +297,13 @@ impl Reader {
         } else {
             format!("#{red:02x}{green:02x}{blue:02x}")
         };
-        let known = self.layers.iter().position(|layer| layer.name == name);
-        known.unwrap_or_else(|| {
-            self.layers.push(Layer { name, colour });
-            self.layers.len() - 1
+        let layers = &mut self.layers;
+        *self.layer_names.entry(name.clone()).or_insert_with(|| {
+            // A label may be the same as a colour's name.
+            layers.iter().position(|layer| layer.name == name).unwrap_or_else(|| {
+                layers.push(Layer { name, colour });
+                layers.len() - 1
+            })
         })
     }
 
@@ -278,6 +318,15 @@ impl Reader {
     fn lines(&mut self, path: &usvg::tiny_skia_path::Path, at: Transform) -> Result<Vec<Vec<Point>>, DrawingError> {
         let numbers = [at.sx, at.ky, at.kx, at.sy, at.tx, at.ty].map(|value| f64::from(value) * MM_PER_PX);
         let shape = Affine::new(numbers) * bezier(path);
+        for element in shape.elements() {
+            let points = match *element {
+                PathEl::MoveTo(a) | PathEl::LineTo(a) => [a, a, a],
+                PathEl::QuadTo(a, b) => [a, b, b],
+                PathEl::CurveTo(a, b, c) => [a, b, c],
+                PathEl::ClosePath => continue,
+            };
+            points.iter().try_for_each(|point| check_place([point.x, point.y]))?;
+        }
         let mut lines: Vec<Vec<Point>> = Vec::new();
         let mut points: Vec<Point> = Vec::new();
         let mut total = 0_usize;
@@ -301,17 +350,11 @@ impl Reader {
         if total > POINTS_MAX {
             return Err(DrawingError::TooManyPoints { points_max: POINTS_MAX });
         }
-        let is_finite = |points: &Vec<Point>| points.iter().flatten().all(|value| value.is_finite());
         let mut kept = Vec::with_capacity(lines.len());
         for mut points in lines {
             points.dedup();
-            if points.len() < 2 {
-                continue;
-            }
-            if is_finite(&points) {
+            if points.len() > 1 {
                 kept.push(points);
-            } else {
-                self.warn(|| "a line with a coordinate that is no finite number is not drawn".to_owned());
             }
         }
         Ok(kept)
@@ -326,7 +369,8 @@ impl Reader {
         let mut result = Vec::new();
         for points in lines {
             let count = line::length(&points) / period * dashes.len() as f64;
-            if count <= DASHES_MAX && period > 0.0 {
+            self.dashes += count;
+            if count <= DASHES_MAX && self.dashes <= ALL_DASHES_MAX && period > 0.0 {
                 result.extend(cut_into_dashes(
                     &points,
                     &dashes,

@@ -111,6 +111,19 @@ pub enum JobError {
         /// Vertices of the path.
         total: usize,
     },
+    /// The path ended, and the pen was seen not to follow a part of it.
+    NotFollowed {
+        /// Length that is missing, mm.
+        missing_mm: f64,
+        /// Length of all strokes, mm.
+        total_mm: f64,
+        /// The first stroke of which a part is missing; strokes are counted from 0.
+        first: u32,
+        /// The last one.
+        last: u32,
+        /// How many there are.
+        strokes: usize,
+    },
     /// The firmware does not hold the drawing that was to go on.
     NotHeld(Mode),
     /// The joint angles are not referenced, and what they are cannot be guessed.
@@ -182,6 +195,28 @@ impl fmt::Display for JobError {
                 "the robot came to rest after {executed} of {total} vertices; another program may have cancelled the \
                  drawing"
             ),
+            Self::NotFollowed {
+                missing_mm,
+                total_mm,
+                first,
+                last,
+                strokes,
+            } => {
+                write!(
+                    f,
+                    "the drawing is not finished: {missing_mm:.1} of {total_mm:.1} mm were not drawn where they belong, in "
+                )?;
+                let (first, last) = (first.saturating_add(1), last.saturating_add(1));
+                match strokes {
+                    1 => write!(f, "stroke {first}")?,
+                    _ => write!(f, "{strokes} strokes from {first} to {last}")?,
+                }
+                write!(
+                    f,
+                    "; the drives did not follow although none reported a fault: look at them, take the reference again, \
+                     then continue the drawing at stroke {first}"
+                )
+            }
             Self::NotHeld(mode) => write!(
                 f,
                 "the firmware does not hold this drawing (now: {}); draw --resume goes on from the log of jobs",
@@ -226,6 +261,13 @@ mod tests {
                 waited_ms: 60_000,
             },
             JobError::EndedEarly { executed: 3, total: 9 },
+            JobError::NotFollowed {
+                missing_mm: 44.8,
+                total_mm: 271.5,
+                first: 2,
+                last: 2,
+                strokes: 1,
+            },
             JobError::Cancelled,
         ];
         for error in errors {

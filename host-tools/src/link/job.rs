@@ -5,7 +5,8 @@
 //! its connection when its task has ended and can be given another one.
 //!
 //! Invariants: a fault that is found is reported, and acknowledged only when the options or the task say so; progress
-//! counts executed vertices, not sent ones; whatever ends a task early that moves the robot, the robot is asked to come to
+//! counts executed vertices, not sent ones; a drawing is done when the pen was seen where the path wanted it, not when
+//! the firmware says so; whatever ends a task early that moves the robot, the robot is asked to come to
 //! rest and to give up the power that the task gave it; a drawing held since another connection goes on only if the
 //! firmware still holds exactly that drawing.
 
@@ -16,6 +17,7 @@ use super::measurement::Reader;
 use super::progress::{PathMeasure, Progress};
 use super::session::{Event, Session, SessionCounts};
 pub use super::terms::{Control, Drawing, JobEvent, JobOptions, JobReport, Motion, Ready, Task};
+use super::verification::{Verification, Verifier};
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
@@ -95,6 +97,11 @@ pub struct Job {
     drawn_ms: u64,
     held_ms: u64,
     samples: Vec<Sample>,
+    /// Watches the drawing's telemetry, from its start to its end.
+    verifier: Option<Verifier>,
+    verification: Verification,
+    /// Vertices before the first stroke that is not complete although the path has ended.
+    complete: Option<u32>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
     /// For each question about the measurements without an answer whether it is the task's own.
@@ -138,6 +145,9 @@ impl Job {
             drawn_ms: 0,
             held_ms: 0,
             samples: Vec::new(),
+            verifier: None,
+            verification: Verification::default(),
+            complete: None,
             reader: None,
             questions: VecDeque::new(),
             events: VecDeque::new(),
@@ -159,6 +169,8 @@ impl Job {
         (self.ack, self.executed_before) = (PathAck::default(), 0);
         (self.drawing_ms, self.drawn_ms, self.held_ms) = (None, 0, 0);
         (self.samples, self.reader) = (Vec::new(), None);
+        (self.verifier, self.complete) = (None, None);
+        self.verification = Verification::default();
         self.status_before = None;
         if let Some(broken) = self.broken {
             return self.fail(broken);
@@ -212,8 +224,12 @@ impl Job {
     /// The same, for a job that goes on.
     pub fn take_report(&mut self) -> JobReport {
         let progress = self.progress();
+        if let Some(verifier) = self.verifier.take() {
+            self.verification = verifier.finish(false);
+        }
         JobReport {
             progress,
+            verification: std::mem::take(&mut self.verification),
             drawn_s: progress.elapsed_s,
             held_s: self.held_ms as f64 / 1_000.0,
             welcome: self.welcome.clone(),
@@ -277,8 +293,9 @@ impl Job {
             Some(since_ms) => self.now_ms.saturating_sub(since_ms).saturating_sub(self.held_ms),
             None => 0,
         };
+        let executed = self.complete.unwrap_or(self.ack.executed);
         self.measure
-            .progress(self.executed_before, self.ack.executed, elapsed_ms as f64 / 1000.0)
+            .progress(self.executed_before, executed, elapsed_ms as f64 / 1000.0)
     }
 
     /// The oldest event that was not taken yet.
@@ -391,6 +408,9 @@ impl Job {
             self.events.push_back(JobEvent::SamplesMissing { missing, t_ms });
         }
         self.sample = samples.last().copied().or(self.sample);
+        if let Some(verifier) = &mut self.verifier {
+            verifier.observe(&samples);
+        }
         let pen_is_up = |sample: &Sample| sample.mode == Mode::Drawing && sample.pen == Pen::Up;
         if self.hold_at_pen_up && self.sample.as_ref().is_some_and(pen_is_up) {
             self.hold_at_pen_up = false;
@@ -442,6 +462,7 @@ impl Job {
         if !drawing.held {
             self.executed_before = 0;
         }
+        self.verifier = Some(Verifier::new(&vertices, &self.config, !drawing.held));
         self.session.start_path(number, vertices);
         self.ack.executed = self.executed_before;
         self.drawing_ms = Some(self.now_ms);

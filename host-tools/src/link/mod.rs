@@ -17,3 +17,4 @@ pub mod remainder;
 pub mod session;
 pub mod terms;
 pub mod text;
+pub mod verification;

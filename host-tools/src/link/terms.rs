@@ -6,6 +6,7 @@ use super::error::Phase;
 use super::measurement::Readings;
 use super::progress::Progress;
 use super::session::SessionCounts;
+use super::verification::Verification;
 use etherpen::application::{Mode, Refusal};
 use etherpen::ethercat::service::ServiceResult;
 use etherpen::link::protocol::{Command, PathVertex, Sample, Status, Welcome};
@@ -187,8 +188,10 @@ pub struct JobReport {
     pub status: Option<Status>,
     /// The last status before the drawing began.
     pub status_before: Option<Status>,
-    /// How far the drawing came.
+    /// How far the drawing came; where a part was not followed, up to the first stroke that is not complete.
     pub progress: Progress,
+    /// What the telemetry says of the drawing.
+    pub verification: Verification,
     /// Time from the accepted start to the end of the path, s, without the time in which it was held.
     pub drawn_s: f64,
     /// Time in which the drawing was held, s.

@@ -411,10 +411,18 @@ impl Work {
 }
 
 /// Answers a task's order and tells everybody.
-fn finish(shared: &Shared, active: Active, result: Result<(), Failure>, report: Option<JobReport>) {
+fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, report: Option<JobReport>) {
     let report = active.drawing.map(|mut underway| {
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
+        // What an earlier connection saw missing was not drawn by a later one.
+        if result.is_ok()
+            && let Some(error) = report.verification.verdict().error()
+        {
+            result = Err(Failure::from(&error));
+            let complete = report.verification.verdict().complete_vertices;
+            report.progress.vertices = report.progress.vertices.min(complete as usize);
+        }
         report.samples = std::mem::take(&mut underway.samples);
         Arc::new(report)
     });
@@ -433,8 +441,11 @@ fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
         progress = before.progress;
     }
     progress.elapsed_s = before.drawn_s + last.drawn_s;
+    let mut verification = before.verification;
+    verification.merge(&last.verification);
     JobReport {
         progress,
+        verification,
         drawn_s: before.drawn_s + last.drawn_s,
         held_s: before.held_s + last.held_s,
         welcome: last.welcome.or(before.welcome),

@@ -1,10 +1,11 @@
 //! How far points lie from the strokes they were meant to draw, and where ink is missing.
 //!
-//! A point is compared with its own stroke, in order along it: a drawing whose lines lie close together would otherwise
-//! find a neighbour near every point.
+//! A point is compared with its own stroke, in order along it ([`matching`](crate::matching)): a drawing whose lines lie
+//! close together, or on top of each other, would otherwise find a neighbour near every point.
 //!
 //! Invariant: no distance is taken to a stroke other than the point's own.
 
+use crate::matching::{Line, Match, Step, distance};
 use etherpen::robot::Position;
 use std::collections::HashMap;
 
@@ -14,18 +15,19 @@ const INK_REACH_MM: f64 = 0.5;
 const INK_STEP_MM: f64 = 0.1;
 /// Points of a line of ink are at most this far apart where ink is looked for, mm.
 const INK_DENSE_MM: f64 = 0.25;
-/// How far along its stroke the pen may have come for a millimetre of its own way, mm: it cuts corners. A stroke that
-/// crosses itself would be left for its other part if more were allowed.
-const AHEAD: f64 = 1.5;
-/// How far it may have come besides, mm: the longest detour of a polyline around the tip of a rounded corner.
-const AHEAD_MM: f64 = 0.2;
-/// Distance at which a follower has lost its place, mm.
-const LOST_MM: f64 = 1.0;
-/// How far back along its stroke the nearest point may lie, mm: noise, not motion.
-const BACK_MM: f64 = 0.5;
-/// A line of ink whose first point is this much closer to another part of its stroke than to the stroke's begin did not
-/// begin there, mm: it goes on where a hold had interrupted it.
-const BEGIN_MM: f64 = 0.5;
+/// A part of a stroke between two points counts as left out when it is farther than this from the straight way between
+/// them, mm: corners are rounded by less.
+const LEFT_OUT_MM: f64 = 0.3;
+/// Points that begin within this distance of their stroke's begin are taken to begin there, mm; others go on somewhere
+/// along it, where a hold had interrupted them.
+const BEGIN_MM: f64 = 2.0;
+/// Distance within which a line of ink looks for its stroke first, mm, and how much farther each further look goes.
+const INK_NEAR_MM: f64 = 1.0;
+const INK_FARTHER: f64 = 4.0;
+/// Distance beyond which no line of ink looks, mm.
+const INK_FAR_MM: f64 = 1e4;
+/// How far back along its stroke a line of ink may begin behind the end of the one before, mm.
+const INK_BACK_MM: f64 = 0.5;
 
 /// A drawn polyline with its stroke's number.
 pub type NumberedStroke = (u32, Vec<Position>);
@@ -52,6 +54,16 @@ impl Distances {
         self.count += 1;
     }
 
+    /// Adds the points of a match; a part of the line that they left out counts as well.
+    fn add_match(&mut self, line: &Line, points: &[Step], matched: &Match) {
+        for (point, place_mm) in points.iter().zip(&matched.places_mm) {
+            self.add(line.distance_between(&point.position, *place_mm, *place_mm));
+        }
+        if matched.distance_mm > LEFT_OUT_MM {
+            self.largest_mm = self.largest_mm.max(matched.distance_mm);
+        }
+    }
+
     pub(super) fn result(&self) -> Deviation {
         if self.count == 0 {
             return Deviation {
@@ -67,181 +79,194 @@ impl Distances {
 }
 
 /// A moment of a stroke: where the platform was to be, and where it was.
+#[derive(Clone, Copy)]
 pub(super) struct Moment {
+    /// Milliseconds since the firmware started.
+    pub(super) t_ms: u32,
     pub(super) stroke: u32,
     pub(super) reference: Position,
     pub(super) measured: Position,
 }
 
-/// Distances of references and of measured positions from their strokes. The references keep the place along the stroke:
-/// they are never far from it.
-pub(super) fn deviation(moments: impl Iterator<Item = Moment>, strokes: &[NumberedStroke]) -> (Deviation, Deviation) {
+/// Distances of references and of measured positions from their strokes. `speed_mm_s` is the largest speed along a
+/// stroke: it bounds how far the motion came where moments are missing.
+pub(super) fn deviation(moments: &[Moment], strokes: &[NumberedStroke], speed_mm_s: f64) -> (Deviation, Deviation) {
     let (mut references, mut measured) = (Distances::default(), Distances::default());
-    let mut current: Option<(u32, Follower)> = None;
-    for moment in moments {
-        if current.as_ref().is_none_or(|(stroke, _)| *stroke != moment.stroke) {
-            let points = strokes.iter().find(|(stroke, _)| *stroke == moment.stroke);
-            current = points.map(|(stroke, points)| (*stroke, Follower::new(points)));
-        }
-        if let Some((_, follower)) = &mut current {
-            references.add(follower.step(&moment.reference));
-            measured.add(follower.beside(&moment.measured));
+    let lines: HashMap<u32, &Vec<Position>> = strokes.iter().rev().map(|(stroke, points)| (*stroke, points)).collect();
+    for part in moments.chunk_by(|a, b| a.stroke == b.stroke) {
+        let Some(points) = part.first().and_then(|first| lines.get(&first.stroke)) else {
+            continue;
+        };
+        let line = Line::new((*points).clone());
+        let places: [(&mut Distances, fn(&Moment) -> Position); 2] = [
+            (&mut references, |moment| moment.reference),
+            (&mut measured, |moment| moment.measured),
+        ];
+        for (distances, place) in places {
+            let steps = steps(part, place, speed_mm_s);
+            let matched = line.follow(&steps, beginning(&line, &steps));
+            distances.add_match(&line, &steps, &matched);
         }
     }
     (references.result(), measured.result())
 }
 
-/// Distance of every point of ink from the stroke it belongs to, on the paper. Lines of ink come in the strokes' order; a
-/// stroke that was held is drawn in several lines.
+fn steps(moments: &[Moment], place: fn(&Moment) -> Position, speed_mm_s: f64) -> Vec<Step> {
+    let mut last_ms = None;
+    let mut step = |moment: &Moment| {
+        let passed_ms = last_ms
+            .replace(moment.t_ms)
+            .map_or(1, |last_ms: u32| moment.t_ms.wrapping_sub(last_ms));
+        Step {
+            position: place(moment),
+            unseen_mm: (passed_ms > 1).then(|| BEGIN_MM + 2.0 * speed_mm_s * f64::from(passed_ms) / 1_000.0),
+        }
+    };
+    moments.iter().map(&mut step).collect()
+}
+
+/// Where along a line positions may begin: at its begin, or anywhere if they do not begin near that.
+fn beginning(line: &Line, steps: &[Step]) -> [f64; 2] {
+    let is_at_begin = |step: &Step| line.distance_between(&step.position, 0.0, 0.0) <= BEGIN_MM;
+    match steps.first().is_some_and(is_at_begin) {
+        true => [0.0, BEGIN_MM],
+        false => [0.0, f64::INFINITY],
+    }
+}
+
+/// A line of ink on a stroke that it may belong to.
+struct Candidate {
+    stroke: usize,
+    matched: Match,
+    /// Sum of the squares of this line's and all earlier lines' distances, mm2; infinite where their order forbids it.
+    sum_mm2: f64,
+    /// Which candidate of the line before goes with it.
+    before: usize,
+}
+
+/// Distance of every point of ink from the stroke it belongs to, on the paper.
+///
+/// Lines of ink come in the strokes' order. A stroke that was held is drawn in several lines, and a stroke whose pen did
+/// not reach the paper leaves none, so each line gets the stroke with which all lines together fit best.
 pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]) -> Deviation {
+    let ink: Vec<&Vec<[f64; 2]>> = ink_mm.iter().filter(|line| !line.is_empty()).collect();
+    let lines: Vec<Line> = strokes.iter().map(|(_, points)| Line::new(points.clone())).collect();
+    let heights: Vec<f64> = (strokes
+        .iter()
+        .map(|(_, points)| points.first().map_or(0.0, |point| point.z_mm)))
+    .collect();
     let mut distances = Distances::default();
-    let mut stroke = 0;
-    for line in ink_mm.iter().filter(|line| !line.is_empty()) {
-        // The line goes on with the last stroke, or is the next one, which may begin on top of the last.
-        let same = along(line, strokes.get(stroke));
-        let next = along(line, strokes.get(stroke + 1));
-        let is_next = matches!((&same, &next), (Some(same), Some(next)) if worst(next) < worst(same));
-        stroke += usize::from(is_next);
-        let Some(nearest) = (if is_next { next } else { same }) else {
-            break;
-        };
-        nearest.into_iter().for_each(|distance| distances.add(distance));
+    if ink.is_empty() || lines.is_empty() {
+        return distances.result();
+    }
+    let mut near_mm = INK_NEAR_MM;
+    let chosen = loop {
+        let is_last = near_mm > INK_FAR_MM;
+        let candidates: Vec<Vec<Candidate>> = ink
+            .iter()
+            .map(|points| candidates(points, strokes, &lines, near_mm))
+            .collect();
+        if let Some(chosen) = in_order(candidates, is_last) {
+            break chosen;
+        }
+        if is_last {
+            return distances.result();
+        }
+        near_mm *= INK_FARTHER;
+    };
+    for (points, candidate) in ink.iter().zip(chosen) {
+        let steps = on_paper(points, heights[candidate.stroke]);
+        distances.add_match(&lines[candidate.stroke], &steps, &candidate.matched);
     }
     distances.result()
 }
 
-/// Distance of every point of a line from a stroke, where the line begins anywhere along it, mm.
-fn along(line: &[[f64; 2]], on: Option<&NumberedStroke>) -> Option<Vec<f64>> {
-    let (begin, on) = (line.first()?, on?);
-    let (mut follower, _) = Follower::beginning_near(&on.1, &on_paper(begin, on));
-    Some(line.iter().map(|point| follower.step(&on_paper(point, on))).collect())
-}
-
-fn worst(distances: &[f64]) -> f64 {
-    distances.iter().copied().fold(0.0, f64::max)
-}
-
-/// A point of ink at the height of a stroke's paper.
-fn on_paper([x_mm, y_mm]: &[f64; 2], (_, points): &NumberedStroke) -> Position {
-    Position {
-        x_mm: *x_mm,
-        y_mm: *y_mm,
-        z_mm: points.first().map_or(0.0, |point| point.z_mm),
-    }
-}
-
-pub(super) fn distance(a: &Position, b: &Position) -> f64 {
-    ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
-}
-
-/// The point at a part of the way from `a` to `b`.
-fn at(a: &Position, b: &Position, part: f64) -> Position {
-    Position {
-        x_mm: a.x_mm + part * (b.x_mm - a.x_mm),
-        y_mm: a.y_mm + part * (b.y_mm - a.y_mm),
-        z_mm: a.z_mm + part * (b.z_mm - a.z_mm),
-    }
-}
-
-/// Distance from `p` to the segment from `a` to `b`, and how far along it the nearest point lies, mm.
-fn to_segment(p: &Position, a: &Position, b: &Position) -> (f64, f64) {
-    let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
-    let length2 = dx * dx + dy * dy + dz * dz;
-    let along = (p.x_mm - a.x_mm) * dx + (p.y_mm - a.y_mm) * dy + (p.z_mm - a.z_mm) * dz;
-    let t = if length2 > 0.0 {
-        (along / length2).clamp(0.0, 1.0)
-    } else {
-        0.0
+/// The strokes that a line of ink fits to within a distance.
+fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], lines: &[Line], near_mm: f64) -> Vec<Candidate> {
+    let bounds = |places: &mut dyn Iterator<Item = [f64; 2]>| {
+        places.fold(
+            [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY],
+            |b, [x, y]| [b[0].min(x), b[1].min(y), b[2].max(x), b[3].max(y)],
+        )
     };
-    let foot = at(a, b, t);
-    (distance(p, &foot), t * length2.sqrt())
+    let ink = bounds(&mut points.iter().copied());
+    let mut result = Vec::new();
+    for (stroke, ((_, places), line)) in strokes.iter().zip(lines).enumerate() {
+        let around = bounds(&mut places.iter().map(|place| [place.x_mm, place.y_mm]));
+        let is_inside = (0..2).all(|k| ink[k] >= around[k] - near_mm && ink[k + 2] <= around[k + 2] + near_mm);
+        if !is_inside {
+            continue;
+        }
+        let height_mm = places.first().map_or(0.0, |place| place.z_mm);
+        let matched = line.follow(&on_paper(points, height_mm), [0.0, f64::INFINITY]);
+        if matched.distance_mm <= near_mm {
+            result.push(Candidate {
+                stroke,
+                matched,
+                sum_mm2: f64::INFINITY,
+                before: 0,
+            });
+        }
+    }
+    result
 }
 
-/// Follows one stroke in order: the nearest point is looked for close to the last one only, never on a neighbour.
-struct Follower<'a> {
-    points: &'a [Position],
-    /// How far along the stroke each of its points lies, mm.
-    along_mm: Vec<f64>,
-    /// How far along the stroke the last nearest point lies, mm.
-    foot_mm: f64,
-    /// The last position.
-    last: Option<Position>,
+/// One candidate for each line of ink, the strokes in order, with the least sum of squared distances; `None` where no
+/// choice keeps the order. `anyhow` lets lines on one stroke overlap.
+fn in_order(mut candidates: Vec<Vec<Candidate>>, anyhow: bool) -> Option<Vec<Candidate>> {
+    let mut last: &mut [Candidate] = &mut [];
+    for (index, line) in candidates.iter_mut().enumerate() {
+        let (mut passed, mut least) = (0, (f64::INFINITY, 0));
+        for candidate in line.iter_mut() {
+            while let Some(before) = last.get(passed).filter(|before| before.stroke < candidate.stroke) {
+                if before.sum_mm2 < least.0 {
+                    least = (before.sum_mm2, passed);
+                }
+                passed += 1;
+            }
+            let (mut sum_mm2, mut before) = if index == 0 { (0.0, 0) } else { least };
+            if let Some(same) = last.get(passed).filter(|same| same.stroke == candidate.stroke)
+                && (anyhow || goes_on(&same.matched, &candidate.matched))
+                && same.sum_mm2 < sum_mm2
+            {
+                (sum_mm2, before) = (same.sum_mm2, passed);
+            }
+            candidate.sum_mm2 = sum_mm2 + candidate.matched.distance_mm.powi(2);
+            candidate.before = before;
+        }
+        last = line;
+    }
+    let ends = candidates.last()?;
+    let best = ends
+        .iter()
+        .enumerate()
+        .min_by(|a, b| a.1.sum_mm2.total_cmp(&b.1.sum_mm2))?;
+    let mut at = best.1.sum_mm2.is_finite().then_some(best.0)?;
+    let mut chosen = Vec::with_capacity(candidates.len());
+    while let Some(mut line) = candidates.pop() {
+        let candidate = line.swap_remove(at);
+        at = candidate.before;
+        chosen.push(candidate);
+    }
+    chosen.reverse();
+    Some(chosen)
 }
 
-impl<'a> Follower<'a> {
-    fn new(points: &'a [Position]) -> Self {
-        let mut length_mm = 0.0;
-        let legs = points.windows(2).map(|pair| {
-            length_mm += distance(&pair[0], &pair[1]);
-            length_mm
-        });
-        Self {
-            points,
-            along_mm: std::iter::once(0.0).chain(legs).collect(),
-            foot_mm: 0.0,
-            last: None,
-        }
+/// Whether a line of ink begins on its stroke where another one ends.
+fn goes_on(before: &Match, after: &Match) -> bool {
+    match (before.places_mm.last(), after.places_mm.first()) {
+        (Some(end_mm), Some(begin_mm)) => *begin_mm >= end_mm - INK_BACK_MM,
+        _ => false,
     }
+}
 
-    /// A follower for a line that begins at `position`: at the stroke's begin, unless another part is clearly closer. Also
-    /// gives the distance of the place where it begins.
-    fn beginning_near(points: &'a [Position], position: &Position) -> (Self, f64) {
-        let mut follower = Self::new(points);
-        let begin_mm = points.first().map_or(f64::INFINITY, |first| distance(first, position));
-        let (nearest_mm, foot_mm) = follower.nearest(position, 0.0, f64::INFINITY);
-        if nearest_mm < begin_mm - BEGIN_MM {
-            follower.foot_mm = foot_mm;
-            return (follower, nearest_mm);
-        }
-        (follower, begin_mm)
-    }
-
-    /// Distance from `position` to the part of the stroke between two places along it, and where its nearest point lies, mm.
-    fn nearest(&self, position: &Position, low_mm: f64, high_mm: f64) -> (f64, f64) {
-        let first = self
-            .along_mm
-            .partition_point(|along_mm| *along_mm <= low_mm)
-            .saturating_sub(1);
-        let mut nearest = (f64::INFINITY, self.foot_mm);
-        for (pair, ends) in self.points.windows(2).zip(self.along_mm.windows(2)).skip(first) {
-            if ends[0] > high_mm {
-                break;
-            }
-            let place = |mm: f64| at(&pair[0], &pair[1], (mm - ends[0]) / (ends[1] - ends[0]));
-            let from_mm = low_mm.clamp(ends[0], ends[1]);
-            let (away_mm, along_mm) = to_segment(position, &place(from_mm), &place(high_mm.min(ends[1])));
-            if away_mm < nearest.0 {
-                nearest = (away_mm, from_mm + along_mm);
-            }
-        }
-        nearest
-    }
-
-    /// Distance of the next position, mm.
-    fn step(&mut self, position: &Position) -> f64 {
-        let way_mm = self
-            .last
-            .replace(*position)
-            .map_or(0.0, |last| distance(&last, position));
-        let ahead_mm = self.foot_mm + AHEAD * way_mm + AHEAD_MM;
-        let (away_mm, foot_mm) = self.nearest(position, self.foot_mm - BACK_MM, ahead_mm);
-        self.foot_mm = foot_mm;
-        if away_mm < LOST_MM {
-            return away_mm;
-        }
-        // Too far away for the nearest point to mean anything: it is looked for anew.
-        let (away_mm, foot_mm) = self.nearest(position, 0.0, f64::INFINITY);
-        self.foot_mm = foot_mm;
-        away_mm
-    }
-
-    /// Distance of a position that was to be where the last one of [`Self::step`] is, mm.
-    fn beside(&self, position: &Position) -> f64 {
-        let error_mm = self.last.map_or(0.0, |last| distance(&last, position));
-        let reach_mm = AHEAD * error_mm + BACK_MM;
-        self.nearest(position, self.foot_mm - reach_mm, self.foot_mm + reach_mm)
-            .0
-    }
+/// Points of ink at a height.
+fn on_paper(points: &[[f64; 2]], z_mm: f64) -> Vec<Step> {
+    let step = |&[x_mm, y_mm]: &[f64; 2]| Step {
+        position: Position { x_mm, y_mm, z_mm },
+        unseen_mm: None,
+    };
+    points.iter().map(step).collect()
 }
 
 /// Intended length without ink near it, mm.
@@ -289,132 +314,4 @@ fn densified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn place(x_mm: f64, y_mm: f64) -> Position {
-        Position {
-            x_mm,
-            y_mm,
-            z_mm: -850.0,
-        }
-    }
-
-    /// Two legs of 20 mm, 1 mm apart, joined at the far end.
-    fn hairpin() -> Vec<Position> {
-        vec![place(0.0, 0.0), place(20.0, 0.0), place(20.0, 1.0), place(0.0, 1.0)]
-    }
-
-    #[test]
-    fn a_position_is_compared_with_its_own_leg_and_not_with_the_neighbour() {
-        let points = hairpin();
-        let mut follower = Follower::new(&points);
-        let largest = (0..20)
-            .map(|x| follower.step(&place(f64::from(x), 0.8)))
-            .fold(0.0, f64::max);
-        assert!((largest - 0.8).abs() < 1e-9, "{largest}");
-    }
-
-    #[test]
-    fn a_stroke_followed_to_its_end_has_no_deviation() {
-        let points = hairpin();
-        let mut follower = Follower::new(&points);
-        let there = (0..=40).map(|k| place(f64::from(k) * 0.5, 0.0));
-        let back = (0..=40).map(|k| place(20.0 - f64::from(k) * 0.5, 1.0));
-        for position in there.chain([place(20.0, 0.5)]).chain(back) {
-            assert!(follower.step(&position) < 1e-9, "{position:?}");
-        }
-    }
-
-    #[test]
-    fn a_stroke_that_crosses_itself_is_not_left_for_its_other_part() {
-        // Around a small square and across its first side.
-        let corners = [(0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (2.0, 1.0), (2.0, -3.0)];
-        let points: Vec<Position> = corners.iter().map(|(x, y)| place(*x, *y)).collect();
-        let mut follower = Follower::new(&points);
-        let first = (0..=40).map(|k| follower.step(&place(f64::from(k) * 0.1, if k < 20 { 0.0 } else { -0.3 })));
-        let largest = first.fold(0.0, f64::max);
-        assert!((largest - 0.3).abs() < 1e-9, "{largest}");
-        assert!((follower.foot_mm - 4.0).abs() < 1e-9, "{}", follower.foot_mm);
-    }
-
-    #[test]
-    fn a_position_that_lags_around_a_tip_is_compared_with_both_sides_of_it() {
-        let points = vec![place(0.0, 0.0), place(10.0, 0.0), place(0.0, 2.0)];
-        let along = |s: f64| {
-            if s < 10.0 {
-                place(s, 0.0)
-            } else {
-                place(20.0 - s, (s - 10.0) * 0.2)
-            }
-        };
-        let moments = (0..=180).map(|k| Moment {
-            stroke: 0,
-            reference: along(f64::from(k) * 0.1),
-            measured: along((f64::from(k) * 0.1 - 0.4).max(0.0)),
-        });
-        let (reference, measured) = deviation(moments, &[(0, points)]);
-        assert!(
-            reference.max_mm < 1e-9 && measured.max_mm < 1e-9,
-            "{reference:?} {measured:?}"
-        );
-    }
-
-    #[test]
-    fn ink_is_missing_where_none_is_near() {
-        let strokes = vec![(0, vec![place(0.0, 0.0), place(10.0, 0.0)])];
-        let ink: Vec<[f64; 2]> = (0..=50).map(|k| [f64::from(k) * 0.1, 0.2]).collect();
-        let missing_mm = ink_missing(&strokes, &[ink]);
-        assert!((missing_mm - 4.5).abs() < 0.15, "{missing_mm}");
-    }
-
-    #[test]
-    fn ink_that_begins_on_top_of_the_last_stroke_belongs_to_its_own() {
-        // The second stroke begins on the first one, and is drawn a little beside its own beginning.
-        let strokes = vec![
-            (0, vec![place(0.0, 0.0), place(20.0, 0.0)]),
-            (1, vec![place(10.0, 0.05), place(10.0, 5.0)]),
-            (2, vec![place(30.0, 0.0), place(40.0, 0.0)]),
-        ];
-        let ink = [
-            vec![[0.0, 0.0], [20.0, 0.0]],
-            vec![[10.0, 0.0], [10.0, 5.0]],
-            vec![[30.0, 0.0], [40.0, 0.0]],
-        ];
-        let found = ink_deviation(&ink, &strokes);
-        assert!(found.max_mm < 0.06, "{}", found.max_mm);
-    }
-
-    #[test]
-    fn ink_is_compared_with_the_strokes_in_their_order() {
-        let strokes = vec![(0, hairpin()), (1, vec![place(0.0, 1.5), place(20.0, 1.5)])];
-        let line = |y: f64, from: i32, to: i32| (from..=to).map(|x| [f64::from(x), y]).collect::<Vec<_>>();
-        let first = [
-            line(0.1, 0, 19),
-            vec![[20.0, 0.5]],
-            line(1.0, 0, 20).into_iter().rev().collect(),
-        ]
-        .concat();
-        let second = line(1.3, 0, 20);
-        // 1.3 is nearer to the last leg of the first stroke than 0.2 mm only when the order is not kept.
-        let found = ink_deviation(&[first.clone(), second.clone()], &strokes);
-        assert!((found.max_mm - 0.2).abs() < 1e-9, "{found:?}");
-        let (before, after) = first.split_at(10);
-        let held = ink_deviation(&[before.to_vec(), after.to_vec(), second], &strokes);
-        assert!((held.max_mm - 0.2).abs() < 1e-9, "a hold in the first stroke: {held:?}");
-    }
-
-    #[test]
-    fn a_closed_stroke_is_followed_from_its_begin() {
-        let square = vec![
-            place(0.0, 0.0),
-            place(10.0, 0.0),
-            place(10.0, 10.0),
-            place(0.0, 10.0),
-            place(0.0, 0.0),
-        ];
-        let (follower, away_mm) = Follower::beginning_near(&square, &place(-0.1, 0.3));
-        assert_eq!(follower.foot_mm, 0.0);
-        assert!(away_mm < 0.4);
-    }
-}
+mod tests;

@@ -15,7 +15,9 @@ pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
 pub(crate) use tracking_plot::{marks, number};
 
-use deviation::{Distances, Moment, deviation, distance, ink_deviation, ink_missing};
+use crate::link::verification::Verdict;
+use crate::matching::distance;
+use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
@@ -76,6 +78,14 @@ pub struct Report {
     pub strokes: usize,
     /// Strokes of the path.
     pub strokes_intended: usize,
+    /// Length of the strokes that the measured positions followed with the pen down, mm.
+    pub followed_mm: f64,
+    /// Length that they were seen not to follow, mm: a drawing with any is not completed.
+    pub not_followed_mm: f64,
+    /// Length for which telemetry was lost, mm.
+    pub not_verified_mm: f64,
+    /// Strokes of which a part was not followed, in the order of drawing, the first is 1.
+    pub strokes_not_followed: Vec<u32>,
     /// Length of the intended strokes, mm; of a drawing that was not completed, of what was drawn of them.
     pub pen_down_mm: f64,
     /// Length of the way between them, lifts included, mm.
@@ -152,6 +162,8 @@ pub struct Evidence<'a> {
     pub samples: &'a [Sample],
     /// Lines of ink in the robot's frame, mm, in the order they were drawn; absent where the paper cannot be read.
     pub ink_mm: Option<&'a [Vec<[f64; 2]>]>,
+    /// What the job saw of the path being followed.
+    pub verdict: &'a Verdict,
     /// What the firmware counted.
     pub counters: Counters,
     /// Whether the whole path was executed.
@@ -224,12 +236,14 @@ impl Report {
         let rows = rows(evidence.config, &drawing);
         let strokes = strokes(evidence.path);
         let drawn_rows = || rows.iter().filter(|row| row.pen == Pen::Down);
-        let moments = drawn_rows().map(|row| Moment {
+        let moment = |row: &Row| Moment {
+            t_ms: row.sample.t_ms,
             stroke: row.stroke,
             reference: row.reference,
             measured: row.position,
-        });
-        let (shaping, path) = deviation(moments, &strokes);
+        };
+        let moments: Vec<Moment> = drawn_rows().map(moment).collect();
+        let (shaping, path) = deviation(&moments, &strokes, evidence.config.motion.speed_mm_s);
         let mut tracking = Distances::default();
         drawn_rows().for_each(|row| tracking.add(distance(&row.position, &row.reference)));
         let tracking = tracking.result();
@@ -238,13 +252,17 @@ impl Report {
         let ink_missing_mm = evidence.ink_mm.map_or(f64::NAN, |ink| ink_missing(&strokes, ink));
         let mut drawn: Vec<u32> = drawn_rows().map(|row| row.stroke).collect();
         drawn.dedup();
-        let counters = &evidence.counters;
+        let (counters, verdict) = (&evidence.counters, evidence.verdict);
         let held = drawing.iter().filter(|sample| sample.mode == Mode::Holding);
         let held_ms = u32::try_from(held.count()).unwrap_or(u32::MAX);
         Self {
             completed: evidence.completed,
             strokes: drawn.len(),
             strokes_intended: strokes.len(),
+            followed_mm: verdict.followed_mm,
+            not_followed_mm: verdict.missing_mm,
+            not_verified_mm: verdict.unverified_mm,
+            strokes_not_followed: verdict.strokes.iter().map(|number| number + 1).collect(),
             pen_down_mm,
             pen_up_mm,
             planned_s: evidence.planned_s,

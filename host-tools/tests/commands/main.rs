@@ -14,6 +14,8 @@ mod drawing;
 mod emulator;
 mod ethercrab;
 mod network;
+#[cfg(target_os = "linux")]
+mod outside;
 mod pictures;
 mod plan;
 mod program;
@@ -43,8 +45,12 @@ const FILES: [&str; 8] = [
     "intended.csv",
     "bus.pcapng",
 ];
-const KEYS: [&str; 24] = [
+const KEYS: [&str; 28] = [
     "strokes",
+    "followed_mm",
+    "not_followed_mm",
+    "not_verified_mm",
+    "strokes_not_followed",
     "pen_down_mm",
     "pen_up_mm",
     "planned_s",

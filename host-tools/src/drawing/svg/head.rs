@@ -4,10 +4,14 @@
 
 use super::{INKSCAPE, Layer, MM_PER_PX, UNNAMED_STROKE, UserSpace, to_mm};
 use std::collections::HashMap;
-use usvg::roxmltree::{Document, Node as XmlNode};
+use usvg::roxmltree::{Document, Node as XmlNode, ParsingOptions};
 
-/// Attributes with the coordinates of lines.
-const SHAPES: [&str; 2] = ["d", "points"];
+/// Attributes with coordinates and lengths of shapes.
+const GEOMETRY: [&str; 15] = [
+    "d", "points", "x", "y", "x1", "y1", "x2", "y2", "cx", "cy", "r", "rx", "ry", "width", "height",
+];
+/// Largest number of them: a kilometre in micrometres.
+const NUMBER_MAX: f64 = 1e9;
 
 /// What the file's text says that usvg's tree does not.
 pub(super) struct Head {
@@ -20,6 +24,67 @@ pub(super) struct Head {
     /// What is put into the text, and where.
     insertions: Vec<(usize, String)>,
     pub(super) warnings: Vec<String>,
+}
+
+/// The line of the first element with a number that no drawing has; libraries would make a great many pieces of an arc
+/// that is so large.
+pub(super) fn senseless_line(document: &Document) -> Option<usize> {
+    let is_senseless = |node: &XmlNode| {
+        let mut largest = 0.0_f64;
+        for attribute in GEOMETRY.iter().filter_map(|&name| node.attribute(name)) {
+            each_number(attribute, &mut |number| largest = largest.max(number.abs()));
+        }
+        largest > NUMBER_MAX
+    };
+    let mut elements = document.descendants().filter(XmlNode::is_element);
+    Some(line_of(document, &elements.find(is_senseless)?))
+}
+
+/// The line of the element with the largest number in an attribute; none in a file without numbers.
+pub(super) fn farthest_line(text: &str) -> Option<usize> {
+    let options = ParsingOptions {
+        allow_dtd: true,
+        ..ParsingOptions::default()
+    };
+    let document = Document::parse_with_options(text, options).ok()?;
+    let largest = |node: &XmlNode| {
+        let mut largest = 0.0_f64;
+        for attribute in node.attributes() {
+            each_number(attribute.value(), &mut |number| largest = largest.max(number.abs()));
+        }
+        largest
+    };
+    let elements = document.descendants().filter(XmlNode::is_element);
+    let farthest = elements
+        .map(|node| (largest(&node), node))
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(line_of(&document, &farthest.1))
+}
+
+fn line_of(document: &Document, node: &XmlNode) -> usize {
+    document.text_pos_at(node.range().start).row as usize
+}
+
+/// Finds the numbers in a text; a sign or a second point begins the next one.
+fn each_number(text: &str, found: &mut impl FnMut(f64)) {
+    let (mut begin, mut has_point, mut last) = (0, false, ' ');
+    let mut take = |word: Option<&str>| {
+        if let Some(number) = word.and_then(|word| word.parse::<f64>().ok()) {
+            found(number);
+        }
+    };
+    for (at, letter) in text.char_indices() {
+        let is_part = matches!(letter, '0'..='9' | '.' | '-' | '+' | 'e' | 'E');
+        let is_sign = matches!(letter, '-' | '+') && !matches!(last, 'e' | 'E');
+        if !is_part || is_sign || (letter == '.' && has_point) {
+            take(text.get(begin..at));
+            begin = if is_part { at } else { at + letter.len_utf8() };
+            has_point = false;
+        }
+        has_point |= letter == '.';
+        last = letter;
+    }
+    take(text.get(begin..));
 }
 
 impl Head {
@@ -64,29 +129,7 @@ impl Head {
         for (name, count) in left_out.into_iter().filter(|(_, count)| *count > 0) {
             head.warnings.push(format!("{count} <{name}> not drawn"));
         }
-        head.find_endless(document);
         head
-    }
-
-    /// Names lines that are left out because a number of them is too large.
-    fn find_endless(&mut self, document: &Document) {
-        let is_endless = |text: &str| {
-            let mut numbers = text.split(|letter: char| !matches!(letter, '0'..='9' | '.' | '-' | '+' | 'e' | 'E'));
-            numbers.any(|number| number.parse::<f32>().is_ok_and(f32::is_infinite))
-        };
-        let has_endless = |node: &XmlNode| SHAPES.iter().any(|&name| node.attribute(name).is_some_and(is_endless));
-        let mut endless = document.descendants().filter(has_endless);
-        if let Some(first) = endless.next() {
-            let line = document.text_pos_at(first.range().start).row;
-            let others = match endless.count() {
-                0 => String::new(),
-                count => format!(", and {count} more"),
-            };
-            self.warnings.push(format!(
-                "line {line}: a coordinate is too large for any drawing; <{}> is left out{others}",
-                first.tag_name().name()
-            ));
-        }
     }
 
     fn find_layers(&mut self, document: &Document) {

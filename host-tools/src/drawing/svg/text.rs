@@ -4,6 +4,7 @@
 //! the program holds open lines, which every TrueType reader closes and this one opens again ([`Fonts::are_open`]). Place,
 //! size, anchor and spacing come from usvg in all cases.
 
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use usvg::fontdb::Database;
@@ -48,6 +49,22 @@ impl FontFile {
     #[cfg(test)]
     pub(super) fn none() -> Self {
         Self(Arc::default())
+    }
+}
+
+impl Serialize for FontFile {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let face = self.0.faces().next().map(|face| face.id);
+        let data = face.and_then(|id| self.0.with_face_data(id, |data, _| data.to_vec()));
+        data.unwrap_or_default().serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for FontFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut database = Database::new();
+        database.load_font_data(Vec::deserialize(deserializer)?);
+        Ok(Self(Arc::new(database)))
     }
 }
 

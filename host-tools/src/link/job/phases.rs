@@ -355,8 +355,27 @@ impl Job {
     }
 
     fn end(&mut self) {
-        let result = self.ending.take().map_or(Ok(()), Err);
+        let result = match self.ending.take() {
+            Some(error) => Err(error),
+            None => self.verify(),
+        };
         self.outcome.get_or_insert(result);
+    }
+
+    /// Whether the drawing that has ended was drawn, as far as the telemetry shows it.
+    fn verify(&mut self) -> Result<(), JobError> {
+        let Some(verifier) = self.verifier.take() else {
+            return Ok(());
+        };
+        self.verification = verifier.finish(true);
+        let verdict = self.verification.verdict();
+        match verdict.error() {
+            Some(error) => {
+                self.complete = Some(verdict.complete_vertices);
+                Err(error)
+            }
+            None => Ok(()),
+        }
     }
 
     /// Whether the measurements have been read; asks for them if not.
