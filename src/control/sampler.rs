@@ -78,6 +78,8 @@ pub struct Sampler<'a> {
     now: CycleReport,
     was_enabled: [bool; AXES],
     reference_lost: [bool; AXES],
+    /// Whether the last angle counts from the same zero as the next one.
+    same_zero: [bool; AXES],
     still_ms: u16,
     late: u16,
     missed: u32,
@@ -122,6 +124,7 @@ impl<'a> Sampler<'a> {
             now: CycleReport::default(),
             was_enabled: [false; AXES],
             reference_lost: [false; AXES],
+            same_zero: [false; AXES],
             still_ms: 0,
             late: 0,
             missed: 0,
@@ -302,6 +305,7 @@ impl<'a> Sampler<'a> {
                     self.controllers = axes.map(|axis| PositionController::new(&axis));
                     self.velocity_controllers = axes.map(|axis| VelocityController::new(&axis));
                     (self.axes, self.bus) = (axes, bus);
+                    self.same_zero = [false; AXES];
                 }
                 SamplerCommand::Power(power) => {
                     self.power = power;
@@ -313,6 +317,7 @@ impl<'a> Sampler<'a> {
                     self.epoch = None;
                     // A refusal leaves the axes unreferenced, which the operating modes wait for in vain and report.
                     let _ = self.robot.reference(near.as_ref());
+                    self.same_zero = [false; AXES];
                 }
                 SamplerCommand::Follow { epoch } => {
                     self.epoch = Some(epoch);
@@ -354,7 +359,8 @@ impl<'a> Sampler<'a> {
             now.status_word[AXIS] = reading.status.0;
             now.increments[AXIS] = reading.increments;
             now.measured_rad[AXIS] = reading.angle_rad;
-            let same_zero = now.referenced[AXIS] == reading.referenced;
+            let same_zero = self.same_zero[AXIS] && now.referenced[AXIS] == reading.referenced;
+            self.same_zero[AXIS] = true;
             now.measured_rad_s[AXIS] = if same_zero {
                 (reading.angle_rad - before_rad) * CYCLES_PER_S
             } else {

@@ -224,11 +224,11 @@ pub struct SlaveStatus {
     pub vendor: u32,
     /// Product code from the SII.
     pub product: u32,
-    /// AL state, 1 INIT, 2 PREOP, 4 SAFEOP, 8 OP; bit 4 is the error flag.
+    /// AL state, 1 INIT, 2 PREOP, 4 SAFEOP, 8 OP; bit 4 is the error flag. 0 while the slave does not answer.
     pub al_state: u8,
     /// AL status code.
     pub al_code: u16,
-    /// CiA 402 status word.
+    /// CiA 402 status word, the last that arrived.
     pub status_word: u16,
 }
 

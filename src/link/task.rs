@@ -18,6 +18,7 @@ use crate::drives::cia402::{DriveState, StatusWord};
 use crate::ethercat::ApplicationEnd;
 use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::ethercat::service::{ServiceError, ServiceRequest};
+use crate::ethercat::state::AlReport;
 use crate::measurement::Measurements;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
@@ -396,31 +397,40 @@ impl<'a> LinkTask<'a> {
     }
 
     fn take_event(&mut self, event: &BusEvent) {
-        if let BusEvent::Slave {
-            position,
-            identity,
-            report,
-            ..
-        } = *event
-        {
-            let (vendor, product) = (identity.vendor, identity.product);
-            let (al_state, al_code) = (report.status, report.code);
-            let status = SlaveStatus {
-                vendor,
-                product,
-                al_state,
-                al_code,
-                status_word: 0,
-            };
-            match self.slaves.get_mut(usize::from(position)) {
-                Some(slave) => *slave = status,
-                // Slaves beyond those that a status describes are not shown.
-                None => drop(self.slaves.push(status)),
+        match *event {
+            BusEvent::Slave {
+                position,
+                identity,
+                report,
+                ..
+            } => {
+                let status = SlaveStatus {
+                    vendor: identity.vendor,
+                    product: identity.product,
+                    al_state: report.status,
+                    al_code: report.code,
+                    status_word: 0,
+                };
+                match self.slaves.get_mut(usize::from(position)) {
+                    Some(slave) => *slave = status,
+                    // Slaves beyond those that a status describes are not shown.
+                    None => drop(self.slaves.push(status)),
+                }
             }
+            // A slave that does not answer is in no state.
+            BusEvent::SlaveLost { position } => self.take_state(position, AlReport::default()),
+            BusEvent::SlaveLeft { position, report } => self.take_state(position, report),
+            _ => {}
         }
         if let Some(condition) = event.condition() {
             self.application.bus(condition);
             self.carry_out_all();
+        }
+    }
+
+    fn take_state(&mut self, position: u8, report: AlReport) {
+        if let Some(slave) = self.slaves.get_mut(usize::from(position)) {
+            (slave.al_state, slave.al_code) = (report.status, report.code);
         }
     }
 

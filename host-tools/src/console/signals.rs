@@ -18,6 +18,8 @@ const OF_PLATFORM: usize = 8;
 pub const SIGNALS: usize = AXES * PER_AXIS + OF_PLATFORM;
 /// Gap of the telemetry after which a speed is not computed from differences, ms.
 const GAP_MS: u32 = 1;
+/// Difference between the firmware's speed and that of the positions at which the position has jumped, rad/s.
+const JUMP_RAD_S: f32 = 2.0;
 /// Time that the console's axis jumps when the firmware was restarted, ms.
 const RESTART_MS: u64 = 1_000;
 
@@ -119,7 +121,35 @@ pub struct Rows {
     delta: Option<Delta>,
     /// What is added to the firmware's time.
     offset_ms: u64,
-    last: Option<(u32, [f32; 3], [f32; 3])>,
+    last: Option<Last>,
+}
+
+/// What the speeds of the next row need.
+struct Last {
+    t_ms: u32,
+    joints_rad: [f32; AXES],
+    commanded_mm: [f32; 3],
+    measured_mm: [f32; 3],
+}
+
+impl Last {
+    /// Speeds of the platform from here to a sample, reference and actual, mm/s; not a number where samples are missing,
+    /// and where the position jumps because its reference is taken.
+    fn speeds_mm_s(&self, sample: &Sample, commanded_mm: &[f32; 3], measured_mm: &[f32; 3]) -> [f32; 2] {
+        let axes = self
+            .joints_rad
+            .iter()
+            .zip(&sample.measured_rad)
+            .zip(&sample.measured_rad_s);
+        let jumped = axes
+            .map(|((before, now), speed)| (now - before) * 1_000.0 - speed)
+            .any(|difference| difference.abs() > JUMP_RAD_S);
+        if sample.t_ms - self.t_ms > GAP_MS || jumped {
+            return [f32::NAN; 2];
+        }
+        [(&self.commanded_mm, commanded_mm), (&self.measured_mm, measured_mm)]
+            .map(|(before, now)| distance(before, now) * 1_000.0)
+    }
 }
 
 impl Rows {
@@ -135,21 +165,22 @@ impl Rows {
     /// Takes the next sample; `None` for one that is older than the last, as it arrives when the firmware was restarted
     /// or telegrams overtook each other.
     pub fn take(&mut self, sample: &Sample) -> Row {
-        if let Some((last_ms, ..)) = self.last
-            && sample.t_ms < last_ms
+        if let Some(last) = &self.last
+            && sample.t_ms < last.t_ms
         {
-            self.offset_ms += u64::from(last_ms) + RESTART_MS;
+            self.offset_ms += u64::from(last.t_ms) + RESTART_MS;
             self.last = None;
         }
         let commanded = self.platform_mm(&sample.reference_rad);
         let measured = self.platform_mm(&sample.measured_rad);
-        let [speed_ref, speed] = match self.last {
-            Some((t_ms, reference, actual)) if sample.t_ms - t_ms <= GAP_MS => {
-                [distance(&reference, &commanded), distance(&actual, &measured)].map(|mm| mm * 1_000.0)
-            }
-            _ => [f32::NAN; 2],
-        };
-        self.last = Some((sample.t_ms, commanded, measured));
+        let speeds_mm_s = |last: &Last| last.speeds_mm_s(sample, &commanded, &measured);
+        let [speed_ref, speed] = self.last.as_ref().map_or([f32::NAN; 2], speeds_mm_s);
+        self.last = Some(Last {
+            t_ms: sample.t_ms,
+            joints_rad: sample.measured_rad,
+            commanded_mm: commanded,
+            measured_mm: measured,
+        });
         let mut values = [f32::NAN; SIGNALS];
         let axes = (0..AXES).flat_map(|axis| {
             let of = |values: &[f32; AXES]| values.get(axis).copied().unwrap_or(f32::NAN);
@@ -235,6 +266,24 @@ pub(super) mod tests {
         assert!(value("z_mm") < -600.0 && value("x_mm").abs() < 1e-3);
         assert!(value("speed_ref_mm_s") > 1_000.0 && value("speed_mm_s") == 0.0);
         assert_eq!(row.measured_mm()[2], value("z_mm"));
+    }
+
+    #[test]
+    fn the_platform_has_no_speed_where_its_position_jumps() {
+        let names = catalogue();
+        let speed = names.iter().position(|signal| signal.name == "speed_mm_s").unwrap();
+        let mut rows = Rows::new(&Config::default());
+        rows.take(&sample(6, 0.3));
+        assert!(
+            rows.take(&sample(7, 0.35)).value(speed).is_nan(),
+            "a reference was taken"
+        );
+        assert_eq!(rows.take(&sample(8, 0.35)).value(speed), 0.0);
+        let moving = Sample {
+            measured_rad_s: [5.0; AXES],
+            ..sample(9, 0.355)
+        };
+        assert!(rows.take(&moving).value(speed) > 500.0);
     }
 
     #[test]

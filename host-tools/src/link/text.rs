@@ -340,6 +340,7 @@ fn one(index: u8) -> u16 {
 /// AL state by its number, with the error flag (ETG.1000.6, AL status register).
 pub fn al_state(al_state: u8) -> String {
     let name = match al_state & 0x0f {
+        0 => "no answer",
         1 => "INIT",
         2 => "PREOP",
         3 => "BOOT",

@@ -10,6 +10,11 @@ use etherpen::motion::Pen;
 use etherpen::robot::AXES;
 use std::collections::VecDeque;
 
+/// Difference between the firmware's speed and that of the positions at which the position has jumped, rad/s.
+const JUMP_RAD_S: f32 = 2.0;
+/// Place of the measured speed among the columns of an axis.
+const MEASURED_SPEED: usize = 3;
+
 /// What a signal is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Quantity {
@@ -82,6 +87,14 @@ impl Signal {
     /// Whether it is the device's time.
     pub fn is_time(&self) -> bool {
         self.quantity == Quantity::Time
+    }
+
+    /// The axis whose measured speed it is.
+    pub fn measured_speed(&self) -> Option<usize> {
+        match self.quantity {
+            Quantity::Axis(axis, MEASURED_SPEED) => Some(axis),
+            _ => None,
+        }
     }
 
     /// Whether it is a count or a state, without a fraction.
@@ -168,6 +181,8 @@ pub struct Evaluator {
     ages: [usize; AXES],
     /// The last references, the latest first.
     references_rad: VecDeque<[f32; AXES]>,
+    /// The last measurement.
+    measured_rad: Option<[f32; AXES]>,
 }
 
 impl Evaluator {
@@ -182,16 +197,29 @@ impl Evaluator {
         Self {
             ages: std::array::from_fn(age),
             references_rad: VecDeque::new(),
+            measured_rad: None,
         }
     }
 
     /// Samples are missing here.
     pub fn interrupt(&mut self) {
         self.references_rad.clear();
+        self.measured_rad = None;
     }
 
-    /// Takes the next sample.
+    /// Takes the next sample. Where a position jumps without a speed, its reference was taken: references from before
+    /// stand for other angles.
     pub fn take(&mut self, moment: &Moment) {
+        let sample = &moment.sample;
+        let has_jumped = |before_rad: &[f32; AXES]| {
+            let axes = before_rad.iter().zip(&sample.measured_rad).zip(&sample.measured_rad_s);
+            axes.map(|((before, now), speed)| (now - before) * 1_000.0 - speed)
+                .any(|difference| difference.abs() > JUMP_RAD_S)
+        };
+        if self.measured_rad.as_ref().is_some_and(has_jumped) {
+            self.interrupt();
+        }
+        self.measured_rad = Some(sample.measured_rad);
         self.references_rad.push_front(moment.sample.reference_rad);
         let oldest = self.ages.iter().copied().max().unwrap_or(0);
         self.references_rad.truncate(oldest + 1);

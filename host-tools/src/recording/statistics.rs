@@ -1,12 +1,14 @@
 //! What a recording amounts to: duration, gaps, extremes of every signal, following errors, time in each mode.
 //!
-//! Invariant: one pass, and memory that does not depend on the length.
+//! Invariants: one pass, and memory that does not depend on the length; a jump of a measured position, as where a
+//! reference is taken, is no speed.
 
 use super::mcap::Source;
-use super::messages::{MODES, mode_number};
+use super::messages::{MODES, Moment, mode_number};
 use super::signals::{Evaluator, Signal, columns, errors};
 use super::{Entry, Playback};
 use etherpen::application::Mode;
+use etherpen::config::Config;
 use etherpen::robot::AXES;
 use serde::Serialize;
 use std::io;
@@ -106,20 +108,116 @@ impl Sums {
     }
 }
 
+/// Accelerations of a jump: so many times what the axis is planned with.
+const JUMP: f64 = 8.0;
+/// Time between two samples, s.
+const SAMPLE_S: f64 = 0.001;
+
+/// Finds samples in which a measured position jumps: its speed is away from those before and after, in the same direction,
+/// farther than any motor accelerates. Each sample comes out when the next one is known.
+struct Jumps {
+    limits_rad_s: [f64; AXES],
+    before_rad_s: Option<[f32; AXES]>,
+    held: Option<(f64, Moment)>,
+}
+
+/// A sample with its time, s, and the axes that jump in it.
+type Settled = (f64, Moment, [bool; AXES]);
+
+impl Jumps {
+    fn new(config: &Config) -> Self {
+        let limits = config.motion.joint_acceleration_rad_s2;
+        Self {
+            limits_rad_s: limits.map(|limit| JUMP * limit * SAMPLE_S),
+            before_rad_s: None,
+            held: None,
+        }
+    }
+
+    /// Takes the next sample; gives the one before it.
+    fn take(&mut self, time_s: f64, moment: Moment) -> Option<Settled> {
+        let settled = self.settle(Some(moment.sample.measured_rad_s));
+        self.held = Some((time_s, moment));
+        settled
+    }
+
+    /// No sample follows at once; gives the last.
+    fn interrupt(&mut self) -> Option<Settled> {
+        let settled = self.settle(None);
+        self.before_rad_s = None;
+        settled
+    }
+
+    fn settle(&mut self, after_rad_s: Option<[f32; AXES]>) -> Option<Settled> {
+        let (time_s, moment) = self.held.take()?;
+        let own = moment.sample.measured_rad_s;
+        let neighbours = [self.before_rad_s, after_rad_s];
+        let mut jumped = [false; AXES];
+        for (axis, (jumped, limit)) in jumped.iter_mut().zip(self.limits_rad_s).enumerate() {
+            let speed = |speeds: &[f32; AXES]| speeds.get(axis).copied().map_or(0.0, f64::from);
+            let away = neighbours.iter().flatten().map(|speeds| speed(&own) - speed(speeds));
+            let alone = neighbours.iter().flatten().count() == 0;
+            *jumped = !alone && (away.clone().all(|by| by > limit) || away.clone().all(|by| by < -limit));
+        }
+        self.before_rad_s = Some(own);
+        Some((time_s, moment, jumped))
+    }
+}
+
+/// What is counted up.
+struct Counting {
+    evaluator: Evaluator,
+    signals: Vec<Signal>,
+    sums: Vec<Sums>,
+    modes: [u64; MODES.len()],
+    span_s: Option<(f64, f64)>,
+}
+
+impl Counting {
+    fn count(&mut self, (time_s, moment, jumped): Settled, figures: &mut Statistics) {
+        figures.samples += 1;
+        self.span_s = Some((self.span_s.map_or(time_s, |(first, _)| first), time_s));
+        if jumped.contains(&true) {
+            // References from before stand for other angles.
+            self.evaluator.interrupt();
+        }
+        self.evaluator.take(&moment);
+        let mode = moment.sample.mode;
+        if let Some(count) = self.modes.get_mut(usize::from(mode_number(mode))) {
+            *count += 1;
+        }
+        for (sums, signal) in self.sums.iter_mut().zip(&self.signals) {
+            let jumps = |axis: usize| jumped.get(axis).copied().unwrap_or(false);
+            let value = self.evaluator.value(signal, &moment).number();
+            if let Some(value) = value.filter(|_| !signal.measured_speed().is_some_and(jumps)) {
+                sums.add(value);
+            }
+        }
+        if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding) {
+            for (axis, most) in figures.following_error_max_rad.iter_mut().enumerate() {
+                let error = self.evaluator.error(axis, &moment).unwrap_or(0.0);
+                *most = most.max(error.abs());
+            }
+        }
+    }
+}
+
 /// Computes the figures of what is left of a recording.
 ///
 /// # Errors
 /// The recording cannot be read any further.
 pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistics> {
-    let mut evaluator = Evaluator::new(playback.config().as_ref());
-    let signals: Vec<Signal> = columns()
-        .into_iter()
-        .filter(|signal| !signal.is_whole())
-        .chain(errors())
-        .collect();
-    let mut sums = vec![Sums::default(); signals.len()];
-    let mut modes = [0_u64; MODES.len()];
-    let mut span_s: Option<(f64, f64)> = None;
+    let config = playback.config();
+    let signals = columns().into_iter().filter(|signal| !signal.is_whole());
+    let signals: Vec<Signal> = signals.chain(errors()).collect();
+    let mut counting = Counting {
+        evaluator: Evaluator::new(config.as_ref()),
+        sums: vec![Sums::default(); signals.len()],
+        signals,
+        modes: [0; MODES.len()],
+        span_s: None,
+    };
+    let mut jumps = Jumps::new(&config.unwrap_or_default());
     let mut figures = Statistics {
         source: playback.fact("source").unwrap_or_default().to_owned(),
         duration_s: 0.0,
@@ -136,48 +234,40 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
     while let Some((time_s, entry)) = playback.next_entry()? {
         match entry {
             Entry::Moment(moment) => {
-                figures.samples += 1;
-                span_s = Some((span_s.map_or(time_s, |(first, _)| first), time_s));
-                evaluator.take(&moment);
-                let mode = moment.sample.mode;
-                if let Some(count) = modes.get_mut(usize::from(mode_number(mode))) {
-                    *count += 1;
-                }
-                for (sums, signal) in sums.iter_mut().zip(&signals) {
-                    if let Some(value) = evaluator.value(signal, &moment).number() {
-                        sums.add(value);
-                    }
-                }
-                if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding) {
-                    for (axis, most) in figures.following_error_max_rad.iter_mut().enumerate() {
-                        let error = evaluator.error(axis, &moment).unwrap_or(0.0);
-                        *most = most.max(error.abs());
-                    }
+                if let Some(settled) = jumps.take(time_s, moment) {
+                    counting.count(settled, &mut figures);
                 }
             }
             Entry::Gap(gap) => {
+                if let Some(settled) = jumps.interrupt() {
+                    counting.count(settled, &mut figures);
+                }
                 figures.gaps += 1;
                 figures.missing += u64::from(gap.missing);
-                evaluator.interrupt();
+                counting.evaluator.interrupt();
             }
             Entry::State(_) => figures.statuses += 1,
             Entry::Event(_) => figures.events += 1,
         }
     }
-    figures.duration_s = span_s.map_or(0.0, |(first, last)| last - first);
+    if let Some(settled) = jumps.interrupt() {
+        counting.count(settled, &mut figures);
+    }
+    figures.duration_s = counting.span_s.map_or(0.0, |(first, last)| last - first);
     figures.complete = playback.is_complete();
     figures.modes = MODES
         .into_iter()
-        .zip(modes)
+        .zip(counting.modes)
         .filter(|(_, count)| *count > 0)
         .map(|(mode, count)| ModeDuration {
             mode,
             seconds: count as f64 / 1_000.0,
         })
         .collect();
-    figures.signals = sums
+    figures.signals = counting
+        .sums
         .into_iter()
-        .zip(&signals)
+        .zip(&counting.signals)
         .map(|(sums, signal)| sums.of(signal))
         .collect();
     Ok(figures)

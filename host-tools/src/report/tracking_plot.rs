@@ -245,9 +245,13 @@ pub(crate) fn marks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
+/// Most decimals of a mark, plus one.
+const DECIMALS_MAX: f64 = 13.0;
+
 /// A mark's text, with as many decimals as its scale needs.
 pub(crate) fn number(value: f64, span: f64) -> String {
-    let decimals = (1.0 - (span / MARKS).log10().floor()).clamp(0.0, 9.0) as usize - usize::from(span / MARKS < 10.0);
+    let decimals =
+        (1.0 - (span / MARKS).log10().floor()).clamp(0.0, DECIMALS_MAX) as usize - usize::from(span / MARKS < 10.0);
     format!("{:.decimals$}", value + 0.0)
 }
 

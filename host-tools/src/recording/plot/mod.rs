@@ -170,7 +170,9 @@ fn range(curves: &Curves, panel: &Panel) -> [f64; 2] {
 /// Some room around the values; what does not change needs a scale, too, and what is all but zero one of its own.
 fn with_room([low, high]: [f64; 2]) -> [f64; 2] {
     let (room, tenth) = (0.06 * (high - low), 0.1 * high.abs());
-    let room = match (room > 1e-12, tenth > 1e-4) {
+    // Less than this is the rounding of what was computed.
+    let is_flat = high - low <= 1e-10 * high.abs().max(low.abs()) + 1e-11;
+    let room = match (!is_flat, tenth > 1e-4) {
         (true, _) => room,
         (false, true) => tenth,
         (false, false) => 1.0,
@@ -247,6 +249,28 @@ fn scale(panel: &Panel, low: f64, high: f64) -> Vec<(f64, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn marks_of_any_range_are_different() {
+        let mut random = 20_261_122_u64;
+        println!("seed {random}");
+        let mut next = || {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (random >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        for _ in 0..100_000 {
+            let middle = (next() - 0.5) * 10_f64.powf(8.0 * next() - 4.0);
+            let span = 10_f64.powf(16.0 * next() - 13.0);
+            let [low, high] = with_room([middle, middle + span]);
+            let marks = marks(low, high);
+            let mut texts: Vec<String> = marks.iter().map(|mark| number(*mark, high - low)).collect();
+            let count = texts.len();
+            texts.dedup();
+            assert!(count > 0 && texts.len() == count, "{middle} + {span}: {texts:?}");
+        }
+    }
 
     #[test]
     fn what_does_not_change_has_a_scale_with_different_marks() {

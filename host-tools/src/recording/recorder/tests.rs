@@ -227,6 +227,42 @@ fn figures_are_those_of_the_samples() {
     }
 }
 
+/// Largest and smallest measured speed of the first axis in a recording of these samples.
+fn speeds_rad_s(samples: &[Sample]) -> [f64; 2] {
+    let mut recorder = Recorder::new(Vec::new(), &about(&Config::default())).unwrap();
+    recorder.samples(0, samples).unwrap();
+    recorder.finish().unwrap();
+    let bytes = std::mem::take(recorder.storage_mut());
+    let figures = statistics(&mut Playback::new(bytes.as_slice()).unwrap()).unwrap();
+    let v1 = figures.signals.iter().find(|of| of.name == "v1_rad_s").unwrap();
+    [v1.min, v1.max]
+}
+
+#[test]
+fn a_jump_of_the_position_is_no_speed_and_a_quick_motion_is_one() {
+    let moving = |speed: &dyn Fn(u32) -> f32| -> Vec<Sample> {
+        let of = |t_ms| Sample {
+            measured_rad_s: [speed(t_ms); 4],
+            ..sample(t_ms)
+        };
+        (0..200).map(of).collect()
+    };
+    // A reference is taken: at rest, in motion, in the first sample and in the last one.
+    for at in [0, 1, 100, 199] {
+        for jump in [512.0, -512.0, 5.0] {
+            let swing = |t_ms: u32| (t_ms as f32 * 0.05).sin();
+            let [low, high] = speeds_rad_s(&moving(&|t_ms| if t_ms == at { jump } else { swing(t_ms) }));
+            assert!(low >= -1.0 && high <= 1.0, "{jump} at {at}: {low} to {high}");
+        }
+    }
+    // At the acceleration that is planned with, up and down again: every speed counts.
+    let triangle = |t_ms: u32| 0.25 * (100.0 - (t_ms as f32 - 100.0).abs());
+    assert_eq!(speeds_rad_s(&moving(&triangle))[1], 25.0);
+    // Against a stop: one neighbour alone is far away.
+    let [_, high] = speeds_rad_s(&moving(&|t_ms| if t_ms < 50 { 8.0 } else { 0.0 }));
+    assert_eq!(high, 8.0);
+}
+
 #[test]
 fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_clock() {
     let config = Config::default();
