@@ -23,6 +23,39 @@ export function text(target, value) {
   if (target.textContent !== value) target.textContent = value;
 }
 
+const shows = new WeakMap();
+
+// Keeps one child for each item, by its key. What is there stays where it is and is only shown anew, so that a press, the
+// focus, a selection and the place of scrolling outlive every update. `make` gives a node and the function that shows an
+// item in it.
+export function keyed(parent, items, key, make) {
+  const kept = new Map([...parent.children].map((child) => [child.dataset.key, child]));
+  const wanted = items.map((item) => {
+    const name = String(key(item));
+    let node = kept.get(name);
+    kept.delete(name);
+    if (!node) {
+      const [made, show] = make(item);
+      made.dataset.key = name;
+      shows.set(made, show);
+      node = made;
+    }
+    shows.get(node)?.(item);
+    return node;
+  });
+  for (const gone of kept.values()) gone.remove();
+  let next = parent.firstElementChild;
+  for (const node of wanted) {
+    if (node === next) next = next.nextElementSibling;
+    else parent.insertBefore(node, next);
+  }
+}
+
+// Sets a property only when it changes: an attribute that is written again can end a press.
+export function set(node, properties) {
+  for (const [name, value] of Object.entries(properties)) if (node[name] !== value) node[name] = value;
+}
+
 export function number(value, digits) {
   return Number.isFinite(value) ? value.toFixed(digits).replace("-", "−") : "–";
 }
@@ -61,7 +94,7 @@ export class Canvas {
     const style = getComputedStyle(document.documentElement);
     const colour = (name) => style.getPropertyValue(`--${name}`).trim();
     this.colours = {};
-    for (const name of ["ink", "soft", "faint", "line", "card", "accent", "good", "warn", "bad", "sheet", "metal"]) {
+    for (const name of ["ink", "soft", "faint", "line", "card", "accent", "good", "warn", "bad", "sheet", "sheet-ink", "sheet-rest", "sheet-accent", "sheet-edge", "metal"]) {
       this.colours[name] = colour(name);
     }
     this.colours.series = Array.from({ length: 8 }, (_, index) => colour(`s${index}`));
@@ -79,9 +112,27 @@ export function save(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
+const TOAST_MS = 7000;
+const BURST_MS = 2500;
+const TOAST_LINES = 4;
+let latest = null;
+
+// A message over the page. What is said within a moment of one another belongs together and is one message.
 export function toast(words, tone = "warn") {
-  const made = element("div", { className: "toast", data: { tone } }, words);
-  $("toasts").append(made);
-  while ($("toasts").childElementCount > 4) $("toasts").firstElementChild.remove();
-  setTimeout(() => made.remove(), 7000);
+  const now = performance.now();
+  if (!latest?.box.isConnected || latest.tone !== tone || now - latest.at > BURST_MS) {
+    latest = { box: element("div", { className: "toast", data: { tone } }), tone };
+    $("toasts").append(latest.box);
+    while ($("toasts").childElementCount > 3) $("toasts").firstElementChild.remove();
+  }
+  const { box } = latest;
+  latest.at = now;
+  if (![...box.children].some((line) => line.textContent === words)) box.append(element("p", {}, words));
+  while (box.childElementCount > TOAST_LINES) box.firstElementChild.remove();
+  clearTimeout(latest.timer);
+  latest.timer = setTimeout(() => box.remove(), TOAST_MS);
+}
+
+export function age(seconds) {
+  return seconds < 60 ? `${Math.floor(seconds)} s ago` : `${Math.floor(seconds / 60)} min ago`;
 }

@@ -1,6 +1,6 @@
 // Drives and bus, faults of a virtual segment, counters, log and what the firmware measures of itself.
 
-import { $, element, text, toast } from "./dom.js";
+import { $, duration, element, keyed, set, text, toast } from "./dom.js";
 
 const FAULTS = [["fault", "drive fault"], ["retreat", "SAFEOP"], ["power", "power dip"], ["stuck", "frozen resolver"]];
 const WIRE = [["lose", "Lose a frame"], ["stall", "Stall 50 ms"], ["restart", "Restart the firmware"]];
@@ -13,67 +13,99 @@ export function drives(link) {
 
 // Damaged frames and lost links as the slave's controller counts them; all counts in the tip.
 function lineErrors(line) {
-  if (!line) return element("td", { className: "empty" }, "–");
+  if (!line) return "–";
   const counts = [[line.invalid_frames, "CRC"], [line.receive_errors, "RX"], [line.lost_links, "lost links"], [line.watchdog, "watchdog"]];
   const told = counts.filter(([count]) => count > 0).map(([count, name]) => `${count} ${name}`);
-  return element("td", { title: line.text, data: { lineErrors: line.number } }, told.join(", ") || "none");
+  return told.join(", ") || "none";
 }
 
 function slaves(link) {
   const inject = (what, slave) => link.send({ type: "inject", fault: slave === undefined ? { what } : { what, slave } });
-  const injectors = (number, removed) => {
-    const plug = removed ? ["insert", "plug in"] : ["remove", "unplug"];
-    return [plug, ...FAULTS].map(([what, name]) => element("button", { type: "button", className: "quiet", disabled: !link.controls, data: { inject: `${what}-${number}` }, on: { click: () => inject(what, number) } }, name));
+  const injector = (what, name, slave) => element("button", { type: "button", className: "quiet", data: { inject: slave === undefined ? what : `${what}-${slave}` }, on: { click: () => inject(what, slave) } }, name);
+
+  const row = ({ number }) => {
+    const names = ["state", "drive", "mono", "mono", "error", "line"];
+    const cells = names.map((className) => element("td", { className }));
+    const [state, drive, word, product, error, line] = cells;
+    line.dataset.lineErrors = String(number);
+    const plugs = [injector("remove", "unplug", number), injector("insert", "plug in", number)];
+    const buttons = [...plugs, ...FAULTS.map(([what, name]) => injector(what, name, number))];
+    const made = element("tr", {}, element("th", { scope: "row" }, String(number)), ...cells, element("td", { className: "virtual" }, ...buttons));
+    const show = ({ slave, removed, counted }) => {
+      const silent = !slave || slave.silent_s !== null;
+      made.classList.toggle("old", silent);
+      made.dataset.tone = slave?.operational && !slave.fault ? "good" : "bad";
+      const since = slave?.silent_s ? ` since ${duration(slave.silent_s)}` : "";
+      text(state, slave ? `${slave.state}${silent ? since : ""}` : "unplugged");
+      text(drive, slave ? `${slave.drive}${slave.voltage ? "" : ", no supply"}${slave.warning ? ", warning" : ""}` : "–");
+      text(word, slave?.status_word ?? "–");
+      text(product, slave?.product ?? "–");
+      text(error, slave ? slave.error || "none" : "–");
+      set(error, { title: slave?.hint ?? "" });
+      text(line, lineErrors(counted));
+      set(line, { title: counted?.text ?? "" });
+      for (const cell of [drive, word, error, line]) set(cell, { ariaLabel: silent ? `last known: ${cell.textContent}` : null });
+      set(plugs[0], { hidden: removed });
+      set(plugs[1], { hidden: !removed });
+      for (const button of buttons) set(button, { disabled: !link.controls });
+    };
+    return [made, show];
   };
-  let before = "";
+  const none = () => [element("tr", {}, element("td", { colSpan: 8, className: "empty" }, "no slaves known"))];
+
+  const kind = element("span");
+  const wire = WIRE.map(([what, name]) => injector(what, name));
+  $("segment").append(kind, ...wire);
+
   const show = () => {
-    const { status, segment, control, you, line_errors: counted } = link.state;
-    const key = JSON.stringify([status?.slaves, segment, counted, control?.holder, you?.id, link.open]);
-    if (key === before) return;
-    before = key;
+    const { status, segment, line_errors: counts } = link.state;
     document.body.classList.toggle("is-virtual", Boolean(segment?.kind));
+    text(kind, `${segment?.kind ?? ""} segment, no hardware:`);
+    for (const button of wire) set(button, { disabled: !link.controls });
     const removed = segment?.removed ?? [];
     const seen = status?.slaves ?? [];
-    const rows = seen.map((slave) => {
-      const tone = slave.operational && !slave.fault ? "good" : "bad";
-      const drive = `${slave.drive}${slave.voltage ? "" : ", no supply"}${slave.warning ? ", warning" : ""}`;
-      return element("tr", { data: { tone } }, element("th", { scope: "row" }, String(slave.number)), element("td", { className: "state" }, slave.state), element("td", {}, drive), element("td", { className: "mono" }, slave.status_word), element("td", { className: "mono" }, slave.product), element("td", { title: slave.hint }, slave.error || "none"), lineErrors(counted?.find((line) => line.number === slave.number)), element("td", { className: "virtual" }, ...injectors(slave.number, removed.includes(slave.number))));
+    const numbers = [...new Set([...seen.map((slave) => slave.number), ...removed])].sort((a, b) => a - b);
+    const rows = numbers.map((number) => ({ number, removed: removed.includes(number), slave: seen.find((slave) => slave.number === number), counted: counts?.find((line) => line.number === number) }));
+    keyed($("slaves"), rows.length ? rows : [null], (item) => item?.number ?? "none", (item) => (item ? row(item) : none()));
+    keyed($("counters"), status?.counters ?? [], ([name]) => name, ([name]) => {
+      const value = element("dd");
+      return [element("div", {}, element("dt", {}, name), value), ([, count]) => text(value, String(count))];
     });
-    for (const number of removed.filter((number) => !seen.some((slave) => slave.number === number))) {
-      rows.push(element("tr", { data: { tone: "bad" } }, element("th", { scope: "row" }, String(number)), element("td", { colSpan: 6 }, "unplugged"), element("td", { className: "virtual" }, ...injectors(number, true))));
-    }
-    $("slaves").replaceChildren(...(rows.length ? rows : [element("tr", {}, element("td", { colSpan: 8, className: "empty" }, "no slaves known"))]));
-    $("segment").replaceChildren(element("span", {}, `${segment?.kind ?? ""} segment, no hardware:`), ...WIRE.map(([what, name]) => element("button", { type: "button", className: "quiet", disabled: !link.controls, data: { inject: what }, on: { click: () => inject(what) } }, name)));
   };
   for (const name of ["status", "segment", "control", "you", "line_errors", "closed"]) link.on(name, show);
-  link.on("status", (status) => {
-    const entries = status?.counters ?? [];
-    if ($("counters").childElementCount !== entries.length) $("counters").replaceChildren(...entries.map(([name]) => element("div", {}, element("dt", {}, name), element("dd"))));
-    [...$("counters").querySelectorAll("dd")].forEach((cell, index) => text(cell, String(entries[index][1])));
-  });
+  show();
 }
 
 function log(link) {
   const box = $("log");
+  let last = null;
   link.on("log", (lines) => {
     if (!lines) return;
     const below = box.scrollHeight - box.scrollTop - box.clientHeight < 30;
     const marks = { info: "·", warning: "▲", error: "■" };
     for (const line of lines) {
       box.append(element("li", { data: { level: line.level } }, element("time", {}, `${(line.time_ms / 1000).toFixed(3)} s`), element("span", { className: "mark", ariaHidden: "true" }, marks[line.level]), element("span", {}, line.text)));
-      // Faults have a place of their own.
-      if (line.level === "warning" && line.number > (log.last ?? Infinity)) toast(line.text);
-      log.last = line.number;
+      // Faults have a place of their own; what was said before this page came is no news.
+      if (line.level === "warning" && last !== null) tell(line.text);
     }
     while (box.childElementCount > 500) box.firstElementChild.remove();
     if (below) box.scrollTop = box.scrollHeight;
-    log.last ??= -1;
+    last = lines.at(-1)?.number ?? last ?? -1;
   });
   link.on("open", () => {
     box.replaceChildren();
-    log.last = undefined;
+    last = null;
   });
-  link.on("refused", (why) => why && toast(why));
+  const tell = (words) => {
+    toast(words);
+    if ($("fault").hidden) return;
+    text($("fault-note"), words);
+    $("fault-note").hidden = false;
+  };
+  link.on("refused", (why) => why && tell(why));
+  link.on("status", (status) => {
+    if (!status?.fault) $("fault-note").hidden = true;
+  });
 }
 
 function timing(link) {

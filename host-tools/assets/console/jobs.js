@@ -1,89 +1,201 @@
 // Drawings: drop a file, see what it will be and how long it takes, let it wait, start it; what was drawn before.
 
-import { $, duration, element, number, toast } from "./dom.js";
+import { choice } from "./choice.js";
+import { $, duration, element, keyed, number, set, text } from "./dom.js";
+
+// While somebody types, this long nothing is planned anew.
+const TYPING_MS = 400;
+
+const strokes = (count) => `${count} stroke${count === 1 ? "" : "s"}`;
 
 export function jobs(link) {
-  const options = optionFields(link);
-  const upload = async (file) => {
-    if (!file) return;
-    if (!link.controls) {
-      toast("Take control first, then drop the file");
-      return;
-    }
-    const answer = await link.upload(file, options()).catch(() => null);
-    if (!answer?.ok) toast((await answer?.text()) || "The console cannot be reached");
+  const wishes = optionFields(link);
+  dropped(link, wishes);
+  studio(link);
+  lists(link);
+}
+
+// A file that was dropped stays here until the console has it: without control, without a connection, and when it is refused.
+function dropped(link, wishes) {
+  let kept = null;
+  let refused = "";
+  let sending = false;
+  const note = element("p");
+  const button = element("button", { type: "button" }, "Try again");
+  $("kept").append(note, button);
+
+  const waitsFor = () => {
+    const { control, you } = link.state;
+    if (!link.open) return ["It is prepared as soon as the console can be reached."];
+    if (you && !you.may_command) return ["This page may only look: open the address that the console has printed, with its token."];
+    if (refused) return [refused, "Try again", offer];
+    if (link.controls) return ["It is being sent."];
+    if (control?.holder) return [`Viewer ${control.holder} has control. Take over, and it is prepared.`, "Take over", () => link.send({ type: "take", force: true })];
+    return ["Take control, and it is prepared.", "Take control", () => link.send({ type: "take" })];
   };
-  const drop = $("drop");
+  const show = () => {
+    $("kept").hidden = !kept;
+    if (!kept) return;
+    const [words, name, press] = waitsFor();
+    text(note, `${kept.name} is kept. ${words}`);
+    if (name) text(button, name);
+    set(button, { hidden: !name, onclick: press ?? null });
+  };
+  const offer = async () => {
+    if (!kept || sending || !link.controls) return;
+    const file = kept;
+    [sending, refused] = [true, ""];
+    show();
+    const answer = await link.upload(file, JSON.stringify(wishes())).catch(() => null);
+    sending = false;
+    if (kept !== file) return offer();
+    if (answer?.ok) kept = null;
+    else if (link.controls && link.open) refused = (await answer?.text()) || "The console did not answer.";
+    show();
+  };
+  const take = (file) => {
+    if (!file) return;
+    [kept, refused] = [file, ""];
+    const { control, you } = link.state;
+    if (you?.may_command && control?.holder === null) link.send({ type: "take" });
+    show();
+    offer();
+  };
+  for (const name of ["control", "you", "open", "closed"]) {
+    link.on(name, () => {
+      show();
+      if (!refused) offer();
+    });
+  }
+
   $("file").addEventListener("change", () => {
-    upload($("file").files[0]);
+    take($("file").files[0]);
     $("file").value = "";
   });
   for (const name of ["dragenter", "dragover"]) {
     addEventListener(name, (event) => {
       event.preventDefault();
-      drop.classList.add("over");
+      $("drop").classList.add("over");
     });
   }
-  for (const name of ["dragleave", "drop"]) addEventListener(name, () => drop.classList.remove("over"));
+  for (const name of ["dragleave", "drop"]) addEventListener(name, () => $("drop").classList.remove("over"));
   addEventListener("drop", (event) => {
     event.preventDefault();
-    upload(event.dataTransfer.files[0]);
+    take(event.dataTransfer.files[0]);
   });
-  studio(link);
-  lists(link);
 }
 
-// How a photograph becomes strokes; what is left empty is left to the program.
+// How a photograph becomes strokes; what is left empty is left to the program. Every change plans the file anew.
 function optionFields(link) {
-  const style = element("select", { ariaLabel: "Style" }, element("option", { value: "" }, "usual style"));
+  const style = choice("Style", [["", "default"]]);
   const size = element("input", { type: "text", placeholder: "fits the sheet", ariaLabel: "Size, with its unit" });
   const time = element("input", { type: "text", placeholder: "about 110s", ariaLabel: "Longest drawing time, for instance 3m" });
-  const styles = element("label", { hidden: true }, "style", style);
+  const styles = element("div", { className: "field", hidden: true }, "style", style);
   $("options").append(styles, element("label", {}, "size", size), element("label", {}, "at most", time));
+  const wishes = () => ({ style: style.value, size: size.value.trim(), max_time: time.value.trim() });
+  const same = (a, b) => Boolean(b) && ["style", "size", "max_time"].every((name) => a[name] === b[name]);
+
+  let asked = null;
+  let timer = 0;
+  const replan = () => {
+    clearTimeout(timer);
+    const { studio: made } = link.state;
+    const wanted = wishes();
+    if (!made || made.state === "idle" || !link.controls || same(wanted, asked ?? made.wishes)) return;
+    asked = wanted;
+    link.send({ type: "replan", wishes: wanted });
+  };
+  for (const field of [style, size, time]) {
+    field.addEventListener("change", replan);
+    field.addEventListener("input", () => {
+      clearTimeout(timer);
+      timer = setTimeout(replan, TYPING_MS);
+    });
+  }
   link.on("robot", (constants) => {
     const known = constants?.styles ?? [];
     styles.hidden = known.length === 0;
-    if (style.childElementCount === 1) style.append(...known.map((value) => element("option", { value }, value)));
+    if (style.options.length === 1) style.options = [["", "default"], ...known.map((name) => [name, name])];
   });
-  return () => JSON.stringify({ style: style.value, size: size.value.trim(), max_time: time.value.trim() });
+  // What another viewer, or this page before it was loaded again, has chosen.
+  let adopted = false;
+  const adopt = () => {
+    const { studio: made, you, control } = link.state;
+    if (!made || !you || !control) return;
+    for (const field of [style, size, time]) set(field, { disabled: made.state !== "idle" && !link.controls });
+    if (made.state === "idle") asked = null;
+    if (made.state !== "idle" && (!adopted || !link.controls)) {
+      [style.value, size.value, time.value] = [made.wishes.style, made.wishes.size, made.wishes.max_time];
+    }
+    adopted = true;
+  };
+  for (const name of ["studio", "control", "you"]) link.on(name, adopt);
+  return wishes;
 }
 
 function studio(link) {
+  const busy = element("p", { className: "busy" });
+  const wrong = element("p", { className: "wrong" });
+  const name = element("b");
+  const facts = element("span");
+  const ready = element("p", {}, name, element("br"), facts);
+  const draw = element("button", { type: "button", className: "primary", id: "enqueue", on: { click: () => link.send({ type: "enqueue", preparation: link.state.studio.number }) } }, "Add to queue");
+  $("studio").append(busy, wrong, ready, draw);
   const show = () => {
     const { studio: made } = link.state;
+    const state = made?.state ?? "idle";
     const box = $("studio");
-    box.dataset.state = made?.state ?? "idle";
-    if (made?.state === "working") {
-      box.replaceChildren(element("p", { className: "busy" }, `${made.name}: finding its strokes and planning them`));
-    } else if (made?.state === "failed") {
-      box.replaceChildren(element("p", { className: "wrong" }, made.error));
-    } else if (made?.state === "ready") {
-      const facts = `${made.strokes} strokes, ${number(made.pen_down_mm / 1000, 2)} m of line, about ${duration(made.planned_s)}`;
-      const draw = element("button", { type: "button", className: "primary", id: "enqueue", on: { click: () => link.send({ type: "enqueue", preparation: made.number }) } }, "Add to queue");
-      box.replaceChildren(element("p", {}, element("b", {}, made.name), element("br"), facts), draw);
-    } else {
-      box.replaceChildren();
-    }
-    const button = $("enqueue");
-    if (button) button.disabled = !link.controls;
+    box.dataset.state = state;
+    box.hidden = state === "idle";
+    busy.hidden = state !== "working";
+    wrong.hidden = state !== "failed";
+    ready.hidden = draw.hidden = state !== "ready";
+    set(draw, { disabled: !link.controls });
+    if (state === "working") text(busy, `${made.name}: finding its strokes and planning them`);
+    if (state === "failed") text(wrong, `${made.name}: ${made.error}`);
+    if (state !== "ready") return;
+    text(name, made.name);
+    text(facts, `${strokes(made.strokes)}, ${number(made.pen_down_mm / 1000, 2)} m of line, about ${duration(made.planned_s)}`);
   };
-  for (const name of ["studio", "control", "you"]) link.on(name, show);
+  for (const event of ["studio", "control", "you", "closed"]) link.on(event, show);
+  show();
 }
 
 function lists(link) {
+  const waiting = (job) => {
+    const [name, facts] = [element("b"), element("span")];
+    const start = element("button", { type: "button", className: "primary", title: "Is there fresh paper?", on: { click: () => link.send({ type: "start", job: job.number }) } }, "Draw");
+    const discard = element("button", { type: "button", className: "quiet round", ariaLabel: `Take ${job.name} out of the queue`, on: { click: () => link.send({ type: "discard", job: job.number }) } }, "×");
+    const show = () => {
+      const { jobs: all, status } = link.state;
+      text(name, job.name);
+      text(facts, ` ${strokes(job.strokes)}, ${duration(job.planned_s)}`);
+      set(start, { disabled: !(link.controls && !all.active && ["DrivesOff", "Unreferenced", "Idle"].includes(status?.mode)) });
+      set(discard, { disabled: !link.controls });
+    };
+    return [element("li", {}, element("span", {}, name, facts), start, discard), show];
+  };
+  const active = () => {
+    const [name, phase] = [element("b"), element("span")];
+    const show = (job) => {
+      text(name, job.name);
+      text(phase, ` ${link.state.jobs.phase}`);
+    };
+    return [element("li", { className: "active" }, element("span", {}, name, phase)), show];
+  };
+  const ended = (job) => {
+    const words = element("span", {}, element("b", {}, job.name), ` ${job.done ? "drawn in" : "ended after"} ${duration(job.drawn_s)}`, job.done ? null : element("small", {}, ` ${job.text}`));
+    return [element("li", { data: { done: String(job.done) } }, words)];
+  };
+  const empty = (words) => [element("li", { className: "empty" }, words)];
   const show = () => {
-    const { jobs: all, status } = link.state;
+    const { jobs: all } = link.state;
     if (!all) return;
-    const ready = link.controls && !all.active && ["DrivesOff", "Unreferenced", "Idle"].includes(status?.mode);
-    const waiting = all.waiting.map((job) => {
-      const start = element("button", { type: "button", className: "primary", disabled: !ready, title: "Is there fresh paper?", on: { click: () => link.send({ type: "start", job: job.number }) } }, "Draw");
-      const discard = element("button", { type: "button", className: "quiet round", disabled: !link.controls, ariaLabel: `Take ${job.name} out of the queue`, on: { click: () => link.send({ type: "discard", job: job.number }) } }, "×");
-      return element("li", {}, element("span", {}, element("b", {}, job.name), ` ${job.strokes} strokes, ${duration(job.planned_s)}`), start, discard);
-    });
-    if (all.active) waiting.unshift(element("li", { className: "active" }, element("span", {}, element("b", {}, all.active.name), ` ${all.phase}`)));
-    $("queue").replaceChildren(...(waiting.length ? waiting : [element("li", { className: "empty" }, "nothing waits")]));
-    const past = all.past.slice(0, 8).map((job) => element("li", { data: { done: String(job.done) } }, element("span", {}, element("b", {}, job.name), ` ${job.done ? "drawn in" : "ended after"} ${duration(job.drawn_s)}`, job.done ? null : element("small", {}, ` ${job.text}`))));
-    $("past").replaceChildren(...(past.length ? past : [element("li", { className: "empty" }, "nothing yet")]));
+    const queue = [...(all.active ? [{ ...all.active, active: true }] : []), ...all.waiting];
+    keyed($("queue"), queue.length ? queue : [null], (job) => (job ? `${job.number}${job.active ? " active" : ""}` : "empty"), (job) => (job ? (job.active ? active() : waiting(job)) : empty("nothing waits")));
+    const past = all.past.slice(0, 8);
+    keyed($("past"), past.length ? past : [null], (job) => job?.number ?? "empty", (job) => (job ? ended(job) : empty("nothing yet")));
   };
   for (const name of ["jobs", "control", "you", "status"]) link.on(name, show);
+  link.on("closed", () => [...$("queue").querySelectorAll("button")].forEach((button) => set(button, { disabled: true })));
 }

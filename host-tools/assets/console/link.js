@@ -6,14 +6,8 @@
 const RETRY_MS = [200, 400, 800, 1500];
 const ALIVE_MS = 700;
 
-function token() {
-  const given = new URLSearchParams(location.hash.slice(1)).get("token");
-  if (given) {
-    sessionStorage.setItem("token", given);
-    history.replaceState(null, "", location.pathname);
-  }
-  return sessionStorage.getItem("token") ?? "";
-}
+// What is known before the modules are there: the token, and whether a stop was asked for.
+const stop = globalThis.etherpenStop;
 
 function page() {
   let name = sessionStorage.getItem("page");
@@ -27,13 +21,14 @@ function page() {
 export class Link extends EventTarget {
   constructor() {
     super();
-    this.token = token();
     this.page = page();
     this.state = {};
     this.bytes = 0;
     this.tries = 0;
-    this.stopAsked = false;
     this.open = false;
+    this.heard = { time_ms: null, at: performance.now() };
+    stop.addEventListener("ask", () => this.send({ type: "stop" }));
+    stop.addEventListener("change", () => this.tell("stopping"));
     setInterval(() => this.send({ type: "alive" }), ALIVE_MS);
     this.connect();
   }
@@ -45,8 +40,8 @@ export class Link extends EventTarget {
     socket.onopen = () => {
       this.tries = 0;
       this.open = true;
-      this.send({ type: "hello", token: this.token, page: this.page });
-      if (this.stopAsked) this.send({ type: "stop" });
+      this.send({ type: "hello", token: stop.token, page: this.page });
+      if (stop.asked) this.send({ type: "stop" });
       this.tell("open");
     };
     socket.onmessage = ({ data }) => this.take(data);
@@ -70,7 +65,8 @@ export class Link extends EventTarget {
     const { section, data: content } = JSON.parse(data);
     this.state[section] = content;
     // A robot that stands by another fault stands as well.
-    if (section === "status" && content?.mode === "Fault") this.stopAsked = false;
+    if (section === "status" && content?.mode === "Fault") stop.stands();
+    if (section === "pose" && content && content.time_ms !== this.heard.time_ms) this.heard = { time_ms: content.time_ms, at: performance.now() };
     this.tell(section, content);
   }
 
@@ -123,22 +119,23 @@ export class Link extends EventTarget {
     return this.send({ type: "command", action });
   }
 
-  stop() {
-    this.stopAsked = true;
-    this.send({ type: "stop" });
-    // The second way, should the socket be stuck.
-    fetch("/stop", { method: "POST", headers: { "x-etherpen-token": this.token } }).catch(() => {});
-    this.tell("stopping");
+  // Since when no new measurement has come.
+  silentSeconds() {
+    return (performance.now() - this.heard.at) / 1000;
   }
 
   upload(file, options) {
     const headers = {
-      "x-etherpen-token": this.token,
+      "x-etherpen-token": stop.token,
       "x-etherpen-viewer": String(this.state.you?.id ?? 0),
       "x-etherpen-name": encodeURIComponent(file.name),
       "x-etherpen-options": encodeURIComponent(options),
     };
     return fetch("/file", { method: "POST", headers, body: file });
+  }
+
+  get stopping() {
+    return stop;
   }
 
   get controls() {

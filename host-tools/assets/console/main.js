@@ -1,6 +1,7 @@
 // The page: one link, and the panels that listen to it.
 
-import { $, element, text } from "./dom.js";
+import "./choice.js";
+import { $, age, element, text } from "./dom.js";
 import { Link } from "./link.js";
 import { operate } from "./operate.js";
 import { paper } from "./paper.js";
@@ -38,6 +39,36 @@ function figures(link, scope) {
   link.on("robot", (constants) => constants && text($("about"), `etherpen ${constants.version} · ${constants.port} · no safety function: use the drives' STO`));
 }
 
+// Not modal: under a modal dialog nothing else can be pressed, and STOP is to be pressed at any time.
+function shortcuts() {
+  const dialog = $("shortcuts");
+  const open = (opened) => {
+    dialog.open = opened;
+    $("help").ariaExpanded = String(opened);
+    (opened ? dialog : $("help")).focus();
+  };
+  $("help").addEventListener("click", () => open(!dialog.open));
+  dialog.querySelector("button").addEventListener("click", () => open(false));
+  addEventListener("keydown", (event) => event.key === "Escape" && dialog.open && open(false));
+  document.addEventListener("pointerdown", (event) => {
+    if (dialog.open && !dialog.contains(event.target) && !$("help").contains(event.target)) open(false);
+  });
+}
+
+// What is measured is dimmed, with its age, when nothing new comes.
+function ages(link) {
+  const show = () => {
+    const seconds = link.silentSeconds();
+    const old = seconds >= 1;
+    const words = old && link.heard.time_ms !== null ? `measured ${age(seconds)}` : "";
+    document.body.classList.toggle("silent", old);
+    for (const label of document.querySelectorAll(".age")) text(label, words);
+    document.body.classList.toggle("offline", !link.open);
+  };
+  setInterval(show, 250);
+  for (const name of ["open", "closed"]) link.on(name, show);
+}
+
 theme();
 const link = new Link();
 operate(link);
@@ -47,7 +78,8 @@ const scope = new Scope(link);
 jobs(link);
 drives(link);
 figures(link, scope);
-$("help").addEventListener("click", () => $("shortcuts").showModal());
+shortcuts();
+ages(link);
 document.addEventListener("themechange", () => scope.all && scope.legend());
 addEventListener("error", (event) => document.body.append(element("p", { className: "wrong", hidden: true }, `script: ${event.message}`)));
 globalThis.etherpen = { link, scope };

@@ -56,20 +56,19 @@ function chip(id, tone, words) {
   text($(id).lastElementChild, words);
 }
 
+// What STOP has come to; that it is pressed, `stop.js` hears before anything else.
 function stop(link) {
   const show = () => {
-    const status = link.state.status;
+    const { status } = link.state;
+    const { asked, taken, refused } = link.stopping;
     let words = matchMedia("(max-width: 860px), (pointer: coarse)").matches ? "stops at once" : "Esc";
-    if (link.stopAsked && status?.mode === "Stopping") words = "the firmware is stopping";
-    else if (link.stopAsked) words = link.open ? "sent, not confirmed" : "will be sent first";
+    if (refused) words = refused;
+    else if (asked && status?.mode === "Stopping") words = "the firmware is stopping";
+    else if (asked) words = taken || link.open ? "sent, not confirmed" : "will be sent first";
     else if (status?.stopped) words = "confirmed by the firmware";
     text($("stop-text"), words);
-    $("stop").dataset.state = link.stopAsked ? "asked" : status?.stopped ? "stopped" : "ready";
+    $("stop").dataset.state = asked ? "asked" : status?.stopped ? "stopped" : "ready";
   };
-  $("stop").addEventListener("click", () => link.stop());
-  addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && !$("shortcuts").open) link.stop();
-  });
   for (const name of ["stopping", "status", "open", "closed"]) link.on(name, show);
   show();
 }
@@ -121,7 +120,7 @@ function buttons(link) {
   show();
   const keys = { h: () => $(link.allows("resume") ? "resume" : "hold"), e: () => $("enable"), r: () => $("reference"), u: () => $("pen-up"), d: () => $("pen-down"), j: () => $("jog-keys"), p: () => $("scope-pause"), t: () => $("control"), "?": () => $("help") };
   addEventListener("keydown", (event) => {
-    const typing = event.target.matches?.("input:not([type=range]), select, textarea");
+    const typing = event.target.matches?.("input:not([type=range]), textarea, choice-list *");
     if (typing || event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
     keys[event.key.toLowerCase()]?.()?.click();
   });
@@ -198,15 +197,23 @@ function jog(link) {
 }
 
 function positions(link) {
+  const actual = [];
   const cells = ["x", "y", "z"].map((name) => {
-    const [commanded, actual] = [element("td"), element("td")];
-    $("positions").append(element("tr", {}, element("th", { scope: "row" }, name), commanded, actual));
-    return [commanded, actual];
+    const [commanded, measured] = [element("td"), element("td")];
+    $("positions").append(element("tr", {}, element("th", { scope: "row" }, name), commanded, measured));
+    actual.push(measured);
+    return [commanded, measured];
   });
   const bars = [1, 2, 3, 4].map((axis) => {
     const [bar, value] = [element("meter", { min: 0, max: 100, value: 0, ariaLabel: `following error of axis ${axis}` }), element("output")];
     $("errors").append(element("span", {}, `axis ${axis}`), bar, value);
     return [bar, value];
+  });
+  // Of a drive that does not answer, the firmware tells what it expects, not what is.
+  link.on("status", (status) => {
+    const silent = [0, 1, 2, 3].map((axis) => (status?.slaves[axis]?.silent_s ?? null) !== null);
+    bars.forEach((bar, axis) => bar.forEach((node) => node.classList.toggle("old", silent[axis])));
+    actual.forEach((cell) => cell.classList.toggle("old", silent.slice(0, 3).includes(true)));
   });
   const peaks = [0, 0, 0, 0];
   let shown = 0;
@@ -216,9 +223,9 @@ function positions(link) {
     const now = performance.now();
     if (now - shown < 90) return;
     shown = now;
-    cells.forEach(([commanded, actual], axis) => {
+    cells.forEach(([commanded, measured], axis) => {
       text(commanded, number(pose.commanded_mm[axis], 2));
-      text(actual, number(pose.measured_mm[axis], 2));
+      text(measured, number(pose.measured_mm[axis], 2));
     });
     bars.forEach(([bar, value], axis) => {
       bar.value = Math.min(100, (Math.log10(1 + peaks[axis]) / 4) * 100);

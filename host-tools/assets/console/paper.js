@@ -7,12 +7,16 @@ const MARGIN = 14;
 export function paper(link) {
   let job = null;
   let preview = null;
+  let previewed = "";
   let executed = 0;
   let painted = 0;
   let dirty = true;
   const layer = document.createElement("canvas");
   const screen = new Canvas($("paper"), () => repaint());
   const shown = () => (link.state.jobs?.active || !preview ? job : preview) ?? preview;
+
+  // Another way to draw it is being planned, or none was found.
+  const isOld = () => shown() === preview && link.state.studio?.state !== "ready";
 
   const place = () => {
     const sheet = link.state.robot?.paper;
@@ -73,8 +77,11 @@ export function paper(link) {
     const path = shown();
     if (!path) return;
     prepare(context);
-    context.strokeStyle = screen.colours.faint;
+    // A preview looks as it will on paper; of a drawing the ink comes with the pen.
+    context.globalAlpha = isOld() ? 0.25 : 1;
+    context.strokeStyle = path === job ? screen.colours["sheet-rest"] : screen.colours["sheet-ink"];
     trace(context, at, path, 1, path.index.length);
+    context.globalAlpha = 1;
   };
 
   const paintDone = () => {
@@ -86,7 +93,7 @@ export function paper(link) {
     const context = layer.getContext("2d");
     prepare(context);
     context.lineWidth = 1.3;
-    context.strokeStyle = screen.colours.ink;
+    context.strokeStyle = screen.colours["sheet-ink"];
     trace(context, at, path, painted, until);
     painted = until;
   };
@@ -95,7 +102,7 @@ export function paper(link) {
     if (dirty) {
       dirty = false;
       paintDone();
-      const { context, colours } = screen;
+      const { context } = screen;
       const at = place();
       screen.clear();
       if (at) {
@@ -103,7 +110,7 @@ export function paper(link) {
         context.drawImage(layer, 0, 0);
         context.setTransform(screen.ratio, 0, 0, screen.ratio, 0, 0);
         current(context, at);
-        pen(context, at, colours);
+        pen(context, at, screen.colours);
       }
     }
     requestAnimationFrame(draw);
@@ -117,7 +124,7 @@ export function paper(link) {
     while (to < path.index.length && path.drawn[to]) to += 1;
     prepare(context);
     context.lineWidth = 2.2;
-    context.strokeStyle = screen.colours.accent;
+    context.strokeStyle = screen.colours["sheet-accent"];
     trace(context, at, path, from, to);
   };
 
@@ -130,10 +137,12 @@ export function paper(link) {
     context.beginPath();
     context.arc(x, y, lowered ? 4.5 : 7, 0, 7);
     context.lineWidth = 2;
-    context.strokeStyle = colours.accent;
-    context.fillStyle = colours.accent;
-    if (lowered) context.fill();
+    const known = link.silentSeconds() < 1;
+    context.strokeStyle = context.fillStyle = known ? colours["sheet-accent"] : colours["sheet-edge"];
+    context.setLineDash(known ? [] : [2, 3]);
+    if (lowered && known) context.fill();
     context.stroke();
+    context.setLineDash([]);
   };
 
   const facts = () => {
@@ -144,6 +153,10 @@ export function paper(link) {
       const current = progress?.job === jobs.active.number ? progress : null;
       text($("paper-time"), current ? `${current.strokes} of ${current.strokes_total} strokes · ${duration(current.left_s)} left` : `planned ${duration(jobs.active.planned_s)}`);
       $("paper-progress").value = current ? current.executed_mm / Math.max(current.total_mm, 1) : 0;
+    } else if (preview && studio?.state === "working") {
+      text($("paper-name"), `${studio.name} · being planned anew`);
+      text($("paper-time"), "");
+      $("paper-progress").value = 0;
     } else if (preview && studio?.state === "ready") {
       text($("paper-name"), `${studio.name} · preview`);
       text($("paper-time"), `planned ${duration(studio.planned_s)}`);
@@ -157,12 +170,13 @@ export function paper(link) {
 
   link.on("path", (path) => {
     if (path.use === 1) [job, executed] = [path, 0];
-    else preview = path;
+    else [preview, previewed] = [path, link.state.studio?.name];
     facts();
     repaint();
   });
   link.on("studio", (studio) => {
-    if (studio?.state !== "ready") preview = null;
+    // The preview of the same file stays, dimmed, until the next one is there.
+    if (!studio || studio.state === "idle" || (preview && studio.name !== previewed)) preview = null;
     facts();
     repaint();
   });

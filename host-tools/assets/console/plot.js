@@ -7,6 +7,8 @@ const RIGHT = 12;
 const TOP = 8;
 const BOTTOM = 24;
 const GAP = 10;
+// Letters of a mark's text that fit beside the plot.
+const TICK_LETTERS = 9;
 const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
 
 // Columns in the order of time, at most so many.
@@ -75,6 +77,23 @@ export function ticks(low, high, wanted) {
   return Array.from({ length: Math.max(0, last - first + 1) }, (_, index) => (first + index) * step);
 }
 
+// Texts of marks so many apart: no two alike, none longer than the margin is wide. Where the values differ in their last
+// digits only, the texts are the differences from a base, which is told once.
+export function tickTexts(marks, step) {
+  const written = (value, digits) => value.toFixed(digits).replace("-", "−");
+  const largest = Math.max(...marks.map(Math.abs), step);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const whole = Math.max(1, Math.floor(Math.log10(largest) + 1e-9) + 1);
+  if (digits <= 6 && whole + digits <= TICK_LETTERS - 2) return { base: "", texts: marks.map((value) => written(value, digits)) };
+  const power = 10 ** Math.floor(Math.log10(step) + 1e-9);
+  const count = (value) => Math.round(value / power);
+  const units = `e${Math.round(Math.log10(power))}`.replace("-", "−");
+  const small = marks.every((value) => Math.abs(count(value)) < 1000);
+  const base = small ? 0 : marks[0];
+  const texts = marks.map((value) => (count(value - base) === 0 ? "0" : `${small ? "" : "+"}${String(count(value - base)).replace("-", "−")}${units}`));
+  return { base: small ? "" : String(Number(base.toPrecision(9))).replace("-", "−"), texts };
+}
+
 export class Plot {
   constructor(canvas) {
     this.screen = new Canvas(canvas, () => (this.dirty = true));
@@ -129,7 +148,9 @@ export class Plot {
       }
     }
     if (low > high) [low, high] = [-1, 1];
-    const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-6);
+    // What does not change has a scale of its own size; single precision tells no more than this.
+    const flat = high - low <= Math.abs(high) * 1e-6;
+    const room = flat ? Math.max(Math.abs(high) * 0.06, 1.3e-3) : (high - low) * 0.08;
     [low, high] = [low - room, high + room];
     const before = this.ranges.get(lane.key);
     if (before) {
@@ -188,16 +209,16 @@ export class Plot {
     context.textBaseline = "middle";
     const marks = ticks(low, high, Math.max(2, laneHeight / 34));
     const step = marks.length > 1 ? marks[1] - marks[0] : high - low;
-    const digits = Math.min(7, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
-    for (const value of marks) {
+    const { base, texts } = tickTexts(marks, step);
+    marks.forEach((value, index) => {
       context.strokeStyle = colours.line;
       context.beginPath();
       context.moveTo(LEFT, Math.round(y(value)) + 0.5);
       context.lineTo(right, Math.round(y(value)) + 0.5);
       context.stroke();
       context.fillStyle = colours.soft;
-      context.fillText(step < 1e-4 ? value.toExponential(1) : value.toFixed(digits).replace("-", "−"), LEFT - 6, y(value));
-    }
+      context.fillText(texts[index], LEFT - 6, y(value));
+    });
     context.save();
     context.translate(10, top + laneHeight / 2);
     context.rotate(-Math.PI / 2);
@@ -205,6 +226,9 @@ export class Plot {
     context.fillStyle = colours.ink;
     context.fillText(lane.error ? `error, ${lane.unit}` : lane.unit, 0, 0);
     context.restore();
+    if (!base) return;
+    context.textAlign = "left";
+    context.fillText(`${base} + …`, LEFT + 6, top + 10);
   }
 
   drawSignal(context, signal, from, to, y) {
@@ -260,7 +284,9 @@ export class Plot {
   readout(timeMs) {
     const column = this.columns.find(timeMs);
     const near = column < this.columns.count ? column : this.columns.count - 1;
-    if (near < 0) return this.signals.map(() => null);
+    // In a hole there is no value; behind the newest it is the newest.
+    const inHole = column > 0 && column < this.columns.count && this.columns.timeMs(near) - timeMs > 3 * this.columns.bucketMs;
+    if (near < 0 || inHole) return this.signals.map(() => null);
     return this.signals.map((_, signal) => {
       const [low, high] = [this.columns.low(near, signal), this.columns.high(near, signal)];
       return low <= high ? [low, high] : null;

@@ -92,7 +92,7 @@ export function robot(link) {
     context.closePath();
     context.fillStyle = colours.sheet;
     context.fill();
-    line([...corners, corners[0]], 1.5, colours.soft);
+    line([...corners, corners[0]], 1.5, colours["sheet-edge"]);
     context.setLineDash([3, 5]);
     const circle = (height) => Array.from({ length: 61 }, (_, index) => [area.radius_mm * Math.cos((index * Math.PI) / 30), area.radius_mm * Math.sin((index * Math.PI) / 30), height]);
     line(circle(area.z_low_mm), 1, colours.faint);

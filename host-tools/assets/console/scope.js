@@ -37,6 +37,7 @@ export class Scope {
     link.on("open", () => this.watch());
     link.on("columns", (columns) => this.take(columns));
     link.on("log", (lines) => this.mark(lines));
+    link.on("status", (status) => this.dim(status));
     link.on("capture", (capture) => this.captured(capture));
     new ResizeObserver(() => this.resized()).observe($("scope").parentElement);
     requestAnimationFrame((now) => this.frame(now));
@@ -45,13 +46,14 @@ export class Scope {
   begin(signals) {
     if (this.all) return;
     this.all = signals;
-    for (const seconds of WINDOWS_S) $("scope-window").append(element("option", { value: seconds, selected: seconds === 10 }, `${seconds} s`));
-    $("scope-preset").append(element("option", { value: "" }, "own choice"));
-    PRESETS.forEach(([name], index) => $("scope-preset").append(element("option", { value: index }, name)));
+    $("scope-window").options = WINDOWS_S.map((seconds) => [seconds, `${seconds} s`]);
+    $("scope-window").value = "10";
+    $("scope-preset").options = [["", "own choice"], ...PRESETS.map(([name], index) => [index, name])];
+    $("trigger-signal").options = signals.map((signal, index) => [index, `${signal.label}, ${signal.unit}`]);
+    $("trigger-signal").value = "0";
     signals.forEach((signal, index) => {
       const box = element("input", { type: "checkbox", value: index, on: { change: () => this.picked() } });
       $("scope-signals").append(element("label", {}, box, ` ${signal.label}`));
-      $("trigger-signal").append(element("option", { value: index }, `${signal.label}, ${signal.unit}`));
     });
     $("scope-preset").value = "0";
     this.preset(0);
@@ -248,6 +250,14 @@ export class Scope {
     }));
   }
 
+  // What the firmware tells of a drive that does not answer is what it expects.
+  dim(status) {
+    [...$("scope-legend").children].forEach((entry, index) => {
+      const slave = status?.slaves[this.all[this.chosen[index]].axis - 1];
+      entry.classList.toggle("old", (slave?.silent_s ?? null) !== null);
+    });
+  }
+
   // Values at the cursor, or the newest.
   read() {
     const now = performance.now();
@@ -283,6 +293,8 @@ export class Scope {
       this.link.send({ type: "arm", signal: value("trigger-signal"), condition: $("trigger-condition").value, level: value("trigger-level"), before_ms: Math.max(0, Math.round(value("trigger-before"))), after_ms: Math.max(0, Math.round(value("trigger-after"))) });
     });
     state("off");
+    // The console forgets the trigger of a page that has gone.
+    this.link.on("closed", () => this.captured({ state: "idle" }));
   }
 
   captured(capture) {

@@ -27,7 +27,9 @@ pub(super) const ASSETS: &[Asset] = &[
     asset!("/", "index.html", "text/html; charset=utf-8"),
     asset!("/style.css", "style.css", "text/css; charset=utf-8"),
     asset!("/icon.svg", "icon.svg", "image/svg+xml"),
+    asset!("/stop.js", "stop.js", "text/javascript; charset=utf-8"),
     asset!("/main.js", "main.js", "text/javascript; charset=utf-8"),
+    asset!("/choice.js", "choice.js", "text/javascript; charset=utf-8"),
     asset!("/link.js", "link.js", "text/javascript; charset=utf-8"),
     asset!("/dom.js", "dom.js", "text/javascript; charset=utf-8"),
     asset!("/operate.js", "operate.js", "text/javascript; charset=utf-8"),
@@ -69,13 +71,28 @@ mod tests {
     }
 
     #[test]
-    fn every_module_that_is_imported_is_there() {
+    fn every_file_that_is_asked_for_is_there_and_every_file_is_asked_for() {
+        let mut asked = vec!["/".to_owned()];
         for asset in ASSETS {
-            for line in asset.content.lines().filter(|line| line.starts_with("import ")) {
-                let file = line.split('"').nth(1).unwrap_or_default();
-                let path = file.strip_prefix('.').unwrap_or(file);
-                assert!(ASSETS.iter().any(|asset| asset.path == path), "{}: {line}", asset.path);
+            for line in asset.content.lines() {
+                let imported = line.strip_prefix("import ").and_then(|line| line.split('"').nth(1));
+                asked.extend(imported.and_then(|file| file.strip_prefix('.')).map(str::to_owned));
+                for attribute in ["src=\"", "href=\"/"] {
+                    let start = attribute.len() - usize::from(attribute.ends_with('/'));
+                    let files = line
+                        .match_indices(attribute)
+                        .filter_map(|(at, _)| line.get(at + start..));
+                    asked.extend(files.filter_map(|file| file.split('"').next()).map(str::to_owned));
+                }
             }
         }
+        for path in &asked {
+            assert!(ASSETS.iter().any(|asset| asset.path == path), "{path}");
+        }
+        for asset in ASSETS {
+            assert!(asked.iter().any(|path| path == asset.path), "{}", asset.path);
+        }
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/console");
+        assert_eq!(std::fs::read_dir(folder).unwrap().count(), ASSETS.len());
     }
 }

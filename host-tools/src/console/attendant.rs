@@ -4,6 +4,7 @@
 //! brings up its bus.
 
 use super::hub::{Hub, Level, Topic};
+use super::words::on_page;
 use super::{Console, lock};
 use crate::link::error::Phase;
 use crate::link::job::{JobEvent, Ready};
@@ -14,6 +15,8 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
+/// What the order of a stop is called.
+pub(super) const STOP: &str = "STOP";
 /// News that may wait.
 pub(super) const NEWS_MAX: usize = 4_096;
 /// Longest wait for news.
@@ -65,6 +68,8 @@ impl Attendant {
         let mut refusals = Vec::new();
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
+            // One press comes by two ways; the other stop does the same.
+            Ok(Err(failure)) if *what == STOP && failure.text.contains("a stop has overtaken it") => false,
             Ok(Err(failure)) => {
                 // What the firmware has refused says what it was.
                 let says_what = failure.text.contains("was refused");
@@ -129,7 +134,7 @@ fn take(console: &Console, news: News) {
         }),
         News::Connected(welcome) => {
             if console.change(|hub| hub.connected(&welcome)) {
-                console.order("STOP", Order::Stop);
+                console.order(STOP, Order::Stop);
             }
         }
         News::Lost(failure) => console.change(|hub| hub.lost(&failure.text)),
@@ -145,7 +150,7 @@ fn take(console: &Console, news: News) {
                     let text = result
                         .as_ref()
                         .map_or_else(ToString::to_string, |()| "drawn".to_owned());
-                    hub.jobs.end(result.is_ok(), text);
+                    hub.jobs.end(result.is_ok(), on_page(&text));
                     hub.say_jobs();
                 });
             }

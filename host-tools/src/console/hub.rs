@@ -11,6 +11,7 @@ use super::jobs::Jobs;
 use super::messages::section;
 use super::signals::{Row, Rows};
 use super::status::{self, mode_name};
+use super::words::on_page;
 use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -24,6 +25,10 @@ use std::sync::Arc;
 const LOG_LINES: usize = 500;
 /// Time in which the same warning is the same event, ms.
 const SAME_MS: u64 = 100;
+/// Time in which stops that are asked for are one press, ms.
+const PRESS_MS: u64 = 1_000;
+/// How a line of the log about a stop begins.
+const STOP: &str = "STOP";
 /// Viewers at the same time.
 pub const VIEWERS_MAX: usize = 32;
 
@@ -144,6 +149,8 @@ pub struct Hub {
     version: u64,
     link: LinkView,
     status: Option<Status>,
+    /// Console time at which each slave was found not to answer, ms.
+    silent_ms: Vec<Option<u64>>,
     rows: Rows,
     history: History,
     log: VecDeque<LogLine>,
@@ -174,6 +181,7 @@ impl Hub {
             version: 0,
             link: link.clone(),
             status: None,
+            silent_ms: Vec::new(),
             rows: Rows::new(config),
             history: History::default(),
             log: VecDeque::new(),
@@ -212,7 +220,7 @@ impl Hub {
 
     /// Writes a line into the log.
     pub fn note(&mut self, level: Level, text: impl Into<String>) {
-        let text = text.into();
+        let text = on_page(&text.into());
         let said = |last: &LogLine| match level {
             // The firmware's mode and the task's phase often say the same.
             Level::Info => last.text == text,
@@ -298,10 +306,11 @@ impl Hub {
     /// The connection has gone.
     pub fn lost(&mut self, why: &str) {
         self.link.state = "lost";
-        self.link.text = why.to_owned();
+        self.link.text = on_page(why);
         self.say_link();
         self.note(Level::Error, why);
         self.status = None;
+        self.silent_ms.clear();
         self.say(Topic::Status, &Option::<()>::None);
     }
 
@@ -317,21 +326,29 @@ impl Hub {
         if let Some(fault) = status.fault.filter(|fault| fault_before != Some(*fault)) {
             self.note(Level::Error, text::fault(&fault));
         }
-        let gone: Vec<usize> = before
+        let gone: Vec<(usize, u8)> = before
             .map(|before| before.slaves.iter().zip(&status.slaves))
             .into_iter()
             .flatten()
             .enumerate()
             .filter(|(_, (before, now))| before.al_state == 8 && now.al_state != 8)
-            .map(|(index, _)| index + 1)
+            .map(|(index, (_, now))| (index + 1, now.al_state))
             .collect();
-        for slave in gone {
-            self.note(Level::Warning, format!("slave {slave} left OP"));
+        for (slave, al_state) in gone {
+            let what = if al_state == 0 { "does not answer" } else { "left OP" };
+            self.note(Level::Warning, format!("slave {slave} {what}"));
         }
         if status.fault.is_some() {
             self.stop_wanted = false;
         }
-        self.say(Topic::Status, &status::view(status));
+        let now_ms = self.now_ms();
+        self.silent_ms.resize(status.slaves.len(), None);
+        for (index, since_ms) in self.silent_ms.iter_mut().enumerate() {
+            *since_ms = status::is_silent(status, index).then(|| since_ms.unwrap_or(now_ms));
+        }
+        let silent_s = |since_ms: &Option<u64>| since_ms.map(|since_ms| now_ms.saturating_sub(since_ms) / 1_000);
+        let silent_s: Vec<_> = self.silent_ms.iter().map(silent_s).collect();
+        self.say(Topic::Status, &status::view(status, &silent_s));
         self.status = Some(status.clone());
     }
 
@@ -382,7 +399,7 @@ impl Hub {
     pub fn refused_drawing(&mut self, number: u64, why: &str) {
         if self.jobs.active() == Some(number) {
             self.note(Level::Warning, format!("the drawing was not begun: {why}"));
-            self.jobs.end(false, why);
+            self.jobs.end(false, on_page(why));
             self.say_jobs();
         }
     }
@@ -391,7 +408,16 @@ impl Hub {
     pub fn stop_asked(&mut self, who: &str) {
         // A robot that already stands by a fault needs no repetition.
         self.stop_wanted = self.mode() != Some(Mode::Fault);
-        self.note(Level::Warning, format!("STOP from {who}"));
+        // One press comes by two ways.
+        let now_ms = self.now_ms();
+        let recent = self
+            .log
+            .iter()
+            .rev()
+            .take_while(|line| line.time_ms + PRESS_MS >= now_ms);
+        if !recent.into_iter().any(|line| line.text.starts_with(STOP)) {
+            self.note(Level::Warning, format!("{STOP} from {who}"));
+        }
     }
 
     /// A viewer comes, if there is room; gives its number.

@@ -6,6 +6,7 @@
 
 use super::capture::Condition;
 use super::history::Bucket;
+use super::studio::Wishes;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
@@ -211,6 +212,11 @@ pub enum Request {
     Inject {
         /// Which.
         fault: Injection,
+    },
+    /// Prepare the present file in another way.
+    Replan {
+        /// In which.
+        wishes: Wishes,
     },
     /// Put the prepared drawing into the queue.
     Enqueue {

@@ -22,6 +22,7 @@ pub mod status;
 pub mod studio;
 mod viewer;
 pub mod virtual_cell;
+mod words;
 
 use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order};
@@ -34,7 +35,7 @@ use serde::Serialize;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-use studio::StudioView;
+use studio::{StudioView, Wishes};
 use tokio::sync::watch;
 use virtual_cell::VirtualCell;
 
@@ -61,12 +62,43 @@ struct SegmentView {
     failure: Option<String>,
 }
 
+/// Files that are prepared at the same time: the one that is wanted, and one that was wanted before it.
+const PREPARATIONS_MAX: usize = 2;
+
+/// A file that was dropped on a page.
+struct Source {
+    name: String,
+    content: Vec<u8>,
+}
+
+/// A file with what is wished of it.
+#[derive(Clone)]
+struct Preparation {
+    source: Arc<Source>,
+    wishes: Wishes,
+}
+
 /// The drawing that is prepared.
 #[derive(Default)]
 struct Preview {
+    /// Number of the last preparation that was asked for; what an older one comes to is dropped.
     number: u64,
-    busy: bool,
+    /// What was asked for last, until it is put into the queue.
+    wanted: Option<Preparation>,
+    /// Number of the newest preparation that was begun.
+    begun: u64,
+    /// Threads that prepare.
+    running: usize,
     drawing: Option<Drawing>,
+}
+
+impl Preview {
+    /// The preparation that is asked for and not begun, with its number.
+    fn next(&mut self) -> Option<(u64, Preparation)> {
+        let wanted = self.wanted.clone().filter(|_| self.begun < self.number)?;
+        self.begun = self.number;
+        Some((self.number, wanted))
+    }
 }
 
 /// The console's parts that every viewer uses.
@@ -117,6 +149,10 @@ impl Console {
             styles: studio::styles(),
         };
         hub.say(Topic::Robot, &view);
+        // A machine that was quicker than this console has told it already.
+        if let Some(welcome) = machine.snapshot().welcome {
+            hub.connected(&welcome);
+        }
         let idle = StudioView {
             state: "idle",
             ..StudioView::default()
@@ -161,7 +197,7 @@ impl Console {
     /// Stops the robot: first the order, then everything else.
     pub fn stop(&self, who: &str) {
         let answer = self.machine.order(Order::Stop);
-        self.attendant.expect("STOP", answer);
+        self.attendant.expect(attendant::STOP, answer);
         self.change(|hub| hub.stop_asked(who));
     }
 
@@ -195,40 +231,68 @@ impl Console {
         self.change(|hub| hub.say(Topic::Segment, &view));
     }
 
-    /// Prepares a file in a thread of its own; one at a time.
-    fn prepare(self: &Arc<Self>, name: &str, options: &str, content: Vec<u8>) -> Result<(), String> {
-        {
-            let mut preview = lock(&self.preview);
-            if preview.busy {
-                return Err("another file is being prepared; wait a moment".to_owned());
-            }
-            preview.busy = true;
-            preview.drawing = None;
-        }
-        let working = StudioView {
-            state: "working",
-            name: studio::shown_name(name),
-            ..StudioView::default()
+    /// Prepares a file, in place of any other.
+    fn prepare(self: &Arc<Self>, name: &str, wishes: Wishes, content: Vec<u8>) -> Result<(), String> {
+        let name = studio::shown_name(name);
+        let source = Arc::new(Source { name, content });
+        self.want(Preparation { source, wishes })
+    }
+
+    /// Prepares the present file in another way.
+    fn replan(self: &Arc<Self>, wishes: Wishes) -> Result<(), String> {
+        let wanted = lock(&self.preview).wanted.clone();
+        let Some(Preparation { source, .. }) = wanted else {
+            return Err("there is no file to plan; drop one".to_owned());
         };
-        self.change(|hub| hub.say(Topic::Studio, &working));
-        let (console, name, options) = (self.clone(), name.to_owned(), options.to_owned());
+        self.want(Preparation { source, wishes })
+    }
+
+    /// Prepares in a thread of its own, at once. The last preparation that was asked for wins; where too many run that
+    /// nobody wants any more, it begins when one of them ends.
+    fn want(self: &Arc<Self>, preparation: Preparation) -> Result<(), String> {
+        let begins = {
+            let mut preview = lock(&self.preview);
+            preview.number += 1;
+            preview.drawing = None;
+            let view = StudioView::working(preview.number, &preparation.source.name, &preparation.wishes);
+            preview.wanted = Some(preparation);
+            let begins = preview.running < PREPARATIONS_MAX;
+            preview.running += usize::from(begins);
+            self.change(|hub| hub.say(Topic::Studio, &view));
+            begins
+        };
+        if !begins {
+            return Ok(());
+        }
+        let console = self.clone();
         let spawned = std::thread::Builder::new()
             .name("studio".to_owned())
-            .spawn(move || console.prepared(studio::compose(&console.config, &name, &options, &content), &name));
+            .spawn(move || while console.prepare_next() {});
         spawned.map(|_| ()).map_err(|cause| {
-            lock(&self.preview).busy = false;
+            lock(&self.preview).running -= 1;
             format!("no thread for it: {cause}")
         })
     }
 
-    fn prepared(&self, result: Result<Drawing, String>, name: &str) {
+    /// Does the preparation that is asked for; whether there was one.
+    fn prepare_next(&self) -> bool {
+        let next = {
+            let mut preview = lock(&self.preview);
+            let next = preview.next();
+            preview.running -= usize::from(next.is_none());
+            next
+        };
+        let Some((number, Preparation { source, wishes })) = next else {
+            return false;
+        };
+        let result = studio::compose(&self.config, &source.name, &wishes, &source.content);
         let mut preview = lock(&self.preview);
-        preview.busy = false;
-        preview.number += 1;
-        let view = StudioView::of(&result, preview.number, name);
-        preview.drawing = result.ok();
-        drop(preview);
-        self.change(|hub| hub.say(Topic::Studio, &view));
+        if preview.number == number && preview.wanted.is_some() {
+            let view = StudioView::of(&result, number, &source.name, &wishes);
+            preview.drawing = result.ok();
+            self.change(|hub| hub.say(Topic::Studio, &view));
+        }
+        true
     }
 
     /// Puts the prepared drawing into the queue.
@@ -246,7 +310,10 @@ impl Console {
             hub.say(Topic::Studio, &idle);
             Ok(())
         })?;
-        lock(&self.preview).drawing = None;
+        let mut preview = lock(&self.preview);
+        if preview.number == preparation {
+            (preview.drawing, preview.wanted) = (None, None);
+        }
         Ok(())
     }
 

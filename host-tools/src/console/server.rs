@@ -7,6 +7,7 @@ use super::assets::{ASSETS, POLICY};
 use super::control::Change;
 use super::hub::Level;
 use super::messages::{FILE_BYTES_MAX, REQUEST_BYTES_MAX};
+use super::studio::Wishes;
 use super::{Console, viewer};
 use axum::Router;
 use axum::body::{Body, Bytes};
@@ -186,8 +187,11 @@ async fn file(State(door): State<Door>, headers: HeaderMap, content: Bytes) -> R
         return refused(StatusCode::CONFLICT, "you do not have control; take it first");
     }
     let name = decoded(text(&headers, NAME));
-    let options = decoded(text(&headers, OPTIONS));
-    match door.console.prepare(&name, &options, content.into()) {
+    let wishes = match Wishes::parse(&decoded(text(&headers, OPTIONS))) {
+        Ok(wishes) => wishes,
+        Err(why) => return (StatusCode::BAD_REQUEST, why).into_response(),
+    };
+    match door.console.prepare(&name, wishes, content.into()) {
         Ok(()) => StatusCode::ACCEPTED.into_response(),
         Err(why) => (StatusCode::CONFLICT, why).into_response(),
     }

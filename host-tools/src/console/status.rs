@@ -37,6 +37,8 @@ struct BusView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct SlaveView {
     number: usize,
+    /// Since when it does not answer, whole seconds; what else is told of it is as old.
+    silent_s: Option<u64>,
     vendor: String,
     product: String,
     state: String,
@@ -100,18 +102,25 @@ fn drive_text(state: DriveState) -> &'static str {
     }
 }
 
-fn slave(index: usize, slave: &SlaveStatus, lost: bool) -> SlaveView {
+/// Whether a slave does not answer: the firmware keeps what it knew of it last.
+pub fn is_silent(status: &Status, index: usize) -> bool {
+    let lost = matches!(status.fault, Some(Fault::SlaveLost { slave }) if usize::from(slave) == index);
+    lost || status.slaves.get(index).is_none_or(|slave| slave.al_state == 0)
+}
+
+fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView {
     let word = StatusWord(slave.status_word);
     let flagged = slave.al_state & 0x10 != 0 || slave.al_code != 0;
     SlaveView {
         number: index + 1,
+        silent_s,
         vendor: format!("{:#010x}", slave.vendor),
         product: format!("{:#010x}", slave.product),
         state: match slave.al_state {
-            state if state == 0 || lost => "no answer".to_owned(),
+            _ if silent_s.is_some() => "no answer".to_owned(),
             state => text::al_state(state),
         },
-        operational: slave.al_state == 8 && !lost,
+        operational: slave.al_state == 8 && silent_s.is_none(),
         error: match flagged {
             true => format!("{:#06x} {}", slave.al_code, al_code_text(slave.al_code)),
             false => String::new(),
@@ -126,17 +135,12 @@ fn slave(index: usize, slave: &SlaveStatus, lost: bool) -> SlaveView {
     }
 }
 
-/// A status in words.
-pub fn view(status: &Status) -> StatusView {
+/// A status in words; `silent_s` tells of each slave for how long it has not answered.
+pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
     let counters = &status.counters;
-    // The firmware keeps the last state of a slave that does not answer.
-    let is_lost = |index: usize| match status.fault {
-        Some(Fault::SlaveLost { slave }) => usize::from(slave) == index,
-        _ => false,
-    };
     let slaves: Vec<SlaveView> = (0..)
         .zip(&status.slaves)
-        .map(|(index, status)| slave(index, status, is_lost(index)))
+        .map(|(index, status)| slave(index, status, silent_s.get(index).copied().flatten()))
         .collect();
     let operational = slaves.iter().filter(|slave| slave.operational).count();
     let good = operational == slaves.len() && operational > 0;
@@ -211,15 +215,21 @@ mod tests {
 
     #[test]
     fn a_stop_counts_as_confirmed_by_the_firmwares_fault_only() {
-        assert!(!view(&status(Mode::Stopping, None)).stopped);
-        assert!(!view(&status(Mode::Stopping, Some(Fault::EmergencyStop(StopSource::Link)))).stopped);
-        assert!(view(&status(Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link)))).stopped);
-        assert!(!view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 }))).stopped);
+        assert!(!view(&status(Mode::Stopping, None), &[]).stopped);
+        assert!(
+            !view(
+                &status(Mode::Stopping, Some(Fault::EmergencyStop(StopSource::Link))),
+                &[]
+            )
+            .stopped
+        );
+        assert!(view(&status(Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link))), &[]).stopped);
+        assert!(!view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 })), &[]).stopped);
     }
 
     #[test]
     fn slaves_are_told_with_state_code_and_status_word() {
-        let view = view(&status(Mode::Fault, None));
+        let view = view(&status(Mode::Fault, None), &[]);
         assert_eq!(view.bus.text, "1 of 2 slaves in OP");
         let [first, second] = &view.slaves[..] else { panic!() };
         assert_eq!(
@@ -233,8 +243,14 @@ mod tests {
 
     #[test]
     fn a_slave_that_stopped_answering_is_not_shown_in_its_last_state() {
-        let view = view(&status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 })));
+        let lost = status(Mode::Fault, Some(Fault::SlaveLost { slave: 0 }));
+        assert!(is_silent(&lost, 0) && !is_silent(&lost, 1));
+        let mut unplugged = status(Mode::Fault, None);
+        unplugged.slaves[1].al_state = 0;
+        assert!(!is_silent(&unplugged, 0) && is_silent(&unplugged, 1));
+        let view = view(&lost, &[Some(3), None]);
         assert_eq!((view.slaves[0].state.as_str(), view.bus.good), ("no answer", false));
+        assert_eq!((view.slaves[0].silent_s, view.slaves[1].silent_s), (Some(3), None));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Invariant: what is shown is what is drawn: the preview is the very path that travels to the firmware.
 
 use super::jobs::Drawing;
+use super::words::on_page;
 use crate::commands::prepare::{planned_s, prepare_with, to_wire};
 use crate::commands::source::SourceArguments;
 use clap::{CommandFactory, Parser};
@@ -37,31 +38,41 @@ pub struct StudioView {
     pub pen_up_mm: f64,
     /// Duration that the planner computed, s.
     pub planned_s: f64,
+    /// What was wished of it.
+    pub wishes: Wishes,
 }
 
 impl StudioView {
+    /// A preparation that goes on.
+    pub fn working(number: u64, name: &str, wishes: &Wishes) -> Self {
+        Self {
+            state: "working",
+            number,
+            name: name.to_owned(),
+            wishes: wishes.clone(),
+            ..Self::default()
+        }
+    }
+
     /// How a preparation of a file ended.
-    pub fn of(result: &Result<Drawing, String>, number: u64, name: &str) -> Self {
+    pub fn of(result: &Result<Drawing, String>, number: u64, name: &str, wishes: &Wishes) -> Self {
+        let plain = Self::working(number, name, wishes);
         match result {
             Ok(drawing) => {
                 let (pen_down_mm, pen_up_mm) = lengths_mm(&drawing.path);
                 Self {
                     state: "ready",
-                    number,
-                    name: drawing.name.clone(),
-                    error: String::new(),
                     strokes: drawing.strokes,
                     pen_down_mm,
                     pen_up_mm,
                     planned_s: drawing.planned_s,
+                    ..plain
                 }
             }
             Err(error) => Self {
                 state: "failed",
-                number,
-                name: shown_name(name),
                 error: error.clone(),
-                ..Self::default()
+                ..plain
             },
         }
     }
@@ -75,14 +86,37 @@ struct Options {
     source: SourceArguments,
 }
 
-/// What the page asks for; empty values are left to the program.
-#[derive(Debug, Default, Deserialize)]
+/// What the page asks of a drawing; what is empty is left to the program.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
-struct Wishes {
-    style: String,
-    size: String,
-    max_time: String,
+pub struct Wishes {
+    /// How a photograph becomes strokes.
+    pub style: String,
+    /// Largest size on the sheet, with its unit.
+    pub size: String,
+    /// Longest drawing time, with its unit.
+    pub max_time: String,
 }
+
+impl Wishes {
+    /// Reads the wishes as the page writes them, JSON; nothing at all is no wish.
+    ///
+    /// # Errors
+    /// The text is no JSON of wishes.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "" => Ok(Self::default()),
+            text => serde_json::from_str(text).map_err(|cause| format!("the wishes cannot be read: {cause}")),
+        }
+    }
+}
+
+/// Options of the command line with the names that the page gives them.
+const PAGE_NAMES: [(&str, &str); 3] = [
+    ("--style", "style"),
+    ("--size", "size"),
+    ("--max-time", "the longest time"),
+];
 
 /// Styles in which a photograph can be drawn.
 pub fn styles() -> Vec<String> {
@@ -94,25 +128,46 @@ pub fn styles() -> Vec<String> {
     })
 }
 
-fn options(wishes: &str) -> Result<SourceArguments, String> {
-    let wishes: Wishes = match wishes {
-        "" => Wishes::default(),
-        wishes => serde_json::from_str(wishes).map_err(|cause| format!("the options cannot be read: {cause}"))?,
-    };
-    let named = [
-        ("--style", wishes.style),
-        ("--size", wishes.size),
-        ("--max-time", wishes.max_time),
-    ];
-    let words = named
-        .iter()
-        .filter(|(_, value)| !value.is_empty())
-        .map(|(name, value)| format!("{name}={value}"));
-    let parsed = Options::try_parse_from(words).map_err(|error| {
-        let text = error.to_string();
-        text.lines().next().unwrap_or_default().to_owned()
-    });
-    parsed.map(|options| options.source)
+fn options(wishes: &Wishes) -> Result<SourceArguments, String> {
+    let values = [&wishes.style, &wishes.size, &wishes.max_time];
+    let mut options = SourceArguments::default();
+    let mut words = Vec::new();
+    for ((option, name), value) in PAGE_NAMES.into_iter().zip(values) {
+        if value.is_empty() {
+            continue;
+        }
+        words.push(format!("{option}={value}"));
+        // One after the other, so that an error is about this one.
+        options = match Options::try_parse_from(&words) {
+            Ok(parsed) => parsed.source,
+            Err(error) => return Err(format!("{name}: {}", why(&error))),
+        };
+    }
+    if words.is_empty() {
+        options = Options::try_parse_from(words).map_err(|error| why(&error))?.source;
+    }
+    Ok(options)
+}
+
+/// The reason of an error of the command line, without its words for options.
+fn why(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let first = text.lines().next().unwrap_or_default();
+    let plain = first.strip_prefix("error: ").unwrap_or(first);
+    match (plain.split_once(" for '--"), plain.rsplit_once("': ")) {
+        (Some((what, _)), Some((_, reason))) => format!("{what}: {reason}"),
+        (Some((what, _)), None) => what.to_owned(),
+        _ => plain.to_owned(),
+    }
+}
+
+/// A message of the preparation as the page tells it.
+fn told(message: &str) -> String {
+    let mut told = on_page(message);
+    if message.contains("--size") {
+        told.push_str("; give a size that fits");
+    }
+    told
 }
 
 /// A file in a place of its own that is removed.
@@ -153,12 +208,13 @@ pub fn shown_name(name: &str) -> String {
 ///
 /// # Errors
 /// Why it cannot be drawn, as a person reads it.
-pub fn compose(config: &Config, name: &str, wishes: &str, content: &[u8]) -> Result<Drawing, String> {
+pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> Result<Drawing, String> {
     let name = shown_name(name);
     let options = options(wishes)?;
     let file = Dropped::write(&name, content).map_err(|cause| format!("{name} cannot be stored: {cause}"))?;
     let stored = file.0.display().to_string();
-    let prepared = prepare_with(&file.0, config, &options).map_err(|error| error.message.replace(&stored, &name))?;
+    let prepared =
+        prepare_with(&file.0, config, &options).map_err(|error| told(&error.message.replace(&stored, &name)))?;
     let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
     Ok(Drawing {
         name,
@@ -193,7 +249,7 @@ mod tests {
     fn a_dropped_list_of_coordinates_becomes_a_drawing_and_its_file_goes() {
         let file = crate::setup::workspace().join("samples/strokes.csv");
         let content = std::fs::read(file).unwrap();
-        let drawing = compose(&Config::default(), "strokes.csv", "", &content).unwrap();
+        let drawing = compose(&Config::default(), "strokes.csv", &Wishes::default(), &content).unwrap();
         assert!(drawing.strokes > 0 && drawing.planned_s > 0.0);
         let (down_mm, up_mm) = lengths_mm(&drawing.path);
         assert!(down_mm > 10.0 && up_mm > 0.0);
@@ -201,7 +257,7 @@ mod tests {
 
     #[test]
     fn what_is_no_picture_is_refused_by_the_name_it_was_dropped_with() {
-        let error = compose(&Config::default(), "holiday\n.png", "", b"no picture").unwrap_err();
+        let error = compose(&Config::default(), "holiday\n.png", &Wishes::default(), b"no picture").unwrap_err();
         assert!(
             error.contains("holiday.png") && !error.contains("etherpen-drop"),
             "{error}"
@@ -209,9 +265,31 @@ mod tests {
     }
 
     #[test]
-    fn options_are_those_of_the_command_line_and_errors_name_them() {
-        assert!(options(r#"{"size": "90mm", "max_time": "2m"}"#).is_ok());
-        assert!(options(r#"{"size": "ninety"}"#).unwrap_err().contains("--size"));
-        assert!(options(r#"{"colour": "red"}"#).is_err() && options("{").is_err());
+    fn wishes_are_read_as_on_the_command_line_and_errors_name_the_pages_fields() {
+        let wishes = |style: &str, size: &str, max_time: &str| Wishes {
+            style: style.to_owned(),
+            size: size.to_owned(),
+            max_time: max_time.to_owned(),
+        };
+        assert!(options(&wishes("hatch", "90mm", "2m")).is_ok());
+        assert!(options(&Wishes::default()).is_ok());
+        for (wrong, field) in [
+            (wishes("", "ninety", ""), "size: "),
+            (wishes("watercolour", "90mm", ""), "style: "),
+            (wishes("hatch", "", "soon"), "the longest time: "),
+        ] {
+            let error = options(&wrong).unwrap_err();
+            println!("{error}");
+            assert!(error.starts_with(field) && !error.contains("--"), "{error}");
+        }
+        assert!(Wishes::parse(r#"{"colour": "red"}"#).is_err() && Wishes::parse("{").is_err());
+        assert_eq!(Wishes::parse(""), Ok(Wishes::default()));
+    }
+
+    #[test]
+    fn a_drawing_that_leaves_the_sheet_is_refused_in_the_pages_words() {
+        let rows = b"x_mm,y_mm,pen\n10,10,0\n9000,10,1\n";
+        let error = compose(&Config::default(), "wide.csv", &Wishes::default(), rows).unwrap_err();
+        assert!(error.contains("wide.csv") && !error.contains("--"), "{error}");
     }
 }

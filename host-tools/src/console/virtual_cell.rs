@@ -5,7 +5,7 @@
 //! firmware: a restart of the firmware finds drives and robot as they are.
 
 use super::messages::Injection;
-use crate::cell::{Cell, CellOptions, Fault, InkStroke};
+use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke};
 use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
@@ -155,6 +155,18 @@ impl Link for EmulatedLine {
     }
 }
 
+/// What is true of a cell, whatever its firmware says; for tests and displays.
+#[derive(Clone)]
+pub struct CellView(SharedCell);
+
+impl CellView {
+    /// The cell as it is now.
+    #[must_use]
+    pub fn state(&self) -> CellState {
+        self.0.lock().state()
+    }
+}
+
 /// A running cell with its firmware; dropping it ends both.
 pub struct VirtualCell {
     cell: SharedCell,
@@ -204,6 +216,12 @@ impl VirtualCell {
     /// Where the firmware can be reached.
     pub fn port(&self) -> PortName {
         PortName::Unix(self.path.clone())
+    }
+
+    /// A look at the cell, which stays when the cell has another owner.
+    #[must_use]
+    pub fn view(&self) -> CellView {
+        CellView(self.cell.clone())
     }
 
     /// Why the firmware does not run any more, if it does not.

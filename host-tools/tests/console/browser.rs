@@ -191,6 +191,54 @@ impl Browser {
         self.value(&format!("{button}.click()"));
     }
 
+    /// Where an element is in the window, its middle; it is brought into sight first.
+    pub(crate) fn place(&mut self, selector: &str) -> [f64; 2] {
+        let middle = self.value(&format!(
+            "(() => {{ const it = document.querySelector({}); \
+             const middle = () => {{ const box = it.getBoundingClientRect(); return [box.left + box.width / 2, box.top + box.height / 2]; }}; \
+             if (it.id !== 'stop' && !it.contains(document.elementFromPoint(...middle()))) it.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
+             return middle(); }})()",
+            json!(selector)
+        ));
+        [0, 1].map(|axis| middle[axis].as_f64().expect("a place"))
+    }
+
+    /// Presses the mouse's button, or lets it go.
+    pub(crate) fn mouse(&mut self, down: bool, [x, y]: [f64; 2]) {
+        let kind = if down { "mousePressed" } else { "mouseReleased" };
+        let params =
+            json!({"type": kind, "x": x, "y": y, "button": "left", "buttons": u8::from(down), "clickCount": 1});
+        self.call("Input.dispatchMouseEvent", params);
+    }
+
+    /// Clicks with the mouse where an element is, whatever lies over it.
+    pub(crate) fn click(&mut self, selector: &str) {
+        let place = self.place(selector);
+        self.mouse(true, place);
+        self.mouse(false, place);
+    }
+
+    /// Touches the screen where an element is.
+    pub(crate) fn touch(&mut self, selector: &str) {
+        let [x, y] = self.place(selector);
+        self.call(
+            "Input.dispatchTouchEvent",
+            json!({"type": "touchStart", "touchPoints": [{"x": x, "y": y}]}),
+        );
+        self.call(
+            "Input.dispatchTouchEvent",
+            json!({"type": "touchEnd", "touchPoints": []}),
+        );
+    }
+
+    /// Presses a key and lets it go, wherever the focus is.
+    pub(crate) fn key(&mut self, key: &str, code: u32) {
+        for kind in ["rawKeyDown", "keyUp"] {
+            let params = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
+            self.call("Input.dispatchKeyEvent", params);
+        }
+    }
+
     /// A picture of the window, or of the whole page.
     pub(crate) fn screenshot(&mut self, path: &Path, width: u32, height: Option<u32>) {
         self.window(width, height.unwrap_or(1_000));

@@ -3,8 +3,9 @@
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
 use host_tools::console::Console;
+use host_tools::console::hub::Level;
 use host_tools::console::server::Server;
-use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::console::virtual_cell::{CellView, Firmware, VirtualCell};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -23,16 +24,22 @@ pub(crate) const TOKEN: &str = "0123456789abcdef";
 pub(crate) struct Bench {
     server: Server,
     console: Arc<Console>,
+    /// The drives and the robot as they are.
+    pub(crate) cell: CellView,
 }
 
 impl Bench {
     pub(crate) fn start() -> Self {
         let config = Config::default();
         let cell = VirtualCell::start(&config, CellOptions::default(), Firmware::Simulated).unwrap();
-        let port = cell.port();
+        let (port, view) = (cell.port(), cell.view());
         let console = Console::start(config, TOKEN.to_owned(), port, Some((cell, "simulated"))).unwrap();
         let server = Server::start(console.clone(), "127.0.0.1:0".parse().unwrap()).unwrap();
-        Self { server, console }
+        Self {
+            server,
+            console,
+            cell: view,
+        }
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
@@ -50,6 +57,11 @@ impl Bench {
             assert!(begun.elapsed() < PATIENCE, "waited for {what}");
             std::thread::sleep(Duration::from_millis(20));
         }
+    }
+
+    /// Writes a line into the log.
+    pub(crate) fn note(&self, text: &str) {
+        self.console.change(|hub| hub.note(Level::Info, text));
     }
 
     /// Milliseconds of telemetry so far.
@@ -178,14 +190,31 @@ impl Client {
         self.send(&json!({"type": "command", "action": action}));
     }
 
+    /// Takes control, also from another viewer, and brings the robot from any fault to rest with power.
+    pub(crate) fn recover(&mut self) {
+        self.send(&json!({"type": "take", "force": true}));
+        let begun = Instant::now();
+        loop {
+            assert!(begun.elapsed() < PATIENCE, "the fault stays: {:?}", self.log);
+            match self.until("status", |_| true)["mode"].as_str() {
+                Some("Fault") => self.command(json!({"do": "acknowledge"})),
+                Some("DrivesOff") => return self.enable(),
+                Some("Idle") => return,
+                _ => {}
+            }
+        }
+    }
+
     /// Takes control and brings the robot to rest with power.
     pub(crate) fn enable(&mut self) {
         self.send(&json!({"type": "take"}));
         let you = self.sections["you"]["id"].clone();
         self.state("control", |control| control["holder"] == you);
         self.mode("DrivesOff");
-        self.command(json!({"do": "reference"}));
-        self.state("status", |status| status["referenced"] == true);
+        if self.sections["status"]["referenced"] == false {
+            self.command(json!({"do": "reference"}));
+            self.state("status", |status| status["referenced"] == true);
+        }
         // The drives are asked again until the reference has settled.
         let begun = Instant::now();
         loop {

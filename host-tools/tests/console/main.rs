@@ -4,3 +4,7 @@ mod browser;
 mod client;
 mod page;
 mod protocol;
+mod stopping;
+mod studio;
+mod truth;
+mod updates;

@@ -8,11 +8,11 @@ use serde_json::json;
 
 /// Asks for new pictures.
 const RENEW: &str = "ETHERPEN_RENEW_SCREENSHOTS";
-const DESKTOP: (u32, u32) = (1600, 1000);
+pub(crate) const DESKTOP: (u32, u32) = (1600, 1000);
 const PHONE: (u32, u32) = (390, 844);
 
 /// A few strokes that take some seconds.
-fn short_drawing() -> String {
+pub(crate) fn short_drawing() -> String {
     let mut rows = vec!["x_mm,y_mm,pen".to_owned()];
     for row in 0..6 {
         let y_mm = 60.0 + 12.0 * f64::from(row);
@@ -26,8 +26,17 @@ fn short_drawing() -> String {
     rows.join("\n")
 }
 
-/// Drops a file on the page, as a hand with a mouse does.
-fn drop_file(browser: &mut Browser, name: &str, content: &[u8]) {
+/// Drops a file on the page, as a hand with a mouse does, and waits for its preview.
+pub(crate) fn drop_file(browser: &mut Browser, name: &str, content: &[u8]) {
+    let_fall(browser, name, content);
+    browser.until(&format!(
+        "etherpen.link.state.studio?.name === {} && etherpen.link.state.studio.state === 'ready'",
+        json!(name)
+    ));
+}
+
+/// Lets go of a file over the page.
+pub(crate) fn let_fall(browser: &mut Browser, name: &str, content: &[u8]) {
     browser.value(&format!(
         "{{ const carried = new DataTransfer(); \
          carried.items.add(new File([new Uint8Array({})], {})); \
@@ -36,23 +45,19 @@ fn drop_file(browser: &mut Browser, name: &str, content: &[u8]) {
         json!(content),
         json!(name)
     ));
-    browser.until(&format!(
-        "etherpen.link.state.studio?.name === {} && etherpen.link.state.studio.state === 'ready'",
-        json!(name)
-    ));
 }
 
 /// Chooses style, size and longest time of the next drawing.
 fn choose(browser: &mut Browser, wishes: [&str; 3]) {
     browser.value(&format!(
-        "{{ const fields = document.querySelectorAll('#options select, #options input'); \
+        "{{ const fields = document.querySelectorAll('#options choice-list, #options input'); \
          {}.forEach((wish, index) => (fields[index].value = wish)); }}",
         json!(wishes)
     ));
 }
 
 /// The portrait, small enough to be prepared in a moment.
-fn small_photograph() -> Vec<u8> {
+pub(crate) fn small_photograph() -> Vec<u8> {
     let portrait = image::open(host_tools::setup::workspace().join("samples/astronaut.png")).unwrap();
     let small = portrait.resize(120, 120, image::imageops::FilterType::Triangle);
     let mut png = std::io::Cursor::new(Vec::new());
@@ -60,12 +65,12 @@ fn small_photograph() -> Vec<u8> {
     png.into_inner()
 }
 
-fn mode(browser: &mut Browser, name: &str) {
+pub(crate) fn mode(browser: &mut Browser, name: &str) {
     browser.until(&format!("etherpen.link.state.status?.mode === {}", json!(name)));
 }
 
 /// From a page that was just opened to a robot that is enabled.
-fn begin(browser: &mut Browser, bench: &Bench) {
+pub(crate) fn begin(browser: &mut Browser, bench: &Bench) {
     browser.window(DESKTOP.0, DESKTOP.1);
     browser.open(&bench.url());
     browser.until("globalThis.etherpen?.link.state.you");
@@ -75,7 +80,7 @@ fn begin(browser: &mut Browser, bench: &Bench) {
 }
 
 /// Presses a button, again and again, until the robot is in a mode: what has just gone wrong may be refused once.
-fn press_until(browser: &mut Browser, button: &str, name: &str) {
+pub(crate) fn press_until(browser: &mut Browser, button: &str, name: &str) {
     browser.until(&format!(
         "(() => {{ const there = etherpen.link.state.status?.mode === {}; \
          const now = Math.floor(performance.now() / 400); \
@@ -99,7 +104,7 @@ fn set_override(browser: &mut Browser, percent: u32) {
 }
 
 /// From drives without power to a robot that is enabled and at rest.
-fn enable(browser: &mut Browser) {
+pub(crate) fn enable(browser: &mut Browser) {
     mode(browser, "DrivesOff");
     if browser.value("etherpen.link.state.status.referenced") == json!(false) {
         browser.press("#reference");

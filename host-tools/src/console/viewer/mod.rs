@@ -251,6 +251,11 @@ impl Viewer {
                     self.refuse(&why);
                 }
             }
+            Request::Replan { wishes } => {
+                if let Err(why) = console.replan(wishes) {
+                    self.refuse(&why);
+                }
+            }
             Request::Enqueue { preparation } => self.enqueue(preparation),
             Request::Start { job } => self.start(job),
             Request::Discard { job } => console.change(|hub| {

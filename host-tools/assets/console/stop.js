@@ -1,0 +1,95 @@
+// STOP: works before the rest of the page is there, and over everything that the page shows.
+//
+// A plain script in the head: it runs before the first picture, and needs neither the modules nor the socket. A press on
+// STOP, or Esc wherever the focus is, posts a stop again and again until the console has taken it. `link.js` sends it over
+// the socket as well, and calls `stands` when the firmware stands.
+
+"use strict";
+
+(() => {
+  const RETRY_MS = 250;
+  const POST_MAX_MS = 2000;
+
+  // A browser that keeps nothing for this page still stops the robot.
+  const remembered = (token) => {
+    try {
+      if (token) sessionStorage.setItem("token", token);
+      return sessionStorage.getItem("token") ?? "";
+    } catch {
+      return token ?? "";
+    }
+  };
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  const token = remembered(given);
+  if (given) history.replaceState(null, "", location.pathname);
+
+  const stop = Object.assign(new EventTarget(), { token, asked: false, taken: false, refused: "" });
+  globalThis.etherpenStop = stop;
+
+  const changed = () => {
+    const button = document.getElementById("stop");
+    button.dataset.state = stop.asked ? "asked" : "ready";
+    document.getElementById("stop-text").textContent = stop.refused || (stop.taken ? "sent, not confirmed" : "is being sent");
+    stop.dispatchEvent(new Event("change"));
+  };
+
+  let posting = false;
+  const post = async () => {
+    if (posting) return;
+    posting = true;
+    while (stop.asked && !stop.taken && !stop.refused) {
+      try {
+        const answer = await fetch("/stop", { method: "POST", headers: { "x-etherpen-token": token }, signal: AbortSignal.timeout(POST_MAX_MS) });
+        stop.taken = answer.ok;
+        stop.refused = answer.status === 403 ? "needs the address with the token" : "";
+      } catch {
+        stop.taken = false;
+      }
+      if (!stop.taken && !stop.refused) await new Promise((next) => setTimeout(next, RETRY_MS));
+      changed();
+    }
+    if (stop.refused) stop.asked = false;
+    posting = false;
+  };
+
+  stop.ask = () => {
+    Object.assign(stop, { asked: true, taken: false, refused: "" });
+    stop.dispatchEvent(new Event("ask"));
+    changed();
+    post();
+  };
+
+  // The firmware stands.
+  stop.stands = () => {
+    stop.asked = false;
+  };
+
+  // The press counts, not the release; a click without a press comes from the keyboard or from a reading aid.
+  let pressed = false;
+  const meant = (event) => event.target instanceof Element && event.target.closest("#stop");
+  addEventListener("pointerdown", (event) => {
+    pressed = Boolean(meant(event));
+    if (pressed) stop.ask();
+  }, true);
+  addEventListener("click", (event) => {
+    if (!meant(event)) return;
+    if (!pressed) stop.ask();
+    pressed = false;
+  }, true);
+  addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    // Otherwise the browser ends the loading of the page.
+    event.preventDefault();
+    if (!event.repeat) stop.ask();
+  }, true);
+
+  // STOP stays inside of what is seen of the page: beside a keyboard on the screen, and however far one has zoomed in.
+  const seen = globalThis.visualViewport;
+  const follow = () => {
+    const { style } = document.documentElement;
+    const [width, height] = [document.documentElement.clientWidth, document.documentElement.clientHeight];
+    const hidden = { left: seen.offsetLeft, top: seen.offsetTop, right: width - seen.offsetLeft - seen.width, bottom: height - seen.offsetTop - seen.height };
+    for (const [side, length] of Object.entries(hidden)) style.setProperty(`--hidden-${side}`, `${Math.max(0, length).toFixed(1)}px`);
+  };
+  for (const name of ["resize", "scroll"]) seen?.addEventListener(name, follow);
+})();

@@ -1,0 +1,138 @@
+//! A page that is shown anew many times a second keeps what a hand is doing: presses, focus, selection, scrolling.
+
+use super::browser::Browser;
+use super::client::{Bench, Client};
+use super::page::{begin, drop_file, short_drawing};
+use serde_json::json;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+const PRESSES: u32 = 50;
+const HELD: Duration = Duration::from_millis(100);
+
+/// Changes the state all the time while something else is done: control and log; the status changes by itself.
+fn while_news_flow(bench: &Bench, act: impl FnOnce()) {
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut viewer: Option<Client> = None;
+            let mut round = 0_u32;
+            while !ended.load(Ordering::Relaxed) {
+                round += 1;
+                // Viewers come and go, and the console says how many there are.
+                viewer = match viewer {
+                    Some(_) => None,
+                    None => Some(bench.viewer(&format!("guest {round}"))),
+                };
+                bench.note(&format!("line {round}"));
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        act();
+        ended.store(true, Ordering::Relaxed);
+    });
+}
+
+/// A page with two drawings in the queue and one that is prepared, and the robot's drives.
+fn page_with_lists(browser: &mut Browser, bench: &Bench) {
+    begin(browser, bench);
+    for name in ["one.csv", "two.csv", "three.csv"] {
+        drop_file(browser, name, short_drawing().as_bytes());
+        if name != "three.csv" {
+            browser.press("#enqueue");
+            browser.until("etherpen.link.state.studio.state === 'idle'");
+        }
+    }
+    browser.until("document.querySelectorAll('#queue .primary').length === 2");
+    browser.until("document.querySelector('#queue .primary').disabled === false");
+}
+
+#[test]
+fn no_press_is_lost_while_the_page_is_shown_anew() {
+    let Some(mut browser) = Browser::start() else { return };
+    let bench = Bench::start();
+    let browser = &mut browser;
+    page_with_lists(browser, &bench);
+    let mut random: u64 = 20_261_122;
+    println!("seed {random}");
+    // What is pressed is counted and not done: the page is to stay as it is.
+    browser.value(
+        "{ globalThis.pressed = {}; globalThis.shown = 0; for (const name of ['status', 'control']) etherpen.link.on(name, () => (shown += 1)); \
+         addEventListener('click', (event) => { const it = event.target.closest('button'); if (!it) return; \
+         const name = it.textContent; pressed[name] = (pressed[name] ?? 0) + 1; \
+         event.stopImmediatePropagation(); event.preventDefault(); }, true); }",
+    );
+    let targets = [
+        ("#queue li:nth-child(2) .primary", "Draw"),
+        ("#queue li:nth-child(1) .quiet", "×"),
+        ("#enqueue", "Add to queue"),
+        ("[data-inject='power-3']", "power dip"),
+        ("[data-inject='stall']", "Stall 50 ms"),
+    ];
+    while_news_flow(&bench, || {
+        for press in 0..PRESSES {
+            let (selector, _) = targets[press as usize % targets.len()];
+            // A page that was starved by a busy computer has lost control, and its buttons with it.
+            browser.until("etherpen.link.controls || (etherpen.link.send({ type: 'take' }), false)");
+            browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
+            let place = browser.place(selector);
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            std::thread::sleep(Duration::from_millis((random >> 33) % 120));
+            browser.mouse(true, place);
+            std::thread::sleep(HELD);
+            browser.mouse(false, place);
+        }
+    });
+    let (pressed, shown) = (browser.value("pressed"), browser.value("shown"));
+    println!("{PRESSES} presses of {HELD:?}, shown anew {shown} times: {pressed}");
+    assert!(shown.as_u64() > Some(50), "the page was shown anew: {shown}");
+    for (_, name) in targets {
+        assert_eq!(pressed[name], PRESSES / targets.len() as u32, "{name}: {pressed}");
+    }
+}
+
+#[test]
+fn focus_selection_and_scrolling_outlive_updates() {
+    let Some(mut browser) = Browser::start() else { return };
+    let bench = Bench::start();
+    let browser = &mut browser;
+    page_with_lists(browser, &bench);
+    (0..60).for_each(|line| bench.note(&format!("earlier line {line}")));
+    browser.until("document.querySelectorAll('#log li').length > 60");
+    browser.value(
+        "{ const log = document.getElementById('log'); log.scrollTop = 40; \
+         const range = document.createRange(); range.selectNodeContents(document.querySelector('#slaves tr:nth-child(2) td:nth-child(5)')); \
+         getSelection().removeAllRanges(); getSelection().addRange(range); \
+         document.querySelector('#queue li:nth-child(2) .primary').focus(); \
+         globalThis.focused = document.activeElement; globalThis.selected = getSelection().toString(); \
+         globalThis.shown = 0; for (const name of ['status', 'control']) etherpen.link.on(name, () => (shown += 1)); }",
+    );
+    assert_eq!(browser.value("selected.startsWith('0x')"), true);
+    while_news_flow(&bench, || browser.until("shown > 60"));
+    assert_eq!(browser.value("document.activeElement === focused"), true, "the focus");
+    assert_eq!(
+        browser.value("getSelection().toString() === selected"),
+        true,
+        "the selection"
+    );
+    assert_eq!(
+        browser.value("document.getElementById('log').scrollTop"),
+        json!(40),
+        "the log's place"
+    );
+
+    // The place in a text that is being written.
+    browser.value(
+        "{ const size = document.querySelector('#options input'); size.focus(); size.value = '120x90mm'; \
+         size.setSelectionRange(4, 6); shown = 0; }",
+    );
+    while_news_flow(&bench, || browser.until("shown > 60"));
+    let written = browser.value(
+        "(() => { const size = document.querySelector('#options input'); \
+         return [document.activeElement === size, size.value, size.selectionStart, size.selectionEnd]; })()",
+    );
+    assert_eq!(written, json!([true, "120x90mm", 4, 6]));
+    assert!(browser.errors.is_empty(), "{:?}", browser.errors);
+}
