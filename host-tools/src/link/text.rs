@@ -258,7 +258,7 @@ pub fn fault(fault: &Fault) -> String {
             "the drives were not enabled within {waited_ms} ms; check their power stage's supply and the enable input"
         ),
         Fault::BusConfiguration { slave, step, code } => {
-            let (text, hint) = bring_up_code(code);
+            let (text, hint) = bring_up_code(step, code);
             format!("slave {} failed at {}: {text}; {hint}", one(slave), bring_up_step(step))
         }
         Fault::ClockLost {
@@ -374,13 +374,30 @@ fn bring_up_step(step: u8) -> &'static str {
     known.map_or("an unknown step", |(_, text)| text)
 }
 
-/// Text and hint for the code of a failed bring-up: an AL status code where it fits, else an SDO abort code.
-fn bring_up_code(code: u32) -> (String, &'static str) {
+/// Text and hint for the step and the code of a failed bring-up: an AL status code where it fits, else an SDO abort code.
+fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
+    const SUPPLY: &str = "check its supply and cable";
+    const SILENT: [(Step, &str, &str); 3] = [
+        (
+            Step::Identify,
+            "its information memory (SII) stayed busy or is not the one that was there before",
+            "acknowledge again in a moment; power-cycle the slave if it persists",
+        ),
+        (
+            Step::Locate,
+            "it is not where it was before",
+            "check its supply and the order of the cables",
+        ),
+        (
+            Step::Watch,
+            "other slaves came or went",
+            "check the cables, then acknowledge again",
+        ),
+    ];
     if code == 0 {
-        return (
-            "it did not answer in time or as expected".into(),
-            "check its supply and cable",
-        );
+        let known = SILENT.iter().find(|(known, ..)| *known as u8 == step);
+        let (_, text, hint) = known.unwrap_or(&(Step::Init, "it did not answer in time or as expected", SUPPLY));
+        return ((*text).into(), hint);
     }
     let (text, hint) = match u16::try_from(code) {
         Ok(code) => (al_code_text(code), al_code_hint(code)),
@@ -481,6 +498,27 @@ mod tests {
             "{objects}"
         );
         assert!(failed(Step::SafeOperational, 0x1e).contains("SAFEOP: code 0x001e, input"));
-        assert!(failed(Step::Locate, 0).contains("did not answer"));
+        assert!(failed(Step::Init, 0).contains("did not answer"));
+        assert!(failed(Step::Locate, 0).contains("not where it was"));
+        assert!(failed(Step::Identify, 0).contains("SII"));
+    }
+
+    #[test]
+    fn another_product_and_a_repair_that_takes_too_long_are_named() {
+        let other = fault(&Fault::OtherProduct {
+            slave: 1,
+            expected: 0x07D0_6014,
+            found: 0x044C_2C52,
+        });
+        assert!(
+            other.contains("slave 2 ") && other.contains("0x044c2c52, expected 0x07d06014"),
+            "{other}"
+        );
+        let late = fault(&Fault::RepairTimeout { waited_ms: 10_000 });
+        assert!(
+            late.contains("10000 ms") && late.contains("acknowledge again"),
+            "{late}"
+        );
+        assert!(refusal(&Refusal::Recovering).contains("acknowledged already"));
     }
 }

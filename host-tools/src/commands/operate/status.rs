@@ -35,6 +35,8 @@ struct Answer<'a> {
     firmware: Option<String>,
     mode: Option<Mode>,
     mode_text: Option<&'static str>,
+    /// Whether the fault was acknowledged, and bus and drives are being brought back.
+    recovering: Option<bool>,
     fault: Option<String>,
     referenced: bool,
     override_percent: Option<u8>,
@@ -82,6 +84,7 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         firmware: snapshot.welcome.as_ref().map(|welcome| welcome.firmware.to_string()),
         mode: status.map(|status| status.mode),
         mode_text: status.map(text::doing),
+        recovering: status.map(|status| status.recovering),
         fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
         referenced,
         override_percent: status.map(|status| status.override_percent),
