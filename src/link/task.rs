@@ -206,7 +206,7 @@ impl<'a> LinkTask<'a> {
     /// configuration.
     fn instruct_supervisor(&mut self) {
         let (commands, port) = (&mut self.ends.bus.commands, self.board.port);
-        if commands.len() > 0 {
+        if !commands.is_empty() {
             return;
         }
         // There is room.
