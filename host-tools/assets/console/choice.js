@@ -30,7 +30,8 @@ class Choice extends HTMLElement {
     const away = (event) => this.contains(event.target) || this.open(false);
     document.addEventListener("pointerdown", away, true);
     document.addEventListener("focusin", away);
-    addEventListener("scroll", (event) => event.target === this.list || this.open(false), true);
+    // What scrolls takes the button along, and leaves the list behind.
+    addEventListener("scroll", (event) => event.target !== this.list && event.target.contains(this) && this.open(false), true);
     addEventListener("resize", () => this.open(false));
     this.options = given;
     this.value = this.getAttribute("value") ?? given[0]?.[0] ?? "";

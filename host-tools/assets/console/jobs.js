@@ -1,7 +1,7 @@
 // Drawings: drop a file, see what it will be and how long it takes, let it wait, start it; what was drawn before.
 
 import { choice } from "./choice.js";
-import { $, duration, element, keyed, number, set, text } from "./dom.js";
+import { $, duration, element, keyed, number, set, text, toast } from "./dom.js";
 
 // While somebody types, this long nothing is planned anew.
 const TYPING_MS = 400;
@@ -101,7 +101,11 @@ function optionFields(link) {
     clearTimeout(timer);
     const { studio: made } = link.state;
     const wanted = wishes();
-    if (!made || made.state === "idle" || !link.controls || same(wanted, asked ?? made.wishes)) return;
+    if (!made || made.state === "idle" || same(wanted, asked ?? made.wishes)) return;
+    if (!link.controls) {
+      toast("Take control, and it is planned anew");
+      return;
+    }
     asked = wanted;
     link.send({ type: "replan", wishes: wanted });
   };
@@ -117,19 +121,16 @@ function optionFields(link) {
     styles.hidden = known.length === 0;
     if (style.options.length === 1) style.options = [["", "default"], ...known.map((name) => [name, name])];
   });
-  // What another viewer, or this page before it was loaded again, has chosen.
-  let adopted = false;
-  const adopt = () => {
-    const { studio: made, you, control } = link.state;
-    if (!made || !you || !control) return;
-    for (const field of [style, size, time]) set(field, { disabled: made.state !== "idle" && !link.controls });
-    if (made.state === "idle") asked = null;
-    if (made.state !== "idle" && (!adopted || !link.controls)) {
-      [style.value, size.value, time.value] = [made.wishes.style, made.wishes.size, made.wishes.max_time];
-    }
-    adopted = true;
-  };
-  for (const name of ["studio", "control", "you"]) link.on(name, adopt);
+  // What another viewer, or this page before it was loaded again, has chosen; never over what is being written.
+  let seen = null;
+  link.on("studio", (made) => {
+    asked = null;
+    if (!made || made.state === "idle" || (seen && link.controls) || same(made.wishes, seen)) return;
+    const values = [made.wishes.style, made.wishes.size, made.wishes.max_time];
+    [style, size, time].forEach((field, index) => field.contains(document.activeElement) || set(field, { value: values[index] }));
+    seen = made.wishes;
+  });
+  link.on("control", () => link.controls && replan());
   return wishes;
 }
 

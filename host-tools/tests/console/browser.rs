@@ -196,8 +196,9 @@ impl Browser {
         let middle = self.value(&format!(
             "(() => {{ const it = document.querySelector({}); \
              const middle = () => {{ const box = it.getBoundingClientRect(); return [box.left + box.width / 2, box.top + box.height / 2]; }}; \
-             if (it.id !== 'stop' && !it.contains(document.elementFromPoint(...middle()))) it.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
-             return middle(); }})()",
+             if (it.id === 'stop' || it.contains(document.elementFromPoint(...middle()))) return middle(); \
+             it.scrollIntoView({{ block: 'center', behavior: 'instant' }}); \
+             return new Promise((told) => requestAnimationFrame(() => requestAnimationFrame(() => told(middle())))); }})()",
             json!(selector)
         ));
         [0, 1].map(|axis| middle[axis].as_f64().expect("a place"))
