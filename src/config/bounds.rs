@@ -20,7 +20,7 @@ impl Field {
     pub fn name(&self) -> &'static str {
         let config = Config::default();
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars();
+        let axis = config.axes[0].scalars(0.0);
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -45,6 +45,10 @@ pub struct ConfigError {
 /// Longest motion without a measurement that any configuration may allow, ms: half a motor turn takes 10 ms.
 const BLIND_MAX_MS: f64 = 8.0;
 
+/// Longest time that a quick stop may take from the fastest an axis may turn, ms. The brakes close after
+/// `application::STANDSTILL_MAX_MS`, whether the axes stand or not.
+pub const QUICK_STOP_MAX_MS: u32 = 950;
+
 struct Bound {
     name: &'static str,
     value: f64,
@@ -57,7 +61,16 @@ const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
 }
 
 impl Axis {
-    fn scalars(&self) -> [Bound; 21] {
+    /// Weakest quick stop that ends in [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The fastest that the axis may
+    /// turn is its limit and what the controller adds until the following error is a fault, at most the output limit.
+    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64) -> f64 {
+        let added = self.feedback_gain_per_s * self.following_error_max_rad;
+        let fastest = (joint_speed_rad_s + added).min(self.output_max_rad_s);
+        let needed = fastest * 1_000.0 / f64::from(QUICK_STOP_MAX_MS);
+        libm::ceil(needed * 100.0) / 100.0
+    }
+
+    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 21] {
         [
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
@@ -85,7 +98,12 @@ impl Axis {
                 1.0,
             ),
             bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
-            bound("axes.quick_stop_rad_s2", self.quick_stop_rad_s2, 1.0, 2000.0),
+            bound(
+                "axes.quick_stop_rad_s2",
+                self.quick_stop_rad_s2,
+                self.quick_stop_min_rad_s2(joint_speed_rad_s).max(1.0),
+                2000.0,
+            ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
             bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),
             bound("axes.rated_torque_nm", self.rated_torque_nm, 0.001, 1000.0),
@@ -261,8 +279,8 @@ impl Config {
     /// The first value that is not finite or outside its bounds, with the bounds.
     pub fn check(&self) -> Result<(), ConfigError> {
         check_rows(&self.scalars(), None)?;
-        for (axis, values) in (0u8..).zip(&self.axes) {
-            check_rows(&values.scalars(), Some(axis))?;
+        for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
+            check_rows(&values.scalars(speed_rad_s), Some(axis))?;
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ mod bounds;
 mod bus;
 
 pub use axis::{Axis, AxisMode};
-pub use bounds::{ConfigError, Field};
+pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, Transport};
 
 use crate::robot::AXES;
@@ -246,6 +246,29 @@ mod tests {
             ("axes.feedback_gain_per_s", Some(2))
         );
         assert_eq!((error.value, error.high), (501.0, 500.0));
+    }
+
+    #[test]
+    fn a_quick_stop_that_does_not_end_before_the_brakes_close_is_refused_with_the_value_needed() {
+        let mut config = Config::default();
+        config.axes[1].quick_stop_rad_s2 = 1.0;
+        let error = config.check().unwrap_err();
+        assert_eq!(
+            (error.field.name(), error.field.axis),
+            ("axes.quick_stop_rad_s2", Some(1))
+        );
+        // The output limit's 27 rad/s in 0.95 s.
+        assert!(error.low >= 27.0 / 0.95 && error.low < 29.0, "{error:?}");
+        config.axes[1].quick_stop_rad_s2 = error.low;
+        assert_eq!(config.check(), Ok(()), "the value that it names is enough");
+        // A slow axis needs less: its own speed, and what its controller adds before the following error is a fault.
+        config.motion.joint_speed_rad_s[1] = 0.5;
+        config.axes[1].quick_stop_rad_s2 = 1.0;
+        let error = config.check().unwrap_err();
+        assert!((error.low - 4.5 / 0.95).abs() < 0.01, "{error:?}");
+        config.axes[1].following_error_max_rad = 0.001;
+        config.axes[1].feedback_gain_per_s = 10.0;
+        assert_eq!(config.check(), Ok(()));
     }
 
     #[test]
