@@ -109,4 +109,8 @@ pub struct Progress {
     pub idle: bool,
     /// Whether it stands on a held path.
     pub held: bool,
+    /// For how long a motion that has to go on has made no progress, ms; 0 where there is none that stalls.
+    pub stalled_ms: u16,
+    /// Vertices of the path fully executed.
+    pub executed: u32,
 }

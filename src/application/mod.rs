@@ -86,6 +86,8 @@ impl Default for Application {
 
 /// Time until the reports of the other tasks answer to an action, ms.
 const SETTLE_MS: u32 = 2;
+/// Time until the drives slow down after a quick stop was asked for, ms: cycles on the bus and the drives' own delay.
+const QUICK_STOP_DELAY_MS: u32 = 30;
 /// Time until a reset shows in the drives' status, ms.
 const RESET_MS: u32 = 30;
 
@@ -253,6 +255,12 @@ impl Application {
             && self.fault.is_none()
         {
             self.enter_fault(fault);
+        }
+        if progress.stalled_ms > 0 && self.fault.is_none() {
+            self.enter_fault(Fault::MotionStalled {
+                vertex: progress.executed,
+                waited_ms: progress.stalled_ms,
+            });
         }
         self.look_at_reference();
         self.step_enabling();
@@ -592,6 +600,11 @@ fn names_better(fault: &Fault, known: &Fault) -> bool {
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);
+// Whatever configuration is taken, its quick stop ends, and is seen to have ended, before the brakes close.
+const _: () = assert!(
+    crate::config::QUICK_STOP_MAX_MS + crate::control::sampler::STANDSTILL_MS as u32 + QUICK_STOP_DELAY_MS
+        <= STANDSTILL_MAX_MS
+);
 
 #[cfg(test)]
 mod search;

@@ -159,6 +159,13 @@ pub enum Fault {
         /// How long was waited, ms.
         waited_ms: u16,
     },
+    /// The planner made no progress on a motion that has to go on.
+    MotionStalled {
+        /// Vertices of the path fully executed.
+        vertex: u32,
+        /// How long it was waited for, ms.
+        waited_ms: u16,
+    },
 }
 
 /// Why a command was refused; nothing has changed.

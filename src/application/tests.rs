@@ -31,7 +31,7 @@ impl Plant {
             condition,
             progress: Progress {
                 idle: true,
-                held: false,
+                ..Progress::default()
             },
             power: Power::Off,
             power_since_ms: 0,
@@ -436,4 +436,34 @@ fn the_first_lost_slave_is_the_cause_and_those_behind_it_are_not() {
     };
     plant.application.bus(BusCondition::Failed(consequence));
     assert_eq!(plant.application.fault(), Some(Fault::SlaveLost { slave: 1 }));
+}
+
+#[test]
+fn a_motion_without_progress_is_a_fault_with_its_place_and_is_acknowledged() {
+    let mut plant = Plant::idle();
+    plant.application.command(Command::Draw { job: 1 }).unwrap();
+    plant.progress = Progress {
+        stalled_ms: 2_004,
+        executed: 17,
+        ..Progress::default()
+    };
+    plant.run(1);
+    let fault = Fault::MotionStalled {
+        vertex: 17,
+        waited_ms: 2_004,
+    };
+    assert_eq!(plant.application.fault(), Some(fault));
+    assert!(plant.actions.contains(&Action::Power(Power::QuickStop)));
+    plant.progress = Progress {
+        idle: true,
+        ..Progress::default()
+    };
+    plant.run(1_000);
+    assert_eq!(plant.application.mode(), Mode::Fault);
+    plant.application.command(Command::Acknowledge).unwrap();
+    plant.run(1_000);
+    assert_eq!(
+        (plant.application.mode(), plant.application.fault()),
+        (Mode::DrivesOff, None)
+    );
 }

@@ -190,6 +190,8 @@ impl<'a> LinkTask<'a> {
         let progress = Progress {
             idle: self.motion.idle && up_to_date,
             held: self.motion.held && up_to_date,
+            stalled_ms: self.motion.stalled_ms,
+            executed: self.motion.executed,
         };
         let silence_ms = self.endpoint.silence_ms(self.now_ms).unwrap_or(u64::from(u32::MAX));
         let silence_ms = u32::try_from(silence_ms).unwrap_or(u32::MAX);
@@ -311,12 +313,7 @@ impl<'a> LinkTask<'a> {
         if room < ORDERS_KEPT_FREE && command != Command::Stop {
             return Err(Refusal::Busy);
         }
-        if let Command::Move { position } = command {
-            let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured)?;
-            admission
-                .check_move(&self.condition.pose, &position)
-                .map_err(Refusal::Target)?;
-        }
+        self.check_target(command)?;
         self.check_reference(command)?;
         self.application.command(command)?;
         if let Command::Draw { .. } = command {
@@ -335,6 +332,32 @@ impl<'a> LinkTask<'a> {
         for action in self.application.take_actions() {
             self.carry_out(action);
         }
+    }
+
+    /// A single motion leads somewhere and stays inside the work area, or comes in.
+    fn check_target(&mut self, command: Command) -> Result<(), Refusal> {
+        let moves = matches!(
+            command,
+            Command::Move { .. } | Command::Pen { .. } | Command::Jog { .. }
+        );
+        // In every other mode the application refuses the command, and the pose may not be known.
+        if !moves || !matches!(self.application.mode(), Mode::Idle | Mode::Moving) {
+            return Ok(());
+        }
+        let admission = self.admission.as_mut().ok_or(Refusal::NotConfigured)?;
+        let pose = &self.condition.pose;
+        let checked = match command {
+            Command::Move { position } => admission.check_move(pose, &position),
+            Command::Pen { pen } => admission.check_pen(pose, pen),
+            // A jog that has begun slows down before a border by itself.
+            Command::Jog { velocity_mm_s }
+                if self.condition.standstill && velocity_mm_s.iter().all(|v| v.is_finite()) =>
+            {
+                admission.check_jog(pose, &velocity_mm_s.map(f64::from))
+            }
+            _ => Ok(()),
+        };
+        checked.map_err(Refusal::Target)
     }
 
     /// A reference needs the positions of all axes, one at a known pose also a pose that agrees with them.

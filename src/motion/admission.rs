@@ -10,7 +10,7 @@
 //! within the tolerance of its legs, which is the room that the checked points keep from what the arms allow.
 
 use super::heading::Winding;
-use super::{Refusal, RefusalReason, Vertex};
+use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::config::{Config, Orientation};
 use crate::robot::vector::{Vector, add_scaled, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
@@ -37,6 +37,8 @@ pub struct Admission {
     winding: Option<Winding>,
     wound_at: Option<Position>,
     turn_range_rad: [f64; 2],
+    /// Height of the platform with the pen down and up, mm.
+    pen_z_mm: [f64; 2],
 }
 
 impl Admission {
@@ -53,6 +55,10 @@ impl Admission {
             winding: (config.motion.orientation == Orientation::Path).then(Winding::default),
             wound_at: None,
             turn_range_rad: config.geometry.turn_range_rad,
+            pen_z_mm: [
+                config.paper.pen_down_z_mm,
+                config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+            ],
         })
     }
 
@@ -70,14 +76,14 @@ impl Admission {
         }
     }
 
-    /// Begins a new path from a pose: the way to its first vertex is checked too, unless the robot stands outside the
-    /// work area and has to come in.
+    /// Begins a new path from a pose: the way to its first vertex is checked too. From outside the work area it may only
+    /// lead inwards.
     pub fn restart_at(&mut self, pose: &JointAngles) {
         self.previous = None;
         let position = self.area.delta().forward(pose).ok();
         let [_, _, _, fourth_rad] = pose.0;
         self.wind_from(position, fourth_rad);
-        self.start = position.filter(|position| self.area.check(position).is_ok());
+        self.start = position;
     }
 
     /// Checks vertex `index` of the path; one that is refused leaves the state as it was.
@@ -101,6 +107,42 @@ impl Admission {
     pub fn check_move(&mut self, pose: &JointAngles, target: &Position) -> Result<(), Refusal> {
         self.restart_at(pose);
         self.reason(target).map_err(|reason| Refusal { index: 0, reason })
+    }
+
+    /// Checks a move of the pen where it stands.
+    ///
+    /// # Errors
+    /// Index 0 with the first reason found.
+    pub fn check_pen(&self, pose: &JointAngles, pen: Pen) -> Result<(), Refusal> {
+        let refused = |outside| Refusal {
+            index: 0,
+            reason: RefusalReason::Outside(outside),
+        };
+        let position = self.standing(pose).map_err(refused)?;
+        let [down_mm, up_mm] = self.pen_z_mm;
+        let z_mm = if pen == Pen::Down { down_mm } else { up_mm };
+        self.area
+            .check(&Position { z_mm, ..position })
+            .map(drop)
+            .map_err(refused)
+    }
+
+    /// Checks that a jog from a pose leads anywhere, mm/s: at a border not outwards, outside the work area only inwards.
+    ///
+    /// # Errors
+    /// Index 0 with what bars the way.
+    pub fn check_jog(&self, pose: &JointAngles, velocity_mm_s: &Vector) -> Result<(), Refusal> {
+        self.standing(pose)
+            .and_then(|position| jog::check(&self.area, &position.into(), velocity_mm_s))
+            .map_err(|outside| Refusal {
+                index: 0,
+                reason: RefusalReason::Outside(outside),
+            })
+    }
+
+    /// Where the platform is with a pose.
+    fn standing(&self, pose: &JointAngles) -> Result<Position, Outside> {
+        self.area.delta().forward(pose).map_err(Outside::Kinematics)
     }
 
     /// Where the leg to a position winds the fourth axis to.
@@ -135,12 +177,12 @@ impl Admission {
         let Some(previous) = self.previous else {
             let Some(start) = self.start else { return Ok(()) };
             // A robot that stands with less room may leave.
-            let room_mm = if self.area.check_around(&start, self.room_mm).is_ok() {
-                self.room_mm
+            return if self.area.check_around(&start, self.room_mm).is_ok() {
+                check_leg(&self.area, self.room_mm, &start, position)
             } else {
-                0.0
-            };
-            return check_leg(&self.area, room_mm, &start, position).map_err(leaves);
+                check_way_in(&self.area, &start, position)
+            }
+            .map_err(leaves);
         };
         let distance_mm = length(&subtract(&point, &previous.into()));
         if distance_mm < LEG_MIN_MM {
@@ -163,6 +205,21 @@ pub(crate) fn check_leg(
     for check in 1..checks {
         let at = Position::from(add_scaled(&start, &leg, f64::from(check) / f64::from(checks)));
         area.check_around(&at, room_mm).map_err(|outside| (at, outside))?;
+    }
+    Ok(())
+}
+
+/// Checks the points between a position, which may be outside, and one inside: each step leads inwards until it is inside
+/// and stays there; gives the first that does not and why.
+pub(crate) fn check_way_in(area: &WorkArea, from: &Position, to: &Position) -> Result<(), (Position, Outside)> {
+    let start = Vector::from(*from);
+    let leg = subtract(&(*to).into(), &start);
+    let checks = (libm::ceil(length(&leg) / LEG_CHECK_MM) as u32).clamp(2, LEG_CHECKS_MAX);
+    let mut before = *from;
+    for check in 1..checks {
+        let at = Position::from(add_scaled(&start, &leg, f64::from(check) / f64::from(checks)));
+        area.check_step(&before, &at).map_err(|outside| (at, outside))?;
+        before = at;
     }
     Ok(())
 }

@@ -1,15 +1,16 @@
 //! Jogging: a velocity that is followed while it is repeated, and never out of the work area.
 //!
 //! The velocity approaches the wanted one with a bounded acceleration. Before each millisecond the point where the
-//! motion would come to rest is checked; when that lies outside the work area, the motion slows down instead. When
-//! the command is not repeated within the dead-man time, the wanted velocity is zero.
+//! motion would come to rest is checked; when that lies outside the work area, the motion slows down instead, unless the
+//! robot is outside already and the way to that point leads inwards. When the command is not repeated within the dead-man
+//! time, the wanted velocity is zero. A direction that leads nowhere is refused when the jog begins.
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
 use super::scan::Row;
 use super::shaping::Label;
-use crate::robot::WorkArea;
 use crate::robot::vector::{Vector, add_scaled, length, scale, subtract};
+use crate::robot::{Outside, WorkArea};
 
 /// Fastest jog, mm/s.
 const SPEED_MAX_MM_S: f64 = 250.0;
@@ -19,8 +20,25 @@ const LIMIT_PART: f64 = 0.25;
 const ACCELERATION_MAX_MM_S2: f64 = 2_000.0;
 /// Room kept beyond the point of rest, in braking distances.
 const BRAKING_ROOM: f64 = 1.25;
-/// The same, mm.
+/// Room kept beyond the point of rest, mm.
 const ROOM_MM: f64 = 0.5;
+/// Way that has to be free for a jog to begin, mm: more than the room that a jog keeps from a border.
+const START_MM: f64 = 0.75;
+/// Slowest jog, mm/s: below that a velocity has no direction worth checking.
+const SPEED_MIN_MM_S: f64 = 1.0e-3;
+
+/// Checks that a jog with a velocity from a point leads anywhere.
+///
+/// # Errors
+/// Why the way is barred.
+pub(crate) fn check(area: &WorkArea, point: &Vector, velocity_mm_s: &Vector) -> Result<(), Outside> {
+    let speed = length(velocity_mm_s);
+    if speed < SPEED_MIN_MM_S {
+        return Ok(());
+    }
+    let ahead = add_scaled(point, velocity_mm_s, START_MM / speed);
+    area.check_step(&(*point).into(), &ahead.into())
+}
 
 /// A jog under way.
 #[derive(Clone, Copy, Debug)]
@@ -78,7 +96,7 @@ impl Jog {
             } else {
                 self.point
             };
-            area.check(&rest.into()).is_ok()
+            area.check_step(&self.point.into(), &rest.into()).is_ok()
         };
         self.velocity = if stays_inside(&next) {
             next

@@ -19,6 +19,8 @@ pub(crate) const WINDOW_MAX: usize = 32;
 const PARTS_PER_RAD: f64 = 1_099_511_627_776.0;
 /// One millisecond, s.
 pub(crate) const TICK_S: f64 = 1.0e-3;
+/// Rounding of a difference of squared speeds, as a part of them, with ample room.
+const ROUNDED: f64 = 1.0e-12;
 /// Largest angle that is represented, rad.
 const ANGLE_MAX_RAD: f64 = 10_000.0;
 
@@ -70,8 +72,37 @@ impl Stretch {
 
     /// Over `length_mm`, with an acceleration, mm/s2.
     pub(crate) fn to(start_mm: f64, length_mm: f64, start_squared: f64, acceleration: f64) -> Self {
-        let end_squared = (start_squared + 2.0 * length_mm * acceleration).max(0.0);
-        Self::new(start_mm, length_mm, start_squared, end_squared)
+        let end_squared = start_squared + 2.0 * length_mm * acceleration;
+        // Less than the rounding of what it is the difference of cannot be told from rest.
+        let rests = end_squared <= ROUNDED * start_squared;
+        Self::new(
+            start_mm,
+            length_mm,
+            start_squared,
+            if rests { 0.0 } else { end_squared },
+        )
+    }
+
+    /// The same motion, for `time_s` at most.
+    pub(crate) fn within(self, time_s: f64) -> Self {
+        if self.duration_s <= time_s {
+            return self;
+        }
+        let shorter = Self {
+            elapsed_s: time_s,
+            ..self
+        };
+        Self {
+            length_mm: shorter.offset_mm() - self.start_mm,
+            end_squared: shorter.squared(),
+            duration_s: time_s,
+            ..self
+        }
+    }
+
+    /// How long it takes, s.
+    pub(crate) fn duration_s(&self) -> f64 {
+        self.duration_s
     }
 
     /// Whether it takes a finite time.
@@ -93,6 +124,12 @@ impl Stretch {
 
     pub(crate) fn complete(&self) -> bool {
         self.elapsed_s >= self.duration_s
+    }
+
+    /// Squared speed now, mm2/s2.
+    pub(crate) fn squared(&self) -> f64 {
+        let speed = (self.speed + self.acceleration * self.elapsed_s).max(0.0);
+        speed * speed
     }
 
     pub(crate) fn end_squared(&self) -> f64 {

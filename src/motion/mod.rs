@@ -16,6 +16,7 @@ mod limits;
 mod micro_interpolator;
 mod outline;
 mod plan;
+mod progress;
 mod ring;
 mod scan;
 mod shaping;

@@ -277,10 +277,14 @@ impl Shaper {
             self.tolerances.travel_mm
         };
         let (short, long) = (length_in.min(length_out), length_in.max(length_out));
+        // A sixth of the second difference is how far the spline passes from the vertex: across the leg at most the longer
+        // leg's sine of it, across the spline's own direction, that from vertex to vertex beside it, twice both legs' product.
+        let chord = length(&add(&incoming, &outgoing));
         if node.pen == after.pen
             && cosine > SPLINE_TURN_COSINE
             && long <= SPLINE_RATIO_MAX * short
             && long * sine <= 6.0 * tolerance
+            && short * long * sine <= 3.0 * tolerance * chord
         {
             return Passage::Smooth;
         }

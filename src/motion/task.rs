@@ -51,6 +51,8 @@ pub struct MotionReport {
     pub executed: u32,
     /// Whether the path was executed to its end.
     pub finished: bool,
+    /// For how long a motion that has to go on has made no progress, ms; 0 where there is none that stalls.
+    pub stalled_ms: u16,
     /// Times the path ran out of data.
     pub starvations: u32,
     /// Releases that found the ring empty: the release before came too late.
@@ -157,6 +159,10 @@ impl<'a> TrajectoryTask<'a> {
                 trajectory.executed()
             },
             finished: self.path == PathPhase::Finished,
+            // Without a pose nothing is asked to move.
+            stalled_ms: self
+                .epoch
+                .map_or(0, |_| u16::try_from(trajectory.stalled_ms()).unwrap_or(u16::MAX)),
             starvations: trajectory.underruns(),
             overruns: self.overruns,
             orders: self.orders_taken,

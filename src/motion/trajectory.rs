@@ -7,11 +7,12 @@
 //! Invariants: [`Trajectory::step`] always gives twelve valid references and does a bounded amount of work; whatever
 //! is commanded, the motion goes from one rest to the next within the limits.
 
-use super::admission::{LEG_MIN_MM, check_leg};
-use super::jog::Jog;
+use super::admission::{LEG_MIN_MM, check_way_in};
+use super::jog::{self, Jog};
 use super::limits::Limits;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
 use super::plan::{GROWTH, Pace, Plan};
+use super::progress::Watch;
 use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper, Tolerances};
 use super::straight::Straight;
@@ -82,6 +83,7 @@ struct Motion {
     starving_ms: usize,
     underruns: u32,
     work: u32,
+    watch: Watch,
 }
 
 impl Trajectory {
@@ -108,6 +110,7 @@ impl Trajectory {
                 starving_ms: 0,
                 underruns: 0,
                 work: 0,
+                watch: Watch::new(),
             },
             interpolator: MicroInterpolator::new(),
             pose: None,
@@ -174,6 +177,7 @@ impl Trajectory {
             label: Label::NONE,
         };
         self.motion.drop_path();
+        self.motion.watch = Watch::new();
         self.pose = Some(pose);
         true
     }
@@ -215,7 +219,10 @@ impl Trajectory {
             return self.interpolator.rest();
         }
         self.motion.feed();
-        self.interpolator.step(&mut self.motion)
+        let references = self.interpolator.step(&mut self.motion);
+        let motion = &mut self.motion;
+        motion.watch.step(&motion.here, motion.has_to_move());
+        references
     }
 
     /// What the stage is doing.
@@ -254,6 +261,12 @@ impl Trajectory {
         self.motion.underruns
     }
 
+    /// For how long a motion that has to go on has made no progress, ms; 0 up to two seconds. A planner that stalls is an
+    /// error of the firmware: the path has to be dropped.
+    pub fn stalled_ms(&self) -> u32 {
+        self.motion.watch.stalled_ms()
+    }
+
     /// Length of the moving average in force, ms: the configured one, shortened where it would take more than its part
     /// of the tolerance; 0 where there is none.
     pub fn jerk_window_ms(&self) -> u16 {
@@ -275,11 +288,12 @@ pub(super) fn tolerances(config: &Config) -> Tolerances {
     }
 }
 
-/// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24.
+/// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24, and A t^2 / 12 for references the time t
+/// apart, which cut corners by A t^2 / 8 but average over t less.
 pub(super) fn averaging(config: &Config) -> (u16, f64) {
     let deviation = |window_ms: u16| {
         let window_s = f64::from(window_ms) * TICK_S;
-        config.motion.acceleration_mm_s2 * window_s * window_s / 24.0
+        config.motion.acceleration_mm_s2 * (window_s * window_s + 2.0 * TICK_S * TICK_S) / 24.0
     };
     let mut window_ms = config.motion.jerk_window_ms;
     while window_ms > 1 && deviation(window_ms) > AVERAGE_PART_MAX * config.motion.tolerance_mm {
@@ -328,6 +342,17 @@ impl Motion {
             }
         }
         Ok(())
+    }
+
+    /// Whether the motion has to make progress now: it neither rests, waits for path data, pauses at a stop, nor follows
+    /// an operator's hand.
+    fn has_to_move(&self) -> bool {
+        match self.activity {
+            Activity::Rest | Activity::Parked { .. } | Activity::Jog(_) => false,
+            Activity::Path => self.starving_ms == 0 && !self.plan.pauses(),
+            Activity::Brake(_) => !self.plan.pauses(),
+            Activity::Lift(..) | Activity::Lower(..) | Activity::Move(_) => true,
+        }
     }
 
     fn is_empty(&self) -> bool {
@@ -406,6 +431,12 @@ impl Motion {
                     }));
                 }
                 if !matches!(self.activity, Activity::Jog(_)) {
+                    jog::check(&self.area, &self.here.point, &velocity).map_err(|outside| {
+                        MotionRefusal::Target(Refusal {
+                            index: 0,
+                            reason: RefusalReason::Outside(outside),
+                        })
+                    })?;
                     self.activity = Activity::Jog(Jog::new(&self.here));
                 }
                 if let Activity::Jog(jog) = &mut self.activity {
@@ -428,12 +459,8 @@ impl Motion {
         self.area
             .check(&position)
             .map_err(|outside| target(RefusalReason::Outside(outside)))?;
-        let here = Position::from(self.here.point);
-        // A robot that stands outside may come in.
-        if self.area.check(&here).is_ok() {
-            check_leg(&self.area, 0.0, &here, &position)
-                .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
-        }
+        check_way_in(&self.area, &self.here.point.into(), &position)
+            .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
         let label = Label { pen, ..self.here.label };
         self.activity = Activity::Move(self.straight(&position.into(), label));
         Ok(())

@@ -21,6 +21,11 @@ pub const DETERMINANT_MIN: f64 = 0.2;
 /// What the bounds of a change are multiplied with, because they grow on the way.
 const ROOM_FACTOR: f64 = 1.1;
 
+/// Borders of the work area: radius, two heights, paper, both ends of each arm's range, two singularities.
+const BORDERS: usize = 4 + 2 * ARMS + 2;
+/// Change of a distance to a border that is none, mm or rad.
+const CHANGE_NONE: f64 = 1.0e-9;
+
 const _: () = assert!(RATIO_MIN > super::kinematics::RATIO_SINGULAR);
 
 /// Why a position is outside the work area.
@@ -152,6 +157,50 @@ impl WorkArea {
     /// The first reason why the position is outside.
     pub fn check(&self, position: &Position) -> Result<[f64; ARMS], Outside> {
         self.check_around(position, 0.0)
+    }
+
+    /// How far a position is beyond each border, mm, rad, or a ratio's own unit; not positive where it is inside.
+    fn beyond(&self, position: &Position) -> [f64; BORDERS] {
+        let Position { x_mm, y_mm, z_mm } = *position;
+        let Conditioning {
+            ratio: (_, ratio),
+            determinant,
+            ..
+        } = self.delta.conditioning(position);
+        let [a, b, c] = self.delta.angles(&Vector::from(*position));
+        let [low, high] = self.range_rad;
+        [
+            super::vector::root(x_mm * x_mm + y_mm * y_mm) - self.cylinder.radius_mm,
+            z_mm - self.cylinder.z_high_mm,
+            self.cylinder.z_low_mm - z_mm,
+            self.paper_low_mm - z_mm,
+            a - high,
+            b - high,
+            c - high,
+            low - a,
+            low - b,
+            low - c,
+            RATIO_MIN - ratio,
+            DETERMINANT_MIN - determinant,
+        ]
+    }
+
+    /// Checks a step of the way from a position, which may be outside: from there it may lead inwards, and nowhere else.
+    /// It leads inwards when it comes nearer to a border that the position is beyond, and gets beyond none any further.
+    ///
+    /// # Errors
+    /// The first reason why the end of the step is outside.
+    pub(crate) fn check_step(&self, from: &Position, to: &Position) -> Result<(), Outside> {
+        let Err(outside) = self.check(to) else { return Ok(()) };
+        if matches!(outside, Outside::Kinematics(KinematicsError::NotFinite)) {
+            return Err(outside);
+        }
+        let (before, after) = (self.beyond(from), self.beyond(to));
+        let farther = |(before, after): (&f64, &f64)| !(*after <= before.max(0.0) + CHANGE_NONE);
+        let nearer = |(before, after): (&f64, &f64)| *before > 0.0 && *after < *before - CHANGE_NONE;
+        let leaves = before.iter().zip(&after).any(farther);
+        let enters = before.iter().zip(&after).any(nearer);
+        if enters && !leaves { Ok(()) } else { Err(outside) }
     }
 
     /// The same, and what the arms allow holds `room_mm` around it too; a few millimetres at most.

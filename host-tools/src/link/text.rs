@@ -186,8 +186,12 @@ pub fn config_error(error: &ConfigError) -> String {
         .field
         .axis
         .map_or(String::new(), |axis| format!(" of axis {}", one(axis)));
+    let why = match error.field.name() {
+        "axes.quick_stop_rad_s2" => "the axis has to stand before its brake closes, from the fastest it may turn; ",
+        _ => "",
+    };
     format!(
-        "{}{axis} is {}, allowed is {} to {}; correct it in etherpen.toml",
+        "{}{axis} is {}, allowed is {} to {}; {why}correct it in etherpen.toml",
         error.field.name(),
         error.value,
         error.low,
@@ -288,6 +292,10 @@ pub fn fault(fault: &Fault) -> String {
         Fault::RepairTimeout { waited_ms } => format!(
             "the bus was not brought back within {waited_ms} ms, and why is not known yet; look at the slaves (etherpen bus \
              scan), then acknowledge again"
+        ),
+        Fault::MotionStalled { vertex, waited_ms } => format!(
+            "the planner made no progress for {waited_ms} ms after vertex {vertex} of the path; this is an error of the \
+             firmware, please report it with the drawing; acknowledge to go on"
         ),
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
@@ -439,6 +447,17 @@ mod tests {
         assert_eq!(
             text,
             "axes.gear of axis 2 is 0, allowed is 0.1 to 1000; correct it in etherpen.toml"
+        );
+    }
+
+    #[test]
+    fn a_quick_stop_that_is_too_weak_is_refused_with_the_value_it_needs() {
+        let mut config = Config::default();
+        config.axes[2].quick_stop_rad_s2 = 1.0;
+        let text = config_error(&config.check().unwrap_err());
+        assert!(
+            text.starts_with("axes.quick_stop_rad_s2 of axis 3 is 1, allowed is 28.43 to 2000; the axis has to stand"),
+            "{text}"
         );
     }
 

@@ -3,7 +3,7 @@
 //! The trajectory stage is the firmware's own, and it is fed as the firmware feeds it: vertices while there is room, then
 //! twelve references. Nothing is stored, so a path may be as long as its file.
 //!
-//! Invariant: a run ends: at rest at the path's end, with a refusal, or when it has taken a day.
+//! Invariant: a run ends: at rest at the path's end, with a refusal, when it makes no progress, or when it has taken a day.
 
 mod analysis;
 mod track;
@@ -67,6 +67,11 @@ pub enum PlanningError {
     Command(MotionRefusal),
     /// The motion would take longer than a day.
     Endless,
+    /// The planner makes no progress.
+    Stalled {
+        /// Vertices executed.
+        vertex: u32,
+    },
     /// A reference is no pose of the robot.
     Reference {
         /// Which millisecond.
@@ -85,6 +90,11 @@ impl std::fmt::Display for PlanningError {
             Self::Vertex { index, refusal } => write!(f, "vertex {index}: the planner refuses it ({refusal:?})"),
             Self::Command(refusal) => write!(f, "the planner does not start ({refusal:?})"),
             Self::Endless => f.write_str("the motion would take longer than a day; the limits are too small for it"),
+            Self::Stalled { vertex } => write!(
+                f,
+                "the planner makes no progress after vertex {vertex}; this is an error of the program, please report it with \
+                 the path"
+            ),
             Self::Reference { t_ms, cause } => {
                 write!(f, "the reference at {t_ms} ms is no pose of the robot ({cause:?})")
             }
@@ -151,6 +161,10 @@ pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &
             observe(&sample, &run);
         }
         run.work_max = run.work_max.max(trajectory.work());
+        if trajectory.stalled_ms() > 0 {
+            let vertex = trajectory.executed();
+            return Err(PlanningError::Stalled { vertex });
+        }
         if trajectory.state() == MotionState::Idle && feed.len() == 0 {
             run.underruns = trajectory.underruns();
             return Ok(run);

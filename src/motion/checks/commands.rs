@@ -182,9 +182,20 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
         }
         let area = crate::robot::WorkArea::new(&config).unwrap();
         assert!(area.check(&run.end().into()).is_ok(), "{direction:?} leads outside");
+        run.command(MotionCommand::JogStop);
+        run.until(MotionState::Idle);
+        let refusal = run.trajectory.command(MotionCommand::Jog(direction));
+        assert!(
+            matches!(
+                refusal,
+                Err(MotionRefusal::Target(Refusal {
+                    reason: RefusalReason::Outside(_),
+                    ..
+                }))
+            ),
+            "at the border {direction:?} leads nowhere: {refusal:?}"
+        );
     }
-    run.command(MotionCommand::JogStop);
-    run.until(MotionState::Idle);
     run.check_limits("jog");
     let refusal = run.trajectory.command(MotionCommand::Jog([f64::NAN, 0.0, 0.0]));
     assert!(matches!(refusal, Err(MotionRefusal::Target(_))));
@@ -271,4 +282,114 @@ fn a_reconfigured_stage_is_as_good_as_new() {
     let (used, new) = (references(used), references(placed(&second, start)));
     assert_eq!(used, new);
     assert_ne!(new[0], new[199], "the path moved");
+}
+
+/// Places outside the default work area, and the way in: beside it, above it, under the paper, an arm beyond its range.
+const OUTSIDE: [([f64; 3], [f64; 3]); 5] = [
+    ([570.0, 0.0, -800.0], [-30.0, 0.0, 0.0]),
+    ([-420.0, 400.0, -800.0], [30.0, -30.0, 0.0]),
+    ([0.0, 0.0, -690.0], [0.0, 0.0, -30.0]),
+    ([50.0, 20.0, -853.0], [0.0, 0.0, 30.0]),
+    ([0.0, 0.0, -560.0], [0.0, 0.0, -60.0]),
+];
+
+#[test]
+fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
+    let config = Config::default();
+    let area = crate::robot::WorkArea::new(&config).unwrap();
+    for (outside, inwards) in OUTSIDE {
+        let start = [vertex(outside, Pen::Up, 0)];
+        let mut run = Run {
+            trajectory: Trajectory::new(&config).unwrap(),
+            ..Run::new(&config, &[vertex([0.0, 0.0, -800.0], Pen::Up, 0)])
+        };
+        run.path = start.to_vec();
+        run.pushed = 1;
+        run.references.clear();
+        let [a, b, c] = area.delta().angles(&outside);
+        let pose = JointAngles([a, b, c, 0.0]);
+        assert!(area.check(&outside.into()).is_err(), "{outside:?} is inside");
+        assert!(run.trajectory.place(pose));
+        let admission = Admission::new(&config).unwrap();
+        let away = inwards.map(|part| -part);
+        let along = [
+            inwards[1] - inwards[2],
+            inwards[2] - inwards[0],
+            inwards[0] - inwards[1],
+        ];
+        assert!(
+            run.trajectory.command(MotionCommand::Jog(away)).is_err(),
+            "{outside:?}: outwards"
+        );
+        assert!(admission.check_jog(&pose, &away).is_err());
+        // Along a border of one kind the way neither leads in nor out.
+        if outside[0] == 0.0 {
+            assert!(
+                run.trajectory.command(MotionCommand::Jog(along)).is_err() || along[2] < 0.0,
+                "{outside:?}: along"
+            );
+        }
+        assert_eq!(
+            run.trajectory.state(),
+            MotionState::Idle,
+            "a refused jog changes nothing"
+        );
+        assert_eq!(admission.check_jog(&pose, &inwards), Ok(()), "{outside:?}");
+        let came_in = (0..2_000).find(|_| {
+            // Near a border of several kinds the direction may have to change.
+            let _ = run.trajectory.command(MotionCommand::Jog(inwards));
+            run.step();
+            area.check(&run.trajectory.position()).is_ok()
+        });
+        assert!(
+            came_in.is_some(),
+            "{outside:?}: still outside at {:?}",
+            run.trajectory.position()
+        );
+        run.command(MotionCommand::JogStop);
+        run.until(MotionState::Idle);
+        assert!(area.check(&run.end().into()).is_ok(), "{outside:?}: left again");
+        run.check_limits(&format!("jog from {outside:?}"));
+    }
+}
+
+#[test]
+fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
+    let config = Config::default();
+    let area = crate::robot::WorkArea::new(&config).unwrap();
+    for (outside, inwards) in OUTSIDE {
+        let mut trajectory = Trajectory::new(&config).unwrap();
+        let mut admission = Admission::new(&config).unwrap();
+        let [a, b, c] = area.delta().angles(&outside);
+        let pose = JointAngles([a, b, c, 0.0]);
+        assert!(trajectory.place(pose));
+        let beyond = Position::from(add_scaled(&outside, &inwards, -0.2));
+        assert!(
+            trajectory.command(MotionCommand::MoveTo(beyond)).is_err(),
+            "{outside:?}: outwards"
+        );
+        assert!(admission.check_move(&pose, &beyond).is_err());
+        let inside = Position::from([0.0, 0.0, -800.0]);
+        assert_eq!(admission.check_move(&pose, &inside), Ok(()), "{outside:?}");
+        assert_eq!(trajectory.command(MotionCommand::MoveTo(inside)), Ok(()), "{outside:?}");
+        for _ in 0..2_000 {
+            trajectory.step();
+        }
+        assert_eq!(trajectory.state(), MotionState::Idle);
+        let away = length(&subtract(&trajectory.position().into(), &inside.into()));
+        assert!(away < 1.0e-6, "{outside:?}: it stands {away} mm away");
+    }
+    let beside = area.delta().angles(&[570.0, 0.0, -800.0]);
+    let pose = JointAngles([beside[0], beside[1], beside[2], 0.0]);
+    let refusal = Admission::new(&config)
+        .unwrap()
+        .check_pen(&pose, Pen::Down)
+        .unwrap_err();
+    assert!(
+        matches!(
+            refusal.reason,
+            RefusalReason::Outside(crate::robot::Outside::Radius { .. })
+        ),
+        "{refusal:?}"
+    );
 }

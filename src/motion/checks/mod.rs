@@ -5,10 +5,13 @@
 
 mod bad_input;
 mod commands;
+mod noise;
 mod orientation;
 mod paths;
 mod pen;
 mod properties;
+mod slow;
+mod tolerance;
 
 extern crate std;
 

@@ -3,7 +3,7 @@
 use super::*;
 
 /// A path file of the samples.
-fn sample_path(text: &str) -> Vec<Vertex> {
+pub(super) fn sample_path(text: &str) -> Vec<Vertex> {
     let mut path: Vec<Vertex> = Vec::new();
     for line in text.lines().skip(1) {
         let mut values = line.split(',').map(|value| value.trim().parse::<f64>().unwrap());

@@ -1,0 +1,71 @@
+//! Requirements on small acceleration limits: where the path is passed slowly, nothing is smoothed by the millisecond.
+
+use super::*;
+
+/// The platform's largest acceleration as a part of its limit, and when, ms.
+fn peak(run: &Run) -> (f64, usize) {
+    let delta = Delta::new(&run.config.geometry).unwrap();
+    let points: Vec<Vector> = run
+        .references
+        .iter()
+        .map(|r| delta.forward(&JointAngles(r.position_rad)).unwrap().into())
+        .collect();
+    let acceleration = |three: &[Vector]| {
+        let second: Vector = core::array::from_fn(|axis| three[0][axis] - 2.0 * three[1][axis] + three[2][axis]);
+        length(&second) / (TICK_S * TICK_S)
+    };
+    let worst = points.windows(3).map(acceleration).enumerate();
+    let (at, worst) = worst.fold((0, 0.0), |most, one| if one.1 > most.1 { one } else { most });
+    (worst / run.config.motion.acceleration_mm_s2, at)
+}
+
+fn down(x: f64, y: f64) -> Vertex {
+    vertex([x, y, -850.0], Pen::Down, 0)
+}
+
+/// Paths whose curvature peaks: corners of every turn between long and short legs, a circle, noise, strokes.
+fn paths(seed: u64) -> Vec<Vec<Vertex>> {
+    let mut random = Random::new(seed);
+    let corner = |turn: f64, leg: f64| {
+        let end = [leg * libm::cos(turn), leg * libm::sin(turn)];
+        [[-leg, 0.0], [0.0, 0.0], end].map(|[x, y]| down(x, y)).to_vec()
+    };
+    let mut paths: Vec<Vec<Vertex>> = (0..8)
+        .map(|_| corner(random.between(0.1, 2.88), libm::pow(10.0, random.between(-2.0, 1.3))))
+        .collect();
+    // Just below the turn beyond which the path stops: the sharpest peak.
+    paths.push(corner(2.879, 10.0));
+    let (radius, step) = (libm::pow(10.0, random.between(-1.5, 1.0)), random.between(0.05, 0.6));
+    let round = |k: u32| step * f64::from(k);
+    paths.push(
+        (0..40)
+            .map(|k| down(radius * libm::cos(round(k)), radius * libm::sin(round(k))))
+            .collect(),
+    );
+    paths.push(super::noise::walk(&mut random));
+    paths.push(random_path(&mut random, 1));
+    paths
+}
+
+#[test]
+fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
+    let mut worst = [0.0_f64; 2];
+    for (seed, acceleration) in (1..).zip([10.0, 14.0, 30.0, 55.0, 100.0, 300.0, 1_000.0, 4_000.0, 30_000.0]) {
+        for (window_ms, worst) in [0, 4].into_iter().zip(&mut worst) {
+            let mut config = Config::default();
+            config.motion.acceleration_mm_s2 = acceleration;
+            config.motion.jerk_window_ms = window_ms;
+            assert_eq!(config.check(), Ok(()));
+            for (number, path) in paths(seed).iter().enumerate() {
+                let name = format!("{acceleration} mm/s2, seed {seed}, path {number}, window {window_ms}");
+                let run = Run::new(&config, path).whole();
+                let (part, at) = peak(&run);
+                assert!(part <= 1.0 + EXCESS, "{name}: {part} of the limit at {at} ms");
+                run.check_limits(&name);
+                run.check_deviation(&name);
+                *worst = worst.max(part);
+            }
+        }
+    }
+    println!("worst parts of the acceleration limit, without and with an average: {worst:?}");
+}

@@ -1,0 +1,149 @@
+//! Requirements on the tolerance, both ways: no reference far from its leg, no vertex far from the references.
+//!
+//! The distances are found by looking at all candidates near a place, with arithmetic of their own: nothing here knows
+//! how the path is shaped.
+
+use super::*;
+
+/// Variable that asks for another number of drawings than the one of the test suite.
+const DRAWINGS: &str = "ETHERPEN_TOLERANCE_DRAWINGS";
+const DRAWINGS_OF_THE_SUITE: u64 = 150;
+/// Vertices around the one that a reference reports among which its leg is looked for, and the reverse.
+const NEAR: usize = 3;
+
+/// Distance of a point from the line between two others.
+fn apart(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
+    let (ux, uy, uz) = (b[0] - a[0], b[1] - a[1], b[2] - a[2]);
+    let (vx, vy, vz) = (p[0] - a[0], p[1] - a[1], p[2] - a[2]);
+    let squared = ux * ux + uy * uy + uz * uz;
+    let part = if squared > 0.0 {
+        ((ux * vx + uy * vy + uz * vz) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let (dx, dy, dz) = (vx - part * ux, vy - part * uy, vz - part * uz);
+    libm::sqrt(dx * dx + dy * dy + dz * dz)
+}
+
+/// Largest distances with the pen down: of a reference from its legs, and of a vertex from the references around it.
+fn distances(run: &Run) -> (f64, f64) {
+    let delta = Delta::new(&run.config.geometry).unwrap();
+    let vertices: Vec<[f64; 3]> = run.path.iter().map(|vertex| vertex.position.into()).collect();
+    let mut off_legs = 0.0_f64;
+    let mut nearest = std::vec![f64::INFINITY; vertices.len()];
+    let mut before: Option<[f64; 3]> = None;
+    for (number, reference) in run.references.iter().enumerate() {
+        let at: [f64; 3] = delta.forward(&JointAngles(reference.position_rad)).unwrap().into();
+        // A millisecond may pass many vertices, and an average lies between those of its neighbours.
+        let executed = |number: usize| run.references[number.min(run.references.len() - 1)].vertex as usize;
+        let (first, last) = (executed(number.saturating_sub(1)), executed(number + 1));
+        let (from, to) = (
+            first.min(last).saturating_sub(NEAR),
+            (first.max(last) + NEAR).min(vertices.len()),
+        );
+        let off = vertices[from..to]
+            .windows(2)
+            .map(|leg| apart(at, leg[0], leg[1]))
+            .fold(f64::INFINITY, f64::min);
+        if reference.pen == Pen::Down && to - from > 1 {
+            off_legs = off_legs.max(off);
+        }
+        for index in from..to {
+            nearest[index] = nearest[index].min(apart(vertices[index], before.unwrap_or(at), at));
+        }
+        before = Some(at);
+    }
+    let drawn = |index: usize| {
+        let after = run.path.get(index + 1).map_or(Pen::Up, |next| next.pen);
+        run.path[index].pen == Pen::Down || after == Pen::Down
+    };
+    let missed = (0..vertices.len())
+        .filter(|index| drawn(*index))
+        .map(|index| nearest[index])
+        .fold(0.0, f64::max);
+    (off_legs, missed)
+}
+
+/// Checks both distances; gives them as parts of the tolerance.
+pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
+    let motion = &run.config.motion;
+    let (off_legs, missed) = distances(run);
+    // Where nothing is averaged, references a millisecond apart cut a corner.
+    let cut = if run.trajectory.jerk_window_ms() > 1 {
+        0.0
+    } else {
+        motion.acceleration_mm_s2 * TICK_S * TICK_S / 8.0
+    };
+    let limit = motion.tolerance_mm;
+    let most = limit * (1.0 + EXCESS);
+    assert!(
+        off_legs <= most,
+        "{name}: a reference is {off_legs} mm off, tolerance {limit} mm"
+    );
+    // A vertex that repeats another one is merged with it.
+    assert!(
+        missed <= most + cut + LEG_MIN_MM,
+        "{name}: a vertex is missed by {missed} mm, tolerance {limit} mm"
+    );
+    (off_legs / limit, (missed - cut) / limit)
+}
+
+fn check(config: &Config, path: &[Vertex], name: &str) -> (f64, f64) {
+    let run = Run::new(config, path).whole();
+    run.check_limits(name);
+    check_distances(&run, name)
+}
+
+/// A drawing whose legs are about as long as the tolerance allows a spline, or far from it.
+fn drawing(random: &mut Random, tolerance_mm: f64) -> Vec<Vertex> {
+    let scale_mm = tolerance_mm * libm::pow(10.0, random.between(-1.5, 2.0));
+    let (turn_max, uneven, kind) = (random.between(0.05, PI), random.between(0.0, 1.5), random.below(4));
+    let turn_even = random.between(0.02, turn_max);
+    let mut at = [random.between(-30.0, 30.0), random.between(-30.0, 30.0), -850.0];
+    let mut heading = random.between(0.0, TAU);
+    let mut path = std::vec![vertex(at, Pen::Down, 0)];
+    for _ in 0..10 + random.below(50) {
+        heading += match kind {
+            0 => turn_even,
+            1 => [turn_even, -turn_even][random.below(2)],
+            2 => random.between(-turn_max, turn_max),
+            _ => [0.0, random.between(-1.1, 1.1)][random.below(2)],
+        };
+        let leg = scale_mm * libm::exp(uneven * random.between(-1.0, 1.0));
+        at[0] = (at[0] + leg * libm::cos(heading)).clamp(-120.0, 120.0);
+        at[1] = (at[1] + leg * libm::sin(heading)).clamp(-120.0, 120.0);
+        path.push(vertex(at, Pen::Down, 0));
+    }
+    path
+}
+
+#[test]
+fn drawings_of_every_scale_stay_within_the_tolerance_of_their_lines_and_reach_every_vertex() {
+    let asked = std::env::var(DRAWINGS).ok().and_then(|text| text.parse().ok());
+    let mut worst = (0.0_f64, 0.0_f64);
+    for seed in 1..=asked.unwrap_or(DRAWINGS_OF_THE_SUITE) {
+        let mut random = Random::new(seed);
+        let mut config = Config::default();
+        if random.below(2) == 0 {
+            config.motion.tolerance_mm = libm::pow(10.0, random.between(-2.3, 0.5));
+            config.motion.travel_tolerance_mm = config.motion.tolerance_mm;
+            config.motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.5, 4.3));
+            config.motion.jerk_window_ms = [0, 4, 4, 8][random.below(4)];
+        }
+        assert_eq!(config.check(), Ok(()));
+        let path = drawing(&mut random, config.motion.tolerance_mm);
+        let one = check(&config, &path, &format!("drawing {seed}"));
+        worst = (worst.0.max(one.0), worst.1.max(one.1));
+    }
+    println!(
+        "worst parts of the tolerance: reference to line {:.4}, vertex to reference {:.4}",
+        worst.0, worst.1
+    );
+}
+
+#[test]
+fn a_recorded_walk_of_short_legs_keeps_its_tolerance() {
+    let path = paths::sample_path(include_str!("../../../samples/motion/tolerance.csv"));
+    let (off_legs, missed) = check(&Config::default(), &path, "tolerance.csv");
+    println!("parts of the tolerance: reference to line {off_legs:.4}, vertex to reference {missed:.4}");
+}

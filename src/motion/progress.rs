@@ -1,0 +1,52 @@
+//! Watchdog of the motion: what has to move and does not is noticed, whatever the cause.
+//!
+//! Progress is a vertex executed, a micrometre of the path or a ten-thousandth of a radian of the fourth axis. The slowest
+//! motion that any configuration allows makes 0.1 mm a second on a line, and turns by 0.01 rad a second in a corner.
+
+use super::PERIOD_MS;
+use super::micro_interpolator::PathSample;
+use crate::robot::vector::{length, subtract};
+
+/// Longest time without progress, ms.
+pub(super) const STALL_MS: u32 = 2_000;
+/// Way that is progress, mm: the resolution of the link.
+const WAY_MM: f64 = 1.0e-3;
+/// Turn of the fourth axis that is progress, rad.
+const TURN_RAD: f64 = 1.0e-4;
+
+/// Watches one motion after the other.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watch {
+    /// Where the last progress was made.
+    mark: PathSample,
+    still_ms: u32,
+}
+
+impl Watch {
+    /// A watch before the first motion.
+    pub(super) const fn new() -> Self {
+        Self {
+            mark: PathSample::NONE,
+            still_ms: 0,
+        }
+    }
+
+    /// Takes a period's end; `moves` says whether there has to be progress.
+    pub(super) fn step(&mut self, here: &PathSample, moves: bool) {
+        let mark = &self.mark;
+        let progress = here.label.vertex != mark.label.vertex
+            || length(&subtract(&here.point, &mark.point)) >= WAY_MM
+            || (here.heading - mark.heading).abs() >= TURN_RAD;
+        if progress || !moves {
+            self.mark = *here;
+            self.still_ms = 0;
+        } else {
+            self.still_ms = self.still_ms.saturating_add(PERIOD_MS as u32);
+        }
+    }
+
+    /// For how long there has been no progress, ms; 0 while that is no longer than [`STALL_MS`].
+    pub(super) fn stalled_ms(&self) -> u32 {
+        if self.still_ms > STALL_MS { self.still_ms } else { 0 }
+    }
+}
