@@ -8,7 +8,7 @@ what was written.
 import struct
 
 from machine import NEVER
-from registers import RESET, address
+from registers import RESET
 
 # Ready bits: what is written, the bit that asks, the register and bit that follow, and after how long, us.
 READY = [
@@ -19,8 +19,8 @@ READY = [
     ("COMPENSATION", "SYSCFG.CCCSR", 0, "SYSCFG.CCCSR", 8, 20.0),
     ("USB33", "PWR.CR3", 24, "PWR.CR3", 26, 10.0),
 ]
-# Registers that are ignored while the PLL runs, and the bits of others that are.
-PROTECTED = ["RCC.PLLCKSELR", "RCC.PLLCFGR"]
+# Registers whose changes are ignored while a PLL runs.
+PROTECTED = ["RCC.PLLCKSELR", "RCC.PLLCFGR", "RCC.PLL1DIVR"]
 PLL_ON = 1 << 24 | 1 << 26 | 1 << 28
 # Reset register and bit, and the peripheral that it resets.
 RESETS = [
@@ -28,9 +28,8 @@ RESETS = [
     ("RCC.APB1LRSTR", 0, "TIM2"), ("RCC.APB2RSTR", 0, "TIM1"), ("RCC.APB1HRSTR", 1, "CRS"), ("RCC.APB4RSTR", 1, "SYSCFG"),
 ]
 # What RCC_RSR says, RM0433 table "Reset source identification".
-RESET_FLAGS = {"power-on": 0x00FE_0000, "pin": 0x0042_0000, "software": 0x0142_0000, "watchdog": 0x0442_0000}
-SCALE1_AND_READY = 0xE000
-IRQ_TIM1_UP, IRQ_TIM1_CC, IRQ_USART3, IRQ_ETH = 25, 27, 39, 61
+RESET_FLAGS = {"power-on": 0x00FE_0000, "software": 0x0142_0000, "watchdog": 0x0442_0000}
+IRQ_TIM1_UP, IRQ_TIM1_CC, IRQ_USART3 = 25, 27, 39
 OWN = 1 << 31
 BYTE_US = 10.85
 MDIO_US = 27.0
@@ -67,7 +66,7 @@ class Chip:
         self.systick_from_us, self.systick_seen = self.machine.now_us, 0
         self.timer_from_us = {}
         self.mdio_at_us = NEVER
-        self.tx_next = self.rx_next = 0
+        self.tx_next = 0
         self.flush_line()
         self.machine.say(f"reset {cause}")
 
@@ -133,7 +132,7 @@ class Chip:
     def is_protected(self, name, value, before):
         """The PLLs' source and dividers while one runs (RM0433, RCC_PLLCKSELR)."""
         runs = self.registers["RCC.CR"] & PLL_ON
-        return bool(runs) and (name in PROTECTED or name == "RCC.PLL1DIVR") and value != before
+        return bool(runs) and name in PROTECTED and value != before
 
     def follow(self, name, before):
         for what, register, bit, ready, ready_bit, delay_us in READY:
@@ -382,7 +381,7 @@ class Chip:
         for name in [known for known in self.registers if known.startswith("ETH.")]:
             del self.registers[name]
         self.registers.update({known: held for known, held in RESET.items() if known.startswith("ETH.")})
-        self.tx_next = self.rx_next = 0
+        self.tx_next = 0
 
     def write_ETH_DMACSR(self, value, before):
         self.registers["ETH.DMACSR"] = before & ~value
@@ -408,5 +407,3 @@ class Chip:
         self.tx_next = 0 if self.tx_next == last else self.tx_next + 1
         return True
 
-
-assert address("RCC.CR") == 0x5802_4400

@@ -95,7 +95,6 @@ for _port in "CDEFGHIJK":
     RESET[f"GPIO{_port}.MODER"] = 0xFFFF_FFFF
 
 _names = {}
-_addresses = {}
 
 
 def _peripheral(address):
@@ -122,15 +121,4 @@ def name(address):
             else:
                 known = f"{peripheral}.{registers.get(offset, f'{offset:#x}')}"
         _names[address] = known
-        _addresses[known] = address
     return known
-
-
-for _name, _base, _size, _registers in _PERIPHERALS:
-    for _offset in _registers:
-        name(_base + _offset)
-
-
-def address(register):
-    """The address of a named register."""
-    return _addresses[register]
