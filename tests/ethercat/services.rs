@@ -126,14 +126,13 @@ fn an_abort_reaches_the_asker_with_object_and_code() {
 }
 
 #[test]
-fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again() {
+fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_repaired() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(20);
     let others = [0, 2, 3];
     let answer = rig.ask_while(set_state(1, AlState::PreOperational), &others);
     assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::PreOperational))));
-    rig.recover();
     for _ in 0..500 {
         for event in rig.millisecond() {
             let noise = matches!(
@@ -152,6 +151,14 @@ fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again() {
     rig.run_ms(10);
     assert!(rig.inputs.iter().all(Option::is_some));
     assert!(rig.log.ends_with(&[BusEvent::Operational]) || rig.log.contains(&BusEvent::Operational));
+    // A repair wants the robot back, whoever brought the slave down.
+    let answer = rig.ask_while(set_state(1, AlState::PreOperational), &others);
+    assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::PreOperational))));
+    rig.recover();
+    rig.operational();
+    rig.run_ms(10);
+    assert_eq!(al_states(&rig)[1], cell::AlState::Operational);
+    assert!(rig.inputs.iter().all(Option::is_some));
 }
 
 #[test]
