@@ -115,6 +115,7 @@ impl Model {
         Progress {
             idle: self.doing == Doing::Rest && self.data == Data::None,
             held: self.doing == Doing::Held || self.data == Data::Held,
+            ..Progress::default()
         }
     }
 }
@@ -316,6 +317,7 @@ mod real {
             let seen = Progress {
                 idle: report.idle,
                 held: report.held,
+                ..Progress::default()
             };
             guesses.each(|guess| {
                 let mut after = vec![guess];

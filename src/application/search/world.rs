@@ -88,9 +88,10 @@ pub(super) enum Change {
     Interlock,
     Fault,
     HostSilent,
+    Stalled,
 }
 
-const CHANGES: [Change; 11] = [
+const CHANGES: [Change; 12] = [
     Change::Nothing,
     Change::Powered(true),
     Change::Powered(false),
@@ -102,6 +103,7 @@ const CHANGES: [Change; 11] = [
     Change::Interlock,
     Change::Fault,
     Change::HostSilent,
+    Change::Stalled,
 ];
 
 /// One transition.
@@ -363,6 +365,7 @@ impl State {
             Change::Referenced(true) => condition.unreferenced.is_some() && self.taking,
             Change::Referenced(false) => condition.unreferenced.is_none(),
             Change::Fault => condition.fault.is_none(),
+            Change::Stalled => !self.progress().idle && self.is_followed(),
             Change::Standstill | Change::Silence | Change::Interlock | Change::HostSilent => true,
         }
     }
@@ -370,7 +373,7 @@ impl State {
     fn change(&mut self, change: Change) {
         let condition = &mut self.condition;
         match change {
-            Change::Nothing | Change::HostSilent => {}
+            Change::Nothing | Change::HostSilent | Change::Stalled => {}
             Change::Powered(powered) => (condition.powered, condition.unpowered) = (powered, !powered),
             Change::Standstill => condition.standstill = !condition.standstill,
             Change::Silence => {
@@ -409,6 +412,7 @@ impl State {
         Progress {
             idle: progress.idle && self.up_to_date,
             held: progress.held && self.up_to_date,
+            ..progress
         }
     }
 
@@ -448,7 +452,10 @@ impl State {
         self.taking = false;
         let silent = first == Change::HostSilent || second == Change::HostSilent;
         let silence_ms = if silent { 501 } else { 0 };
-        let progress = self.progress();
+        let mut progress = self.progress();
+        if first == Change::Stalled || second == Change::Stalled {
+            progress.stalled_ms = 2_004;
+        }
         let actions = self
             .application
             .step(self.now_ms, &self.condition, progress, silence_ms);
