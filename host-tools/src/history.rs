@@ -1,13 +1,15 @@
 //! The log of drawings: one small file each, kept up to date while it is drawn, so that a broken one can go on.
 //!
-//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
+//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all; its
+//! beginning and its end are synced, the progress between them is not, so that a slow disk holds up nothing.
 //!
 //! Invariant: `executed` never says more than the firmware has reported.
 
 use crate::link::progress::Progress;
+use crate::output_file::OutputFile;
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -96,16 +98,34 @@ impl Record {
         Ok(record)
     }
 
-    /// Writes what is known.
+    /// The name of this drawing in the log: what `etherpen jobs` shows and `etherpen draw --resume` takes.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Writes what is known, to the disk.
     ///
     /// # Errors
     /// It cannot be written.
     pub fn save(&mut self) -> io::Result<()> {
+        self.written()?.commit()
+    }
+
+    /// Writes what is known without waiting for the disk.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn save_unsynced(&mut self) -> io::Result<()> {
+        self.written()?.commit_unsynced()
+    }
+
+    fn written(&mut self) -> io::Result<OutputFile> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         self.entry.changed_unix_s = now.as_secs();
-        let written = self.path.with_extension("written");
-        fs::write(&written, serde_json::to_vec_pretty(&self.entry)?)?;
-        fs::rename(&written, &self.path)
+        let mut out = OutputFile::create(&self.path)?;
+        out.write_all(&serde_json::to_vec_pretty(&self.entry)?)?;
+        Ok(out)
     }
 }
 

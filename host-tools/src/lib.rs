@@ -15,6 +15,7 @@ pub mod link;
 pub mod machine;
 pub mod master;
 pub mod matching;
+pub mod output_file;
 pub mod planning;
 pub mod probe;
 pub mod recording;

@@ -25,59 +25,59 @@ struct Arguments {
 #[derive(clap::Subcommand)]
 #[allow(clippy::large_enum_variant)] // one is alive
 enum Subcommand {
-    /// Measure the project's figures beside those of its peers; installs and builds what is missing.
-    Bench(bench::Arguments),
-    /// Look at the slaves on the bus and change them.
-    Bus(bus::Arguments),
-    /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell.
-    Completions(shell::Completions),
     /// Make strokes of a file for another process of this program.
     #[command(name = confined::COMMAND, hide = true)]
     Confined,
-    /// Look at the configuration.
-    Config(configuration::Arguments),
-    /// The operator's page in a browser: on a board, in the emulator, or in virtual time.
-    Console(console::Arguments),
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
-    /// Look whether tools, debug probe, port, firmware and configuration are as they must be; says what to try.
-    Doctor(doctor::Arguments),
+    /// The operator's page in a browser: on a board, in the emulator, or in virtual time.
+    Console(console::Arguments),
     /// Draw a file on a running machine or emulator.
     Draw(draw::Arguments),
-    /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
-    Emulate(emulate::Arguments),
-    /// Build the firmware of the board NUCLEO-H743ZI2, write it into the board and verify it.
-    Flash(flash::Arguments),
-    /// Write a recording as a table: CSV or Parquet.
-    Export(recorded::ExportArguments),
-    /// Turn positions into arm angles and back.
-    Kinematics(kinematics::Arguments),
-    /// Put the lines of an SVG into an order that costs little drawing time; true scale, no line lost.
-    Order(order::Arguments),
-    /// Show how a file would be drawn: order, ways with the pen up, what is refused, time from the firmware's planner.
-    Preview(preview::Arguments),
-    /// Write manual pages.
-    Man(shell::Man),
     #[command(flatten)]
     Operate(operate::Command),
-    /// Plan a path with the firmware's planner; nothing moves.
-    Plan(plan::Arguments),
-    /// Draw signals of a recording: SVG or PNG, without a display.
-    Plot(recorded::PlotArguments),
+    /// Show how a file would be drawn: order, travel moves, what is refused, time from the firmware's planner.
+    Preview(preview::Arguments),
+    /// Turn a photograph into the lines of an SVG.
+    Vectorize(vectorize::Arguments),
+    /// Put the lines of an SVG into an order that costs little drawing time; true scale, no line lost.
+    Order(order::Arguments),
+    /// Draw a file in virtual time in this process, with the same tasks and the same cell.
+    Simulate(simulate::Arguments),
+    /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
+    Emulate(emulate::Arguments),
+    /// Check tools, permissions, debug probe, port, firmware and configuration; says what to try.
+    Doctor(doctor::Arguments),
+    /// Build the firmware of the board NUCLEO-H743ZI2, write it into the board and verify it.
+    Flash(flash::Arguments),
+    /// Show the configuration, with the origin of each value.
+    Config(configuration::Arguments),
+    /// Take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
+    Reference(reference::Arguments),
+    /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
+    Identify(identify::Arguments),
     /// Record everything the firmware sends into an MCAP file, for export, plot, stats, Foxglove or PlotJuggler.
     Record(record::Arguments),
     /// Print what a recording amounts to: duration, gaps, extremes of each signal, following errors, modes.
     Stats(recorded::StatsArguments),
-    /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
-    Identify(identify::Arguments),
-    /// Take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
-    Reference(reference::Arguments),
+    /// Draw signals of a recording: SVG or PNG, without a display.
+    Plot(recorded::PlotArguments),
+    /// Write a recording as a table: CSV or Parquet.
+    Export(recorded::ExportArguments),
+    /// Plan a path with the firmware's planner; nothing moves.
+    Plan(plan::Arguments),
+    /// Turn positions into arm angles and back.
+    Kinematics(kinematics::Arguments),
+    /// Inspect and change the slaves on the bus.
+    Bus(bus::Arguments),
     /// Run the virtual EtherCAT segment alone, for any master to talk to.
     Segment(segment::Arguments),
-    /// Draw a file in virtual time in this process, with the same tasks and the same cell.
-    Simulate(simulate::Arguments),
-    /// Turn a photograph into the lines of an SVG.
-    Vectorize(vectorize::Arguments),
+    /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell.
+    Completions(shell::Completions),
+    /// Write manual pages.
+    Man(shell::Man),
+    /// Measure the project's figures beside those of its peers; installs and builds what is missing.
+    Bench(bench::Arguments),
     /// Set up, format, lint, test and build everything, as continuous integration does.
     Verify(verify::Arguments),
 }
@@ -133,6 +133,49 @@ fn main() -> ExitCode {
         Err(CommandError { code, message }) => {
             eprintln!("{}: {message}", commands::in_colour("etherpen", "1;31"));
             ExitCode::from(code)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every command with an option `--port`: its name and the environment variable that stands for it.
+    fn ports(command: &Command, name: &str, found: &mut Vec<(String, Option<String>)>) {
+        let mut options = command.get_arguments();
+        if let Some(port) = options.find(|argument| argument.get_long() == Some("port")) {
+            let variable = port.get_env().map(|variable| variable.to_string_lossy().into_owned());
+            found.push((name.trim().to_owned(), variable));
+        }
+        for subcommand in command.get_subcommands() {
+            ports(subcommand, &format!("{name} {}", subcommand.get_name()), found);
+        }
+    }
+
+    #[test]
+    fn the_environment_names_the_port_of_every_command_that_takes_one() {
+        let mut found = Vec::new();
+        ports(&command_line(), "", &mut found);
+        // The emulator's is the number of the TCP port that it opens.
+        found.retain(|(name, _)| name != "emulate");
+        for (name, variable) in &found {
+            assert_eq!(variable.as_deref(), Some("ETHERPEN_PORT"), "{name}");
+        }
+        let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
+        for name in [
+            "draw",
+            "console",
+            "record",
+            "reference",
+            "identify",
+            "doctor",
+            "bus",
+            "config show",
+            "stop",
+            "jog",
+        ] {
+            assert!(names.contains(&name), "{name} in {names:?}");
         }
     }
 }

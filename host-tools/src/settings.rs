@@ -155,10 +155,7 @@ impl Settings {
     /// [`SettingsError`]; the file is as it was.
     pub fn save(&self, path: &Path) -> Result<(), SettingsError> {
         self.config()?;
-        let mut beside = path.as_os_str().to_owned();
-        beside.push(".part");
-        std::fs::write(&beside, self.document.to_string()).map_err(SettingsError::File)?;
-        std::fs::rename(&beside, path).map_err(SettingsError::File)
+        crate::output_file::write(path, self.document.to_string().as_bytes()).map_err(SettingsError::File)
     }
 }
 

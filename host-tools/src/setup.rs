@@ -5,6 +5,7 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// The target of both boards.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
@@ -34,12 +35,43 @@ fn error<T>(message: impl Into<String>) -> Result<T, SetupError> {
     })
 }
 
-/// Root of the workspace this program was built from.
+/// Environment variable that names etherpen's sources where they are not found by themselves.
+const SOURCES: &str = "ETHERPEN_SOURCES";
+
+/// Root of etherpen's sources: what `ETHERPEN_SOURCES` names, else the folder from which this program was built, else, where
+/// that has gone, the checkout around the current folder.
 pub fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .unwrap_or(Path::new("."))
+    let built_from = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("."));
+    if let Some(named) = std::env::var_os(SOURCES) {
+        return named.into();
+    }
+    let here = std::env::current_dir().unwrap_or_default();
+    let mut places = std::iter::once(built_from).chain(here.ancestors());
+    places
+        .find(|place| has_sources(place))
+        .unwrap_or(built_from)
         .to_path_buf()
+}
+
+fn has_sources(folder: &Path) -> bool {
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap_or_default();
+    manifest.contains("name = \"etherpen\"") && folder.join("host-tools/Cargo.toml").is_file()
+}
+
+/// Makes sure that etherpen's sources are there: firmware, samples and benchmarks are made from them.
+///
+/// # Errors
+/// Where they were looked for, and what to try.
+pub fn ensure_sources() -> Result<PathBuf, SetupError> {
+    let folder = workspace();
+    if has_sources(&folder) {
+        return Ok(folder);
+    }
+    error(format!(
+        "this command needs etherpen's sources, and they are not in {}.\n\
+         Try: run it in a checkout of etherpen, or name one: {SOURCES}=FOLDER",
+        folder.display()
+    ))
 }
 
 /// Where cargo puts what it builds: `CARGO_TARGET_DIR` or `target` in the workspace.
@@ -55,10 +87,19 @@ pub fn target_dir() -> PathBuf {
 pub(crate) fn cargo() -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
     // Flags from the environment would replace those that the boards need.
+    command.env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
+    if let Ok(folder) = ensure_sources() {
+        command.current_dir(folder);
+    }
     command
-        .current_dir(workspace())
-        .env_remove("RUSTFLAGS")
-        .env_remove("CARGO_ENCODED_RUSTFLAGS");
+}
+
+/// rustup, with the toolchain of the sources where they are there.
+fn rustup() -> Command {
+    let mut command = Command::new("rustup");
+    if let Ok(folder) = ensure_sources() {
+        command.current_dir(folder);
+    }
     command
 }
 
@@ -100,12 +141,9 @@ pub fn ensure_target() -> Result<(), SetupError> {
         return Ok(());
     }
     eprintln!("etherpen: adding the Rust target {TARGET}");
-    let added = Command::new("rustup")
-        .args(["target", "add", TARGET])
-        .current_dir(workspace())
-        .status();
-    match added {
-        Ok(status) if status.success() => Ok(()),
+    match rustup().args(["target", "add", TARGET]).status() {
+        // rustup has no lock: another one may have added the target at the same time.
+        Ok(status) if status.success() || has_target() => Ok(()),
         Ok(status) => error(format!(
             "the Rust target {TARGET} could not be added (rustup: {status}).\nTry: rustup target add {TARGET}"
         )),
@@ -126,12 +164,9 @@ pub fn ensure_component(component: &str) -> Result<(), SetupError> {
         return Ok(());
     }
     eprintln!("etherpen: adding the toolchain's component {component}");
-    match Command::new("rustup")
-        .args(["component", "add", component])
-        .current_dir(workspace())
-        .status()
-    {
-        Ok(status) if status.success() => Ok(()),
+    let is_there = || output(cargo().args([subcommand, "--version"])).is_some();
+    match rustup().args(["component", "add", component]).status() {
+        Ok(status) if status.success() || is_there() => Ok(()),
         _ => error(format!(
             "{component} is missing.\nTry: rustup component add {component}"
         )),
@@ -162,39 +197,90 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
          \x20 Fedora:          sudo dnf install {package}\n\
          \x20 Arch:            sudo pacman -S {package}"
     );
-    if install(package) && is_installed(program) {
-        return Ok(());
+    match install(package) {
+        Ok(()) if is_installed(program) => Ok(()),
+        Err(Some(why)) => error(format!("{by_hand}\n{why}")),
+        _ => error(by_hand),
     }
-    error(by_hand)
 }
 
-/// Installs a Debian package where the machine has such packages and allows it.
-fn install(package: &str) -> bool {
+/// Installs a Debian package where the machine has such packages and allows it; otherwise why not, where there is more to
+/// say than that it cannot.
+fn install(package: &str) -> Result<(), Option<String>> {
     if !is_installed("apt-get") {
-        return false;
+        return Err(None);
     }
     let prefix: &[&str] = if is_root() {
         &[]
     } else if is_installed("sudo") && (std::io::stdin().is_terminal() || sudo_needs_no_password()) {
         &["sudo"]
     } else {
-        return false;
+        return Err(None);
     };
     eprintln!("etherpen: installing {package}");
     let apt = |arguments: &[&str]| {
-        let words: Vec<&str> = prefix
-            .iter()
-            .copied()
-            .chain(["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q"])
-            .chain(arguments.iter().copied())
-            .collect();
-        let mut command = Command::new(words[0]);
-        // Data goes to stdout; what a package manager says is no data.
-        command.args(&words[1..]).stdout(Stdio::null());
-        command.status().is_ok_and(|status| status.success())
+        let attempt = || {
+            let environment = ["env", "LC_ALL=C", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q"];
+            let mut words = prefix.iter().chain(&environment).chain(arguments);
+            let mut command = Command::new(words.next().unwrap_or(&"env"));
+            // Data goes to stdout; what a package manager says is no data.
+            command.args(words).stdin(Stdio::inherit()).stdout(Stdio::null());
+            match command.stderr(Stdio::piped()).output() {
+                Ok(output) if output.status.success() => Ok(()),
+                Ok(output) => Err(String::from_utf8_lossy(&output.stderr).into_owned()),
+                Err(cause) => Err(cause.to_string()),
+            }
+        };
+        let begun = Instant::now();
+        unlocked(attempt, || {
+            std::thread::sleep(LOCK_LOOK);
+            begun.elapsed() < LOCK_MAX
+        })
     };
     let install = ["install", "-y", "--no-install-recommends", package];
-    apt(&install) || (apt(&["update"]) && apt(&install))
+    apt(&install)
+        .or_else(|_| apt(&["update"]).and_then(|()| apt(&install)))
+        .map_err(Some)
+}
+
+/// Longest wait for another package manager to end. A fresh system updates itself for several minutes.
+const LOCK_MAX: Duration = Duration::from_secs(900);
+/// Time between two attempts meanwhile.
+const LOCK_LOOK: Duration = Duration::from_secs(2);
+
+/// Runs apt-get again while another package manager holds one of its locks, until `wait` says that it took too long; what
+/// apt-get has said if it failed.
+fn unlocked(mut attempt: impl FnMut() -> Result<(), String>, mut wait: impl FnMut() -> bool) -> Result<(), String> {
+    let mut told = String::new();
+    loop {
+        let Err(said) = attempt() else { return Ok(()) };
+        let Some(holder) = lock_holder(&said) else {
+            eprint!("{said}");
+            return Err(format!("apt-get said: {}", said.trim_end()));
+        };
+        if told != holder {
+            let minutes = LOCK_MAX.as_secs() / 60;
+            eprintln!("etherpen: waiting for {holder}, at most {minutes} minutes; Ctrl-C ends");
+            told = holder;
+        }
+        if !wait() {
+            return Err(format!(
+                "apt-get could not begin: {told} still holds its lock; try again once that has ended"
+            ));
+        }
+    }
+}
+
+/// Who keeps apt-get from its locks, if that is why it failed.
+fn lock_holder(said: &str) -> Option<String> {
+    let line = said
+        .lines()
+        .find(|line| line.contains("Could not get lock") || line.contains("Unable to lock"))?;
+    let process = line.split_once("held by process ").map(|(_, process)| process);
+    Some(match process.and_then(|process| process.split_once(')')) {
+        Some((process, _)) => format!("another package manager, process {process})"),
+        None => "another package manager".to_owned(),
+    })
 }
 
 /// The version of vpype that the drawing is compared with.
@@ -229,7 +315,7 @@ fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf
     ensure_program("python3")?;
     eprintln!("etherpen: setting up {package} in {}", dir.display());
     let environment = || output(Command::new("python3").args(["-m", "venv"]).arg(&dir)).is_some();
-    let there = environment() || (install("python3-venv") && environment());
+    let there = environment() || (install("python3-venv").is_ok() && environment());
     if !there {
         return error(
             "Python's venv is needed and missing.\nTry: sudo apt-get install -y python3-venv, or your system's package",
@@ -314,6 +400,7 @@ pub fn build_variant(board: &str, features: &[&str]) -> Result<PathBuf, SetupErr
 }
 
 fn build(board: &str, features: &str, target_dir: &Path) -> Result<PathBuf, SetupError> {
+    ensure_sources()?;
     ensure_target()?;
     let mut command = cargo();
     command.arg("build").arg("--target-dir").arg(target_dir);
@@ -335,5 +422,53 @@ fn build(board: &str, features: &str, target_dir: &Path) -> Result<PathBuf, Setu
             "the firmware image `{board}` could not be built (cargo: {status})"
         )),
         Err(cause) => error(format!("cargo cannot be started: {cause}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOCKED: &str = "E: Could not get lock /var/lib/dpkg/lock-frontend. It is held by process 1423 (unattended-upgr)\n\
+        N: Be aware that removing the lock file is not a solution and may break your system.\n\
+        E: Unable to acquire the dpkg frontend lock (/var/lib/dpkg/lock-frontend), is another process using it?\n";
+
+    #[test]
+    fn who_holds_the_lock_of_the_package_manager_is_known_by_name() {
+        let holder = "another package manager, process 1423 (unattended-upgr)";
+        assert_eq!(lock_holder(LOCKED).as_deref(), Some(holder));
+        let lists = "E: Could not get lock /var/lib/apt/lists/lock - open (11: Resource temporarily unavailable)\n\
+            E: Unable to lock directory /var/lib/apt/lists/\n";
+        assert_eq!(lock_holder(lists).as_deref(), Some("another package manager"));
+        assert_eq!(lock_holder("E: Unable to locate package qemu-system-arm\n"), None);
+    }
+
+    #[test]
+    fn a_lock_is_waited_for_until_it_is_free_with_an_end() {
+        let mut answers = vec![Ok(()), Err(LOCKED.to_owned()), Err(LOCKED.to_owned())];
+        let mut waited = 0;
+        let attempt = || answers.pop().expect("no more attempts than needed");
+        let ended = unlocked(attempt, || {
+            waited += 1;
+            true
+        });
+        assert_eq!((ended, waited), (Ok(()), 2));
+        let late = unlocked(|| Err(LOCKED.to_owned()), || false).unwrap_err();
+        assert!(late.contains("process 1423 (unattended-upgr) still holds"), "{late}");
+        let mut attempts = 0;
+        let failed = unlocked(
+            || {
+                attempts += 1;
+                Err("E: Unable to locate package".to_owned())
+            },
+            || true,
+        );
+        assert!(failed.is_err_and(|said| said.contains("locate")) && attempts == 1);
+    }
+
+    #[test]
+    fn sources_are_known_by_what_is_in_them() {
+        assert!(has_sources(&workspace()) && ensure_sources().is_ok());
+        assert!(!has_sources(&workspace().join("host-tools")) && !has_sources(&std::env::temp_dir()));
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{CommandError, code, print_json};
 use crate::bench::{BenchError, Report, Row, Selection, drawing, ethercat, motion, recording};
+use crate::setup;
 use std::io::Write;
 
 /// Options of `etherpen bench`.
@@ -83,6 +84,9 @@ impl Options {
 /// A tool is missing, or something could not be measured. A target that is missed is no error.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
+    if !matches!(arguments.bench, Bench::Recording(_)) {
+        setup::ensure_sources()?;
+    }
     let (options, report) = match &arguments.bench {
         Bench::Drawing(options) => (options, drawing::run(&options.selection(), progress)),
         Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),

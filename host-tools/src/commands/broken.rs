@@ -8,8 +8,8 @@ use crate::link::text;
 use crate::machine::{Machine, Snapshot};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
-use std::path::Path;
+use etherpen::link::protocol::{PathAck, PathVertex};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Length of the broken stroke that is drawn again, um: more than a pen needs to touch down.
@@ -51,53 +51,132 @@ impl Plan {
     }
 }
 
-/// The unfinished drawing of this path in the log.
-///
-/// # Errors
-/// There is none.
-pub(super) fn find(hash: &str, file: &Path) -> Result<Record, CommandError> {
-    let records = history::folder()
-        .and_then(|folder| history::list(&folder))
-        .map_err(|cause| CommandError::failed("the log of jobs cannot be read", cause))?;
-    let newest = |same: &dyn Fn(&Record) -> bool| records.iter().rev().find(|record| same(record)).cloned();
-    match newest(&|record| record.entry.path_hash == hash) {
-        Some(record) if !record.entry.completed => return Ok(record),
-        Some(_) => {
-            let text = format!(
-                "{} was drawn to its end; there is nothing to go on with",
-                file.display()
-            );
-            return Err(CommandError::new(code::INPUT, text));
-        }
-        None => {}
-    }
-    let same_file = std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
-    let text = match newest(&|record| record.entry.file == same_file && !record.entry.completed) {
-        Some(other) => format!(
-            "{} was drawn with another path (hash {}, this one has {hash}): the file, the options or the paper and motion \
-             in the configuration have changed; draw it with the same, or from the beginning without --resume",
-            file.display(),
-            other.entry.path_hash
-        ),
-        None => format!(
-            "the log of jobs knows no unfinished drawing of {} (etherpen jobs lists them); draw it without --resume",
-            file.display()
-        ),
-    };
-    Err(CommandError::new(code::INPUT, text))
+/// What is to go on.
+pub(super) enum Resumption {
+    /// The last drawing of this file.
+    Last(PathBuf),
+    /// This job of the log.
+    Job(Record),
 }
 
+impl Resumption {
+    /// The file that was drawn.
+    pub(super) fn file(&self) -> &Path {
+        match self {
+            Self::Last(file) => file,
+            Self::Job(record) => &record.entry.file,
+        }
+    }
+
+    /// The jobs of this path that may go on. The first is the one to take up, unless the firmware holds another one.
+    ///
+    /// # Errors
+    /// There is none.
+    pub(super) fn candidates(&self, hash: &str, file: &Path) -> Result<Vec<Record>, CommandError> {
+        match self {
+            Self::Last(_) => candidates(&records()?, hash, file),
+            Self::Job(record) if record.entry.path_hash != hash => Err(other_path(file, record, hash)),
+            Self::Job(record) if record.entry.completed => Err(complete(&record.name())),
+            Self::Job(record) => Ok(vec![record.clone()]),
+        }
+    }
+}
+
+fn records() -> Result<Vec<Record>, CommandError> {
+    history::folder()
+        .and_then(|folder| history::list(&folder))
+        .map_err(|cause| CommandError::failed("the log of jobs cannot be read", cause))
+}
+
+/// The job of the log with this name, or the only one whose name begins so.
+///
+/// # Errors
+/// There is none, or several.
+pub(super) fn named(name: &str) -> Result<Record, CommandError> {
+    let mut found = records()?;
+    found.retain(|record| record.name().starts_with(name));
+    if let Some(exact) = found.iter().position(|record| record.name() == name) {
+        return Ok(found.swap_remove(exact));
+    }
+    match found.as_slice() {
+        [record] => Ok(record.clone()),
+        found => {
+            let known = match found.len() {
+                0 => "no job".to_owned(),
+                several => format!("{several} jobs"),
+            };
+            let text = format!("the log has {known} of the name {name}; etherpen jobs lists them");
+            Err(CommandError::new(code::INPUT, text))
+        }
+    }
+}
+
+fn complete(what: &str) -> CommandError {
+    let text = format!("{what} was drawn to its end; there is nothing to go on with");
+    CommandError::new(code::INPUT, text)
+}
+
+/// Jobs of this path: the newest that drew something, then newer ones without a stroke, of which the firmware may hold
+/// more than the log knows. Only where nothing was drawn yet, a job without a stroke comes first.
+fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>, CommandError> {
+    let of_path: Vec<&Record> = records
+        .iter()
+        .rev()
+        .filter(|record| record.entry.path_hash == hash)
+        .collect();
+    let drawn = of_path
+        .iter()
+        .position(|record| record.entry.completed || record.entry.strokes > 0);
+    let (without_ink, with_ink) = of_path.split_at(drawn.unwrap_or(of_path.len()));
+    match with_ink.first() {
+        Some(newest) if newest.entry.completed && without_ink.is_empty() => {
+            return Err(complete(&file.display().to_string()));
+        }
+        None if without_ink.is_empty() => {}
+        newest => {
+            return Ok(newest
+                .into_iter()
+                .chain(without_ink)
+                .map(|record| (*record).clone())
+                .collect());
+        }
+    }
+    let same_file = std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
+    let unfinished = |record: &&Record| record.entry.file == same_file && !record.entry.completed;
+    Err(match records.iter().rev().find(unfinished) {
+        Some(other) => other_path(file, other, hash),
+        None => {
+            let text = format!(
+                "the log of jobs knows no unfinished drawing of {} (etherpen jobs lists them); draw it without --resume",
+                file.display()
+            );
+            CommandError::new(code::INPUT, text)
+        }
+    })
+}
+
+fn other_path(file: &Path, record: &Record, hash: &str) -> CommandError {
+    let text = format!(
+        "{} was drawn with another path in job {} (hash {}, this one has {hash}): the file, the options or the paper and \
+         motion in the configuration have changed; draw it with the same, or from the beginning without --resume",
+        file.display(),
+        record.name(),
+        record.entry.path_hash
+    );
+    CommandError::new(code::INPUT, text)
+}
 /// Looks what the machine still has of a drawing, and says how it goes on.
 ///
 /// # Errors
 /// There is no connection, or this is not the machine that drew.
 pub(super) fn plan(
-    mut record: Record,
+    candidates: Vec<Record>,
     machine: &Machine,
     config: &Config,
     path: &[PathVertex],
 ) -> Result<Plan, CommandError> {
     let snapshot = state(machine)?;
+    let mut record = chosen(candidates, &snapshot)?;
     check(&record, &snapshot, config)?;
     let entry = &record.entry;
     let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
@@ -168,6 +247,32 @@ pub(super) fn plan(
     })
 }
 
+/// The job that the firmware holds; else the first.
+///
+/// # Errors
+/// That one was drawn to its end.
+fn chosen(mut candidates: Vec<Record>, snapshot: &Snapshot) -> Result<Record, CommandError> {
+    let mode = snapshot.status.as_ref().map(|status| status.mode);
+    let held = matches!(mode, Some(Mode::Holding | Mode::Drawing))
+        .then_some(snapshot.path)
+        .flatten();
+    // Jobs of one path have one number: the firmware has the newest of them.
+    let of_job = |ack: PathAck| {
+        let same = |record: &Record| !record.entry.completed && record.entry.number == ack.job;
+        let held = (0..candidates.len()).filter(|&index| same(&candidates[index]));
+        held.max_by_key(|&index| candidates[index].name())
+    };
+    let held = held.and_then(of_job);
+    if candidates.is_empty() {
+        return Err(CommandError::new(code::INPUT, "there is nothing to go on with"));
+    }
+    let chosen = candidates.swap_remove(held.unwrap_or(0));
+    match chosen.entry.completed {
+        true => Err(complete(&chosen.entry.file.display().to_string())),
+        false => Ok(chosen),
+    }
+}
+
 /// Where the machine stands, and what it says of the path that it has.
 ///
 /// # Errors
@@ -218,4 +323,75 @@ fn check(record: &Record, snapshot: &Snapshot, config: &Config) -> Result<(), Co
         return Err(CommandError::new(code::USAGE, text));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::Entry;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// The log's jobs of one path, the oldest first: strokes begun, and whether it was drawn to its end.
+    fn log(jobs: &[(u32, bool)]) -> Vec<Record> {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("etherpen-broken-{}-{number}", std::process::id()));
+        let of = |(number, (strokes, completed)): (u16, &(u32, bool))| {
+            let entry = Entry {
+                path_hash: "ab".into(),
+                number,
+                strokes: *strokes,
+                executed: 10 * strokes,
+                completed: *completed,
+                ..Entry::default()
+            };
+            Record::begin(&folder, entry).expect("a log")
+        };
+        let records = (1..).zip(jobs).map(of).collect();
+        // An empty log has no folder.
+        let _ = std::fs::remove_dir_all(&folder);
+        records
+    }
+
+    fn numbers(jobs: &[(u32, bool)]) -> Result<Vec<u16>, CommandError> {
+        let found = candidates(&log(jobs), "ab", Path::new("portrait.png"))?;
+        Ok(found.iter().map(|record| record.entry.number).collect())
+    }
+
+    #[test]
+    fn a_job_without_a_stroke_never_shadows_one_with_strokes() {
+        assert_eq!(numbers(&[(3, false), (57, false)]).unwrap(), [2]);
+        assert_eq!(numbers(&[(57, false), (0, false), (0, false)]).unwrap(), [1, 3, 2]);
+        assert_eq!(numbers(&[(0, false), (0, false)]).unwrap(), [2, 1]);
+        let drawn = numbers(&[(57, false), (163, true)]).unwrap_err();
+        assert!(drawn.message.contains("drawn to its end"), "{}", drawn.message);
+        let again = candidates(&log(&[(163, true), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        let refused = chosen(again, &Snapshot::default()).unwrap_err();
+        assert!(refused.message.contains("drawn to its end"), "{}", refused.message);
+        assert!(numbers(&[]).unwrap_err().message.contains("no unfinished drawing"));
+    }
+
+    #[test]
+    fn what_the_firmware_holds_goes_on_before_everything_else() {
+        let of_log = candidates(&log(&[(57, false), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        let mut status = crate::console::status::tests::status(Mode::Holding, None);
+        let path = |job| PathAck {
+            job,
+            ..Default::default()
+        };
+        let mut snapshot = Snapshot {
+            status: Some(status.clone()),
+            path: Some(path(2)),
+            ..Snapshot::default()
+        };
+        assert_eq!(chosen(of_log.clone(), &snapshot).unwrap().entry.number, 2);
+        snapshot.path = Some(path(9));
+        assert_eq!(chosen(of_log.clone(), &snapshot).unwrap().entry.number, 1);
+        snapshot.path = Some(path(2));
+        let again = candidates(&log(&[(163, true), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        assert_eq!(chosen(again, &snapshot).unwrap().entry.number, 2, "begun a second time");
+        status.mode = Mode::DrivesOff;
+        (snapshot.status, snapshot.path) = (Some(status), Some(path(2)));
+        assert_eq!(chosen(of_log, &snapshot).unwrap().entry.number, 1);
+    }
 }

@@ -1,5 +1,6 @@
 //! `etherpen config show`: the values in force, and where each comes from.
 
+use super::ports::OptionalPort;
 use super::{CommandError, ConfigArguments, code, print_json};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -30,9 +31,8 @@ struct Show {
     /// Print the values as JSON on stdout.
     #[arg(long)]
     json: bool,
-    /// The port that commands would use.
-    #[arg(long)]
-    port: Option<String>,
+    #[command(flatten)]
+    port: OptionalPort,
     #[command(flatten)]
     config: ConfigArguments,
 }
@@ -93,15 +93,11 @@ fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, CommandError> {
             }
         });
     }
-    let environment = std::env::var("ETHERPEN_PORT").ok();
-    let port = match (&show.port, environment) {
-        (Some(port), _) => Some((port.clone(), "flag --port")),
-        (None, Some(port)) => Some((port, "environment ETHERPEN_PORT")),
-        (None, None) => None,
+    let (value, origin) = match &show.port.port {
+        Some(port) if show.port.is_from_environment() => (port.to_string().into(), "environment ETHERPEN_PORT"),
+        Some(port) => (port.to_string().into(), "flag --port"),
+        None => (serde_json::Value::Null, built_in),
     };
-    let (value, origin) = port.map_or((serde_json::Value::Null, built_in), |(port, origin)| {
-        (port.into(), origin)
-    });
     let origin = origin.to_owned();
     entries.insert("port".into(), Entry { value, origin });
     Ok(entries)
@@ -149,7 +145,9 @@ mod tests {
         let show = Show {
             origin: true,
             json: false,
-            port: Some("tcp:127.0.0.1:1".into()),
+            port: OptionalPort {
+                port: "tcp:127.0.0.1:1".parse().ok(),
+            },
             config: ConfigArguments { config },
         };
         entries(&show).unwrap()

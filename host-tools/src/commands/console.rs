@@ -1,12 +1,12 @@
 //! `etherpen console`: the operator's page, on a machine, in the emulator or in virtual time.
 
 use super::emulate::read_faults;
+use super::ports::OptionalPort;
 use super::{CommandError, ConfigArguments, code, ended_by_a_signal};
 use crate::cell::CellOptions;
 use crate::console::Console;
 use crate::console::server::Server;
 use crate::console::virtual_cell::{Firmware, VirtualCell};
-use crate::link::port::PortName;
 use crate::setup;
 use etherpen::config::Config;
 use std::io::Read;
@@ -24,9 +24,8 @@ const LOOK: Duration = Duration::from_millis(100);
 /// Options of `etherpen console`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
-    #[arg(long, conflicts_with_all = ["emulate", "simulate"])]
-    port: Option<String>,
+    #[command(flatten)]
+    port: OptionalPort,
     /// The firmware image in QEMU with the virtual cell; this is the default without --port.
     #[arg(long, conflicts_with = "simulate")]
     emulate: bool,
@@ -40,7 +39,7 @@ pub struct Arguments {
     #[arg(long)]
     open: bool,
     /// Scripted faults of the virtual segment, one a line (etherpen segment --help describes them).
-    #[arg(long, value_name = "FILE", conflicts_with = "port")]
+    #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     #[command(flatten)]
     config: ConfigArguments,
@@ -53,11 +52,8 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let ended = ended_by_a_signal()?;
-    let (port, cell) = match &arguments.port {
-        Some(port) => {
-            let port: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
-            (port, None)
-        }
+    let (port, cell) = match arguments.port.unless(arguments.without_port())? {
+        Some(port) => (port, None),
         None => {
             let (cell, kind) = virtual_cell(arguments, &config)?;
             (cell.port(), Some((cell, kind)))
@@ -66,7 +62,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let token = token()?;
     let console = Console::start(config, token.clone(), port, cell)
         .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
-    let server = Server::start(console, arguments.listen).map_err(|cause| {
+    let server = Server::start(console.clone(), arguments.listen).map_err(|cause| {
         let listen = arguments.listen;
         let text = format!("{listen} cannot be used: {cause}; choose another one with --listen 127.0.0.1:0");
         CommandError::new(code::CONNECTION, text)
@@ -83,10 +79,37 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if arguments.open {
         open(&url);
     }
+    let mut told = None;
     while !ended.load(Ordering::Relaxed) {
         std::thread::sleep(LOOK);
+        tell_connection(&console, &mut told);
     }
     Ok(())
+}
+
+impl Arguments {
+    /// An option that says that there is no port.
+    fn without_port(&self) -> Option<&'static str> {
+        let options = [
+            (self.emulate, "--emulate"),
+            (self.simulate, "--simulate"),
+            (self.faults.is_some(), "--faults"),
+        ];
+        options.into_iter().find_map(|(given, name)| given.then_some(name))
+    }
+}
+
+/// Says when the connection to the robot breaks or stands again, and why there is none.
+fn tell_connection(console: &Console, told: &mut Option<Result<String, String>>) {
+    let Some(connection) = console.connection() else { return };
+    if told.as_ref() == Some(&connection) {
+        return;
+    }
+    match &connection {
+        Ok(firmware) => eprintln!("etherpen: connected: {firmware}"),
+        Err(why) => eprintln!("etherpen: no robot: {why}; trying again every second"),
+    }
+    *told = Some(connection);
 }
 
 /// An address as a browser on this computer can use it.
@@ -110,6 +133,7 @@ fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, 
                         QEMU), or --port /dev/ttyACM0 for a board";
             return Err(CommandError::new(code::TOOL, text));
         }
+        setup::ensure_sources()?;
         setup::ensure_qemu()?;
         (Firmware::Emulated(setup::build_firmware("emulated")?), "emulated")
     };

@@ -1,14 +1,16 @@
 //! `cargo demo`: the main job with no hardware.
 
 use super::display::Display;
-use super::outputs::{create, make_folder, summarise};
+use super::outputs::{make_folder, refuse_inputs_in, summarise};
 use super::prepare::prepare_with;
-use super::run::{capture, conclude, image_hash, run_error, task};
+use super::run::{Growing, capture, conclude, image_hash, run_error, task};
 use super::{CommandError, DrawingArguments};
 use crate::emulator::LogLine;
 use crate::{run, setup};
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Options of `etherpen demo`.
 #[derive(clap::Args, Debug)]
@@ -25,6 +27,7 @@ pub struct Arguments {
 /// # Errors
 /// A tool is missing, the photograph cannot be used, the emulator cannot be reached or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    setup::ensure_sources()?;
     let config = arguments.drawing.config.load()?;
     let photo = arguments
         .photo
@@ -35,6 +38,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .out
         .clone()
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
+    let drawing = &arguments.drawing;
+    refuse_inputs_in(&dir, &drawing.source.inputs(&photo, &drawing.config))?;
     eprintln!("Vectorising {}", photo.display());
     let prepared = prepare_with(&photo, &config, &arguments.drawing.source)?;
     setup::ensure_qemu()?;
@@ -43,22 +48,22 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let image = setup::build_firmware("emulated")?;
     eprintln!("Starting the firmware in QEMU (mps2-an500, Cortex-M7)");
     let task = task(&config, &prepared);
-    let mut log = create(&dir, "firmware.log")?;
+    let (log_file, mut log) = Growing::create(&dir, "firmware.log")?;
+    let (capture_file, capture) = capture(&dir)?;
+    let log_is_whole = Arc::new(AtomicBool::new(true));
+    let is_whole = log_is_whole.clone();
     let write_log = move |line: &LogLine| {
         // A log that cannot be written must not end a drawing.
-        let _ = writeln!(log, "{line}");
+        let written = writeln!(log, "{line}").and_then(|()| log.flush());
+        is_whole.fetch_and(written.is_ok(), Ordering::Relaxed);
     };
     let mut display = Display::new();
-    let drawn = run::emulate(
-        &task,
-        &image,
-        Some(capture(&dir)?),
-        &mut |job| display.update(job),
-        write_log,
-    )
-    .map_err(|error| run_error(&error))?;
+    let drawn = run::emulate(&task, &image, Some(capture), &mut |job| display.update(job), write_log)
+        .map_err(|error| run_error(&error))?;
     display.finish();
-    let report = conclude(&task, &prepared, &drawn, image_hash(&image)?, Some(&dir))?;
+    let log_file = Some(log_file).filter(|_| log_is_whole.load(Ordering::Relaxed));
+    let results = Some((dir.as_path(), std::iter::once(capture_file).chain(log_file).collect()));
+    let report = conclude(&task, &prepared, &drawn, image_hash(&image)?, results)?;
     summarise(&report, Some(&dir));
     if arguments.drawing.json {
         super::print_json(&report)?;

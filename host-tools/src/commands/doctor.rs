@@ -2,7 +2,8 @@
 //!
 //! Nothing is changed: no tool is installed, no drive gets power, the firmware is greeted and asked for its status only.
 
-use super::{CommandError, ConfigArguments, code, in_colour, print_json, session_number};
+use super::ports::OptionalPort;
+use super::{CommandError, ConfigArguments, code, counted, in_colour, print_json, session_number};
 use crate::link::error::JobError;
 use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session};
@@ -21,13 +22,12 @@ const ANSWER_MAX_MS: u64 = 3_000;
 /// Options of `etherpen doctor`.
 ///
 /// A warning is something that only some commands need; a failure is something that is there, or was asked for, and does
-/// not work. Exit codes: 0 nothing failed; 1 something failed; 2 wrong usage.
+/// not work. With --port the firmware there is greeted: a program that is connected to it loses its connection, and a
+/// drawing of its is held. Exit codes: 0 nothing failed; 1 something failed; 2 wrong usage.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Greet the firmware here: /dev/tty.., tcp:host:port or unix:path. A program that is connected there loses its
-    /// connection, and a drawing of its is held.
-    #[arg(long)]
-    port: Option<String>,
+    #[command(flatten)]
+    port: OptionalPort,
     /// Print the checks as a JSON array on stdout.
     #[arg(long)]
     json: bool,
@@ -86,10 +86,7 @@ impl Check {
 /// # Errors
 /// A port's name that is none, or something failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let port: Option<PortName> = match &arguments.port {
-        Some(name) => Some(name.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?),
-        None => None,
-    };
+    let port = arguments.port.unless(None)?;
     let mut checks = vec![toolchain(), qemu(), probe_rs(), st_link(), raw_sockets(), namespaces()];
     checks.push(configuration(&arguments.config));
     checks.extend(match &port {
@@ -105,7 +102,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         0 => Ok(()),
         failed => Err(CommandError::new(
             code::FAILED,
-            format!("{failed} of {} checks failed", checks.len()),
+            format!("{failed} of {} failed", counted(checks.len(), "check")),
         )),
     }
 }

@@ -3,14 +3,15 @@
 //! The machine is shared while it draws, so that other terminals can hold, resume, cancel and stop. Every drawing is kept
 //! in the log of jobs, from which a broken one goes on.
 
-use super::broken::{self, Plan, state};
+use super::broken::{self, Plan, Resumption, state};
 use super::display::Display;
 use super::operator::{Key, Operator};
 use super::outline::around;
-use super::outputs::{Outcome, make_folder, summarise};
+use super::outputs::{Outcome, make_folder, refuse_inputs_in, summarise, write_bytes};
+use super::ports::PortArguments;
 use super::prepare::{Prepared, compose, planned_s, prepare_with, to_wire};
 use super::source::SourceArguments;
-use super::{CommandError, DrawingArguments, PortArguments, code, print_json};
+use super::{CommandError, DrawingArguments, code, print_json};
 use crate::drawing::take_photograph;
 use crate::history::{self, Entry, Record, hash_text};
 use crate::link::error::Phase;
@@ -21,7 +22,7 @@ use crate::machine::{DrawOrder, Failure, Machine, MachineOptions, News, NoNews, 
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
-use std::io::IsTerminal;
+use std::io::{Cursor, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -42,7 +43,7 @@ const LOG: Duration = Duration::from_millis(200);
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
-    #[arg(required_unless_present = "camera", conflicts_with = "camera")]
+    #[arg(required_unless_present_any = ["camera", "resume"], conflicts_with = "camera")]
     file: Option<PathBuf>,
     /// Take a photograph and draw it: a V4L2 device (/dev/video0), or a recorded stream of JPEG pictures. The picture is
     /// kept beside the log of jobs and named, so that the drawing can be resumed.
@@ -55,9 +56,10 @@ pub struct Arguments {
     #[arg(long)]
     acknowledge: bool,
     /// Go on with this drawing where it broke off: with what the firmware holds, else from the log of jobs (etherpen
-    /// jobs) with a small overlap. File, options and configuration must be the same.
-    #[arg(long, conflicts_with = "acknowledge")]
-    resume: bool,
+    /// jobs) with a small overlap. JOB is a name of that log, or its beginning; without it, the last job of this file that
+    /// drew something. File, options and configuration must be the same; with JOB, the file may be left out.
+    #[arg(long, value_name = "JOB", num_args = 0..=1, default_missing_value = "", conflicts_with = "acknowledge")]
+    resume: Option<String>,
     /// Draw layer by layer, with a pause without power to change the pen in between; results go to DIR/layer-N.
     #[arg(long, conflicts_with_all = ["camera", "resume"])]
     pause: bool,
@@ -76,7 +78,8 @@ pub struct Arguments {
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
-    let file = file(arguments)?;
+    let resumption = resumption(arguments)?;
+    let file = file(arguments, resumption.as_ref())?;
     let mut operator = Operator::start();
     let (source, out) = (&arguments.drawing.source, &arguments.drawing.out);
     if arguments.outline {
@@ -84,26 +87,22 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     if !arguments.pause {
         let part = Part::new(&file, source.clone(), out.clone(), file.display().to_string());
-        return draw(arguments, &config, &part, &mut operator);
+        return draw(arguments, &config, &part, resumption.as_ref(), &mut operator);
     }
     let layers = layers(&file, &config, source)?;
     for (number, layer) in layers.iter().enumerate() {
+        let shown = if layer.is_empty() { "without a name" } else { layer };
         let folder = out.as_ref().map(|dir| dir.join(format!("layer-{}", number + 1)));
-        let name = format!(
-            "{}, layer {} ({} of {})",
-            file.display(),
-            layer,
-            number + 1,
-            layers.len()
-        );
+        let name = format!("{}, layer {shown} ({} of {})", file.display(), number + 1, layers.len());
         eprintln!("etherpen: {name}");
         if number > 0 {
-            wait_for_pen(&mut operator, layer)?;
+            wait_for_pen(&mut operator, shown)?;
         }
         draw(
             arguments,
             &config,
             &Part::new(&file, source.only(layer), folder, name),
+            None,
             &mut operator,
         )?;
     }
@@ -196,21 +195,30 @@ impl<'a> Part<'a> {
 }
 
 /// Makes ready, draws, and gives up the power.
-fn draw(arguments: &Arguments, config: &Config, part: &Part, operator: &mut Operator) -> Result<(), CommandError> {
+fn draw(
+    arguments: &Arguments,
+    config: &Config,
+    part: &Part,
+    resumption: Option<&Resumption>,
+    operator: &mut Operator,
+) -> Result<(), CommandError> {
+    if let Some(dir) = &part.out {
+        refuse_inputs_in(dir, &part.source.inputs(part.file, &arguments.drawing.config))?;
+    }
     let prepared = prepare_with(part.file, config, &part.source)?;
     if let Some(dir) = &part.out {
         make_folder(dir)?;
     }
     let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
     let hash = hash_text(path_hash(&path));
-    let before = match arguments.resume {
-        true => Some(broken::find(&hash, part.file)?),
-        false => None,
+    let before = match resumption {
+        Some(resumption) => resumption.candidates(&hash, part.file)?,
+        None => Vec::new(),
     };
     let machine = start(arguments, config)?;
-    let plan = match before {
-        Some(record) => broken::plan(record, &machine, config, &path)?,
-        None => Plan::whole(&path, begin_log(arguments, part.file, config, &path, hash)),
+    let plan = match before.is_empty() {
+        false => broken::plan(before, &machine, config, &path)?,
+        true => Plan::whole(&path, begin_log(arguments, part.file, config, &path, hash)),
     };
     let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
     let ended = session.draw(&part.name)?;
@@ -220,22 +228,40 @@ fn draw(arguments: &Arguments, config: &Config, part: &Part, operator: &mut Oper
     finished
 }
 
-/// The file to draw; with a camera, the photograph that it has taken.
-fn file(arguments: &Arguments) -> Result<PathBuf, CommandError> {
+/// What `--resume` asks for. Without a file, a value that names no job of the log but a file is that file:
+/// `draw --resume FILE`.
+fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError> {
+    let Some(name) = &arguments.resume else {
+        return Ok(None);
+    };
+    match (name.as_str(), &arguments.file) {
+        ("", Some(file)) => Ok(Some(Resumption::Last(file.clone()))),
+        ("", None) => {
+            let text = "--resume needs the file to go on with, or the name of a job: etherpen jobs lists them";
+            Err(CommandError::new(code::USAGE, text))
+        }
+        (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),
+        (name, _) => broken::named(name).map(|record| Some(Resumption::Job(record))),
+    }
+}
+
+/// The file to draw: the one that was given, that of the job to go on with, or the photograph that a camera has taken.
+fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, CommandError> {
     let Some(device) = &arguments.camera else {
-        return Ok(arguments.file.clone().unwrap_or_default());
+        let of_job = || resumption.map(|resumption| resumption.file().to_owned());
+        return Ok(arguments.file.clone().or_else(of_job).unwrap_or_default());
     };
     let unusable =
         |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{}: {cause}", device.display()));
     let picture = take_photograph(device).map_err(|cause| unusable(&cause))?;
     let folder = history::folder().map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
     make_folder(&folder)?;
-    let seconds = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default()
-        .as_secs();
-    let file = folder.join(format!("camera-{seconds}.png"));
-    picture.save(&file).map_err(|cause| unusable(&cause))?;
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let file = folder.join(format!("camera-{}.png", since.as_millis()));
+    let mut png = Cursor::new(Vec::new());
+    let encoded = picture.write_to(&mut png, image::ImageFormat::Png);
+    encoded.map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    write_bytes(&file, png.get_ref())?;
     eprintln!(
         "etherpen: {} x {} pixels from {}, kept as {}",
         picture.width(),
@@ -481,7 +507,7 @@ impl<'a> Session<'a> {
         if self.logged.elapsed() >= LOG {
             self.logged = Instant::now();
             // A log that cannot be written any more does not end the drawing.
-            let _ = record.save();
+            let _ = record.save_unsynced();
         }
     }
 

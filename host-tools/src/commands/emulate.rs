@@ -97,6 +97,7 @@ impl Link for TcpLine {
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let faults = read_faults(arguments.faults.as_deref(), config.bus.drives.into())?;
+    setup::ensure_sources()?;
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
     let cell = Cell::new(
@@ -146,7 +147,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 fn announce(address: &str) -> Result<(), CommandError> {
     writeln!(std::io::stdout(), "tcp:{address}").map_err(|cause| CommandError::failed("stdout", cause))?;
     eprintln!("The firmware runs in the emulator. In another terminal:");
-    eprintln!("  cargo run --release --bin etherpen -- draw samples/astronaut.png --port tcp:{address}");
+    let program = std::env::args().next().unwrap_or_else(|| "etherpen".into());
+    let sample = Some("samples/astronaut.png").filter(|sample| Path::new(sample).exists());
+    eprintln!("  {program} draw {} --port tcp:{address}", sample.unwrap_or("FILE"));
     eprintln!("Ctrl-C ends it.");
     Ok(())
 }

@@ -5,7 +5,8 @@
 
 use super::display::Display;
 use super::operator::Operator;
-use super::{CommandError, ConfigArguments, code, job_error, run::run_error, session_number};
+use super::ports::OptionalPort;
+use super::{CommandError, ConfigArguments, code, counted, job_error, run::run_error, session_number};
 use crate::cell::CellOptions;
 use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
 use crate::link::job::{Job, JobOptions, JobReport};
@@ -22,11 +23,10 @@ use std::path::PathBuf;
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
-    #[arg(long, conflicts_with = "port", required_unless_present = "port")]
-    simulate: bool,
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]
-    port: Option<String>,
+    simulate: bool,
+    #[command(flatten)]
+    port: OptionalPort,
     /// Change this axis alone, from 1; the arms share their lead and feedback gain all the same.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=AXES as i64))]
     axis: Option<u8>,
@@ -87,8 +87,14 @@ struct Identified {
 /// The configuration, the machine, an axis that gives no answer although it was asked for, or the file.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let mut operator = arguments.port.as_ref().map(|_| Operator::start());
-    let mut drive = |config: &Config| drive(arguments, config, operator.as_mut());
+    let port = arguments.port.unless(arguments.simulate.then_some("--simulate"))?;
+    if port.is_none() && !arguments.simulate {
+        let text =
+            "which machine? Name its port (--port /dev/ttyACM0, tcp:host:port or unix:path), or try it with --simulate";
+        return Err(CommandError::new(code::USAGE, text));
+    }
+    let mut operator = port.as_ref().map(|_| Operator::start());
+    let mut drive = |config: &Config| drive(port.as_ref(), config, operator.as_mut());
     let first = drive(&test_config(&config))?;
     let answers = identify(&config, &first.samples);
     let only = arguments.axis.map(|axis| usize::from(axis) - 1);
@@ -118,7 +124,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         let mut settings = Settings::open(&path).map_err(failed)?;
         let changed = settings.store_axes(&found).map_err(failed)?;
         settings.save(&path).map_err(failed)?;
-        eprintln!("{changed} values changed in {}.", path.display());
+        eprintln!("{} changed in {}.", counted(changed, "value"), path.display());
         result.stored = Some(path.display().to_string());
     }
     if arguments.json {
@@ -150,10 +156,10 @@ fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize
 }
 
 /// Drives the test motion once.
-fn drive(arguments: &Arguments, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, CommandError> {
+fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, CommandError> {
     let path = test_path(config);
     let mut display = Display::new();
-    let (Some(port), Some(operator)) = (&arguments.port, operator) else {
+    let (Some(port), Some(operator)) = (port, operator) else {
         let task = Task {
             config: config.clone(),
             path,
@@ -167,8 +173,7 @@ fn drive(arguments: &Arguments, config: &Config, operator: Option<&mut Operator>
             None => Err(CommandError::new(code::FAILED, "the run ended before the motion did")),
         };
     };
-    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
-    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let port = Port::open(port).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let options = JobOptions {
         session: session_number(),
         ..JobOptions::default()

@@ -1,6 +1,7 @@
 //! `etherpen bench latency`: how late the critical tasks ever are, with and without disturbance.
 
 use super::bench::table;
+use super::outputs::write_text;
 use super::{CommandError, code, print_json};
 use crate::bench::latency::{self, Disturbance, Isolation, LatencyReport, Plan, plot};
 use crate::bench::{BenchError, Report};
@@ -58,8 +59,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let report = measure(&plan)?;
     if let Some(path) = &arguments.plot {
-        std::fs::write(path, plot::svg(&report))
-            .map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))?;
+        write_text(path, &plot::svg(&report))?;
         eprintln!("etherpen: curves in {}", path.display());
     }
     if arguments.json {

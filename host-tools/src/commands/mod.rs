@@ -25,6 +25,7 @@ pub mod order;
 mod outline;
 mod outputs;
 pub mod plan;
+pub mod ports;
 pub mod prepare;
 pub mod preview;
 pub(crate) mod quickest;
@@ -40,7 +41,6 @@ pub mod vectorize;
 pub mod verify;
 
 use crate::link::error::JobError;
-use crate::link::port::PortName;
 use crate::setup::SetupError;
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -109,14 +109,6 @@ pub struct ConfigArguments {
     pub config: Option<PathBuf>,
 }
 
-/// Options of every command that needs a machine.
-#[derive(clap::Args, Debug)]
-pub struct PortArguments {
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
-    #[arg(long, env = "ETHERPEN_PORT")]
-    pub port: PortName,
-}
-
 /// Options of every command that draws.
 #[derive(clap::Args, Debug, Default)]
 pub struct DrawingArguments {
@@ -178,6 +170,12 @@ pub fn in_colour(text: &str, colour: &str) -> String {
     } else {
         text.to_owned()
     }
+}
+
+/// A number of things: `1 stroke`, `2 strokes`.
+pub(crate) fn counted(count: impl TryInto<u64>, thing: &str) -> String {
+    let count = count.try_into().unwrap_or(u64::MAX);
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 /// A job's error with its exit code.

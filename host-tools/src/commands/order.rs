@@ -1,14 +1,15 @@
 //! `etherpen order`: the lines of a vector file in an order that costs little drawing time.
 
+use super::outputs::{refuse_input, write_text};
 use super::prepare::{artwork_of, unusable};
 use super::quickest::quickest;
 use super::source::TextArguments;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{CommandError, ConfigArguments, counted, print_json};
 use crate::drawing::{
     Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, Travel, load_with, parse_length_mm, write_artwork,
 };
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Options of `etherpen order`.
@@ -69,6 +70,10 @@ struct Answer {
 /// The file cannot be used, or the result cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let begun = Instant::now();
+    refuse_input(
+        &arguments.out,
+        &arguments.text.inputs(&arguments.file, &arguments.config),
+    )?;
     let config = arguments.config.load()?;
     let artwork =
         match load_with(&arguments.file, &arguments.text.font()).map_err(|cause| unusable(&arguments.file, &cause))? {
@@ -111,9 +116,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     let time = |seconds: Option<f64>| seconds.map_or("no time".to_owned(), |seconds| format!("{seconds:.1} s"));
     eprintln!(
-        "etherpen: {} lifts (before: {}), {:.0} mm with the pen up (before: {:.0} mm), {:.0} mm drawn, {} to draw (before: \
+        "etherpen: {} (before: {}), {:.0} mm with the pen up (before: {:.0} mm), {:.0} mm drawn, {} to draw (before: \
          {}); done in {:.2} s",
-        answer.lifts_after,
+        counted(answer.lifts_after, "lift"),
         answer.lifts_before,
         answer.pen_up_mm_after,
         answer.pen_up_mm_before,
@@ -154,25 +159,4 @@ fn with_strokes(artwork: &Artwork, layers: Vec<Drawing>) -> Artwork {
         strokes: strokes.collect(),
         ..artwork.clone()
     }
-}
-
-/// Writes a text to a file, or to standard output for `-`.
-///
-/// # Errors
-/// It cannot be written.
-pub(super) fn write_text(path: &Path, text: &str) -> Result<(), CommandError> {
-    write_bytes(path, text.as_bytes())
-}
-
-/// Writes bytes to a file, or to standard output for `-`.
-///
-/// # Errors
-/// It cannot be written.
-pub(super) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CommandError> {
-    let written = if path.as_os_str() == "-" {
-        std::io::Write::write_all(&mut std::io::stdout().lock(), bytes)
-    } else {
-        std::fs::write(path, bytes)
-    };
-    written.map_err(|cause| CommandError::new(code::FAILED, format!("{} cannot be written: {cause}", path.display())))
 }

@@ -1,18 +1,18 @@
 //! What a drawing leaves in its folder, and the summary a person reads.
 
 use super::prepare::Prepared;
-use super::{CommandError, in_colour};
+use super::{CommandError, code, counted, in_colour};
 use crate::cell::{Cell, CellOptions, InkStroke};
 use crate::drawing::{Stroke, render_png, render_rgb, tone_correlation, write_svg};
 use crate::emulator;
 use crate::link::job::JobReport;
+use crate::output_file::{OutputFile, is_same_file};
 use crate::recording::{About, Recorder};
 use crate::report::{Drives, Evidence, Report, Timing, rows, write_intended, write_telemetry, write_tracking};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Status};
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
 
 /// Width of the pen's line in the pictures, mm.
 const PEN_WIDTH_MM: f64 = 0.5;
@@ -117,13 +117,13 @@ impl Outcome<'_> {
     }
 
     /// Writes the telemetry as a recording; its time axis is the device's.
-    fn write_recording(&self, out: &mut BufWriter<File>) -> std::io::Result<()> {
+    fn write_recording(&self, out: &OutputFile) -> io::Result<()> {
         let about = About {
             config: self.config,
             source: &self.image,
             begin_ns: 0,
         };
-        let mut recorder = Recorder::new(out, &about)?;
+        let mut recorder = Recorder::new(BufWriter::new(out.stream()?), &about)?;
         recorder.samples(0, &self.job.samples)?;
         if let Some(status) = &self.job.status {
             recorder.status(status)?;
@@ -131,33 +131,109 @@ impl Outcome<'_> {
         recorder.finish().map(|_| ())
     }
 
-    /// Writes pictures, tables and figures into a folder, which is made if it is missing.
+    /// Writes pictures, tables and figures into a folder. Every file is complete before the first one takes its name:
+    /// a disk that is full leaves the results of the last run.
     ///
     /// # Errors
     /// The file that could not be written.
     pub(super) fn write(&self, dir: &Path, report: &Report) -> Result<(), CommandError> {
+        let mut complete = Vec::new();
+        let mut save = |name: &'static str, write: &mut dyn FnMut(&mut OutputFile) -> io::Result<()>| {
+            let mut out = create(dir, name)?;
+            let written = write(&mut out).and_then(|()| out.flush());
+            written.map_err(|cause| unwritable(&dir.join(name), &cause))?;
+            complete.push((name, out));
+            Ok::<(), CommandError>(())
+        };
         if let Some((cell, _)) = self.cell {
             let (ink, sheet) = (strokes(cell.ink()), self.config.paper.size_mm);
             let png = render_png(&ink, sheet, PEN_WIDTH_MM, PIXELS_PER_MM)
                 .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
-            save(dir, "drawn.png", |out| out.write_all(&png))?;
-            save(dir, "drawn.svg", |out| {
+            save("drawn.png", &mut |out| out.write_all(&png))?;
+            save("drawn.svg", &mut |out| {
                 out.write_all(write_svg(&ink, sheet, PEN_WIDTH_MM).as_bytes())
             })?;
         }
-        save(dir, "intended.csv", |out| write_intended(&self.prepared.path, out))?;
-        save(dir, "telemetry.csv", |out| {
+        save("intended.csv", &mut |out| write_intended(&self.prepared.path, out))?;
+        save("telemetry.csv", &mut |out| {
             write_telemetry(&rows(self.config, &self.job.samples), out)
         })?;
-        save(dir, "telemetry.mcap", |out| self.write_recording(out))?;
-        save(dir, "tracking.svg", |out| {
+        save("telemetry.mcap", &mut |out| self.write_recording(out))?;
+        save("tracking.svg", &mut |out| {
             write_tracking(self.config, &self.job.samples, out)
         })?;
-        save(dir, "report.json", |out| {
+        save("report.json", &mut |out| {
             serde_json::to_writer_pretty(&mut *out, report)?;
             writeln!(out)
-        })
+        })?;
+        for (name, out) in complete {
+            out.commit().map_err(|cause| unwritable(&dir.join(name), &cause))?;
+        }
+        Ok(())
     }
+}
+
+/// Everything that a drawing may leave in its folder.
+const IN_FOLDER: [&str; 9] = [
+    "drawn.png",
+    "drawn.svg",
+    "intended.csv",
+    "telemetry.csv",
+    "telemetry.mcap",
+    "tracking.svg",
+    "report.json",
+    "bus.pcapng",
+    "firmware.log",
+];
+
+/// Refuses an output that is one of the files that the command reads, whatever names both have.
+///
+/// # Errors
+/// Both names, and what to try.
+pub(super) fn refuse_input(output: &Path, inputs: &[PathBuf]) -> Result<(), CommandError> {
+    match inputs.iter().find(|input| is_same_file(output, input)) {
+        None => Ok(()),
+        Some(input) => {
+            let (output, input) = (output.display(), input.display());
+            let text = format!("{output} is the input file {input}, which would be lost; choose another output");
+            Err(CommandError::new(code::USAGE, text))
+        }
+    }
+}
+
+/// Refuses a folder for results in which one of the results is a file that the command reads.
+///
+/// # Errors
+/// As for [`refuse_input`].
+pub(super) fn refuse_inputs_in(dir: &Path, inputs: &[PathBuf]) -> Result<(), CommandError> {
+    IN_FOLDER
+        .iter()
+        .try_for_each(|name| refuse_input(&dir.join(name), inputs))
+}
+
+/// Writes a text to a file, or to standard output for `-`.
+///
+/// # Errors
+/// It cannot be written.
+pub(super) fn write_text(path: &Path, text: &str) -> Result<(), CommandError> {
+    write_bytes(path, text.as_bytes())
+}
+
+/// Writes bytes to a file, or to standard output for `-`.
+///
+/// # Errors
+/// It cannot be written.
+pub(super) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CommandError> {
+    let written = OutputFile::create_or_stdout(path).and_then(|mut out| {
+        out.write_all(bytes)?;
+        out.commit()
+    });
+    written.map_err(|cause| unwritable(path, &cause))
+}
+
+/// An output that could not be written.
+pub(super) fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
+    CommandError::failed(format!("{} cannot be written", path.display()), cause)
 }
 
 /// Makes the output folder.
@@ -169,26 +245,13 @@ pub(super) fn make_folder(dir: &Path) -> Result<(), CommandError> {
         .map_err(|cause| CommandError::failed(format!("the folder {} cannot be made", dir.display()), cause))
 }
 
-/// Opens a file of the output folder for writing.
+/// Begins a file of the output folder.
 ///
 /// # Errors
 /// It cannot be made.
-pub(super) fn create(dir: &Path, name: &str) -> Result<BufWriter<File>, CommandError> {
+pub(super) fn create(dir: &Path, name: &str) -> Result<OutputFile, CommandError> {
     let path = dir.join(name);
-    let file = File::create(&path);
-    file.map(BufWriter::new)
-        .map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
-}
-
-/// Writes one file of the output folder.
-fn save(
-    dir: &Path,
-    name: &str,
-    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-) -> Result<(), CommandError> {
-    let mut out = create(dir, name)?;
-    let result = write(&mut out).and_then(|()| out.flush());
-    result.map_err(|cause| CommandError::failed(format!("{} cannot be written", dir.join(name).display()), cause))
+    OutputFile::create(&path).map_err(|cause| unwritable(&path, &cause))
 }
 
 fn strokes(ink: &[InkStroke]) -> Vec<Stroke> {
@@ -220,8 +283,8 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         && report.reference_underruns == 0;
     eprintln!();
     eprintln!(
-        "Drew {} strokes, {:.2} m of line, in {:.1} s (planned {:.1} s).",
-        report.strokes,
+        "Drew {}, {:.2} m of line, in {:.1} s (planned {:.1} s).",
+        counted(report.strokes, "stroke"),
         report.pen_down_mm / 1_000.0,
         report.drawn_s,
         report.planned_s
@@ -268,8 +331,8 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         100.0 * share
     );
     eprintln!(
-        "{} milliseconds{}: {}.",
-        report.cycles,
+        "{}{}: {}.",
+        counted(report.cycles, "millisecond"),
         if report.drives.is_some() {
             ""
         } else {
@@ -278,8 +341,11 @@ pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
         good(
             clean,
             format!(
-                "{} late, {} frames lost, {} working counter errors, {} reference underruns",
-                report.cycles_late, report.frames_lost, report.working_counter_errors, report.reference_underruns
+                "{} late, {} lost, {}, {}",
+                report.cycles_late,
+                counted(report.frames_lost, "frame"),
+                counted(report.working_counter_errors, "working counter error"),
+                counted(report.reference_underruns, "reference underrun")
             )
         )
     );

@@ -1,18 +1,19 @@
 //! `etherpen plan`: a path through the firmware's planner, with its duration, peaks, violations and references.
 
+use super::outputs::{refuse_input, unwritable};
 use super::prepare::{prepare_with, unusable};
 use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{CommandError, ConfigArguments, code, counted, print_json};
 use crate::drawing::{Input, Path3d, load};
 use crate::link::text;
+use crate::output_file::OutputFile;
 use crate::planning::{Analysis, Findings, PlanningError, Sample, plan};
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
 use etherpen::motion::{Admission, Pen, RefusalReason, Vertex};
 use etherpen::robot::AXES;
 use serde::Serialize;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 /// Longest moving average, ms.
@@ -119,6 +120,9 @@ struct Answer {
 /// # Errors
 /// The file or the configuration cannot be used, or a vertex is refused: its index, its line and why.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    if let Some(table) = &arguments.samples {
+        refuse_input(table, &arguments.source.inputs(&arguments.file, &arguments.config))?;
+    }
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     let (path, vertices_merged) = read(&arguments.file, &config, &arguments.source)?;
@@ -135,13 +139,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     })
     .map_err(|cause| unusable(&arguments.file, &cause))?;
     if let (Some(cause), Some(file)) = (
-        failed.or(table.and_then(|table| table.finish().err())),
+        failed.or_else(|| table.and_then(|table| table.finish().err())),
         &arguments.samples,
     ) {
-        return Err(CommandError::failed(
-            format!("{} cannot be written", file.display()),
-            cause,
-        ));
+        return Err(unwritable(file, &cause));
     }
     let analysis = analysis.unwrap_or_else(|| Analysis::new(&config, &path, run.jerk_window_ms));
     let answer = Answer {
@@ -198,7 +199,7 @@ fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused
 
 /// The references as a table; those at rest at the end are left out.
 struct Table {
-    out: BufWriter<File>,
+    out: OutputFile,
     /// Rows that repeat the last one written.
     waiting: Vec<Sample>,
     last: Option<[f64; AXES]>,
@@ -206,8 +207,8 @@ struct Table {
 
 impl Table {
     fn new(file: &Path) -> Result<Self, CommandError> {
-        let failed = |cause| CommandError::failed(format!("{} cannot be written", file.display()), cause);
-        let mut out = BufWriter::new(File::create(file).map_err(failed)?);
+        let failed = |cause| unwritable(file, &cause);
+        let mut out = OutputFile::create(file).map_err(failed)?;
         let names = (1..=AXES).map(|axis| format!("q{axis}_rad,"));
         let speeds = (1..=AXES).map(|axis| format!("v{axis}_rad_s,"));
         let heading: String = names.chain(speeds).collect();
@@ -231,8 +232,8 @@ impl Table {
         row(&mut self.out, sample)
     }
 
-    fn finish(mut self) -> io::Result<()> {
-        self.out.flush()
+    fn finish(self) -> io::Result<()> {
+        self.out.commit()
     }
 }
 
@@ -300,7 +301,10 @@ fn shown(answer: &Answer) -> String {
         findings.deviation_max_mm,
         Some(limits.travel_tolerance_mm),
     );
-    text.push_str(&format!("\n{} violations of limits\n", findings.violation_count));
+    text.push_str(&format!(
+        "\n{} of limits\n",
+        counted(findings.violation_count, "violation")
+    ));
     for violation in findings.violations.iter().take(20) {
         let axis = violation.axis.map_or(String::new(), |axis| format!(" axis {axis}"));
         let at = match (violation.t_ms, violation.vertex) {

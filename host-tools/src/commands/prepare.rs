@@ -257,7 +257,11 @@ fn on_sheet(
         placed.scale
     );
     if placed.parts.len() > 1 {
-        let names: Vec<&str> = placed.parts.iter().map(|(layer, _)| layer.name.as_str()).collect();
+        let shown = |layer: &Layer| match artwork.layers.iter().position(|known| known == layer) {
+            Some(index) if layer.name.is_empty() => format!("no name (--layer {})", index + 1),
+            _ => layer.name.clone(),
+        };
+        let names: Vec<String> = placed.parts.iter().map(|(layer, _)| shown(layer)).collect();
         eprintln!(
             "etherpen: {} layers, drawn one after the other: {}; --layer draws one of them, `draw --pause` waits between them",
             names.len(),

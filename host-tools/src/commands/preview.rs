@@ -1,9 +1,9 @@
 //! `etherpen preview`: how a file would be drawn, as a picture and in figures.
 
-use super::order::{write_bytes, write_text};
-use super::prepare::{Composed, compose, in_sequence, planned_s, refused};
+use super::outputs::{refuse_input, write_bytes, write_text};
+use super::prepare::{Composed, compose, in_sequence, planned_s, refused, unusable};
 use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{CommandError, ConfigArguments, code, counted, print_json};
 use crate::drawing::{Drawing, PreviewScene, Stroke};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
@@ -75,7 +75,8 @@ const PX_PER_MM: f64 = 6.0;
 /// Runs the command.
 ///
 /// # Errors
-/// The file or the configuration cannot be used, or the picture cannot be written. A refused stroke is no error.
+/// The file or the configuration cannot be used, the picture cannot be written, or strokes are refused; the picture of
+/// those is written and shows them.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let is_png = match arguments.out.extension().and_then(|extension| extension.to_str()) {
         Some(extension) if extension.eq_ignore_ascii_case("png") => true,
@@ -89,6 +90,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             ));
         }
     };
+    refuse_input(
+        &arguments.out,
+        &arguments.source.inputs(&arguments.file, &arguments.config),
+    )?;
     let config = arguments.config.load()?;
     let composed = compose(&arguments.file, &config, &arguments.source)?;
     let drawing = if composed.parts.is_empty() {
@@ -145,10 +150,18 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         layers: layers(&composed),
     };
     if arguments.json {
-        return print_json(&answer);
+        print_json(&answer)?;
+    } else {
+        show(&answer, &arguments.out);
     }
-    show(&answer, &arguments.out);
-    Ok(())
+    match answer.refused {
+        0 => Ok(()),
+        refused => {
+            let strokes = counted(answer.strokes, "stroke");
+            let text = format!("{refused} of {strokes} would be refused; nothing of this file would be drawn");
+            Err(unusable(&arguments.file, &text))
+        }
+    }
 }
 
 fn layers(composed: &Composed) -> Vec<LayerAnswer> {
@@ -199,17 +212,14 @@ fn show(answer: &Answer, out: &Path) {
         .estimated_s
         .map_or("no time".to_owned(), |seconds| format!("{seconds:.1} s"));
     eprintln!(
-        "etherpen: {} strokes, {:.2} m drawn, {:.2} m with the pen up, {} lifts, {time}; shown in {}",
-        answer.strokes,
+        "etherpen: {}, {:.2} m drawn, {:.2} m with the pen up, {}, {time}; shown in {}",
+        counted(answer.strokes, "stroke"),
         answer.pen_down_mm / 1_000.0,
         answer.pen_up_mm / 1_000.0,
-        answer.lifts,
+        counted(answer.lifts, "lift"),
         out.display()
     );
     for refusal in answer.refusals.iter().take(5) {
         eprintln!("etherpen: refused: stroke {}: {}", refusal.stroke, refusal.reason);
-    }
-    if answer.refused > 5 {
-        eprintln!("etherpen: {} strokes refused in all", answer.refused);
     }
 }

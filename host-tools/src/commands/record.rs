@@ -4,12 +4,15 @@
 //! has the port (a drawing, the console), that program tells what it hears. Invariant: whatever ends it, the file can be
 //! read; the message says how much is in it.
 
+use super::outputs::{refuse_input, unwritable};
+use super::ports::SessionPort;
 use super::prepare::prepare;
 use super::run::{run_error, task};
-use super::{CommandError, ConfigArguments, code, ended_by_a_signal, job_error};
+use super::{CommandError, ConfigArguments, code, counted, ended_by_a_signal, job_error};
 use crate::link::job::Control;
 use crate::link::port::PortName;
 use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
+use crate::output_file::OutputFile;
 use crate::recording::messages::Level;
 use crate::recording::{About, Recorder};
 use crate::run;
@@ -36,11 +39,10 @@ pub struct Arguments {
     /// The recording, an MCAP file; one that exists is replaced.
     #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
-    #[arg(long, required_unless_present = "simulate")]
-    port: Option<String>,
+    #[command(flatten)]
+    port: SessionPort,
     /// Record a drawing of this file (photograph or CSV) in virtual time instead.
-    #[arg(long, value_name = "FILE", conflicts_with = "port")]
+    #[arg(long, value_name = "FILE")]
     simulate: Option<PathBuf>,
     /// End after this many seconds; without it Ctrl-C ends the recording.
     #[arg(long, value_name = "S", value_parser = super::recorded::seconds)]
@@ -69,10 +71,14 @@ struct Recorded {
 /// # Errors
 /// The file cannot be written, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    let config_file = arguments.config.file().map(|(path, _)| path);
+    let inputs: Vec<PathBuf> = arguments.simulate.iter().cloned().chain(config_file).collect();
+    refuse_input(&arguments.output, &inputs)?;
     let config = arguments.config.load()?;
-    match (&arguments.simulate, &arguments.port) {
-        (Some(file), _) => simulate(arguments, &config, file),
-        (None, port) => listen(arguments, &config, port.as_deref().unwrap_or_default()),
+    let port = (arguments.port).find_unless(arguments.simulate.as_ref().map(|_| "--simulate"))?;
+    match (port, &arguments.simulate) {
+        (Some(port), _) => listen(arguments, &config, &port),
+        (None, file) => simulate(arguments, &config, file.as_deref().unwrap_or(Path::new("-"))),
     }
 }
 
@@ -84,10 +90,16 @@ struct Recording<'a> {
 }
 
 impl<'a> Recording<'a> {
+    /// Begins the file beside a recording that exists, and replaces that once the beginning is on the disk.
     fn begin(path: &'a Path, about: &About) -> Result<Self, CommandError> {
-        let recorder = File::create(path).and_then(|file| Recorder::new(file, about));
+        let begun = OutputFile::create(path).and_then(|out| {
+            let mut recorder = Recorder::new(out.stream()?, about)?;
+            recorder.flush()?;
+            out.commit()?;
+            Ok(recorder)
+        });
         Ok(Self {
-            recorder: recorder.map_err(|cause| unwritable(path, &cause))?,
+            recorder: begun.map_err(|cause| unwritable(path, &cause))?,
             path,
             failed: None,
         })
@@ -110,18 +122,18 @@ impl<'a> Recording<'a> {
             let lost = taken.samples - written.samples;
             return Err(CommandError::failed(
                 format!(
-                    "{shown} could not be written any further; it holds {} samples and can be read, {lost} were lost",
-                    written.samples
+                    "{shown} could not be written any further; it holds {} and can be read; samples lost: {lost}",
+                    counted(written.samples, "sample")
                 ),
                 format!("{cause}; make room on the disk, or record to another one"),
             ));
         }
         eprintln!(
-            "{} samples in {shown}, {:.1} MB; {} missing in {} gaps.",
-            written.samples,
+            "{} in {shown}, {:.1} MB; {} missing in {}.",
+            counted(written.samples, "sample"),
             written.bytes as f64 / 1e6,
             written.missing,
-            written.gaps
+            counted(written.gaps, "gap")
         );
         if !json {
             return Ok(());
@@ -135,10 +147,6 @@ impl<'a> Recording<'a> {
             memory_max_mb: memory_max_mb(),
         })
     }
-}
-
-fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
-    CommandError::failed(format!("{} cannot be written", path.display()), cause)
 }
 
 /// Largest resident memory of this process, as proc(5) tells it.
@@ -190,24 +198,23 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), C
 }
 
 /// The machine at a port, or what the program tells that has the port.
-fn source(config: &Config, port: &str) -> Result<Source, CommandError> {
-    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
-    if let Some(client) = Client::find(&name) {
+fn source(config: &Config, port: &PortName) -> Result<Source, CommandError> {
+    if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
         return Ok(client.follow()?);
     }
-    let machine = Machine::start(name, config.clone(), MachineOptions::default())
+    let machine = Machine::start(port.clone(), config.clone(), MachineOptions::default())
         .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let news = machine.subscribe(NEWS_MAX);
     Ok(Source::Own(machine, news))
 }
 
 /// Listens to a machine and records it.
-fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), CommandError> {
+fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(), CommandError> {
     let mut source = source(config, port)?;
     let about = About {
         config,
-        source: port,
+        source: &port.to_string(),
         begin_ns: now_ns(),
     };
     let mut recording = Recording::begin(&arguments.output, &about)?;
@@ -243,7 +250,7 @@ fn listen(arguments: &Arguments, config: &Config, port: &str) -> Result<(), Comm
             });
             if flushes.is_multiple_of(LINE_EVERY) {
                 let taken = recording.recorder.taken();
-                eprintln!("{} samples, {} missing", taken.samples, taken.missing);
+                eprintln!("{}, {} missing", counted(taken.samples, "sample"), taken.missing);
             }
         }
     }
@@ -289,7 +296,10 @@ fn event(account: &Account) -> Option<(Level, &'static str, String)> {
         Account::Task { bad: false, text } => Some((Level::Info, "job", text.clone())),
         Account::Task { bad: true, text } => Some((Level::Warning, "job", text.clone())),
         Account::Missed(lost) => {
-            let text = format!("{lost} messages were lost on the way to this program: the disk is too slow");
+            let text = format!(
+                "{} lost on the way to this program: the disk is too slow",
+                counted(*lost, "message")
+            );
             Some((Level::Warning, "link", text))
         }
     }

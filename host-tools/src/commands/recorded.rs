@@ -1,6 +1,8 @@
 //! `etherpen export`, `plot` and `stats`: what can be made of a recording.
 
-use super::{CommandError, code, print_json};
+use super::outputs::{refuse_input, unwritable, write_bytes};
+use super::{CommandError, code, counted, print_json};
+use crate::output_file::OutputFile;
 use crate::recording::Playback;
 use crate::recording::export::{ExportError, Exported, table_columns, write_csv, write_parquet};
 use crate::recording::plot::{Form, plot as draw};
@@ -8,7 +10,7 @@ use crate::recording::signals::{Signal, named};
 use crate::recording::statistics::{Statistics, statistics};
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Write};
+use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 /// A number of seconds on the command line.
@@ -59,10 +61,6 @@ fn unreadable(path: &Path, cause: &io::Error) -> CommandError {
     CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display()))
 }
 
-fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
-    CommandError::failed(format!("{} cannot be written", path.display()), cause)
-}
-
 fn signals(list: &str) -> Result<Vec<Signal>, CommandError> {
     named(list).map_err(|cause| CommandError::new(code::USAGE, cause))
 }
@@ -98,24 +96,26 @@ pub fn export(arguments: &ExportArguments) -> Result<(), CommandError> {
     let mut playback = part.open()?;
     let path = arguments.csv.as_ref().or(arguments.parquet.as_ref());
     let path = path.map_or(Path::new("-"), PathBuf::as_path);
+    refuse_input(path, std::slice::from_ref(&part.file))?;
     let on_stdout = arguments.csv.is_some() && path == Path::new("-");
-    let out: Box<dyn Write> = if on_stdout {
-        Box::new(io::stdout().lock())
-    } else {
-        Box::new(File::create(path).map_err(|cause| unwritable(path, &cause))?)
-    };
-    let out = BufWriter::new(out);
+    let mut out = match on_stdout {
+        true => OutputFile::create_or_stdout(path),
+        false => OutputFile::create(path),
+    }
+    .map_err(|cause| unwritable(path, &cause))?;
     let exported = match arguments.csv {
-        Some(_) => write_csv(&mut playback, &columns, out),
-        None => write_parquet(&mut playback, &columns, out),
+        Some(_) => write_csv(&mut playback, &columns, &mut out),
+        None => write_parquet(&mut playback, &columns, &mut out),
     };
     let exported = exported.map_err(|error| match error {
         ExportError::Read(cause) => unreadable(&part.file, &cause),
         ExportError::Write(cause) => unwritable(path, &cause),
     })?;
+    out.commit().map_err(|cause| unwritable(path, &cause))?;
     part.tell(&playback);
-    let Exported { rows, missing } = exported;
-    eprintln!("{rows} rows, {} columns; {missing} samples are missing.", columns.len());
+    let Exported { rows, missing } = &exported;
+    let (rows, columns) = (counted(*rows, "row"), counted(columns.len(), "column"));
+    eprintln!("{rows}, {columns}; samples missing: {missing}.");
     if arguments.json && on_stdout {
         eprintln!("{}", serde_json::to_string(&exported).unwrap_or_default());
     } else if arguments.json {
@@ -152,6 +152,7 @@ pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
             return Err(CommandError::new(code::USAGE, text));
         }
     };
+    refuse_input(path, std::slice::from_ref(&part.file))?;
     let mut playback = part.open()?;
     let picture = draw(&mut playback, &signals, form).map_err(|cause| unreadable(&part.file, &cause))?;
     part.tell(&playback);
@@ -159,7 +160,7 @@ pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
         let text = format!("{}: there is no sample in this part of it", part.file.display());
         return Err(CommandError::new(code::INPUT, text));
     };
-    std::fs::write(path, picture).map_err(|cause| unwritable(path, &cause))
+    write_bytes(path, &picture)
 }
 
 /// Options of `etherpen stats`.
@@ -194,14 +195,14 @@ fn text(figures: &Statistics) -> String {
     // Writing into a string cannot fail.
     let _ = writeln!(
         text,
-        "{:.3} s from {}: {} samples, {} missing in {} gaps; {} statuses, {} events\n",
+        "{:.3} s from {}: {}, {} missing in {}; {}, {}\n",
         figures.duration_s,
         figures.source,
-        figures.samples,
+        counted(figures.samples, "sample"),
         figures.missing,
-        figures.gaps,
-        figures.statuses,
-        figures.events
+        counted(figures.gaps, "gap"),
+        counted(figures.statuses, "status message"),
+        counted(figures.events, "event")
     );
     for of in &figures.modes {
         let _ = writeln!(text, "{:<16} {:>12.3} s", format!("{:?}", of.mode), of.seconds);

@@ -1,9 +1,10 @@
 //! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
 
-use super::{CommandError, ConfigArguments, code, job_error, print_json, session_number};
+use super::ports::SessionPort;
+use super::{CommandError, ConfigArguments, code, counted, job_error, print_json, session_number};
 use crate::cell::{Cell, CellOptions};
 use crate::link::job::Ready;
-use crate::link::port::{Line, Port, PortName};
+use crate::link::port::{Line, Port};
 use crate::link::reference::{Pose, Reading, ReferenceJob, Referenced, Wanted, all};
 use crate::link::text;
 use crate::machine::{Client, Order, Snapshot};
@@ -36,11 +37,10 @@ const LOOK: Duration = Duration::from_millis(20);
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
-    #[arg(long, conflicts_with = "port", required_unless_present = "port")]
-    simulate: bool,
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long)]
-    port: Option<String>,
+    simulate: bool,
+    #[command(flatten)]
+    port: SessionPort,
     /// The joint angles at which the robot stands, rad. The resolvers have to show them; a whole motor turn too many or
     /// too few is found with --position only.
     #[arg(long, value_name = "Q1,Q2,Q3,Q4", allow_hyphen_values = true, value_parser = numbers::<AXES>)]
@@ -154,9 +154,8 @@ fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> 
 
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, CommandError> {
     let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
-    match &arguments.port {
-        Some(port) => {
-            let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
+    match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
+        Some(name) => {
             if let Some(client) = Client::find(&name) {
                 return through(client, arguments.acknowledge, config, &wanted);
             }
@@ -254,7 +253,11 @@ fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
             return Err(CommandError::new(code::FAILED, message));
         }
     }
-    eprintln!("{changed} values changed in {}, read back and checked.", path.display());
+    eprintln!(
+        "{} changed in {}, read back and checked.",
+        counted(changed, "value"),
+        path.display()
+    );
     Ok(())
 }
 

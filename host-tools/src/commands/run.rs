@@ -1,14 +1,16 @@
 //! What `demo` and `simulate` share: a prepared file, a run, its outputs.
 
-use super::outputs::{Outcome, create};
+use super::outputs::{Outcome, create, unwritable};
 use super::prepare::{Prepared, planned_s, to_wire};
 use super::{CommandError, code, job_error};
 use crate::cell::CellOptions;
 use crate::emulator::EmulatorError;
+use crate::output_file::OutputFile;
 use crate::report::Report;
 use crate::run::{Drawn, RunError, Sink, Task};
 use etherpen::config::Config;
-use std::path::Path;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
 
 /// A task for a prepared file in the default cell.
 pub fn task(config: &Config, prepared: &Prepared) -> Task {
@@ -20,15 +22,42 @@ pub fn task(config: &Config, prepared: &Prepared) -> Task {
     }
 }
 
+/// A file of the output folder that is written while a drawing runs, and takes its name when the results do.
+pub struct Growing {
+    path: PathBuf,
+    out: OutputFile,
+}
+
+impl Growing {
+    /// Begins the file; what is written into the sink goes into it.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn create(dir: &Path, name: &str) -> Result<(Self, Sink), CommandError> {
+        let (path, out) = (dir.join(name), create(dir, name)?);
+        let stream = out.stream().map_err(|cause| unwritable(&path, &cause))?;
+        Ok((Self { path, out }, Box::new(BufWriter::new(stream))))
+    }
+
+    /// Completes the file; the sink has been flushed.
+    ///
+    /// # Errors
+    /// It is not on the disk; the last good file stays.
+    pub fn commit(self) -> Result<(), CommandError> {
+        self.out.commit().map_err(|cause| unwritable(&self.path, &cause))
+    }
+}
+
 /// The capture's file in the output folder.
 ///
 /// # Errors
 /// It cannot be made.
-pub fn capture(dir: &Path) -> Result<Sink, CommandError> {
-    Ok(Box::new(create(dir, "bus.pcapng")?))
+pub fn capture(dir: &Path) -> Result<(Growing, Sink), CommandError> {
+    Growing::create(dir, "bus.pcapng")
 }
 
-/// Writes the results of a run, also of one that failed, and gives its report.
+/// Writes the results of a run, also of one that failed, and gives its report. `results` are the folder and the files that
+/// have grown in it.
 ///
 /// # Errors
 /// The results cannot be written, or the job failed.
@@ -37,7 +66,7 @@ pub fn conclude(
     prepared: &Prepared,
     drawn: &Drawn,
     image: String,
-    dir: Option<&Path>,
+    results: Option<(&Path, Vec<Growing>)>,
 ) -> Result<Report, CommandError> {
     let outcome = Outcome {
         config: &task.config,
@@ -51,8 +80,9 @@ pub fn conclude(
     let mut report = outcome.report();
     report.processor_s = drawn.cost.map(|cost| cost.processor_s);
     report.virtual_to_processor_ratio = drawn.cost.map(|cost| cost.virtual_s / cost.processor_s);
-    if let Some(dir) = dir {
+    if let Some((dir, growing)) = results {
         outcome.write(dir, &report)?;
+        growing.into_iter().try_for_each(Growing::commit)?;
     }
     match &drawn.outcome {
         Some(Ok(())) => Ok(report),

@@ -5,9 +5,11 @@
 
 use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
-use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
+use super::outputs::{refuse_input, unwritable};
+use super::{CommandError, ConfigArguments, code, counted, ended_by_a_signal, print_json};
 use crate::cell::capture::{Capture, Direction};
 use crate::cell::{AlState, Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, SlaveState, parse_slaves};
+use crate::output_file::OutputFile;
 use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
 use serde::Serialize;
@@ -42,10 +44,26 @@ pub struct Arguments {
 
 /// A chain of slaves.
 #[derive(Clone, Debug)]
-struct SlaveList(Vec<SlaveKind>);
+struct SlaveList {
+    slaves: Vec<SlaveKind>,
+    /// The files named in it.
+    files: Vec<PathBuf>,
+}
 
 fn slave_list(text: &str) -> Result<SlaveList, SlaveListError> {
-    parse_slaves(text).map(SlaveList)
+    let files = text.split(',').filter_map(|kind| kind.trim().strip_prefix("sii:"));
+    let without_count = |file: &str| PathBuf::from(file.rsplit_once('*').map_or(file, |(file, _)| file));
+    Ok(SlaveList {
+        slaves: parse_slaves(text)?,
+        files: files.map(without_count).collect(),
+    })
+}
+
+/// All files that the command reads.
+fn inputs(arguments: &Arguments) -> Vec<PathBuf> {
+    let config = arguments.config.file().map(|(path, _)| path);
+    let slaves = arguments.slaves.iter().flat_map(|list| list.files.iter().cloned());
+    slaves.chain(arguments.faults.clone()).chain(config).collect()
 }
 
 /// How often the cell's time goes on without a frame.
@@ -147,9 +165,12 @@ impl SlaveSummary {
 /// # Errors
 /// The way for frames cannot be opened or was lost, or a file cannot be read or written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+    if let Some(pcap) = &arguments.pcap {
+        refuse_input(pcap, &inputs(arguments))?;
+    }
     let config = arguments.config.load()?;
     let slaves = match &arguments.slaves {
-        Some(SlaveList(slaves)) => slaves.clone(),
+        Some(list) => list.slaves.clone(),
         None => vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
     };
     let faults = read_faults(arguments.faults.as_deref(), slaves.len())?;
@@ -169,7 +190,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     } else {
         writeln!(io::stdout(), "{listens}").map_err(|cause| CommandError::failed("stdout", cause))?;
     }
-    eprintln!("{} slaves; Ctrl-C ends the segment.", cell.state().slaves.len());
+    eprintln!(
+        "{}; Ctrl-C ends the segment.",
+        counted(cell.state().slaves.len(), "slave")
+    );
     let mut running = Running {
         cell,
         slaves,
@@ -192,9 +216,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
+/// Begins a capture, which replaces one that exists and grows under its name.
 fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {
-    let opened = File::create(path).and_then(|file| Capture::new(BufWriter::new(file)));
-    opened.map_err(|cause| CommandError::failed(format!("{} cannot be written", path.display()), cause))
+    let opened = OutputFile::create(path).and_then(|out| {
+        let capture = Capture::new(BufWriter::new(out.stream()?))?;
+        out.commit()?;
+        Ok(capture)
+    });
+    opened.map_err(|cause| unwritable(path, &cause))
 }
 
 /// The segment at work.
@@ -271,8 +300,12 @@ impl Running {
 /// The end, for a person.
 fn tell(summary: &Summary) {
     eprintln!(
-        "{} frames in, {} out in {:.1} s; {} were no EtherCAT; {} ms without the processor",
-        summary.frames, summary.replies, summary.seconds, summary.ignored, summary.paused_ms
+        "{} in, {} out in {:.1} s; not EtherCAT: {}; {} ms without the processor",
+        counted(summary.frames, "frame"),
+        summary.replies,
+        summary.seconds,
+        summary.ignored,
+        summary.paused_ms
     );
     for slave in &summary.slaves {
         let error = match slave.al_status_code {

@@ -1,8 +1,9 @@
 //! `etherpen completions` and `etherpen man`: what shells and manuals want to know of the command line.
 
 use super::CommandError;
+use super::outputs::write_bytes;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of `etherpen completions`.
 #[derive(clap::Args, Debug)]
@@ -37,8 +38,21 @@ pub fn completions(arguments: &Completions, mut command: clap::Command) -> Resul
 pub fn man(arguments: &Man, command: clap::Command) -> Result<(), CommandError> {
     super::outputs::make_folder(&arguments.dir)?;
     let shown = arguments.dir.display();
-    clap_mangen::generate_to(command, &arguments.dir)
-        .map_err(|cause| CommandError::failed(format!("{shown} cannot be written"), cause))?;
+    let mut command = command.disable_help_subcommand(true);
+    command.build();
+    pages(&command, &arguments.dir)?;
     eprintln!("manual pages in {shown}: man -l {shown}/etherpen.1");
     Ok(())
+}
+
+/// Writes the page of a command, and those of the commands below it.
+fn pages(command: &clap::Command, dir: &Path) -> Result<(), CommandError> {
+    for subcommand in command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set()) {
+        pages(subcommand, dir)?;
+    }
+    let page = clap_mangen::Man::new(command.clone());
+    let (path, mut text) = (dir.join(page.get_filename()), Vec::new());
+    page.render(&mut text)
+        .map_err(|cause| CommandError::failed("a manual page", cause))?;
+    write_bytes(&path, &text)
 }

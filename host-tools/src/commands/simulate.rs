@@ -1,7 +1,7 @@
 //! `etherpen simulate`: the same tasks and the same cell in virtual time, in this process.
 
 use super::display::Display;
-use super::outputs::{make_folder, summarise};
+use super::outputs::{make_folder, refuse_inputs_in, summarise};
 use super::prepare::prepare_with;
 use super::run::{capture, conclude, run_error, task};
 use super::{CommandError, DrawingArguments};
@@ -23,17 +23,22 @@ pub struct Arguments {
 /// The file, the configuration or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
-    let prepared = prepare_with(&arguments.file, &config, &arguments.drawing.source)?;
-    let dir = arguments.drawing.out.as_deref();
+    let drawing = &arguments.drawing;
+    let dir = drawing.out.as_deref();
+    if let Some(dir) = dir {
+        refuse_inputs_in(dir, &drawing.source.inputs(&arguments.file, &drawing.config))?;
+    }
+    let prepared = prepare_with(&arguments.file, &config, &drawing.source)?;
     if let Some(dir) = dir {
         make_folder(dir)?;
     }
     let task = task(&config, &prepared);
-    let sink = dir.map(capture).transpose()?;
+    let (capture_file, sink) = dir.map(capture).transpose()?.unzip();
     let mut display = Display::new();
     let drawn = run::simulate(&task, sink, &mut |job| display.update(job)).map_err(|error| run_error(&error))?;
     display.finish();
-    let report = conclude(&task, &prepared, &drawn, "simulation".to_owned(), dir)?;
+    let results = dir.map(|dir| (dir, capture_file.into_iter().collect()));
+    let report = conclude(&task, &prepared, &drawn, "simulation".to_owned(), results)?;
     summarise(&report, dir);
     if arguments.drawing.json {
         super::print_json(&report)?;

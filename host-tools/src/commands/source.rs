@@ -1,11 +1,13 @@
 //! Options that say how a file becomes strokes on the sheet; the same for every command that draws or shows one.
 
+use super::ConfigArguments;
 use crate::drawing::{
     FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm,
     parse_size_mm,
 };
 use etherpen::config::Config;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// How a file becomes strokes on the sheet. Lengths take a unit (mm, cm, in, pt, px); without one they are millimetres.
 #[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
@@ -75,6 +77,14 @@ impl TextArguments {
             None if self.single_stroke => TextFont::SingleStroke,
             None => TextFont::Installed,
         }
+    }
+
+    /// All files that a command with these options reads.
+    #[must_use]
+    pub fn inputs(&self, file: &Path, config: &ConfigArguments) -> Vec<PathBuf> {
+        let config = config.file().map(|(path, _)| path);
+        let font = self.font.as_ref().map(|font| font.path().to_owned());
+        [Some(file.to_owned()), config, font].into_iter().flatten().collect()
     }
 }
 
@@ -161,6 +171,12 @@ impl SourceArguments {
     #[must_use]
     pub fn font(&self) -> TextFont {
         self.text.font()
+    }
+
+    /// All files that a command with these options reads.
+    #[must_use]
+    pub fn inputs(&self, file: &Path, config: &ConfigArguments) -> Vec<PathBuf> {
+        self.text.inputs(file, config)
     }
 
     /// Whether the file's order stays.

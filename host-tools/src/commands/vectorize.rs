@@ -1,9 +1,9 @@
 //! `etherpen vectorize`: a photograph as the lines of an SVG.
 
-use super::order::write_text;
+use super::outputs::{refuse_input, write_text};
 use super::prepare::{from_photograph, unusable};
 use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, print_json};
+use super::{CommandError, ConfigArguments, counted, print_json};
 use crate::drawing::{DrawingError, Input, load, write_svg};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -44,6 +44,10 @@ struct Answer {
 /// The photograph or an option cannot be used, or the result cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let begun = Instant::now();
+    refuse_input(
+        &arguments.out,
+        &arguments.source.inputs(&arguments.photo, &arguments.config),
+    )?;
     let config = arguments.config.load()?;
     let refused = |cause: DrawingError| unusable(&arguments.photo, &cause);
     let Input::Photograph(picture) = load(&arguments.photo).map_err(refused)? else {
@@ -64,8 +68,11 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         return print_json(&answer);
     }
     eprintln!(
-        "etherpen: {} strokes, {:.0} mm drawn and {:.0} mm with the pen up, {width:.1} x {height:.1} mm, in {:.2} s",
-        answer.strokes, answer.pen_down_mm, answer.pen_up_mm, answer.seconds
+        "etherpen: {}, {:.0} mm drawn and {:.0} mm with the pen up, {width:.1} x {height:.1} mm, in {:.2} s",
+        counted(answer.strokes, "stroke"),
+        answer.pen_down_mm,
+        answer.pen_up_mm,
+        answer.seconds
     );
     Ok(())
 }

@@ -72,6 +72,7 @@ const BOARDS: [Step; 2] = [
 pub fn run(_: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     announce("set-up");
+    setup::ensure_sources()?;
     setup::ensure_target()?;
     setup::ensure_component("rustfmt")?;
     setup::ensure_component("clippy")?;

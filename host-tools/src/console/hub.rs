@@ -303,8 +303,11 @@ impl Hub {
         self.stop_wanted
     }
 
-    /// The connection has gone.
+    /// The connection has gone, or could not be made; a reason that is shown already is not told again.
     pub fn lost(&mut self, why: &str) {
+        if self.link.state == "lost" && self.link.text == why {
+            return;
+        }
         self.link.state = "lost";
         self.link.text = on_page(why);
         self.say_link();

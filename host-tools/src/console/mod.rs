@@ -189,6 +189,16 @@ impl Console {
         result
     }
 
+    /// The firmware that is connected, or why there is none; nothing before the first attempt has ended.
+    pub fn connection(&self) -> Option<Result<String, String>> {
+        let snapshot = self.machine.snapshot();
+        match (snapshot.welcome, snapshot.lost) {
+            (Some(welcome), _) => Some(Ok(format!("firmware {} on board {}", welcome.firmware, welcome.board))),
+            (None, Some(lost)) => Some(Err(lost.text)),
+            (None, None) => None,
+        }
+    }
+
     /// Milliseconds since the console began.
     pub fn now_ms(&self) -> u64 {
         self.begun.elapsed().as_millis() as u64

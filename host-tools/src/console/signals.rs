@@ -221,7 +221,7 @@ fn distance(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// A sample in which every axis stands at this angle.

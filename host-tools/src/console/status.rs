@@ -184,13 +184,13 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use etherpen::board::PortState;
     use etherpen::link::protocol::Counters;
     use heapless::Vec as FixedVec;
 
-    fn status(mode: Mode, fault: Option<Fault>) -> Status {
+    pub(crate) fn status(mode: Mode, fault: Option<Fault>) -> Status {
         let slave = |al_state, al_code, status_word| SlaveStatus {
             vendor: 0x6A,
             product: 2,

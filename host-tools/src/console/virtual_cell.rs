@@ -30,6 +30,8 @@ const AL_WATCHDOG: u16 = 0x001B;
 const POWER_MS: u64 = 1_000;
 const STUCK_MS: u64 = 200;
 const STALL_MS: u64 = 50;
+/// Beginning of the sockets' names; the process follows.
+const SOCKET_NAME: &str = "etherpen-console-";
 /// Makes the names of the sockets of one process different.
 static SOCKETS: AtomicU32 = AtomicU32::new(0);
 
@@ -175,6 +177,23 @@ pub struct VirtualCell {
     thread: Option<JoinHandle<()>>,
 }
 
+/// Removes the sockets of killed consoles: their processes have gone and nobody listens there.
+fn remove_left_behind(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let process = name.strip_prefix(SOCKET_NAME).and_then(|rest| rest.split_once('-'));
+        let Some((process, _)) = process else { continue };
+        let has_ended = !Path::new("/proc").join(process).exists();
+        let refuses =
+            |path: &Path| UnixStream::connect(path).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused);
+        if has_ended && refuses(&path) {
+            // One that cannot be removed is in nobody's way.
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}
+
 impl VirtualCell {
     /// Starts a cell and a firmware; [`VirtualCell::port`] leads to it.
     ///
@@ -182,7 +201,9 @@ impl VirtualCell {
     /// The socket cannot be made.
     pub fn start(config: &Config, options: CellOptions, firmware: Firmware) -> io::Result<Self> {
         let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("etherpen-console-{}-{number}.sock", std::process::id()));
+        let folder = std::env::temp_dir();
+        remove_left_behind(&folder);
+        let path = folder.join(format!("{SOCKET_NAME}{}-{number}.sock", std::process::id()));
         if let Err(error) = std::fs::remove_file(&path)
             && error.kind() != ErrorKind::NotFound
         {
@@ -356,5 +377,25 @@ mod tests {
             assert!(cell.inject(Injection::Fault { slave }).is_err());
         }
         assert_eq!(cell.failure(), None);
+    }
+
+    #[test]
+    fn sockets_of_killed_consoles_are_removed_and_those_in_use_are_not() {
+        let folder = std::env::temp_dir().join(format!("etherpen-cells-{}", std::process::id()));
+        std::fs::create_dir(&folder).unwrap();
+        // No process has this number (pid_max is 2^22 at most).
+        let [killed, alive, other] = [
+            "etherpen-console-4194305-0.sock",
+            "etherpen-console-4194305-1.sock",
+            "notes.sock",
+        ]
+        .map(|name| folder.join(name));
+        drop(UnixListener::bind(&killed).unwrap());
+        drop(UnixListener::bind(&other).unwrap());
+        let listener = UnixListener::bind(&alive).unwrap();
+        remove_left_behind(&folder);
+        assert!(!killed.exists() && alive.exists() && other.exists());
+        drop(listener);
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -22,7 +22,7 @@ use super::{DrawingError, FilePlace, Stroke};
 use dashes::cut_into_dashes;
 use head::{Head, farthest_line, senseless_line};
 use kurbo::{Affine, BezPath, PathEl};
-use messages::Collected;
+use messages::{Collected, Said};
 use std::collections::{HashMap, HashSet};
 use text::Fonts;
 pub use text::{FontFile, TextFont};
@@ -85,13 +85,16 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     let prepared = head.prepared(text);
     let fonts = Fonts::find(&document, font);
     drop(document);
-    let collected = Collected::begin();
     let mut options = usvg_options();
     fonts.give_to(&mut options);
-    let tree = usvg::Tree::from_str(&prepared, &options);
+    let (mut tree, mut said) = tree(&prepared, &options);
     let mut warnings = head.warnings;
     warnings.extend(fonts.warning());
-    warnings.extend(collected.end());
+    if !said.missing.is_empty() {
+        warnings.extend(text::left_out(&said.missing));
+        (tree, said) = self::tree(&text::without(&prepared, &said.missing), &options);
+    }
+    warnings.extend(said.warnings);
     let tree = tree.map_err(|error| match error {
         // The text itself has been read once before.
         usvg::Error::ParsingFailed(_) => DrawingError::SvgCycle,
@@ -134,6 +137,13 @@ fn check_place(at: Point) -> Result<(), DrawingError> {
     Err(DrawingError::FarAway {
         place: FilePlace::Somewhere,
     })
+}
+
+/// usvg's tree of a file, and what usvg says about it.
+fn tree(text: &str, options: &usvg::Options) -> (Result<usvg::Tree, usvg::Error>, Said) {
+    let collected = Collected::begin();
+    let tree = usvg::Tree::from_str(text, options);
+    (tree, collected.end())
 }
 
 fn syntax(error: &usvg::roxmltree::Error) -> DrawingError {
@@ -406,7 +416,16 @@ impl Reader {
     fn finish(mut self, page_mm: Option<[f64; 2]>, user_space: UserSpace) -> Artwork {
         if self.papers > 0 {
             let papers = self.papers;
-            self.warn(|| format!("{papers} filled rectangle(s) behind the whole page taken as paper, not drawn"));
+            self.warn(|| {
+                format!(
+                    "{papers} {} behind the whole page taken as paper, not drawn",
+                    if papers == 1 {
+                        "filled rectangle"
+                    } else {
+                        "filled rectangles"
+                    }
+                )
+            });
         }
         // Layers without strokes are none, and numbers follow the order of drawing.
         let mut order: Vec<usize> = Vec::new();

@@ -1,7 +1,8 @@
 //! Whose a port is: one program at a time talks to a machine, others find out which and talk to it.
 //!
-//! Beside a port, in the user's runtime folder, lie a lock file and, where the owner shares its machine, a Unix socket. The
-//! lock is the kernel's (flock): it ends with its process however that ends, so that a file left behind means nothing.
+//! Each port that is in use has a lock file in the user's runtime folder and, where the owner shares its machine, a Unix
+//! socket. The lock is the kernel's (flock): it ends with its process however that ends. Files that a killed program has
+//! left are removed by the next program that takes a port or looks for one.
 //! Programs that know nothing of this are looked for among the open files of this user's processes.
 //!
 //! Invariant: while an [`Ownership`] lives, no other program of this family opens the port.
@@ -13,9 +14,15 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-/// Times a lock is tried whose file was taken away meanwhile.
+/// Times a lock is tried whose file was taken away meanwhile, or is being looked at.
 const ATTEMPTS_MAX: usize = 8;
+/// Time between two attempts.
+const ATTEMPT: Duration = Duration::from_millis(10);
+/// Endings of the files of a port.
+const LOCK: &str = "lock";
+const SOCKET: &str = "sock";
 /// Longest file name made of a port's name, bytes.
 const NAME_BYTES_MAX: usize = 60;
 
@@ -48,6 +55,31 @@ impl Owner {
             program: command.map_or(name.clone(), |command| format!("{name} {command}")),
         }
     }
+
+    /// Whether its process runs.
+    fn lives(&self) -> bool {
+        Path::new("/proc").join(self.pid.to_string()).exists()
+    }
+}
+
+/// A port in use by a program of this user.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InUse {
+    /// The port, by the name under which every program knows it.
+    pub port: PortName,
+    /// The program.
+    pub owner: Owner,
+    /// Whether the program carries out other programs' orders.
+    pub shares: bool,
+}
+
+/// What is written into a lock file.
+#[derive(Serialize, Deserialize)]
+struct Held {
+    #[serde(flatten)]
+    owner: Owner,
+    #[serde(default)]
+    port: String,
 }
 
 /// The right to a port, until it is dropped.
@@ -63,29 +95,105 @@ impl Ownership {
     /// # Errors
     /// The folder or the file cannot be used.
     pub fn take(port: &PortName) -> io::Result<Result<Self, Owner>> {
-        let path = beside(port, "lock")?;
+        let path = beside(port, LOCK)?;
+        let mut busy = None;
         for _ in 0..ATTEMPTS_MAX {
-            let mut options = OpenOptions::new();
-            let mut lock = options.read(true).write(true).create(true).mode(0o600).open(&path)?;
-            match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => {}
-                Err(rustix::io::Errno::WOULDBLOCK) => return Ok(Err(owner_in(&mut lock))),
-                Err(error) => return Err(error.into()),
-            }
-            // The owner before may have taken the file away between its opening and its locking.
-            let is_there = std::fs::metadata(&path).is_ok_and(|there| {
-                lock.metadata()
-                    .is_ok_and(|locked| (locked.dev(), locked.ino()) == (there.dev(), there.ino()))
-            });
-            if is_there {
-                let owner = serde_json::to_vec(&Owner::this())?;
-                lock.set_len(0)?;
-                lock.write_all(&owner)?;
-                return Ok(Ok(Self { path, _lock: lock }));
+            match lock(&path)? {
+                Locking::Locked(mut lock) => {
+                    let held = Held {
+                        owner: Owner::this(),
+                        port: canonical(port).to_string(),
+                    };
+                    lock.set_len(0)?;
+                    lock.write_all(&serde_json::to_vec(&held)?)?;
+                    // What others have left is in nobody's way where it cannot be removed.
+                    let _ = in_use();
+                    return Ok(Ok(Self { path, _lock: lock }));
+                }
+                Locking::Gone => {}
+                Locking::Busy(held) => {
+                    let owner = held.map(|held| held.owner);
+                    if owner.as_ref().is_some_and(Owner::lives) {
+                        return Ok(Err(owner.unwrap_or_else(unknown)));
+                    }
+                    // A program that removes a lock left behind holds it for a moment.
+                    busy = Some(owner.unwrap_or_else(unknown));
+                    std::thread::sleep(ATTEMPT);
+                }
             }
         }
-        Err(io::Error::other("the port's lock file comes and goes"))
+        match busy {
+            Some(owner) => Ok(Err(owner)),
+            None => Err(io::Error::other("the port's lock file comes and goes")),
+        }
     }
+}
+
+/// How an attempt to lock a file ended.
+enum Locking {
+    Locked(File),
+    /// Another program has the lock; what it wrote, where that can be read.
+    Busy(Option<Held>),
+    /// The owner before took the file away between its opening and its locking.
+    Gone,
+}
+
+/// Locks a file, which is made if it is missing.
+fn lock(path: &Path) -> io::Result<Locking> {
+    let mut options = OpenOptions::new();
+    let mut lock = options.read(true).write(true).create(true).mode(0o600).open(path)?;
+    match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => {}
+        Err(rustix::io::Errno::WOULDBLOCK) => return Ok(Locking::Busy(held_in(&mut lock))),
+        Err(error) => return Err(error.into()),
+    }
+    let is_there = std::fs::metadata(path).is_ok_and(|there| {
+        lock.metadata()
+            .is_ok_and(|locked| (locked.dev(), locked.ino()) == (there.dev(), there.ino()))
+    });
+    Ok(if is_there { Locking::Locked(lock) } else { Locking::Gone })
+}
+
+/// The ports in use by programs of this user, in the order of their names. What killed programs have left is removed.
+///
+/// # Errors
+/// The runtime folder cannot be used.
+pub fn in_use() -> io::Result<Vec<InUse>> {
+    let folder = folder()?;
+    let entries = std::fs::read_dir(&folder)?.flatten();
+    let is_ours = |path: &PathBuf| path.extension().is_some_and(|end| end == LOCK || end == SOCKET);
+    let mut stems: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(is_ours).collect();
+    stems.iter_mut().for_each(|path| {
+        path.set_extension("");
+    });
+    stems.sort();
+    stems.dedup();
+    Ok(stems.iter().filter_map(|stem| port_in_use(stem)).collect())
+}
+
+/// The port of a lock file, if a program has it; otherwise its files are removed.
+fn port_in_use(stem: &Path) -> Option<InUse> {
+    let (path, socket) = (stem.with_extension(LOCK), stem.with_extension(SOCKET));
+    for _ in 0..ATTEMPTS_MAX {
+        match lock(&path).ok()? {
+            Locking::Locked(_lock) => {
+                // While the lock is held nobody takes the port, so that no socket in use is removed.
+                let _ = std::fs::remove_file(&socket);
+                let _ = std::fs::remove_file(&path);
+                return None;
+            }
+            Locking::Busy(Some(held)) => {
+                return Some(InUse {
+                    port: held.port.parse().ok()?,
+                    owner: held.owner,
+                    shares: socket.exists(),
+                });
+            }
+            // Its owner has only just taken it, or has just ended.
+            Locking::Busy(None) | Locking::Gone => std::thread::sleep(ATTEMPT),
+        }
+    }
+    None
 }
 
 impl Drop for Ownership {
@@ -95,14 +203,17 @@ impl Drop for Ownership {
     }
 }
 
-fn owner_in(lock: &mut File) -> Owner {
+fn held_in(lock: &mut File) -> Option<Held> {
     let mut text = String::new();
     let read = lock.rewind().and_then(|()| lock.read_to_string(&mut text));
-    let owner = read.ok().and_then(|_| serde_json::from_str(&text).ok());
-    owner.unwrap_or(Owner {
+    read.ok().and_then(|_| serde_json::from_str(&text).ok())
+}
+
+fn unknown() -> Owner {
+    Owner {
         pid: 0,
         program: "another etherpen".into(),
-    })
+    }
 }
 
 /// Where an owner listens that shares its machine.
@@ -110,7 +221,7 @@ fn owner_in(lock: &mut File) -> Owner {
 /// # Errors
 /// There is no folder for it.
 pub fn socket_path(port: &PortName) -> io::Result<PathBuf> {
-    beside(port, "sock")
+    beside(port, SOCKET)
 }
 
 fn beside(port: &PortName, extension: &str) -> io::Result<PathBuf> {
@@ -138,15 +249,20 @@ fn folder() -> io::Result<PathBuf> {
     Ok(folder)
 }
 
-/// The port's name as a file name; two names of the same device are the same.
-fn safe_name(port: &PortName) -> String {
-    let canonical = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let name = match port {
+/// A port's one name: two names of the same device are the same, in whatever folder they are used.
+fn canonical(port: &PortName) -> PortName {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let canonical = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| absolute(path));
+    match port {
         PortName::Serial(path) => PortName::Serial(canonical(path)),
         PortName::Unix(path) => PortName::Unix(canonical(path)),
         PortName::Tcp(address) => PortName::Tcp(address.replacen("localhost:", "127.0.0.1:", 1)),
-    };
-    let name = name.to_string();
+    }
+}
+
+/// The port's name as a file name.
+fn safe_name(port: &PortName) -> String {
+    let name = canonical(port).to_string();
     let safe = name
         .chars()
         .map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '_' });
@@ -199,8 +315,37 @@ mod tests {
     #[test]
     fn a_lock_file_left_behind_does_not_lock() {
         let port = port(&format!("unix:/absent/etherpen-stale-{}", std::process::id()));
-        std::fs::write(beside(&port, "lock").unwrap(), "{\"pid\":1,\"program\":\"gone\"}").unwrap();
+        std::fs::write(beside(&port, LOCK).unwrap(), "{\"pid\":1,\"program\":\"gone\"}").unwrap();
         assert!(Ownership::take(&port).unwrap().is_ok());
+    }
+
+    #[test]
+    fn files_of_killed_programs_are_removed_and_those_of_a_living_one_are_not() {
+        let port = |name: &str| port(&format!("unix:/absent/etherpen-{name}-{}", std::process::id()));
+        let (killed, without_lock, living) = (port("killed"), port("lockless"), port("living"));
+        std::fs::write(
+            beside(&killed, LOCK).unwrap(),
+            "{\"pid\":4194305,\"program\":\"gone\",\"port\":\"\"}",
+        )
+        .unwrap();
+        for port in [&killed, &without_lock] {
+            drop(std::os::unix::net::UnixListener::bind(socket_path(port).unwrap()).unwrap());
+        }
+        let owned = Ownership::take(&living).unwrap().unwrap();
+        let socket = std::os::unix::net::UnixListener::bind(socket_path(&living).unwrap()).unwrap();
+        let found = in_use().unwrap();
+        let ours: Vec<_> = found.iter().filter(|found| found.port == living).collect();
+        assert!(
+            matches!(ours.as_slice(), [found] if found.shares && found.owner == Owner::this()),
+            "{found:?}"
+        );
+        for port in [&killed, &without_lock] {
+            assert!(!socket_path(port).unwrap().exists() && !beside(port, LOCK).unwrap().exists());
+        }
+        assert!(socket_path(&living).unwrap().exists());
+        drop((socket, owned));
+        std::fs::remove_file(socket_path(&living).unwrap()).unwrap();
+        assert!(in_use().unwrap().iter().all(|found| found.port != living));
     }
 
     #[test]

@@ -121,8 +121,13 @@ fn a_preview_counts_shows_and_names_what_is_refused() {
             .arg("--json")
             .args(extra))
     };
-    let (status, stdout, _) = preview(&["--origin", "100,0"]);
-    assert_eq!(status, Some(0));
+    let (status, stdout, stderr) = preview(&["--origin", "100,0"]);
+    assert_eq!(status, Some(i32::from(code::INPUT)), "a refused stroke is no success");
+    assert!(stderr.contains("1 of 2 strokes would be refused"), "{stderr}");
+    assert!(
+        fs::metadata(&out).is_ok_and(|file| file.len() > 500),
+        "the picture shows it"
+    );
     let answer = json(&stdout);
     assert_eq!(answer["refused"], 1, "{stdout}");
     assert!(

@@ -13,7 +13,9 @@ mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;
 mod ethercrab;
+mod installed;
 mod network;
+mod outputs;
 #[cfg(target_os = "linux")]
 mod outside;
 mod pictures;
@@ -23,6 +25,8 @@ mod recording;
 #[cfg(target_os = "linux")]
 mod restarted;
 mod segment;
+#[cfg(target_os = "linux")]
+mod sessions;
 
 use etherpen::board::PreviousRun;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};

@@ -77,13 +77,12 @@ impl Carrier for Master {
 ///
 /// # Errors
 /// There is no connection, or the firmware refused the configuration.
-pub(super) fn firmware(port: &str, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
-    let name: PortName = port.parse().map_err(|cause| CommandError::new(code::USAGE, cause))?;
-    if let Some(client) = Client::find(&name) {
+pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
+    if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
         return Ok(Box::new(Patient(client)));
     }
-    let port = Port::open(&name).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let port = Port::open(port).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
     let mut linked = Linked {
         line: Line::start(port),
         session: Session::new(crate::commands::session_number()),

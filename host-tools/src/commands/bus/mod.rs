@@ -9,6 +9,7 @@ mod table;
 pub mod text;
 mod value;
 
+use super::ports::OptionalPort;
 use super::{CommandError, ConfigArguments, code};
 use crate::transport::{Endpoint, udp_address};
 use access::BusAccess;
@@ -49,9 +50,8 @@ struct WayArguments {
     /// The master on this computer, the Unix socket of `etherpen segment --unix`.
     #[arg(long, value_name = "PATH", global = true)]
     unix: Option<PathBuf>,
-    /// The master of a running firmware: /dev/tty.., tcp:host:port or unix:path.
-    #[arg(long, value_name = "P", global = true)]
-    port: Option<String>,
+    #[command(flatten)]
+    port: OptionalPort,
 }
 
 /// What to do.
@@ -174,10 +174,10 @@ fn address(text: &str) -> Result<u16, String> {
 
 impl WayArguments {
     fn endpoint(&self) -> Result<Endpoint, String> {
-        match (&self.interface, &self.udp, &self.unix, &self.port) {
-            (Some(name), None, None, None) => Ok(Endpoint::Interface(name.clone())),
-            (None, Some(address), None, None) => Ok(Endpoint::Udp(*address)),
-            (None, None, Some(path), None) => Ok(Endpoint::Unix(path.clone())),
+        match (&self.interface, &self.udp, &self.unix) {
+            (Some(name), None, None) => Ok(Endpoint::Interface(name.clone())),
+            (None, Some(address), None) => Ok(Endpoint::Udp(*address)),
+            (None, None, Some(path)) => Ok(Endpoint::Unix(path.clone())),
             _ => Err("say how the bus is reached by one of --interface, --udp, --unix, --port".into()),
         }
     }
@@ -196,17 +196,22 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let config = arguments.config.load()?;
     let way = &arguments.way;
-    let mut access = match (&way.port, way.endpoint()) {
-        (_, Ok(endpoint)) => carrier::own_master(&endpoint)?,
-        (Some(port), Err(_)) if way.is_port_alone() => carrier::firmware(port, &config)?,
-        (_, Err(why)) => return Err(CommandError::new(code::USAGE, why)),
+    let port = way.port.unless(way.other())?;
+    let mut access = match (port, way.endpoint()) {
+        (Some(port), _) => carrier::firmware(&port, &config)?,
+        (None, Ok(endpoint)) => carrier::own_master(&endpoint)?,
+        (None, Err(why)) => return Err(CommandError::new(code::USAGE, why)),
     };
     act(&mut *access, &arguments.action, &written, arguments.json)
 }
 
 impl WayArguments {
-    fn is_port_alone(&self) -> bool {
-        self.interface.is_none() && self.udp.is_none() && self.unix.is_none()
+    /// An option beside --port that says how the bus is reached.
+    fn other(&self) -> Option<&'static str> {
+        let interface = self.interface.as_ref().map(|_| "--interface");
+        interface
+            .or(self.udp.map(|_| "--udp"))
+            .or(self.unix.as_ref().map(|_| "--unix"))
     }
 }
 

@@ -214,7 +214,7 @@ pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), Command
     }
     if view.answering != u16::try_from(view.slaves.len()).unwrap_or(u16::MAX) {
         table::say(&format!(
-            "{} slaves answer, {} are known",
+            "slaves that answer: {}; known are {}",
             view.answering,
             view.slaves.len()
         ))?;

@@ -1,7 +1,8 @@
 //! `etherpen jobs`: the drawings of this computer's log.
 
-use crate::commands::{CommandError, print_json};
-use crate::history::{Entry, folder, list};
+use crate::commands::{CommandError, counted, print_json};
+use crate::history::{Entry, Record, folder, list};
+use serde::Serialize;
 
 /// Options of `etherpen jobs`.
 #[derive(clap::Args, Debug)]
@@ -22,7 +23,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let records = folder()
         .and_then(|folder| list(&folder))
         .map_err(|cause| CommandError::failed("the log of jobs cannot be read", cause))?;
-    let mut entries: Vec<Entry> = records.into_iter().map(|record| record.entry).collect();
+    let mut entries: Vec<Job> = records.into_iter().map(Job::from).collect();
     if arguments.newest > 0 {
         let first = entries.len().saturating_sub(arguments.newest);
         entries.drain(..first);
@@ -39,18 +40,36 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn line(entry: &Entry) -> String {
+/// A drawing and its name.
+#[derive(Debug, Serialize)]
+struct Job {
+    /// What `etherpen draw --resume` takes.
+    job: String,
+    #[serde(flatten)]
+    entry: Entry,
+}
+
+impl From<Record> for Job {
+    fn from(record: Record) -> Self {
+        Self {
+            job: record.name(),
+            entry: record.entry,
+        }
+    }
+}
+
+fn line(Job { job, entry }: &Job) -> String {
     let state = match (&entry.result, entry.completed) {
         (_, true) => "drawn".to_owned(),
         (Some(result), false) => format!("ended: {result}"),
         (None, false) => "under way, or its program was killed".to_owned(),
     };
     format!(
-        "{}  {}  {} of {} strokes, {:.2} m, {:.0} s  {state}",
+        "{}  {job}  {}  {} of {}, {:.2} m, {:.0} s  {state}",
         time_text(entry.begun_unix_s),
         entry.file.display(),
         entry.strokes,
-        entry.strokes_total,
+        counted(entry.strokes_total, "stroke"),
         entry.pen_down_mm / 1_000.0,
         entry.drawn_s,
     )
@@ -89,9 +108,12 @@ mod tests {
 
     #[test]
     fn a_killed_drawing_is_told_from_one_that_is_done() {
-        let mut entry = Entry::default();
-        assert!(line(&entry).contains("killed"));
-        entry.completed = true;
-        assert!(line(&entry).ends_with("drawn"));
+        let mut job = Job {
+            job: "0001-ab-7".into(),
+            entry: Entry::default(),
+        };
+        assert!(line(&job).contains("killed") && line(&job).contains("  0001-ab-7  "));
+        job.entry.completed = true;
+        assert!(line(&job).ends_with("drawn"));
     }
 }

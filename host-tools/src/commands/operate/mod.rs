@@ -1,17 +1,20 @@
 //! `etherpen status`, `hold`, `stop`, `move` and the like: a machine from any terminal.
 //!
 //! Where another program of this user has the port and shares its machine, the order goes through it; else the port is
-//! opened here. Which of the two it was is said.
+//! opened here. Which of the two it was is said. Without `--port` the one program that shares its machine is used.
 
+mod ending;
 mod jobs;
 mod status;
 
-use super::{CommandError, ConfigArguments, PortArguments, code, ended_by_a_signal, print_json};
+use super::ports::{self, SessionPort};
+use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
 use crate::link::job::{Motion, Ready};
 use crate::link::ownership::Owner;
-use crate::link::port::PortError;
+use crate::link::port::{PortError, PortName};
 use crate::link::text;
 use crate::machine::{Answer, Client, Failure, Machine, MachineOptions, Order, Snapshot};
+use ending::{END_MAX, Ending, state_text};
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command as Told;
 use etherpen::motion::Pen;
@@ -31,6 +34,15 @@ const SAMPLE_MAX: Duration = Duration::from_secs(1);
 /// A machine from any terminal.
 #[derive(clap::Subcommand, Debug)]
 pub enum Command {
+    /// Quick stop of all drives at once, latched as a fault (exit code 0: the robot stands).
+    Stop {
+        /// Stop every robot that a running program has, and the one at --port.
+        #[arg(long)]
+        all: bool,
+        /// Which machine.
+        #[command(flatten)]
+        arguments: Arguments,
+    },
     /// Show where the machine stands and who works with it; nothing is commanded.
     Status(Arguments),
     /// Hold the drawing: decelerate on the path, lift the pen, wait.
@@ -46,8 +58,6 @@ pub enum Command {
     Resume(Arguments),
     /// End the drawing or the motion: decelerate on the path, lift the pen, forget the rest.
     Cancel(Arguments),
-    /// Quick stop of all drives at once, latched as a fault (exit code 0: it was carried out).
-    Stop(Arguments),
     /// Scale the path speed.
     Override {
         /// Percent of the configured speed, 10 to 200.
@@ -100,7 +110,7 @@ pub enum Command {
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     #[command(flatten)]
-    port: PortArguments,
+    port: SessionPort,
     /// Print the result as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -158,7 +168,8 @@ pub fn run(command: &Command) -> Result<(), CommandError> {
         ),
         Command::Resume(arguments) => (arguments, "resume", Order::Resume),
         Command::Cancel(arguments) => (arguments, "cancel", Order::Cancel),
-        Command::Stop(arguments) => (arguments, "stop", Order::Stop),
+        Command::Stop { all: true, arguments } => return stop_all(arguments),
+        Command::Stop { arguments, .. } => (arguments, "stop", Order::Stop),
         Command::Override { percent, arguments } => (arguments, "override", Order::Override(*percent)),
         Command::Jog {
             velocity,
@@ -181,44 +192,148 @@ pub fn run(command: &Command) -> Result<(), CommandError> {
         Command::Disable(arguments) => (arguments, "disable", Order::Settle(Told::Disable)),
         Command::Acknowledge(arguments) => (arguments, "acknowledge", Order::Settle(Told::Acknowledge)),
     };
-    let mut way = Way::find(arguments)?;
-    way.carry_out(order)?;
-    let snapshot = way.state()?;
-    tell(arguments, name, &way, &snapshot)
+    let port = arguments.port.find()?;
+    let done = carry_out(&port, arguments, name, order)?;
+    if arguments.json {
+        print_json(&done)?;
+    } else {
+        done.tell();
+    }
+    done.ended()
+}
+
+/// Carries out an order and waits for what it leads to.
+fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: Order) -> Result<Done, CommandError> {
+    let mut way = Way::find(port, arguments)?;
+    let order = way.carry_out(order)?;
+    let begun = Instant::now();
+    let mut ending: Option<Ending> = None;
+    loop {
+        match way.state() {
+            Ok(snapshot) => {
+                let ending = ending.get_or_insert_with(|| Ending::new(order.clone(), &snapshot));
+                if ending.is_reached(&snapshot) || begun.elapsed() > END_MAX {
+                    return Ok(Done::new(name, ending, &snapshot, way.owner().cloned()));
+                }
+            }
+            Err(gone) if begun.elapsed() > END_MAX => return Err(gone),
+            // The program that had the port has ended, as a drawing's does after a stop: the port is opened here.
+            Err(_) => {
+                if let Ok(own) = Way::find(port, arguments) {
+                    (way, ending) = (own, Some(Ending::after_reconnection(order.clone())));
+                }
+            }
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// Stops every machine that a running program has, and the one at `--port`, all at the same time.
+fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
+    let (sharing, alone) = ports::running()?;
+    let mut all: Vec<PortName> = sharing.into_iter().map(|found| found.port).collect();
+    all.extend(arguments.port.port.clone().filter(|named| !all.contains(named)));
+    let stopped: Vec<_> = std::thread::scope(|scope| {
+        let begin = |port| scope.spawn(move || carry_out(port, arguments, "stop", Order::Stop));
+        let under_way: Vec<_> = all.iter().map(begin).collect();
+        let end = |thread: std::thread::ScopedJoinHandle<'_, _>| {
+            thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        };
+        under_way.into_iter().map(end).collect()
+    });
+    let mut result = match all.is_empty() {
+        true => Err(CommandError::new(
+            code::CONNECTION,
+            "no running program has a robot that could be stopped",
+        )),
+        false => Ok(()),
+    };
+    let mut answers = Vec::new();
+    for (port, stopped) in all.iter().zip(stopped) {
+        let ended = match stopped {
+            Ok(done) => {
+                eprint!("{port}: ");
+                done.tell();
+                let ended = done.ended();
+                answers.push(done);
+                ended
+            }
+            Err(error) => {
+                eprintln!("{port}: NOT STOPPED: {}", error.message);
+                Err(CommandError::new(error.code, "not every robot was stopped"))
+            }
+        };
+        result = result.and(ended);
+    }
+    for found in &alone {
+        let (port, owner) = (&found.port, &found.owner);
+        eprintln!("{port}: NOT STOPPED: {owner} takes no orders; Ctrl-C in its terminal ends it");
+        result = result.and(Err(CommandError::new(code::FAILED, "not every robot was stopped")));
+    }
+    if arguments.json {
+        print_json(&answers)?;
+    }
+    result
 }
 
 /// What a command prints with `--json`.
-#[derive(Serialize)]
-struct Done<'a> {
-    order: &'a str,
+#[derive(Debug, Serialize)]
+struct Done {
+    order: &'static str,
+    /// Whether the machine accepted the order.
     done: bool,
+    /// Whether the state was seen that the order leads to.
+    reached: bool,
+    /// Where the machine stands now, in words.
+    state: String,
     mode: Option<Mode>,
     fault: Option<String>,
     referenced: Option<bool>,
     override_percent: Option<u8>,
-    owner: Option<&'a Owner>,
+    owner: Option<Owner>,
+    /// Whether a state that was not reached is an error.
+    #[serde(skip)]
+    is_due: bool,
 }
 
-fn tell(arguments: &Arguments, order: &str, way: &Way, snapshot: &Snapshot) -> Result<(), CommandError> {
-    let status = snapshot.status.as_ref();
-    if let Some(owner) = way.owner() {
-        eprintln!("through {owner}");
-    }
-    if arguments.json {
-        return print_json(&Done {
+impl Done {
+    fn new(order: &'static str, ending: &Ending, snapshot: &Snapshot, owner: Option<Owner>) -> Self {
+        let status = snapshot.status.as_ref();
+        Self {
             order,
             done: true,
+            reached: ending.is_reached(snapshot),
+            state: state_text(snapshot),
             mode: status.map(|status| status.mode),
             fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
             referenced: status.map(|status| status.referenced),
             override_percent: status.map(|status| status.override_percent),
-            owner: way.owner(),
-        });
+            owner,
+            is_due: ending.is_due(),
+        }
     }
-    if let Some(status) = status {
-        eprintln!("{order}: done; {}", text::doing(status));
+
+    fn tell(&self) {
+        let Self { order, state, .. } = self;
+        let through = match &self.owner {
+            Some(owner) => format!(" (through {owner})"),
+            None => String::new(),
+        };
+        let waited_s = END_MAX.as_secs();
+        match self.reached {
+            true => eprintln!("{order}: {state}{through}"),
+            false => eprintln!("{order}: accepted, but not carried out within {waited_s} s: {state}{through}"),
+        }
     }
-    Ok(())
+
+    /// An error where the end state was due and did not come.
+    fn ended(&self) -> Result<(), CommandError> {
+        if self.reached || !self.is_due {
+            return Ok(());
+        }
+        let text = format!("{} was accepted, but its end was not seen: {}", self.order, self.state);
+        Err(CommandError::new(code::FAILED, text))
+    }
 }
 
 /// The way to the machine.
@@ -231,8 +346,7 @@ enum Way {
 }
 
 impl Way {
-    fn find(arguments: &Arguments) -> Result<Self, CommandError> {
-        let port = &arguments.port.port;
+    fn find(port: &PortName, arguments: &Arguments) -> Result<Self, CommandError> {
         if let Some(client) = Client::find(port) {
             return Ok(Self::Through(client));
         }
@@ -254,17 +368,17 @@ impl Way {
         }
     }
 
-    /// Gives an order and waits for its answer; an interrupt cancels it.
-    fn carry_out(&mut self, order: Order) -> Result<(), CommandError> {
-        let answer = match self {
-            Self::Through(client) => client.carry_out(order),
+    /// Gives an order and waits for its answer; an interrupt cancels it. Gives the order that was carried out.
+    fn carry_out(&mut self, order: Order) -> Result<Order, CommandError> {
+        let (order, answer) = match self {
+            Self::Through(client) => (order.clone(), client.carry_out(order)),
             Self::Own(machine) => {
                 let order = alone(order)?;
                 let interrupted = ended_by_a_signal()?;
-                wait(machine, order, &interrupted)
+                (order.clone(), wait(machine, order, &interrupted))
             }
         };
-        answer.map(|_| ()).map_err(CommandError::from)
+        answer.map(|_| order).map_err(CommandError::from)
     }
 
     /// Where the machine stands, once that is known.

@@ -1,7 +1,7 @@
 //! `etherpen status`: where the machine stands and who works with it.
 
 use super::{Arguments, Way};
-use crate::commands::{CommandError, print_json};
+use crate::commands::{CommandError, counted, print_json};
 use crate::link::ownership::Owner;
 use crate::link::progress::Progress;
 use crate::link::text;
@@ -60,7 +60,7 @@ struct Answer<'a> {
 /// There is no machine.
 pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
-    let mut way = Way::find(arguments)?;
+    let mut way = Way::find(&arguments.port.find()?, arguments)?;
     let snapshot = way.state()?;
     let answer = answer(&config, &snapshot, way.owner());
     if arguments.json {
@@ -149,12 +149,12 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
     }
     if let Some(counters) = &answer.counters {
         println!(
-            "{} cycles: {} late, {} frames lost, {} working counter errors, {} reference underruns",
-            counters.cycles,
+            "{}: {} late, {} lost, {}, {}",
+            counted(counters.cycles, "cycle"),
             counters.cycles_late,
-            counters.frames_lost,
-            counters.working_counter_errors,
-            counters.reference_underruns
+            counted(counters.frames_lost, "frame"),
+            counted(counters.working_counter_errors, "working counter error"),
+            counted(counters.reference_underruns, "reference underrun")
         );
     }
     if let (Some(drawing), Some(progress)) = (answer.drawing, answer.progress) {

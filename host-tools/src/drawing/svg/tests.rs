@@ -272,3 +272,28 @@ fn a_size_that_is_no_length_is_refused() {
         assert!(read_svg(&text).is_ok(), "{size}");
     }
 }
+
+#[test]
+fn characters_that_no_font_has_are_named_and_leave_their_place_free() {
+    let font = &TextFont::SingleStroke;
+    let warned = |artwork: &Artwork, part: &str| artwork.warnings.iter().any(|warning| warning.contains(part));
+    let lines = |artwork: &Artwork| points(artwork).len();
+    for missing in ["\u{6f22}", "&#x6f22;", "&#28450;"] {
+        let artwork = letter(&format!("T{missing}L"), "", font);
+        assert_eq!(
+            lines(&artwork),
+            lines(&letter("T", "", font)) + lines(&letter("L", "", font)),
+            "{missing}"
+        );
+        assert!(
+            warned(&artwork, "\u{6f22} (U+6F22)"),
+            "{missing}: {:?}",
+            artwork.warnings
+        );
+        assert_eq!(points(&artwork), points(&letter("T L", "", font)), "{missing}");
+    }
+    // Labels and identifiers with such a character are no text.
+    let text = "<text x='1' y='9' font-size='9'>T\u{6f22}</text><path id='\u{6f22}' d='M0 0h5'/><use xlink:href='#\u{6f22}' y='3'/>";
+    let artwork = read_svg_with(&svg("width='50' height='50'", text), font).expect("an SVG");
+    assert_eq!(lines(&artwork), 2 + 2, "{:?}", artwork.warnings);
+}
