@@ -21,6 +21,7 @@ mod ring;
 mod scan;
 mod shaping;
 mod straight;
+mod stretches;
 pub mod task;
 mod trajectory;
 

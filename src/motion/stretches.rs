@@ -1,0 +1,101 @@
+//! How the motion goes over one interval of the grid: the stretches of constant acceleration that it is made of.
+//!
+//! Invariant: a stretch begins with the speed that the motion has and keeps the interval's limits, and the motion can go on
+//! from its end as planned, or slower.
+
+use super::grid::ARRIVED_MM;
+use super::micro_interpolator::Stretch;
+use super::scan::Interval;
+
+/// Longest time for which an acceleration is chosen, s.
+pub(super) const STRETCH_MAX_S: f64 = 0.12;
+/// Part of the squared speed that an interval allows in its middle: where both ends are slower, the motion speeds up to the
+/// middle first. Going evenly from end to end would take more than five times as long, from rest to rest for ever.
+const SLOW_PART: f64 = 0.01;
+
+/// The stretch that slows down from a squared speed as the limits allow, to rest where the interval is long enough.
+pub(super) fn braking(interval: &Interval<'_>, offset_mm: f64, x: f64) -> Stretch {
+    let braking = interval.braking(x);
+    if x + 2.0 * interval.length_mm * braking <= 0.0 {
+        Stretch::new(offset_mm, -x / (2.0 * braking), x, 0.0)
+    } else {
+        let range = interval.range(x);
+        Stretch::to(offset_mm, interval.length_mm, x, range.low.min(range.high))
+    }
+}
+
+/// The stretch to the interval's end, with `part` of the squared speed that is planned there.
+pub(super) fn going(interval: &Interval<'_>, offset_mm: f64, x: f64, part: f64) -> Stretch {
+    let range = interval.range(x);
+    let target_squared = part * interval.end_squared;
+    let acceleration = |end_squared: f64| (end_squared - x) / (2.0 * interval.length_mm);
+    let target = acceleration(target_squared);
+    // A lower speed than the planned one is reached as fast as the limits allow; the planned one always is.
+    let lowest = range.low.min(acceleration(interval.end_squared));
+    let even = if target >= lowest && target <= range.high {
+        Stretch::new(offset_mm, interval.length_mm, x, target_squared)
+    } else {
+        Stretch::to(offset_mm, interval.length_mm, x, target.max(lowest).min(range.high))
+    };
+    if even.duration_s() <= STRETCH_MAX_S {
+        return even;
+    }
+    soon(interval, offset_mm, x, target_squared).unwrap_or(even)
+}
+
+/// The stretch that changes to a squared speed as fast as the limits allow, which then can be kept to the interval's end;
+/// none where that needs the whole interval, or the fourth axis turns, whose slope changes from end to end.
+fn soon(interval: &Interval<'_>, offset_mm: f64, x: f64, target_squared: f64) -> Option<Stretch> {
+    if interval.turns() {
+        return None;
+    }
+    let acceleration = if target_squared < x {
+        interval.braking(x)
+    } else {
+        let keeping = interval.range(target_squared);
+        if keeping.low > 0.0 || keeping.high < 0.0 {
+            return None;
+        }
+        let free = Interval {
+            end_squared: f64::MAX,
+            ..*interval
+        };
+        free.range(x).high
+    };
+    let length_mm = (target_squared - x) / (2.0 * acceleration);
+    let within = length_mm > ARRIVED_MM && length_mm < interval.length_mm;
+    within.then(|| Stretch::new(offset_mm, length_mm, x, target_squared))
+}
+
+/// The stretch to the middle of an interval whose ends are passed at rest or nearly so; none elsewhere.
+pub(super) fn over_the_middle(interval: &Interval<'_>, offset_mm: f64, x: f64, cap: f64) -> Option<Stretch> {
+    let (length_mm, end_squared) = (interval.length_mm, interval.end_squared);
+    // Most intervals lead to a speed that only the whole of them can reach.
+    if x.max(end_squared) > SLOW_PART * length_mm * interval.limits.acceleration {
+        return None;
+    }
+    let half_mm = 0.5 * length_mm;
+    let acceleration = acceleration_to_middle(interval, half_mm, x).min(cap / length_mm);
+    let slow = x.max(end_squared) <= SLOW_PART * length_mm * acceleration;
+    // What is gained in the first half is lost in the second, with the speed at the beginning.
+    slow.then(|| Stretch::to(offset_mm, half_mm, x, acceleration - x / length_mm))
+}
+
+/// Acceleration towards the middle of an interval that ends at rest or nearly so: what both directions allow.
+fn acceleration_to_middle(interval: &Interval<'_>, half_mm: f64, x: f64) -> f64 {
+    let range = Interval {
+        length_mm: half_mm,
+        end_squared: f64::MAX,
+        ..*interval
+    }
+    .range(x);
+    let braking = -interval.braking(x);
+    // In the middle the fourth axis' slope and its change add up to less than three times the larger slope.
+    let slope = interval.start.turn.abs().max(interval.end.turn.abs());
+    let turning = if slope > 0.0 {
+        interval.limits.turn_acceleration / (3.0 * slope)
+    } else {
+        f64::MAX
+    };
+    range.high.min(braking).min(turning)
+}
