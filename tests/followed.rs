@@ -2,11 +2,13 @@
 //!
 //! Truth is the ink on the virtual paper: whatever a drive does without a fault, a job that ends well has left all of it.
 
-mod golden;
-
+use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
+use host_tools::commands::prepare::prepare;
+use host_tools::commands::run::task;
 use host_tools::link::error::JobError;
 use host_tools::run::{Drawn, Task, simulate};
+use std::path::Path;
 
 /// Ink that may be missing of a drawing that counts as finished, mm.
 const INK_MISSING_MAX_MM: f64 = 1.0;
@@ -39,7 +41,10 @@ fn ink_missing_mm(task: &Task, path: &[Vertex], drawn: &Drawn) -> f64 {
 
 #[test]
 fn a_drive_whose_processor_stands_still_does_not_leave_a_drawing_that_counts_as_finished() {
-    let (prepared, task) = golden::strokes();
+    let config = Config::default();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("samples/strokes.csv");
+    let prepared = prepare(&file, &config).expect("the sample can be drawn");
+    let task = task(&config, &prepared);
     let (mut refused, mut faults, mut whole) = (0, 0, 0);
     let mut unnoticed = Vec::new();
     for slave in 1..=3 {

@@ -2,6 +2,7 @@
 
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
+use etherpen::config::Config;
 use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use etherpen::link::frame::Decoder;
@@ -9,6 +10,8 @@ use etherpen::link::ports::LinkPort;
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::measurement::Measurements;
 use etherpen::motion::Pen;
+use etherpen::robot::{AXES, Delta, Position};
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
@@ -61,7 +64,8 @@ impl Line {
     }
 }
 
-/// A firmware that does what it is told after a while: it executes one vertex a millisecond.
+/// A firmware that does what it is told after a while: it executes one vertex a millisecond, and its drives follow with
+/// the configured age.
 pub(crate) struct Bench {
     pub(crate) decoder: Decoder,
     pub(crate) endpoint: DeviceEndpoint,
@@ -79,6 +83,10 @@ pub(crate) struct Bench {
     pub(crate) vertices: Vec<PathVertex>,
     pub(crate) executed: u32,
     pub(crate) lines: [Line; 2],
+    delta: Delta,
+    /// References that are not measured yet.
+    following: VecDeque<[f32; AXES]>,
+    age_ms: usize,
     complete: bool,
     then: Option<(u64, Mode)>,
     status_due_ms: u64,
@@ -114,6 +122,9 @@ impl Bench {
                 Line::new(seed, faults_per_million),
                 Line::new(seed + 1, faults_per_million),
             ],
+            delta: Delta::new(&Config::default().geometry).expect("the built-in geometry"),
+            following: VecDeque::new(),
+            age_ms: Config::default().axes[0].measurement_age_ms.round() as usize,
             complete: false,
             then: None,
             status_due_ms: 0,
@@ -282,7 +293,8 @@ impl Bench {
             self.mode = Mode::Idle;
         }
         self.endpoint.acknowledge(self.executed, self.free(), finished);
-        self.endpoint.sample(self.sample(now_ms));
+        let sample = self.sample(now_ms);
+        self.endpoint.sample(sample);
         if now_ms >= self.status_due_ms || self.told != Some(self.mode) {
             self.told = Some(self.mode);
             self.status_due_ms = now_ms + 500;
@@ -302,21 +314,28 @@ impl Bench {
         }
     }
 
-    fn sample(&self, now_ms: u64) -> Sample {
-        let angle = (now_ms as f32).sin();
+    fn sample(&mut self, now_ms: u64) -> Sample {
+        let vertex = self.vertices.get((self.executed as usize).wrapping_sub(1));
+        let reference_rad = vertex.map_or([0.0; AXES], |vertex| {
+            let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
+            let pose = self.delta.inverse(&Position { x_mm, y_mm, z_mm });
+            let [a, b, c] = pose.unwrap_or_default().map(|rad| rad as f32);
+            [a, b, c, 0.0]
+        });
+        self.following.push_back(reference_rad);
+        let measured_rad = match self.following.len() > self.age_ms {
+            true => self.following.pop_front().unwrap_or_default(),
+            false => reference_rad,
+        };
         Sample {
             t_ms: now_ms as u32,
             mode: self.mode,
-            stroke: 1000,
-            pen: if (self.executed / 40).is_multiple_of(2) {
-                Pen::Up
-            } else {
-                Pen::Down
-            },
-            reference_rad: [angle; 4],
-            measured_rad: [angle; 4],
-            reference_rad_s: [angle; 4],
-            measured_rad_s: [angle; 4],
+            stroke: vertex.map_or(0, |vertex| vertex.stroke),
+            pen: vertex.map_or(Pen::Up, |vertex| vertex.pen),
+            reference_rad,
+            measured_rad,
+            reference_rad_s: [0.0; AXES],
+            measured_rad_s: [0.0; AXES],
         }
     }
 }
