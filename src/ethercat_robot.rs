@@ -6,10 +6,11 @@
 //! Invariants: a position is only given in the cycle it came in; a velocity or torque never exceeds the axis's clamp and
 //! is 0 unless the drive is in operation, meant to stay there, and takes this kind of demand; a drive that is not in OP,
 //! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
-//! turns may have been miscounted, or whose drive was configured anew, is not referenced any more.
+//! turns may have been miscounted, whose feedback cannot be true, or whose drive was configured anew, is not referenced.
 
 use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
+use crate::control::feedback::{FeedbackMonitor, Implausible};
 use crate::control::limited;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
 use crate::drives::layout::ProcessLayout;
@@ -37,6 +38,11 @@ pub type RobotSupervisor<'a> = Supervisor<'a, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>
 pub const GAP_IN_MOTION_MAX_MS: u32 = 8;
 /// Longest gap of positions at rest after which the turns still count as known, ms.
 pub const GAP_AT_REST_MAX_MS: u32 = 500;
+/// How long the feedback is compared with the ramp of a quick stop, ms: long enough to tell a frozen feedback, whose
+/// following error stopped the robot first, and too short for what is not known of the ramp's beginning to matter.
+const RAMP_COMPARED_MS: u8 = 10;
+/// Speed above which a change of the position is a jump of the feedback, as a part of the greatest speed.
+const JUMP_SPEED: f64 = 1.5;
 /// Motor speed below which an axis is at rest, revolutions a second.
 const REST_REVOLUTIONS_S: f64 = 0.05;
 
@@ -131,6 +137,16 @@ struct AxisState {
     zero: Option<f64>,
     reference_lost: bool,
     commanded: bool,
+    feedback: FeedbackMonitor,
+    /// What the drive was told last, digits.
+    sent: i32,
+    /// For how long the feedback is still to be compared with what was sent, ms.
+    compared_ms: u8,
+    /// Change of `sent` in a millisecond of a quick stop, digits.
+    ramp_digits: i32,
+    /// Largest change of the position in a millisecond, increments.
+    jump_increments: u32,
+    implausible: Option<Implausible>,
 }
 
 impl AxisState {
@@ -157,6 +173,14 @@ impl AxisState {
             zero: None,
             reference_lost: false,
             commanded: false,
+            feedback: FeedbackMonitor::new(axis, AxisMode::Velocity, 1.0),
+            sent: 0,
+            compared_ms: 0,
+            ramp_digits: 0,
+            jump_increments: (JUMP_SPEED * axis.output_max_rad_s.abs() * axis.gear.abs() * f64::from(increments)
+                / TAU
+                / 1_000.0) as u32,
+            implausible: None,
         }
     }
 
@@ -196,6 +220,11 @@ impl AxisState {
             self.position += i64::from(difference);
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
             self.step = difference / cycles;
+            if self.compared_ms == 0 {
+                self.look_for_jump();
+            } else if !self.feedback.step(self.sent, difference) {
+                self.distrust();
+            }
         } else {
             self.position = i64::from(input.position);
             self.step = 0;
@@ -217,7 +246,50 @@ impl AxisState {
         if self.gap_ms > GAP_IN_MOTION_MAX_MS && moving || self.gap_ms > GAP_AT_REST_MAX_MS {
             self.lose_reference();
         }
+        if self.compared_ms > 0 {
+            self.feedback.step_blind(self.sent);
+        }
         self.valid = false;
+    }
+
+    /// The feedback cannot be true: where the joint is, is not known any more.
+    #[cold]
+    fn distrust(&mut self) {
+        if self.zero.is_some() {
+            self.implausible = Some(self.feedback.implausible());
+        }
+        self.end_comparison();
+        self.lose_reference();
+    }
+
+    /// A joint that nothing drives may be moved by hand, but no faster than its motor can.
+    #[cold]
+    fn look_for_jump(&mut self) {
+        if self.step.unsigned_abs() > self.jump_increments {
+            self.lose_reference();
+        }
+    }
+
+    #[cold]
+    fn end_comparison(&mut self) {
+        (self.compared_ms, self.sent) = (0, 0);
+        self.feedback.reset();
+    }
+
+    /// The drive follows no command: it brakes for a moment, then it stands by itself.
+    #[cold]
+    fn follow_ramp(&mut self) {
+        let brakes = matches!(self.state, DriveState::OperationEnabled | DriveState::QuickStopActive);
+        let ramps = self
+            .drive
+            .as_ref()
+            .is_some_and(|drive| drive.mode == AxisMode::Velocity);
+        let left = self.sent.saturating_abs().saturating_sub(self.ramp_digits);
+        if self.compared_ms <= 1 || !brakes || !ramps || left <= 0 {
+            return self.end_comparison();
+        }
+        self.compared_ms -= 1;
+        self.sent = if self.sent < 0 { -left } else { left };
     }
 
     #[inline]
@@ -249,6 +321,12 @@ impl AxisState {
         };
         if !same {
             self.drive = role.and_then(|role| Scale::new(&self.config, &role));
+            self.end_comparison();
+            if let Some(drive) = &self.drive {
+                self.feedback = FeedbackMonitor::new(&self.config, drive.mode, drive.digits_per_unit);
+                let ramp_rad_s2 = self.config.quick_stop_rad_s2.abs();
+                self.ramp_digits = (ramp_rad_s2 * drive.digits_per_unit.abs() / 1_000.0) as i32;
+            }
         }
     }
 
@@ -293,6 +371,11 @@ impl AxisState {
         let running = self.state == DriveState::OperationEnabled && target == DriveTarget::Enabled;
         let demand_digits = if running { self.digits(command.demand) } else { 0 };
         self.commanded = demand_digits != 0;
+        if running {
+            (self.sent, self.compared_ms) = (demand_digits, RAMP_COMPARED_MS);
+        } else if self.compared_ms > 0 {
+            self.follow_ramp();
+        }
         DriveOutput {
             demand_digits,
             position: self.raw,
@@ -448,6 +531,25 @@ impl EtherCatRobot {
     /// Which axes were referenced once and are not any more; cleared by [`Self::reference`].
     pub fn references_lost(&self) -> [bool; AXES] {
         self.axes.each_ref().map(|axis| axis.reference_lost)
+    }
+
+    /// The first axis whose feedback could not be true since this was last asked, and why.
+    #[cold]
+    pub fn take_implausible(&mut self) -> Option<(u8, Implausible)> {
+        let mut found = None;
+        for (number, axis) in (0..).zip(&mut self.axes) {
+            let implausible = axis.implausible.take();
+            found = found.or(implausible.map(|implausible| (number, implausible)));
+        }
+        found
+    }
+
+    /// Tells the greatest acceleration of any axis's reference, rad/s2: what it makes a torque axis's load change by is no
+    /// fault of its feedback.
+    pub fn set_unrest(&mut self, rad_s2: f64) {
+        for axis in &mut self.axes {
+            axis.feedback.set_unrest(rad_s2);
+        }
     }
 
     /// Writes the axes' commands to the outputs of the next output telegram.

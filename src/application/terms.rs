@@ -1,6 +1,7 @@
 //! Modes, faults and refusals: the words in which the firmware tells where it stands.
 
 use crate::board::PortState;
+use crate::control::feedback::Implausible;
 use serde::{Deserialize, Serialize};
 
 /// Operating mode.
@@ -166,6 +167,56 @@ pub enum Fault {
         /// How long it was waited for, ms.
         waited_ms: u16,
     },
+    /// An axis's measured motion is not the motion that was commanded: its feedback is frozen, slips, is reversed or
+    /// belongs to another axis, or its drive does not follow.
+    FeedbackDeviation {
+        /// Axis, from 0.
+        axis: u8,
+        /// Commanded less measured motion, rad.
+        deviation_rad: f32,
+        /// Limit, rad.
+        limit_rad: f32,
+    },
+    /// An axis's measured position jumps about as no motor can.
+    FeedbackNoise {
+        /// Axis, from 0.
+        axis: u8,
+        /// Mean acceleration measured, rad/s2.
+        acceleration_rad_s2: f32,
+        /// Limit, rad/s2.
+        limit_rad_s2: f32,
+    },
+    /// A slave's processor stood still: its watchdog expired, and what the slave showed was old.
+    ProcessorStopped {
+        /// Position in the chain, from 0.
+        slave: u8,
+        /// Expiries of the watchdog since the slave was brought up.
+        expiries: u8,
+    },
+}
+
+impl Fault {
+    /// The fault of an axis, from 0, whose feedback cannot be true.
+    pub fn feedback(axis: u8, implausible: Implausible) -> Self {
+        match implausible {
+            Implausible::Deviation {
+                deviation_rad,
+                limit_rad,
+            } => Self::FeedbackDeviation {
+                axis,
+                deviation_rad,
+                limit_rad,
+            },
+            Implausible::Noise {
+                acceleration_rad_s2,
+                limit_rad_s2,
+            } => Self::FeedbackNoise {
+                axis,
+                acceleration_rad_s2,
+                limit_rad_s2,
+            },
+        }
+    }
 }
 
 /// Why a command was refused; nothing has changed.

@@ -39,6 +39,11 @@ pub struct Axis {
     pub measurement_age_ms: f64,
     /// Following error that ends in a fault, radians.
     pub following_error_max_rad: f64,
+    /// Difference between the motion that was commanded and the one that was measured that ends in a fault, radians; the
+    /// drive's lag is taken out.
+    pub feedback_deviation_max_rad: f64,
+    /// Mean acceleration of the measured position beyond which it is noise, rad/s2; more than the motor can do.
+    pub feedback_acceleration_max_rad_s2: f64,
     /// Largest velocity command, rad/s at the joint.
     pub output_max_rad_s: f64,
     /// Quick-stop deceleration at the joint, rad/s2.
@@ -77,6 +82,8 @@ impl Default for Axis {
             feed_forward_lead_ms: 3.1,
             measurement_age_ms: 1.0,
             following_error_max_rad: 0.05,
+            feedback_deviation_max_rad: 0.008,
+            feedback_acceleration_max_rad_s2: 600.0,
             output_max_rad_s: 27.0,
             quick_stop_rad_s2: 100.0,
             torque_constant_nm_a: 0.7,

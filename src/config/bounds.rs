@@ -70,7 +70,7 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 21] {
+    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 23] {
         [
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
@@ -96,6 +96,18 @@ impl Axis {
                 self.following_error_max_rad,
                 1.0e-4,
                 1.0,
+            ),
+            bound(
+                "axes.feedback_deviation_max_rad",
+                self.feedback_deviation_max_rad,
+                1.0e-3,
+                0.1,
+            ),
+            bound(
+                "axes.feedback_acceleration_max_rad_s2",
+                self.feedback_acceleration_max_rad_s2,
+                100.0,
+                10_000.0,
             ),
             bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
             bound(

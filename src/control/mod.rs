@@ -1,6 +1,7 @@
-//! The 1 kHz side: sampler, position and velocity controllers, supervision.
+//! The 1 kHz side: sampler, position and velocity controllers, supervision, monitors of the position feedback.
 
 mod cycle;
+pub mod feedback;
 pub mod position;
 pub mod sampler;
 pub mod supervision;

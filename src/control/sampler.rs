@@ -12,7 +12,7 @@
 //! a velocity other than zero only while it follows references of the epoch it was told; the first fault makes every
 //! following output a quick stop until the fault is cleared.
 
-use crate::application::Power;
+use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
 pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCounters};
@@ -66,6 +66,7 @@ pub struct Sampler<'a> {
     bus: Bus,
     controllers: [PositionController; AXES],
     velocity_controllers: [VelocityController; AXES],
+    has_torque_axis: bool,
     supervision: Supervision,
     commands: Consumer<'a, SamplerCommand>,
     references: Consumer<'a, Queued>,
@@ -113,6 +114,7 @@ impl<'a> Sampler<'a> {
             bus: Bus::default(),
             controllers: axes.map(|axis| PositionController::new(&axis)),
             velocity_controllers: axes.map(|axis| VelocityController::new(&axis)),
+            has_torque_axis: false,
             supervision: Supervision::new(),
             commands,
             references,
@@ -304,6 +306,7 @@ impl<'a> Sampler<'a> {
                     self.robot = EtherCatRobot::new(&axes);
                     self.controllers = axes.map(|axis| PositionController::new(&axis));
                     self.velocity_controllers = axes.map(|axis| VelocityController::new(&axis));
+                    self.has_torque_axis = axes.iter().any(|axis| axis.mode == AxisMode::Torque);
                     (self.axes, self.bus) = (axes, bus);
                     self.same_zero = [false; AXES];
                 }
@@ -460,7 +463,18 @@ impl<'a> Sampler<'a> {
         } else {
             seen.drive_fault = self.look_for_drive_faults(power);
         }
+        if self.reference_lost != [false; AXES] {
+            self.look_at_feedback();
+        }
         self.supervision.step(&self.axes, &self.bus, &seen);
+    }
+
+    /// An axis has lost its reference: perhaps because its feedback cannot be true.
+    #[cold]
+    fn look_at_feedback(&mut self) {
+        if let Some((axis, implausible)) = self.robot.take_implausible() {
+            self.supervision.latch(Fault::feedback(axis, implausible));
+        }
     }
 
     /// Which drives report a fault, or have left operation although they are to stay there.
@@ -487,6 +501,9 @@ impl<'a> Sampler<'a> {
             (None, Power::On) => DriveTarget::Enabled,
         };
         let moving = following && target == DriveTarget::Enabled && self.robot.is_in_operation();
+        if self.has_torque_axis {
+            self.tell_unrest(moving);
+        }
         self.write_axis::<0>(target, moving, output_rad_s);
         self.write_axis::<1>(target, moving, output_rad_s);
         self.write_axis::<2>(target, moving, output_rad_s);
@@ -502,6 +519,16 @@ impl<'a> Sampler<'a> {
         };
         let command = AxisCommand { target, demand };
         self.robot.write_axis::<AXIS>(&mut self.exchange, &command);
+    }
+
+    /// Tells the axes how hard the references accelerate: it changes the load of every one that takes a torque.
+    #[inline(never)]
+    fn tell_unrest(&mut self, moving: bool) {
+        let [now, next] = self.window.velocities_around(0);
+        let changes = now.iter().zip(next).map(|(now, next)| (next - now).abs());
+        let most_rad_s = changes.fold(0.0, |most, change| if change > most { change } else { most });
+        self.robot
+            .set_unrest(if moving { most_rad_s * CYCLES_PER_S } else { 0.0 });
     }
 
     /// The torque that leads an axis to a velocity, N m at the joint; an enabled axis that does not move is held.

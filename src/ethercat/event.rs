@@ -130,6 +130,13 @@ pub enum BusEvent {
         /// How much the port's counters have grown.
         count: u16,
     },
+    /// A slave's processor stood still for longer than its watchdog allows, while its controller went on answering.
+    ProcessorStopped {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// Expiries that its watchdog has counted.
+        expiries: u8,
+    },
     /// Bring-up or repair failed.
     Refused {
         /// The slave, if it is about one: place in the chain, from 0.
@@ -164,6 +171,10 @@ impl BusEvent {
                 slave,
                 expected,
                 found: actual,
+            },
+            Self::ProcessorStopped { position, expiries } => Fault::ProcessorStopped {
+                slave: position,
+                expiries,
             },
             Self::Refused {
                 error: BusError::NoLink { port },

@@ -63,6 +63,8 @@ pub struct Slave {
     pub dl_status: u16,
     /// Damaged frames and lost links of each port when they were last read.
     pub port_errors: [u16; PORTS],
+    /// Expiries of its processor's watchdog when they were last read.
+    pub processor_stops: Option<u8>,
     /// Its last emergency since it was configured.
     pub emergency: Option<Emergency>,
     /// Its AL status when it was last asked.

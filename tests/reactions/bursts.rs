@@ -9,7 +9,7 @@ use etherpen::application::Mode;
 use etherpen::ethercat::service::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::link::protocol::Command;
-use host_tools::cell::{AlState, Fault, MailFault, MailStep, Product, SiiFault};
+use host_tools::cell::{AlState, Fault, MailFault, MailStep, Product, ResolverFault, SiiFault};
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -121,7 +121,7 @@ fn of_a_slave(random: &mut Random, at_rest: bool) -> Fault {
                 random.one_of(&faults),
             )
         }
-        13 if at_rest => Fault::Stuck(slave, ms),
+        13 if at_rest => Fault::Resolver(slave, ResolverFault::Stuck, ms),
         13 => Fault::Mains(slave, ms),
         _ => Fault::Drive(slave, 0x2310),
     }

@@ -6,15 +6,17 @@
 mod board;
 mod bursts;
 mod commands;
+mod feedback;
 mod liveness;
 mod robot;
+mod stale;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, ConfigRefusal, PathVertex};
 use etherpen::motion::{Pen, RefusalReason};
 use etherpen::robot::Position;
-use host_tools::cell::{AlState, DriveState, Fault as CellFault};
+use host_tools::cell::{AlState, DriveState, Fault as CellFault, ResolverFault};
 use robot::{Robot, path};
 
 /// A speed at which a joint stands, rad/s.
@@ -268,13 +270,16 @@ fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
 }
 
 #[test]
-fn a_frozen_resolver_is_a_following_error_with_axis_and_limit() {
+fn a_frozen_resolver_is_a_deviation_of_the_feedback_with_axis_and_limit() {
     let mut robot = Robot::drawing();
-    robot.inject(CellFault::Stuck(1, 400));
-    let limit = Config::default().axes[0].following_error_max_rad as f32;
+    robot.inject(CellFault::Resolver(1, ResolverFault::Stuck, 400));
     assert_described_standstill(
         &mut robot,
-        |fault| matches!(fault, Fault::FollowingError { axis: 0, error_rad, limit_rad } if error_rad > limit_rad && *limit_rad == limit),
+        |fault| matches!(fault, Fault::FeedbackDeviation { axis: 0, deviation_rad, limit_rad } if deviation_rad > limit_rad),
+    );
+    assert!(
+        !robot.status.as_ref().unwrap().referenced,
+        "where the arm stands is not known"
     );
 }
 

@@ -168,6 +168,11 @@ impl Robot {
         Self::idle().in_a_drawing()
     }
 
+    /// Referenced, enabled, at rest, with another configuration.
+    pub(crate) fn idle_with(config: &Config) -> Self {
+        Self::of(config, CellOptions::default()).enabled()
+    }
+
     /// Brings it to rest with power, referenced.
     pub(crate) fn enabled(mut self) -> Self {
         let config = self.config.clone();
@@ -250,6 +255,11 @@ impl Robot {
         let answer = self.answers.iter().find(|(answered, _)| *answered == id);
         self.session.inquire();
         answer.unwrap().1
+    }
+
+    /// Sends a command without waiting for the answer.
+    pub(crate) fn say(&mut self, command: Command) {
+        self.session.command(command);
     }
 
     /// Lets a fault happen in the cell.

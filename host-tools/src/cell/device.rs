@@ -139,6 +139,8 @@ pub(super) trait Device: fmt::Debug + Send {
     fn set_output(&mut self, _index: u16, _sub: u8, _value: i64) {}
     /// One millisecond, with valid outputs or without.
     fn step(&mut self, _operational: bool) {}
+    /// One millisecond in which the processor stands still, too short for the power stage to notice.
+    fn coast(&mut self) {}
     /// The inputs of this millisecond are taken, after every motor has moved.
     fn sample(&mut self) {}
     /// Cyclic data stopped coming.

@@ -5,6 +5,7 @@
 //! or against the closed brake (everything else).
 
 use super::motor::{self, Motor};
+use super::resolver::{Resolver, ResolverFault};
 use etherpen::config::Axis;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -116,7 +117,7 @@ pub(super) struct Drive {
     error_code: u16,
     second_millisecond: bool,
     mains: bool,
-    stuck_position: Option<i32>,
+    resolver: Resolver,
     target_position: Option<i32>,
     emergencies: VecDeque<u16>,
 }
@@ -138,7 +139,7 @@ impl Drive {
             error_code: 0,
             second_millisecond: false,
             mains: true,
-            stuck_position: None,
+            resolver: Resolver::new(0.0, 0),
             target_position: None,
             emergencies: VecDeque::new(),
         };
@@ -149,6 +150,13 @@ impl Drive {
     /// The same drive with another meaning of its numbers.
     pub(super) fn with_profile(self, profile: Profile) -> Self {
         Self { profile, ..self }
+    }
+
+    /// The same drive with friction at its motor, and a resolver with noise of so many increments.
+    pub(super) fn with_imperfections(mut self, friction_rad_s: f64, noise_increments: f64, seed: u64) -> Self {
+        self.motor = self.motor.with_friction(friction_rad_s * self.axis.gear.abs());
+        self.resolver = Resolver::new(noise_increments / self.increments_per_rad(), seed);
+        self
     }
 
     /// Everything but the motor back to its state after power-up.
@@ -213,7 +221,7 @@ impl Drive {
 
     /// Position as the drive shows it, increments: within one motor turn, or over all turns.
     pub(super) fn position(&self) -> i32 {
-        self.stuck_position.unwrap_or_else(|| self.true_position())
+        self.position_at(self.resolver.shown_rad(self.motor.angle_rad()))
     }
 
     /// Speed in the velocity demand's digits.
@@ -237,9 +245,24 @@ impl Drive {
             .block_at((joint_rad - self.axis.sync_angle_rad) * self.axis.gear);
     }
 
-    /// Lets the resolver freeze at its present position, or move again.
-    pub(super) fn set_stuck(&mut self, stuck: bool) {
-        self.stuck_position = stuck.then(|| self.true_position());
+    /// Something is wrong with the resolver for some milliseconds.
+    pub(super) fn set_resolver_fault(&mut self, fault: ResolverFault, milliseconds: u64) {
+        self.resolver.set_fault(fault, milliseconds, self.motor.angle_rad());
+    }
+
+    /// The resolver slips on its shaft by so many increments, for good.
+    pub(super) fn slip(&mut self, increments: i32) {
+        self.resolver.slip(f64::from(increments) / self.increments_per_rad());
+    }
+
+    /// The resolver shows another motor's shaft, rad since that one's mark, or its own again.
+    pub(super) fn show_foreign(&mut self, foreign_rad: Option<f64>) {
+        self.resolver.show_foreign(foreign_rad);
+    }
+
+    /// Angle of the motor's shaft since its mark, rad.
+    pub(super) fn shaft_rad(&self) -> f64 {
+        self.motor.angle_rad()
     }
 
     /// Switches the main voltage; without it an enabled drive faults.
@@ -268,6 +291,14 @@ impl Drive {
         }
     }
 
+    /// One millisecond in which the processor stands still: the current loop keeps the motor at its last demand.
+    pub(super) fn coast(&mut self, demand: Demand) {
+        let action = self.action(demand);
+        self.motor.step(action);
+        self.resolver
+            .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
+    }
+
     /// One millisecond; no demand means that the fieldbus is not in OP.
     pub(super) fn step(&mut self, demand: Option<Demand>) {
         self.second_millisecond = !self.second_millisecond;
@@ -277,6 +308,8 @@ impl Drive {
         }
         let action = self.action(demand.unwrap_or_default());
         self.motor.step(action);
+        self.resolver
+            .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
         if self.motor.is_still() {
             self.state = match self.state {
                 DriveState::QuickStopActive => DriveState::SwitchOnDisabled,
@@ -397,8 +430,13 @@ impl Drive {
     }
 
     fn true_position(&self) -> i32 {
+        self.position_at(self.motor.angle_rad())
+    }
+
+    /// The position for an angle of the shaft since its mark.
+    fn position_at(&self, shaft_rad: f64) -> i32 {
         let increments = f64::from(self.axis.increments_per_revolution.max(1));
-        let turn = self.motor.angle_rad() * self.increments_per_rad() + f64::from(self.axis.sync_increments);
+        let turn = shaft_rad * self.increments_per_rad() + f64::from(self.axis.sync_increments);
         match self.profile {
             Profile::Ax2000 => turn.floor().rem_euclid(increments) as i32,
             Profile::Cia402 => turn.floor() as i64 as i32,

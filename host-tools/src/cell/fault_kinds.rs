@@ -2,6 +2,7 @@
 
 use super::application::AlState;
 use super::eeprom::SiiFault;
+use super::resolver::ResolverFault;
 
 /// One fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,8 +67,12 @@ pub enum Fault {
     Drive(usize, u16),
     /// A drive has no main voltage for some milliseconds.
     Mains(usize, u64),
-    /// A drive's resolver freezes for some milliseconds.
-    Stuck(usize, u64),
+    /// Something is wrong with a drive's resolver for some milliseconds.
+    Resolver(usize, ResolverFault, u64),
+    /// A drive's resolver slips on its shaft by so many increments, for good.
+    Jump(usize, i32),
+    /// The resolvers of two drives are exchanged for some milliseconds.
+    Exchange(usize, usize, u64),
 }
 
 /// Which mailbox request of a slave.
@@ -151,7 +156,9 @@ impl Fault {
             | Self::Mailbox(slave, ..)
             | Self::Drive(slave, _)
             | Self::Mains(slave, _)
-            | Self::Stuck(slave, _) => Some(slave),
+            | Self::Resolver(slave, ..)
+            | Self::Jump(slave, _) => Some(slave),
+            Self::Exchange(one, other, _) => Some(one.max(other)),
             _ => None,
         }
     }
@@ -198,7 +205,12 @@ impl Fault {
             Self::Mailbox(..) => "mailbox",
             Self::Drive(..) => "fault",
             Self::Mains(..) => "mains",
-            Self::Stuck(..) => "stuck",
+            Self::Resolver(_, ResolverFault::Stuck, _) => "stuck",
+            Self::Resolver(_, ResolverFault::Slip(_), _) => "slip",
+            Self::Resolver(_, ResolverFault::Reversed, _) => "reverse",
+            Self::Resolver(_, ResolverFault::Noise(_), _) => "noise",
+            Self::Jump(..) => "jump",
+            Self::Exchange(..) => "exchange",
         }
     }
 }

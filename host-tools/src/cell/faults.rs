@@ -9,6 +9,7 @@ use super::application::AlState;
 use super::eeprom::SiiFault;
 use super::fault_kinds::{Fault, MailFault, MailStep, Product};
 use super::random::Random;
+use super::resolver::ResolverFault;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
@@ -60,6 +61,12 @@ Faults of a drive:
   fault K CODE        drive K faults with this error code
   mains K N           drive K has no main voltage for N ms
   stuck K N           the resolver of drive K freezes for N ms
+  slip K P N          it shows only P per cent of the motion for N ms; what it lost stays lost
+  jump K N            it slips on its shaft by N increments (it may be negative), for good
+  reverse K N         it shows the motion the other way round for N ms
+  noise K A N         its positions are wrong by chance, by A increments at most, for N ms
+  exchange K L N      the resolvers of the drives K and L are exchanged for N ms
+                      (0 ms put a resolver right, and back to where it was mounted)
 
 Slaves count from 1 in the order of the chain; numbers are decimal or 0x hexadecimal. 'every', 'chance' and '%' go
 with faults of frames only. A fault of a frame with 'ms' hits the first frame at or after that time.";
@@ -330,7 +337,18 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "mailbox" => Fault::Mailbox(words.slave()?, words.mail_step()?, words.mail_fault()?),
         "fault" => Fault::Drive(words.slave()?, words.number()?),
         "mains" => Fault::Mains(words.slave()?, words.number()?),
-        "stuck" => Fault::Stuck(words.slave()?, words.number()?),
+        "stuck" => Fault::Resolver(words.slave()?, ResolverFault::Stuck, words.number()?),
+        "slip" => {
+            let (slave, percent) = (words.slave()?, words.number()?);
+            Fault::Resolver(slave, ResolverFault::Slip(percent), words.number()?)
+        }
+        "jump" => Fault::Jump(words.slave()?, words.number()?),
+        "reverse" => Fault::Resolver(words.slave()?, ResolverFault::Reversed, words.number()?),
+        "noise" => {
+            let (slave, increments) = (words.slave()?, words.number()?);
+            Fault::Resolver(slave, ResolverFault::Noise(increments), words.number()?)
+        }
+        "exchange" => Fault::Exchange(words.slave()?, words.slave()?, words.number()?),
         word => return Err(words.error(ScriptProblem::Fault, word)),
     })
 }
@@ -526,6 +544,12 @@ mod tests {
             "ms 1 mailbox 1 1 lost",
             "ms 1 mailbox 1 1 counter",
             "ms 1 mailbox 1 1 flood 5",
+            "ms 1 stuck 1 20",
+            "ms 1 slip 1 90 20",
+            "ms 1 jump 1 -2000",
+            "ms 1 reverse 1 20",
+            "ms 1 noise 1 3000 20",
+            "ms 1 exchange 1 2 20",
         ] {
             let script: Script = text.parse().expect(text);
             let name = script.entries[0].1.name();

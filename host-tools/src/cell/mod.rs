@@ -40,6 +40,7 @@ mod paper;
 mod process_data;
 mod random;
 mod registers;
+mod resolver;
 mod robot;
 mod sdo_information;
 mod segment;
@@ -58,6 +59,7 @@ pub use fault_kinds::{Fault, MailFault, MailStep, Product};
 pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
 pub use paper::{InkStroke, PEN_SPRING_MM};
+pub use resolver::ResolverFault;
 
 use controller::Nature;
 use drive::Drive;
@@ -90,6 +92,8 @@ const ENVELOPE: [u8; 14] = [
 ];
 /// Makes the clocks' chances others than the rest.
 const CLOCK_SEED: u64 = 0xC10C;
+/// Makes the resolvers' noise another than the rest.
+const RESOLVER_SEED: u64 = 0x5EED_0000;
 /// Longest time a slave's clock has run at the start, ns.
 const CLOCK_AGE_MAX_NS: u64 = 10_000_000_000;
 /// Largest drift of a clock, parts per million.
@@ -121,6 +125,11 @@ pub struct CellOptions {
     pub clocks: ClockOptions,
     /// How long a command of an information memory is busy, microseconds.
     pub sii_busy_us: u64,
+    /// Noise of the resolvers, increments at most.
+    pub resolver_noise_increments: f64,
+    /// Speed by which dry friction slows the drives' velocity loops down until their integral makes up for it, rad/s at
+    /// the joint.
+    pub friction_rad_s: f64,
 }
 
 /// Distributed clocks of the slaves, and how long frames travel.
@@ -159,6 +168,8 @@ impl Default for CellOptions {
             slaves: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: eeprom::BUSY_NS / 1000,
+            resolver_noise_increments: 0.0,
+            friction_rad_s: 0.0,
         }
     }
 }
@@ -234,7 +245,9 @@ impl Cell {
             let servo = kind.is_drive().then(|| {
                 let axis = axes.next().unwrap_or_default();
                 let offset_rad = (2.0 * random.unit() - 1.0) * options.start_offset_max_rad;
-                let drive = Drive::new(axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz);
+                let noise_seed = options.seed ^ (RESOLVER_SEED + u64::from(serial));
+                let drive = Drive::new(axis, axis.sync_angle_rad + offset_rad, options.drive_bandwidth_hz)
+                    .with_imperfections(options.friction_rad_s, options.resolver_noise_increments, noise_seed);
                 Servo::new(drive, output_delay, input_delay)
             });
             Slave::new(

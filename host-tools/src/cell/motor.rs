@@ -27,7 +27,15 @@ pub(super) struct Motor {
     speed_rad_s: f64,
     bandwidth_rad_s: f64,
     torque_nm: f64,
+    /// Speed by which dry friction slows the velocity loop down, before its integral makes up for it, rad/s.
+    friction_rad_s: f64,
+    made_up_rad_s: f64,
 }
+
+/// Time in which the velocity loop's integral makes up for friction, s.
+const INTEGRAL_S: f64 = 0.02;
+/// Speed at which dry friction is mostly there, rad/s at the motor.
+const FRICTION_SPEED_RAD_S: f64 = 0.2;
 
 impl Motor {
     /// A motor at rest; the loop's bandwidth is given in hertz, a value that is not positive counts as a tenth.
@@ -38,7 +46,14 @@ impl Motor {
             speed_rad_s: 0.0,
             bandwidth_rad_s: core::f64::consts::TAU * bandwidth_hz,
             torque_nm: 0.0,
+            friction_rad_s: 0.0,
+            made_up_rad_s: 0.0,
         }
+    }
+
+    /// The same motor with dry friction that slows its loop down by this speed, rad/s.
+    pub(super) fn with_friction(self, friction_rad_s: f64) -> Self {
+        Self { friction_rad_s, ..self }
     }
 
     /// Angle since the synchronisation mark, radians at the motor.
@@ -85,6 +100,9 @@ impl Motor {
     }
 
     fn follow(&mut self, target_rad_s: f64) {
+        let friction_rad_s = self.friction_rad_s * (self.speed_rad_s / FRICTION_SPEED_RAD_S).tanh();
+        self.made_up_rad_s += (friction_rad_s - self.made_up_rad_s) * STEP_S / INTEGRAL_S;
+        let target_rad_s = target_rad_s - friction_rad_s + self.made_up_rad_s;
         let error_rad_s = self.speed_rad_s - target_rad_s;
         let decay = (-self.bandwidth_rad_s * STEP_S).exp();
         self.angle_rad += target_rad_s * STEP_S + error_rad_s * (1.0 - decay) / self.bandwidth_rad_s;

@@ -60,6 +60,8 @@ pub(super) struct Segment {
     travel: Travel,
     frames: u64,
     delayed: VecDeque<(u64, Vec<u8>)>,
+    /// Drives whose resolvers are exchanged, from 1, and for how long, ms.
+    exchanges: Vec<(usize, usize, u64)>,
 }
 
 impl Segment {
@@ -75,6 +77,7 @@ impl Segment {
             travel,
             frames: 0,
             delayed: VecDeque::new(),
+            exchanges: Vec::new(),
         };
         segment.show_links();
         segment
@@ -105,6 +108,23 @@ impl Segment {
 
     /// The inputs of this millisecond, after every motor has moved.
     pub(super) fn sample(&mut self) {
+        for (one, other, left_ms) in core::mem::take(&mut self.exchanges) {
+            let shaft = |slave: usize| {
+                let slave = slave.checked_sub(1).and_then(|index| self.slaves.get(index));
+                slave.and_then(Slave::drive).map(Drive::shaft_rad)
+            };
+            let shafts = if left_ms > 0 {
+                [shaft(other), shaft(one)]
+            } else {
+                [None; 2]
+            };
+            for (slave, foreign_rad) in [one, other].into_iter().zip(shafts) {
+                self.with_drive(slave, |drive| drive.show_foreign(foreign_rad));
+            }
+            if left_ms > 0 {
+                self.exchanges.push((one, other, left_ms - 1));
+            }
+        }
         self.slaves.iter_mut().for_each(Slave::sample);
     }
 
@@ -130,7 +150,13 @@ impl Segment {
             Fault::Retreat(slave, code) => self.with(slave, |slave| slave.retreat(code)),
             Fault::Silence(slave, ms) => self.with(slave, |slave| slave.silence(ms)),
             Fault::Drive(slave, code) => self.with_drive(slave, |drive| drive.fault(code)),
-            Fault::Stuck(slave, ms) => self.with(slave, |slave| slave.stick(ms)),
+            Fault::Resolver(slave, fault, ms) => self.with_drive(slave, |drive| drive.set_resolver_fault(fault, ms)),
+            Fault::Jump(slave, increments) => self.with_drive(slave, |drive| drive.slip(increments)),
+            Fault::Exchange(one, other, ms) => {
+                self.exchanges
+                    .retain(|(first, second, _)| (*first, *second) != (one, other));
+                self.exchanges.push((one, other, ms));
+            }
             Fault::Mains(slave, ms) => {
                 self.with_drive(slave, |drive| drive.set_mains(ms == 0));
                 let at = slave.wrapping_sub(1);

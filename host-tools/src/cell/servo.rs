@@ -73,6 +73,12 @@ impl Servo {
         self.drive.step(demand);
     }
 
+    /// One millisecond in which the processor stands still.
+    pub(super) fn coast(&mut self) {
+        let demand = self.demands.front().copied().unwrap_or_default();
+        self.drive.coast(demand);
+    }
+
     /// Takes a sample, shows the one of `input_delay` milliseconds ago.
     pub(super) fn sample(&mut self) {
         self.samples.push_back(Sample {

@@ -156,6 +156,10 @@ impl Device for ServoDevice {
         self.servo.step(operational);
     }
 
+    fn coast(&mut self) {
+        self.servo.coast();
+    }
+
     fn sample(&mut self) {
         self.servo.sample();
     }

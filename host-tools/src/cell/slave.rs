@@ -20,6 +20,8 @@ use etherpen::ethercat::wire::sii::MailboxWindow;
 const SWAPPED_SERIAL: u32 = 1000;
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
+/// How long the drive's power stage goes on without its processor, ms: then it stops the motor by itself.
+const POWER_STAGE_WATCHDOG_MS: u64 = 10;
 /// Error code of the emergencies of a flood.
 const FLOOD_CODE: u16 = 0xFF00;
 const OUTPUT_MANAGER: usize = 2;
@@ -37,7 +39,6 @@ pub(super) struct Slave {
     /// Milliseconds without power still to come; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
-    stuck_ms: u64,
     unfed_ms: u64,
     width: ClockWidth,
     nature: Nature,
@@ -65,7 +66,6 @@ impl Slave {
             device,
             unpowered_ms: 0,
             silent_ms: 0,
-            stuck_ms: 0,
             unfed_ms: 0,
             width,
             nature,
@@ -187,12 +187,6 @@ impl Slave {
         self.silent_ms = milliseconds;
     }
 
-    /// Freezes the resolver for some milliseconds.
-    pub(super) fn stick(&mut self, milliseconds: u64) {
-        self.stuck_ms = milliseconds;
-        self.set_stuck(milliseconds > 0);
-    }
-
     /// One millisecond, at a true time.
     pub(super) fn step(&mut self, now_ns: u64) {
         if !self.is_powered() {
@@ -203,18 +197,15 @@ impl Slave {
         self.controller.advance(now_ns);
         self.obey_pulses();
         if self.is_hung() {
-            self.device.step(false);
+            match self.hung_for_ms <= POWER_STAGE_WATCHDOG_MS {
+                true => self.device.coast(),
+                false => self.device.step(false),
+            }
             return;
         }
         self.serve_mailbox();
         self.watch();
         self.change_state();
-        if self.stuck_ms > 0 {
-            self.stuck_ms -= 1;
-            if self.stuck_ms == 0 {
-                self.set_stuck(false);
-            }
-        }
         if self.controller.sync_state() == SyncState::Off {
             self.has_outputs = self.take_outputs();
         }
@@ -278,12 +269,6 @@ impl Slave {
         };
         self.process_data.unpack(outputs, self.device.as_mut());
         true
-    }
-
-    fn set_stuck(&mut self, stuck: bool) {
-        if let Some(drive) = self.drive_mut() {
-            drive.set_stuck(stuck);
-        }
     }
 
     fn serve_mailbox(&mut self) {

@@ -314,7 +314,7 @@ fn frame_faults_do_what_they_say() {
 fn a_stuck_resolver_moves_again_and_a_retreat_is_of_one_slave() {
     let mut bench = bench();
     bench.bring_up();
-    bench.cell.inject(Fault::Stuck(1, 10));
+    bench.cell.inject(Fault::Resolver(1, ResolverFault::Stuck, 10));
     bench.cycle([20_000; 4], 0x0F);
     let stuck: Vec<i32> = (0..8).map(|_| bench.cycle([20_000; 4], 0x0F).0[0]).collect();
     assert!(stuck[3..].iter().all(|position| *position == stuck[3]), "{stuck:?}");

@@ -5,7 +5,7 @@
 //! firmware: a restart of the firmware finds drives and robot as they are.
 
 use super::messages::Injection;
-use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke};
+use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke, ResolverFault};
 use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
@@ -285,7 +285,7 @@ impl VirtualCell {
                 format!("slave {slave} is without power for {POWER_MS} ms"),
             ),
             Injection::Stuck { slave } => (
-                Fault::Stuck(exists(slave)?, STUCK_MS),
+                Fault::Resolver(exists(slave)?, ResolverFault::Stuck, STUCK_MS),
                 format!("the resolver of drive {slave} freezes for {STUCK_MS} ms"),
             ),
             Injection::Cut { slave: 0 } => (Fault::Cut(0), "the master's cable is pulled".to_owned()),

@@ -297,6 +297,31 @@ pub fn fault(fault: &Fault) -> String {
             "the planner made no progress for {waited_ms} ms after vertex {vertex} of the path; this is an error of the \
              firmware, please report it with the drawing; acknowledge to go on"
         ),
+        Fault::FeedbackDeviation {
+            axis,
+            deviation_rad,
+            limit_rad,
+        } => format!(
+            "axis {} measured another motion than was commanded, by {deviation_rad:.4} rad (limit {limit_rad:.4} rad): its \
+             resolver is frozen, slips, is reversed or is another axis's, or the drive does not follow; check resolver, \
+             coupling and cables, then acknowledge and take the reference again",
+            one(axis)
+        ),
+        Fault::FeedbackNoise {
+            axis,
+            acceleration_rad_s2,
+            limit_rad_s2,
+        } => format!(
+            "the measured position of axis {} jumps about: {acceleration_rad_s2:.0} rad/s2 on average (limit \
+             {limit_rad_s2:.0} rad/s2); check the resolver's cable and its shield, then acknowledge and take the \
+             reference again",
+            one(axis)
+        ),
+        Fault::ProcessorStopped { slave, expiries } => format!(
+            "the processor of slave {} stood still ({expiries} times since it was brought up) while its controller went \
+             on answering; check its supply and its firmware, then acknowledge",
+            one(slave)
+        ),
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
              scan)"

@@ -119,6 +119,26 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
+    /// Reads how often the watchdog of the processor of the slave whose cables were looked at last has expired, and reports
+    /// an expiry of a slave in OP: what it has shown since was old. Controllers without that watchdog count none.
+    pub(super) async fn look_at_processor(&mut self) {
+        let number = self.cable_next.saturating_sub(1);
+        let Some(slave) = self.slaves.get(number) else { return };
+        let (station, before) = (slave.station(), slave.processor_stops);
+        let Ok(bytes) = self.port.read(station, register::WATCHDOG_COUNTER_PDI, 1).await else {
+            return;
+        };
+        let expiries = read_u8(&bytes, 0);
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return;
+        };
+        slave.processor_stops = Some(expiries);
+        if slave.condition == Condition::Operational && before.is_some_and(|before| expiries > before) {
+            let position = number as u8;
+            self.emit(BusEvent::ProcessorStopped { position, expiries }).await;
+        }
+    }
+
     /// Fetches what the slave whose cables were looked at last has in its mailbox unasked, and reports its emergencies.
     pub(super) async fn look_at_mailbox(&mut self) {
         let number = self.cable_next.saturating_sub(1);

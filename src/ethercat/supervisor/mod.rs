@@ -322,7 +322,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         self.inspected_ms = self.bus.port.now_ms();
     }
 
-    /// Looks at some slaves' states, and at the error counters and the mailbox of one of them.
+    /// Looks at some slaves' states, and at the error counters, the processor's watchdog and the mailbox of one of them.
     async fn look(&mut self) {
         let slaves = self.bus.slaves.len().max(1);
         let first = self.look_next % slaves;
@@ -330,6 +330,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         self.look_next = last;
         self.bus.inspect(first..last).await;
         self.bus.look_at_cables().await;
+        self.bus.look_at_processor().await;
         let expected = self.bus.expectation(None);
         let Self { bus, desk, .. } = self;
         let work = pin!(bus.look_at_mailbox());

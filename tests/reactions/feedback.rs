@@ -1,0 +1,406 @@
+//! Position feedback that is not true: how soon it is noticed, and how far the pen has gone by then.
+//!
+//! A scan over faults, speeds, axes, directions and poses, drawn by chance with a printed seed. The truth is the cell's:
+//! the moment at which a drive begins to brake, and where the motors have brought the pen. The table is printed
+//! (`cargo test --test reactions feedback -- --nocapture`).
+
+use super::STILL_RAD_S;
+use super::robot::{Robot, path};
+use etherpen::application::{Fault, Mode};
+use etherpen::config::Config;
+use etherpen::link::protocol::Command;
+use etherpen::robot::{ARMS, Position};
+use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
+use std::fmt::Write;
+
+/// Speeds of the pen, mm/s: from a slow jog to the speed limit of most drawings and beyond.
+const SPEEDS_MM_S: [f64; 6] = [5.0, 20.0, 100.0, 300.0, 1_000.0, 2_500.0];
+/// Cases for each fault and speed.
+const CASES: u64 = 8;
+/// Where a motion begins, mm.
+const POSES_MM: [[f64; 3]; 4] = [
+    [0.0, 0.0, -800.0],
+    [140.0, 0.0, -760.0],
+    [-90.0, 140.0, -840.0],
+    [-150.0, -130.0, -780.0],
+];
+/// Fastest jog, mm/s: faster motions are moves at this travel speed.
+const JOG_MAX_MM_S: f64 = 250.0;
+/// Distance driven with a fault before the operator lets go, mm.
+const JOG_DISTANCE_MM: f64 = 90.0;
+/// Distances of a move that are tried, mm.
+const MOVE_DISTANCES_MM: [f64; 6] = [300.0, 240.0, 180.0, 120.0, 60.0, 30.0];
+/// Acceleration along the path, mm/s2: the fastest move has to reach its speed.
+const ACCELERATION_MM_S2: f64 = 50_000.0;
+/// Time between two signs of life of the operator, ms.
+const SIGN_OF_LIFE_MS: u32 = 40;
+/// Longest duration of a fault, ms.
+const LONG_MS: u64 = 1_000_000;
+/// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
+const SLOW_MAX_MM: f64 = 5.0;
+const MEDIUM_MAX_MM: f64 = 20.0;
+/// Most deviation of a sound robot, mm.
+const SOUND_MAX_MM: f64 = 0.1;
+
+/// A feedback fault of the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    Frozen,
+    Slipping,
+    Jumped,
+    Reversed,
+    Exchanged,
+    Noisy,
+}
+
+impl Kind {
+    const ALL: [Self; 6] = [
+        Self::Frozen,
+        Self::Slipping,
+        Self::Jumped,
+        Self::Reversed,
+        Self::Exchanged,
+        Self::Noisy,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Frozen => "frozen",
+            Self::Slipping => "slipping: 10 % of the motion lost",
+            Self::Jumped => "jumped by 0.02 rad",
+            Self::Reversed => "reversed",
+            Self::Exchanged => "exchanged with the next arm's",
+            Self::Noisy => "noisy: 0.004 rad at most",
+        }
+    }
+
+    /// The cell's fault of an axis, from 0; with 0 ms the one that puts it right.
+    fn injected(self, axis: usize, milliseconds: u64) -> CellFault {
+        let drive = axis + 1;
+        let resolver = |fault| CellFault::Resolver(drive, fault, milliseconds);
+        match self {
+            Self::Frozen => resolver(ResolverFault::Stuck),
+            Self::Slipping => resolver(ResolverFault::Slip(90)),
+            Self::Jumped if milliseconds > 0 => CellFault::Jump(drive, 40_000),
+            Self::Jumped => resolver(ResolverFault::Stuck),
+            Self::Reversed => resolver(ResolverFault::Reversed),
+            Self::Exchanged => CellFault::Exchange(drive, (axis + 1) % ARMS + 1, milliseconds),
+            Self::Noisy => resolver(ResolverFault::Noise(8_000)),
+        }
+    }
+}
+
+/// One motion.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    kind: Option<Kind>,
+    speed_mm_s: f64,
+    axis: usize,
+    direction: [f64; 3],
+    start_mm: [f64; 3],
+    /// Whether the fault begins in motion; else before it.
+    moving: bool,
+}
+
+/// What came of it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Outcome {
+    /// From the fault, or from the first motion after it, to the first drive that brakes, ms.
+    noticed_ms: Option<u32>,
+    deviation_mm: f64,
+}
+
+fn splitmix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    mixed ^ (mixed >> 31)
+}
+
+fn case(kind: Option<Kind>, speed_mm_s: f64, seed: u64) -> Case {
+    let mut state = seed ^ (speed_mm_s.to_bits() << 1);
+    let mut pick = |count: usize| (splitmix(&mut state) % count as u64) as usize;
+    let start_mm = POSES_MM[pick(POSES_MM.len())];
+    let axis = pick(ARMS);
+    let moving = pick(2) == 1;
+    let azimuth = f64::from(pick(3600) as u16) * std::f64::consts::TAU / 3600.0;
+    // Up from below, down from above: there is room.
+    let rise = [0.0, if start_mm[2] > -800.0 { -0.3 } else { 0.3 }][pick(2)];
+    let flat = f64::sqrt(1.0 - rise * rise);
+    // Towards the middle, so that there is room.
+    let inward = -(start_mm[0] * azimuth.cos() + start_mm[1] * azimuth.sin());
+    let turn = if inward < 0.0 { -1.0 } else { 1.0 };
+    Case {
+        kind,
+        speed_mm_s,
+        axis,
+        direction: [turn * flat * azimuth.cos(), turn * flat * azimuth.sin(), rise],
+        start_mm,
+        moving,
+    }
+}
+
+/// Distance from the start along a direction, and from the line that begins there and ends after so many mm.
+fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: f64) -> (f64, f64) {
+    let offset = [at.x_mm - start.x_mm, at.y_mm - start.y_mm, at.z_mm - start.z_mm];
+    let along: f64 = offset.iter().zip(direction).map(|(a, b)| a * b).sum();
+    let along = along.clamp(0.0, end_mm);
+    let beside: f64 = offset.iter().zip(direction).map(|(a, b)| (a - along * b).powi(2)).sum();
+    (along, beside.sqrt())
+}
+
+/// How a motion is made: a jog that is repeated, or a move to a point so many mm away.
+fn set_out(robot: &mut Robot, case: &Case, start: Position) -> f64 {
+    if case.speed_mm_s <= JOG_MAX_MM_S {
+        return JOG_DISTANCE_MM;
+    }
+    for distance_mm in MOVE_DISTANCES_MM {
+        let [x, y, z] = case.direction.map(|part| part * distance_mm);
+        let position = Position {
+            x_mm: start.x_mm + x,
+            y_mm: start.y_mm + y,
+            z_mm: start.z_mm + z,
+        };
+        if robot.command(Command::Move { position }).is_ok() {
+            return distance_mm;
+        }
+    }
+    assert!(
+        robot.fault().is_some() || robot.mode() != Mode::Idle,
+        "no room to move: {case:?}"
+    );
+    JOG_DISTANCE_MM
+}
+
+fn drive(robot: &mut Robot, case: &Case) -> Outcome {
+    let [x_mm, y_mm, z_mm] = case.start_mm;
+    let target = Position { x_mm, y_mm, z_mm };
+    robot.command(Command::Move { position: target }).unwrap();
+    robot.run(20);
+    robot.wait_for(Mode::Idle);
+    robot.run(100);
+    let start = robot.cell().platform.expect("the arms hold a platform");
+    if let (Some(kind), false) = (case.kind, case.moving) {
+        robot.inject(kind.injected(case.axis, LONG_MS));
+    }
+    let distance_mm = set_out(robot, case, start);
+    let is_jog = case.speed_mm_s <= JOG_MAX_MM_S;
+    let velocity_mm_s = case.direction.map(|part| (part * case.speed_mm_s) as f32);
+    let limit_ms = (2_000.0 + distance_mm / case.speed_mm_s * 1_000.0) as u32;
+    // A jog goes on for its dead man's time; a move ends at its point.
+    let end_mm = if is_jog { f64::INFINITY } else { distance_mm };
+    let mut outcome = Outcome::default();
+    let (mut injected, mut moved_ms, mut still_ms, mut before) = (!case.moving, None, 0, 0.0);
+    for ms in 0..limit_ms {
+        let cell = robot.cell();
+        let at = cell.platform.unwrap_or(start);
+        let (along, beside) = along_and_beside(start, case.direction, at, end_mm);
+        let is_fast = (along - before) * 1_000.0 >= 0.95 * case.speed_mm_s || along > 0.3 * distance_mm;
+        before = along;
+        let braking = cell
+            .slaves
+            .iter()
+            .any(|slave| slave.drive != DriveState::OperationEnabled);
+        if let (Some(kind), false, true) = (case.kind, injected, is_fast) {
+            robot.inject(kind.injected(case.axis, LONG_MS));
+            (injected, moved_ms) = (true, Some(ms));
+        }
+        if injected && moved_ms.is_none() && robot.speed_rad_s() > 1.0e-5 {
+            moved_ms = Some(ms);
+        }
+        outcome.deviation_mm = outcome.deviation_mm.max(beside);
+        if braking && outcome.noticed_ms.is_none() {
+            // A fault at rest may be noticed before anything moves.
+            outcome.noticed_ms = Some(moved_ms.map_or(0, |moved_ms| ms - moved_ms));
+        }
+        still_ms = if robot.speed_rad_s() < STILL_RAD_S {
+            still_ms + 1
+        } else {
+            0
+        };
+        if still_ms > 100 && ms > 200 {
+            break;
+        }
+        if ms % SIGN_OF_LIFE_MS == 0 && is_jog && !braking && along < distance_mm {
+            robot.say(Command::Jog { velocity_mm_s });
+        }
+        robot.run(1);
+    }
+    outcome
+}
+
+/// The fault is mended, acknowledged, and the reference taken where the arms truly stand.
+fn recover(robot: &mut Robot, case: &Case) {
+    if let Some(kind) = case.kind {
+        robot.inject(kind.injected(case.axis, 0));
+    }
+    robot.run(300);
+    if robot.fault().is_some() {
+        robot.wait_for(Mode::Fault);
+        let fault = robot.fault().unwrap();
+        robot.run(20);
+        robot.command(Command::Acknowledge).unwrap();
+        robot.wait_for(Mode::DrivesOff);
+        let referenced = robot.status.as_ref().unwrap().referenced;
+        assert!(!referenced, "{case:?}: {fault:?} leaves the robot referenced");
+    } else {
+        robot.wait_for(Mode::Idle);
+        robot.run(20);
+    }
+    let pose = robot.cell().joints;
+    robot.command(Command::ReferenceAt { pose, position: None }).unwrap();
+    robot.run(100);
+    if robot.mode() == Mode::DrivesOff {
+        robot.command(Command::Enable).unwrap();
+    }
+    robot.wait_for(Mode::Idle);
+}
+
+/// The worst of some cases: latest notice, most deviation, and how many were not noticed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Worst {
+    noticed_ms: u32,
+    deviation_mm: f64,
+    unnoticed: u32,
+}
+
+fn with_speed(config: &Config, speed_mm_s: f64) -> Config {
+    let mut config = config.clone();
+    config.motion.travel_speed_mm_s = speed_mm_s.max(JOG_MAX_MM_S);
+    config.motion.acceleration_mm_s2 = ACCELERATION_MM_S2;
+    config
+}
+
+fn scan(config: &Config, cases: u64) -> Vec<(Kind, Vec<Worst>)> {
+    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::idle_with(&with_speed(config, speed_mm_s)));
+    let mut table = Vec::new();
+    for kind in Kind::ALL {
+        let mut row = Vec::new();
+        for (speed_mm_s, robot) in SPEEDS_MM_S.into_iter().zip(&mut robots) {
+            let mut worst = Worst::default();
+            for seed in 0..cases {
+                let case = case(Some(kind), speed_mm_s, seed + 1);
+                let outcome = drive(robot, &case);
+                println!("{case:?}: {outcome:?}, {:?}", robot.fault());
+                recover(robot, &case);
+                worst.noticed_ms = worst.noticed_ms.max(outcome.noticed_ms.unwrap_or(0));
+                worst.deviation_mm = worst.deviation_mm.max(outcome.deviation_mm);
+                worst.unnoticed += u32::from(outcome.noticed_ms.is_none());
+            }
+            row.push(worst);
+        }
+        table.push((kind, row));
+    }
+    table
+}
+
+fn rendered(table: &[(Kind, Vec<Worst>)]) -> String {
+    let mut text = String::from("| feedback |");
+    SPEEDS_MM_S
+        .iter()
+        .for_each(|speed| write!(text, " {speed:.0} mm/s |").expect("memory"));
+    text.push_str("\n|---|");
+    SPEEDS_MM_S.iter().for_each(|_| text.push_str("---|"));
+    for (kind, row) in table {
+        write!(text, "\n| {} |", kind.name()).expect("memory");
+        for worst in row {
+            write!(text, " {} ms, {:.1} mm", worst.noticed_ms, worst.deviation_mm).expect("memory");
+            if worst.unnoticed > 0 {
+                write!(text, " ({} not noticed)", worst.unnoticed).expect("memory");
+            }
+            text.push_str(" |");
+        }
+    }
+    text.push('\n');
+    text
+}
+
+fn assert_within_limits(table: &[(Kind, Vec<Worst>)]) {
+    for (kind, row) in table {
+        for (speed_mm_s, worst) in SPEEDS_MM_S.iter().zip(row) {
+            let limit_mm = match *speed_mm_s {
+                ..=5.0 => SLOW_MAX_MM,
+                ..=1_000.0 => MEDIUM_MAX_MM,
+                _ => f64::INFINITY,
+            };
+            let deviation_mm = worst.deviation_mm;
+            assert!(
+                deviation_mm <= limit_mm,
+                "{kind:?} at {speed_mm_s} mm/s: {deviation_mm:.1} mm"
+            );
+        }
+    }
+}
+
+#[test]
+fn untrue_feedback_in_velocity_mode_is_noticed_before_the_pen_has_gone_far() {
+    let table = scan(&Config::default(), CASES);
+    println!("{}", rendered(&table));
+    assert_within_limits(&table);
+}
+
+#[test]
+fn a_sound_robot_keeps_to_its_line_in_the_same_motions() {
+    for speed_mm_s in SPEEDS_MM_S {
+        let mut robot = Robot::idle_with(&with_speed(&Config::default(), speed_mm_s));
+        let case = case(None, speed_mm_s, 3);
+        let outcome = drive(&mut robot, &case);
+        println!("{case:?}: {outcome:?}");
+        assert_eq!((outcome.noticed_ms, robot.fault()), (None, None), "{case:?}");
+        assert!(outcome.deviation_mm < SOUND_MAX_MM, "{case:?}: {outcome:?}");
+        robot.wait_for(Mode::Idle);
+    }
+}
+
+/// Largest distance of the ink of some strokes from other ink, mm.
+pub(crate) fn apart_mm(ink: &[host_tools::cell::InkStroke], other: &[host_tools::cell::InkStroke]) -> f64 {
+    let points = |strokes: &[host_tools::cell::InkStroke]| -> Vec<[f64; 2]> {
+        strokes
+            .iter()
+            .flat_map(|stroke| stroke.points_mm.iter().map(|point| [point[0], point[1]]))
+            .collect()
+    };
+    let (ink, other) = (points(ink), points(other));
+    let nearest = |point: &[f64; 2], among: &[[f64; 2]]| {
+        let squares = among
+            .iter()
+            .map(|near| (near[0] - point[0]).powi(2) + (near[1] - point[1]).powi(2));
+        squares.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    let one_way = ink.iter().map(|point| nearest(point, &other));
+    let back = other.iter().map(|point| nearest(point, &ink));
+    one_way.chain(back).fold(0.0, f64::max)
+}
+
+#[test]
+fn after_a_frozen_feedback_the_next_drawing_comes_out_right() {
+    let mut sound = Robot::idle();
+    sound.draw(path());
+    sound.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    let expected = sound.ink();
+
+    let mut robot = Robot::drawing();
+    robot.inject(CellFault::Resolver(1, ResolverFault::Stuck, LONG_MS));
+    robot.run_until("a fault is told", |robot| robot.fault().is_some());
+    assert!(
+        matches!(robot.fault(), Some(Fault::FeedbackDeviation { axis: 0, .. })),
+        "{:?}",
+        robot.fault()
+    );
+    let strokes = robot.ink().len();
+    let mended = Case {
+        kind: Some(Kind::Frozen),
+        ..case(None, 5.0, 1)
+    };
+    recover(&mut robot, &Case { axis: 0, ..mended });
+    robot.draw(path());
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    let drawn = &robot.ink()[strokes..];
+    let apart_mm = apart_mm(drawn, &expected);
+    println!("the drawing after the fault is {apart_mm:.3} mm from the one of a sound robot");
+    assert!(apart_mm < 0.2, "{apart_mm} mm");
+}
