@@ -182,7 +182,9 @@ pub(crate) fn counted(count: impl TryInto<u64>, thing: &str) -> String {
 pub fn job_error(error: &JobError) -> CommandError {
     let code = match error {
         JobError::Version { .. } => code::VERSION,
-        JobError::NoAnswer { .. } | JobError::LinkLost { .. } | JobError::Restarted => code::CONNECTION,
+        JobError::NoAnswer { .. } | JobError::LinkLost { .. } | JobError::Restarted | JobError::Forgotten => {
+            code::CONNECTION
+        }
         JobError::Fault { .. } => code::FAULT,
         JobError::Vertex(_) => code::INPUT,
         JobError::Config(_) | JobError::ConfigHash { .. } => code::USAGE,

@@ -255,6 +255,11 @@ impl VirtualCell {
         self.cell.lock().ink().to_vec()
     }
 
+    /// The cell as it is now: the truth that no message tells.
+    pub fn state(&self) -> CellState {
+        self.cell.lock().state()
+    }
+
     /// Lets something go wrong; gives what a person reads about it, or why it is not possible.
     ///
     /// # Errors

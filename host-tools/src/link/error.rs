@@ -130,6 +130,10 @@ pub enum JobError {
     NotReferenced,
     /// The operator ended it.
     Cancelled,
+    /// The program that ordered the motion gave no signs of life any more.
+    Abandoned,
+    /// The firmware has started anew in the middle of the drawing.
+    Forgotten,
 }
 
 impl fmt::Display for JobError {
@@ -227,6 +231,13 @@ impl fmt::Display for JobError {
                  pose and take the reference (etherpen reference), then draw --resume",
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
+            Self::Abandoned => f.write_str(
+                "the program that ordered the motion fell silent, so the robot was stopped; order it again",
+            ),
+            Self::Forgotten => f.write_str(
+                "the firmware has started anew in the middle of the drawing and has forgotten it; draw --resume goes on \
+                 where the ink ends",
+            ),
         }
     }
 }
@@ -269,6 +280,8 @@ mod tests {
                 strokes: 1,
             },
             JobError::Cancelled,
+            JobError::Abandoned,
+            JobError::Forgotten,
         ];
         for error in errors {
             let text = error.to_string();

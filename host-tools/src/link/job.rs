@@ -16,7 +16,7 @@ use super::error::{JobError, Phase};
 use super::measurement::Reader;
 use super::progress::{PathMeasure, Progress};
 use super::session::{Event, Session, SessionCounts};
-pub use super::terms::{Control, Drawing, JobEvent, JobOptions, JobReport, Motion, Ready, Task};
+pub use super::terms::{Control, Drawing, JobEvent, JobOptions, JobReport, Life, Motion, Ready, Task};
 use super::verification::{Verification, Verifier};
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::PortState;
@@ -54,6 +54,29 @@ pub fn path_hash(vertices: &[PathVertex]) -> u64 {
 pub fn path_number(hash: u64) -> u16 {
     let [a, b, c, d] = [hash, hash >> 16, hash >> 32, hash >> 48].map(|part| part as u16);
     (a ^ b ^ c ^ d).max(1)
+}
+
+/// What a jog lives on; without a [`Life`] on this process alone.
+#[derive(Clone, Debug, Default)]
+struct Lifeline {
+    life: Option<Life>,
+    /// Signs that were used up.
+    seen: u64,
+    /// When the last of them was, ms.
+    seen_ms: u64,
+}
+
+impl Lifeline {
+    /// Uses up the signs that came; whether there was one since the last time.
+    fn take_sign(&mut self, now_ms: u64) -> bool {
+        let Some(life) = &self.life else { return true };
+        let signs = life.signs();
+        let fresh = signs != self.seen;
+        if fresh {
+            (self.seen, self.seen_ms) = (signs, now_ms);
+        }
+        fresh
+    }
 }
 
 /// A connection and what is done over it, as a state machine.
@@ -104,6 +127,8 @@ pub struct Job {
     complete: Option<u32>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
+    /// What a jog lives on.
+    life: Lifeline,
     /// For each question about the measurements without an answer whether it is the task's own.
     questions: VecDeque<bool>,
     events: VecDeque<JobEvent>,
@@ -149,6 +174,7 @@ impl Job {
             verification: Verification::default(),
             complete: None,
             reader: None,
+            life: Lifeline::default(),
             questions: VecDeque::new(),
             events: VecDeque::new(),
         }
@@ -171,6 +197,7 @@ impl Job {
         (self.samples, self.reader) = (Vec::new(), None);
         (self.verifier, self.complete) = (None, None);
         self.verification = Verification::default();
+        self.life = Lifeline::default();
         self.status_before = None;
         if let Some(broken) = self.broken {
             return self.fail(broken);
@@ -179,6 +206,15 @@ impl Job {
             Phase::Connecting => Phase::Connecting,
             _ => Phase::Inspecting,
         });
+    }
+
+    /// Lets a jog live on signs of life of whoever has ordered it: each repetition needs a sign that came since the one
+    /// before, so that the firmware's dead man's switch acts although this program is well.
+    pub fn live_on(&mut self, life: Life) {
+        self.life = Lifeline {
+            life: Some(life),
+            ..Lifeline::default()
+        };
     }
 
     /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
@@ -310,6 +346,11 @@ impl Job {
             self.awaited = None;
         }
         self.session.command(command)
+    }
+
+    /// Whether a command has left for the port as a whole, or needs not leave any more.
+    pub fn has_sent(&self, id: u16) -> bool {
+        self.session.has_sent(id)
     }
 
     /// Asks something of the bus; the answer is [`JobEvent::Bus`].

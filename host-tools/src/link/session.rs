@@ -226,6 +226,15 @@ impl Session {
         });
     }
 
+    /// Whether a command has been handed out by [`transmit`](Self::transmit) as a whole, or needs not be any more.
+    pub fn has_sent(&self, id: u16) -> bool {
+        let waits = self
+            .requests
+            .iter()
+            .any(|request| request.id == id && request.sent_ms.is_none());
+        !waits && self.frame_sent >= self.frame_length
+    }
+
     fn request(&mut self, body: Body) -> u16 {
         let id = self.take_number();
         self.requests.push_back(Request {

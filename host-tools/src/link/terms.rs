@@ -15,6 +15,23 @@ use etherpen::motion::Pen;
 use etherpen::robot::Position;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Signs of life of the program that has ordered a motion, given in one thread and looked for in another.
+#[derive(Clone, Debug, Default)]
+pub struct Life(Arc<AtomicU64>);
+
+impl Life {
+    /// Gives a sign.
+    pub fn sign(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Signs so far.
+    pub fn signs(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
 
 /// What a job is given besides configuration and task.
 #[derive(Clone, Copy, Debug)]

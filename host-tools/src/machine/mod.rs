@@ -11,14 +11,16 @@
 //!
 //! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
 //! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
-//! yet is answered with a failure. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
+//! yet is answered with a failure; it has a way of its own to the thread, and the thread nothing else to do that takes
+//! longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
 //! report.
 //!
 //! Invariants: nothing moves that was not ordered over this connection; when the connection breaks, it is made again and
-//! says so, and a drawing that was under way waits, held, for [`Order::Resume`] or [`Order::Cancel`]; no reader and no
-//! user can block the thread.
+//! says so, and a drawing that was under way waits, held, for [`Order::Resume`] or [`Order::Cancel`], as long as the
+//! firmware has it still; no reader and no user can block the thread.
 
 mod following;
+mod lanes;
 mod sharing;
 mod subscription;
 mod work;
@@ -33,11 +35,12 @@ use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 pub use following::{Account, Source};
+use lanes::{Envelope, Lanes, Taken};
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -225,11 +228,6 @@ pub struct MachineOptions {
     pub patient: bool,
 }
 
-struct Envelope {
-    order: Order,
-    reply: Sender<Answer>,
-}
-
 /// What the thread shares with the users.
 #[derive(Debug, Default)]
 struct Shared {
@@ -252,7 +250,7 @@ impl Shared {
 #[derive(Debug)]
 pub struct Machine {
     port: PortName,
-    orders: Sender<Envelope>,
+    lanes: Lanes,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     server: Option<Server>,
@@ -271,21 +269,21 @@ impl Machine {
             opened => opened,
         };
         let shared = Arc::new(Shared::default());
-        let (orders, received) = mpsc::channel();
+        let (lanes, taken) = lanes::lanes();
         let work = Work::new(config, options, shared.clone());
         let thread = std::thread::Builder::new().name("machine".into()).spawn({
             let (shared, port, ownership) = (shared.clone(), port.clone(), ownership.clone());
-            move || attend(&port, ownership, opened, work, &received, &shared)
+            move || attend(&port, ownership, opened, work, taken, &shared)
         });
         let thread = thread.map_err(|source| PortError::Open {
             port: port.clone(),
             source,
         })?;
         // Where there is no place for a socket, nobody else can find the machine; it works all the same.
-        let server = ownership.and_then(|_| Server::start(&port, orders.clone(), shared.clone()).ok());
+        let server = ownership.and_then(|_| Server::start(&port, lanes.clone(), shared.clone()).ok());
         Ok(Self {
             port,
-            orders,
+            lanes,
             shared,
             thread: Some(thread),
             server,
@@ -299,10 +297,13 @@ impl Machine {
 
     /// Gives an order; exactly one answer comes, or the channel closes when the machine is dropped.
     pub fn order(&self, order: Order) -> Receiver<Answer> {
-        let (reply, answer) = mpsc::channel();
-        // Without the thread nobody keeps the sender, and the receiver is told so.
-        let _ = self.orders.send(Envelope { order, reply });
-        answer
+        self.lanes.give(order, None, None)
+    }
+
+    /// Orders a stop; `written` is called, in the machine's thread, once its telegram has been written to the port, or
+    /// cannot be.
+    pub fn stop(&self, written: impl FnOnce() + Send + 'static) -> Receiver<Answer> {
+        self.lanes.give(Order::Stop, None, Some(Box::new(written)))
     }
 
     /// Gives an order and waits for its answer.
@@ -347,22 +348,20 @@ fn attend(
     ownership: Option<Arc<Ownership>>,
     mut opened: Result<Port, PortError>,
     mut work: Work,
-    orders: &Receiver<Envelope>,
+    mut orders: Taken,
     shared: &Shared,
 ) {
     let mut attempt = 0;
     while !shared.ended.load(Ordering::Relaxed) {
         let lost = match opened {
-            Ok(port) => converse(port, &mut work, orders, shared, &mut attempt),
+            Ok(port) => converse(port, &mut work, &mut orders, shared, &mut attempt),
             Err(error) => Some(Failure::from(&error)),
         };
         let Some(lost) = lost else { return };
         work.lose(&lost);
         let again = Instant::now() + RECONNECT;
         while Instant::now() < again && !shared.ended.load(Ordering::Relaxed) {
-            if let Ok(envelope) = orders.recv_timeout(Duration::from_millis(20)) {
-                work.refuse(envelope.order, &envelope.reply, &lost);
-            }
+            orders.take_within(Duration::from_millis(20), |envelope| work.refuse(&envelope, &lost));
         }
         attempt += 1;
         shared.publish(News::Reconnecting { attempt });
@@ -371,22 +370,15 @@ fn attend(
 }
 
 /// One connection, until it breaks (with the reason) or the machine is dropped.
-fn converse(
-    port: Port,
-    work: &mut Work,
-    orders: &Receiver<Envelope>,
-    shared: &Shared,
-    attempt: &mut u32,
-) -> Option<Failure> {
+fn converse(port: Port, work: &mut Work, orders: &mut Taken, shared: &Shared, attempt: &mut u32) -> Option<Failure> {
     work.connect(crate::commands::session_number());
     let mut line = Line::start(port);
     while !shared.ended.load(Ordering::Relaxed) {
         let exchanged = line.exchange(|now_ms, incoming, outgoing, room| {
-            for Envelope { order, reply } in orders.try_iter() {
-                work.order(order, reply);
-            }
+            orders.take(|envelope| work.order(envelope));
             work.step(now_ms, incoming, outgoing, room);
         });
+        work.tell_written();
         if let Err(error) = exchanged {
             return Some(Failure::from(&error));
         }

@@ -4,30 +4,38 @@
 //! same number, responses come in any order; a client that follows gets a [`Response`] for everything that is recorded.
 //! Drawings are not given over the socket: their owner is the one whose end holds them.
 //!
-//! Invariant: a client can neither block the machine nor another client, and a motion ends with the client that ordered it.
+//! Invariants: a client can neither block the machine nor another client; a motion ends with the client that ordered it,
+//! and a jog goes on only while the client says, over and over, that it is alive.
 
-use super::{Account, Answer, Envelope, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
+use super::lanes::Lanes;
+use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
 use crate::commands::code;
 use crate::link::ownership::{Owner, socket_path};
 use crate::link::port::PortName;
+use crate::link::terms::Life;
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{self, Receiver, Sender, TryRecvError};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// Version of what is said over the socket.
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 /// Clients at a time.
 const CLIENTS_MAX: usize = 32;
 /// Longest line, bytes.
 const LINE_BYTES_MAX: usize = 64 * 1024;
+/// Orders of one client that may wait for their answers.
+const PENDING_MAX: usize = 64;
 /// Time between two looks at orders that have no answer yet.
 const LOOK: Duration = Duration::from_millis(10);
+/// Time between two signs of life of a client that waits for the end of a motion; a jog is repeated every 40 ms, and the
+/// firmware's dead-man time is 100 ms.
+const SIGN: Duration = Duration::from_millis(20);
 /// Longest wait for the greeting of an owner, and for a client that does not read.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Longest wait for a follower that does not read: a disk may stall.
@@ -58,6 +66,8 @@ enum Ask {
     Snapshot,
     Order(Order),
     Follow,
+    /// The motion that this client has ordered goes on; nothing is answered.
+    Alive,
 }
 
 /// What the owner answers.
@@ -87,7 +97,7 @@ pub(super) struct Server {
 
 impl Server {
     /// Listens beside a port that this process owns; a socket left behind is replaced.
-    pub(super) fn start(port: &PortName, orders: Sender<Envelope>, shared: Arc<Shared>) -> io::Result<Self> {
+    pub(super) fn start(port: &PortName, orders: Lanes, shared: Arc<Shared>) -> io::Result<Self> {
         let path = socket_path(port)?;
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
@@ -123,7 +133,7 @@ impl Drop for Server {
     }
 }
 
-fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Sender<Envelope>, shared: &Arc<Shared>) {
+fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Lanes, shared: &Arc<Shared>) {
     let clients = Arc::new(AtomicUsize::new(0));
     for stream in listener.incoming() {
         if shared.ended.load(Ordering::Relaxed) {
@@ -137,7 +147,7 @@ fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Sender<Envelope
         let (greeting, orders, shared, clients) = (greeting.clone(), orders.clone(), shared.clone(), clients.clone());
         std::thread::spawn(move || {
             // A client that has gone is no error of the owner's.
-            let _ = serve(stream, &greeting, orders, &shared);
+            let _ = serve(stream, &greeting, &orders, &shared);
             clients.fetch_sub(1, Ordering::Relaxed);
         });
     }
@@ -151,13 +161,14 @@ struct Pending {
     is_motion: bool,
 }
 
-fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, shared: &Shared) -> io::Result<()> {
+fn serve(mut stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &Shared) -> io::Result<()> {
     stream.set_read_timeout(Some(LOOK))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     send(&mut stream, greeting)?;
     let mut lines = Lines::default();
     let mut pending: Vec<Pending> = Vec::new();
     let mut followed: Option<Followed> = None;
+    let life = Life::default();
     let result = loop {
         if shared.ended.load(Ordering::Relaxed) {
             break Ok(());
@@ -176,7 +187,13 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, 
                     drop(snapshot);
                     send(&mut stream, &Response { id: question.id, said })?;
                 }
-                Ask::Order(order) => pending.push(give(question.id, order, &orders)),
+                Ask::Order(_) if pending.len() >= PENDING_MAX => {
+                    let many = Failure::new(code::FAILED, "too many orders without an answer at once");
+                    let said = Said::Answer(Err(many));
+                    send(&mut stream, &Response { id: question.id, said })?;
+                }
+                Ask::Order(order) => pending.push(give(question.id, order, &life, orders)),
+                Ask::Alive => life.sign(),
                 Ask::Follow => followed = Some(Followed::begin(question.id, &mut stream, shared)?),
             }
         }
@@ -199,10 +216,7 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: Sender<Envelope>, 
         pending = waiting;
     };
     if pending.iter().any(|entry| entry.is_motion) {
-        let (reply, _) = mpsc::channel();
-        let order = Order::Cancel;
-        // Without the machine's thread nothing is moved any more.
-        let _ = orders.send(Envelope { order, reply });
+        drop(orders.give(Order::Cancel, None, None));
     }
     result
 }
@@ -247,11 +261,9 @@ impl Followed {
     }
 }
 
-fn give(id: u64, order: Order, orders: &Sender<Envelope>) -> Pending {
+fn give(id: u64, order: Order, life: &Life, orders: &Lanes) -> Pending {
     let is_motion = matches!(order, Order::Motion(_));
-    let (reply, answer) = mpsc::channel();
-    // Without the machine's thread the answer's channel is closed, which is told.
-    let _ = orders.send(Envelope { order, reply });
+    let answer = orders.give(order, is_motion.then(|| life.clone()), None);
     Pending { id, answer, is_motion }
 }
 
@@ -332,7 +344,11 @@ impl Client {
     /// # Errors
     /// Why it was not carried out, or that the owner has gone.
     pub fn carry_out(&mut self, order: Order) -> Answer {
-        match self.ask(Ask::Order(order), None)? {
+        let said = match order {
+            Order::Motion(_) => self.ask_alive(Ask::Order(order))?,
+            order => self.ask(Ask::Order(order), None)?,
+        };
+        match said {
             Said::Answer(answer) => answer,
             Said::Snapshot(_) | Said::Account(_) => Err(self.gone(&"an answer to another question came")),
         }
@@ -400,6 +416,32 @@ impl Client {
             .map_err(|cause| self.gone(&cause))
     }
 
+    /// Asks, and says until the answer comes that this client is alive.
+    fn ask_alive(&mut self, ask: Ask) -> Result<Said, Failure> {
+        let id = self.next;
+        self.next = id.wrapping_add(1);
+        self.exchange_alive(&Question { id, ask })
+            .map_err(|cause| self.gone(&cause))
+    }
+
+    fn exchange_alive(&mut self, question: &Question) -> io::Result<Said> {
+        let id = question.id;
+        let stream = self.reader.get_mut();
+        stream.set_read_timeout(Some(SIGN))?;
+        send(stream, question)?;
+        loop {
+            send(self.reader.get_mut(), &Question { id, ask: Ask::Alive })?;
+            match self.reader.read_until(b'\n', &mut self.begun) {
+                Ok(_) if self.begun.last() == Some(&b'\n') => break,
+                Ok(_) => return Err(ErrorKind::UnexpectedEof.into()),
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        let line = std::mem::take(&mut self.begun);
+        answer_to(id, &line)
+    }
+
     fn exchange(&mut self, question: &Question, longest: Option<Duration>) -> io::Result<Said> {
         let stream = self.reader.get_mut();
         stream.set_read_timeout(longest)?;
@@ -408,10 +450,14 @@ impl Client {
         if self.reader.read_line(&mut line)? == 0 {
             return Err(ErrorKind::UnexpectedEof.into());
         }
-        let response: Response = serde_json::from_str(&line)?;
-        match response.id == question.id {
-            true => Ok(response.said),
-            false => Err(io::Error::new(ErrorKind::InvalidData, "another question's answer")),
-        }
+        answer_to(question.id, line.as_bytes())
+    }
+}
+
+fn answer_to(id: u64, line: &[u8]) -> io::Result<Said> {
+    let response: Response = serde_json::from_slice(line)?;
+    match response.id == id {
+        true => Ok(response.said),
+        false => Err(io::Error::new(ErrorKind::InvalidData, "another question's answer")),
     }
 }

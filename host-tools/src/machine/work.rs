@@ -3,10 +3,11 @@
 //! Invariants: every order gets exactly one answer; a broken connection ends every order but a drawing that the firmware
 //! may hold, which goes on with an order and with nothing else.
 
+use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
 use crate::commands::code;
 use crate::link::error::{JobError, Phase};
-use crate::link::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Task};
+use crate::link::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Life, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::service::ServiceResult;
@@ -17,6 +18,8 @@ use std::sync::mpsc::Sender;
 
 /// Time between two reports of progress, ms.
 const PROGRESS_MS: u64 = 100;
+/// Time in which a firmware says by itself what it holds, ms.
+const ARRIVAL_MAX_MS: u64 = 500;
 
 /// A task that was ordered.
 struct Active {
@@ -53,7 +56,11 @@ pub(super) struct Work {
     asked: VecDeque<Sender<Answer>>,
     measured: VecDeque<Sender<Answer>>,
     jogging: Jogging,
+    /// Stops that have not left yet.
+    written: Vec<(u16, Written)>,
     shown_ms: u64,
+    /// Since when the firmware's state has been known on this connection, ms.
+    known_ms: Option<u64>,
 }
 
 impl Work {
@@ -68,7 +75,9 @@ impl Work {
             asked: VecDeque::new(),
             measured: VecDeque::new(),
             jogging: Jogging::default(),
+            written: Vec::new(),
             shown_ms: 0,
+            known_ms: None,
         }
     }
 
@@ -82,6 +91,7 @@ impl Work {
         };
         self.job = Some(Job::new(self.config.clone(), Task::Look, options));
         self.shown_ms = 0;
+        self.known_ms = None;
     }
 
     /// Whether the firmware has answered.
@@ -98,6 +108,9 @@ impl Work {
     pub(super) fn lose(&mut self, why: &Failure) {
         let job = self.job.take();
         self.jogging = Jogging::default();
+        for (_, written) in self.written.drain(..) {
+            written();
+        }
         let orders = self.told.drain().map(|(_, reply)| reply);
         for reply in orders.chain(self.asked.drain(..)).chain(self.measured.drain(..)) {
             // Who gave the order may have gone.
@@ -140,25 +153,30 @@ impl Work {
     }
 
     /// Answers an order that comes while there is no connection.
-    pub(super) fn refuse(&mut self, order: Order, reply: &Sender<Answer>, why: &Failure) {
-        let ended = match order {
+    pub(super) fn refuse(&mut self, envelope: &Envelope, why: &Failure) {
+        let ended = match envelope.order {
             Order::Cancel => self.active.take(),
             _ => None,
         };
         if let Some(active) = ended {
             finish(&self.shared, active, Err(why.clone()), None);
         }
-        let _ = reply.send(Err(why.clone()));
+        // Who gave the order may have gone.
+        let _ = envelope.reply.send(Err(why.clone()));
     }
 
     /// Takes an order.
-    pub(super) fn order(&mut self, order: Order, reply: Sender<Answer>) {
+    pub(super) fn order(&mut self, mut envelope: Envelope) {
         let Some(job) = &mut self.job else {
             let why = Failure::new(code::CONNECTION, "there is no connection to the machine");
-            return self.refuse(order, &reply, &why);
+            return self.refuse(&envelope, &why);
         };
-        match order {
-            Order::Tell(Command::Stop) | Order::Stop => self.stop(reply),
+        let reply = envelope.reply.clone();
+        match envelope.order.clone() {
+            Order::Tell(Command::Stop) | Order::Stop => {
+                let written = envelope.take_written();
+                self.stop(reply, written);
+            }
             Order::Tell(command) => {
                 let id = job.command(command);
                 self.told.insert(id, reply);
@@ -169,10 +187,10 @@ impl Work {
             Order::Cancel => self.cancel(reply),
             Order::Override(percent) => self.control(Control::Override(percent), reply),
             Order::Jog(velocity_mm_s) => self.jog(velocity_mm_s, reply),
-            Order::Settle(command) => self.begin(Task::Tell(command), None, reply),
-            Order::Prepare(ready) => self.begin(Task::Prepare(ready), None, reply),
-            Order::Motion(motion) => self.begin(Task::Motion(motion), None, reply),
-            Order::Draw(order) => self.begin(Task::Draw(order.drawing.clone()), Some(order), reply),
+            Order::Settle(command) => self.begin(Task::Tell(command), None, None, reply),
+            Order::Prepare(ready) => self.begin(Task::Prepare(ready), None, None, reply),
+            Order::Motion(motion) => self.begin(Task::Motion(motion), None, envelope.life.take(), reply),
+            Order::Draw(order) => self.begin(Task::Draw(order.drawing.clone()), Some(order), None, reply),
             Order::Bus(request) => {
                 job.bus(request);
                 self.asked.push_back(reply);
@@ -184,7 +202,7 @@ impl Work {
         }
     }
 
-    fn begin(&mut self, task: Task, order: Option<DrawOrder>, reply: Sender<Answer>) {
+    fn begin(&mut self, task: Task, order: Option<DrawOrder>, life: Option<Life>, reply: Sender<Answer>) {
         let Some(job) = &mut self.job else { return };
         if self.active.is_some() {
             let busy = "the machine is at work for another order; wait for it, or end it (etherpen cancel)";
@@ -192,6 +210,9 @@ impl Work {
             return;
         }
         job.begin(task);
+        if let Some(life) = life {
+            job.live_on(life);
+        }
         if let Some(order) = &order {
             self.shared.publish(News::Begun {
                 name: order.name.clone(),
@@ -220,15 +241,23 @@ impl Work {
         }
     }
 
-    fn stop(&mut self, reply: Sender<Answer>) {
+    fn stop(&mut self, reply: Sender<Answer>, written: Option<Written>) {
         let Some(job) = &mut self.job else { return };
         let id = job.command(Command::Stop);
-        let overtaken = Failure::new(code::FAILED, "a stop has overtaken it");
+        self.written.extend(written.map(|written| (id, written)));
         for (_, reply) in self.told.drain() {
-            let _ = reply.send(Err(overtaken.clone()));
+            let _ = reply.send(Err(overtaken()));
         }
         self.jogging = Jogging::default();
         self.told.insert(id, reply);
+    }
+
+    /// Tells of the stops that have left for the port.
+    pub(super) fn tell_written(&mut self) {
+        let Some(job) = &self.job else { return };
+        for (_, written) in self.written.extract_if(.., |(id, _)| job.has_sent(*id)) {
+            written();
+        }
     }
 
     /// Goes on with what is held; a drawing of a connection before is streamed again from where the firmware wants it.
@@ -297,7 +326,42 @@ impl Work {
             self.take(event);
         }
         self.show(now_ms);
+        self.end_forgotten(now_ms);
         self.end_task();
+    }
+
+    /// Ends a drawing that waits for an order to go on, once it is clear that the firmware does not have it any more; one
+    /// that came to its end while nobody heard it is taken to its end.
+    fn end_forgotten(&mut self, now_ms: u64) {
+        let Some(number) = self.interrupted_number() else {
+            return;
+        };
+        let Some(job) = &self.job else { return };
+        let Some(status) = job.status() else { return };
+        let known_ms = *self.known_ms.get_or_insert(now_ms);
+        let held = job.held_path().filter(|ack| ack.job == number);
+        let (mode, finished) = (status.mode, held.is_some_and(|ack| ack.finished));
+        let error = match (mode, status.fault) {
+            (Mode::Fault, Some(fault)) => JobError::Fault { fault, before: false },
+            (Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff | Mode::Unreferenced, _) => JobError::Forgotten,
+            (Mode::Idle, _) if finished => return self.resume(std::sync::mpsc::channel().0),
+            (Mode::Idle | Mode::Moving, _) if held.is_none() && now_ms.saturating_sub(known_ms) > ARRIVAL_MAX_MS => {
+                JobError::Forgotten
+            }
+            _ => return,
+        };
+        if let Some(active) = self.active.take() {
+            self.shared.change(|snapshot| {
+                snapshot.drawing = None;
+                snapshot.interrupted = false;
+            });
+            finish(&self.shared, active, Err(Failure::from(&error)), None);
+        }
+    }
+
+    fn interrupted_number(&self) -> Option<u16> {
+        let underway = self.active.as_ref()?.drawing.as_ref()?;
+        underway.interrupted.then_some(underway.order.drawing.number)
     }
 
     fn take(&mut self, event: JobEvent) {

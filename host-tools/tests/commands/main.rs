@@ -9,6 +9,7 @@ mod bench;
 mod board;
 mod calibration;
 mod configuration;
+mod dead_man;
 mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;

@@ -23,6 +23,9 @@ const ARRIVAL_MAX_MS: u64 = 500;
 const MEASUREMENTS_MAX_MS: u64 = 10_000;
 /// Time between two repetitions of a jog, ms; less than half the firmware's dead-man time.
 const JOG_REPEAT_MS: u64 = 40;
+/// Silence of whoever has ordered a jog after which the jog does not go on by itself any more, ms; the robot has long
+/// stopped by the firmware's dead-man time.
+const ABANDONED_MS: u64 = 500;
 
 const _: () = assert!(MEASUREMENTS_MAX_MS < STEP_MAX_MS);
 
@@ -269,6 +272,13 @@ impl Job {
         };
         let over = self.now_ms.saturating_sub(self.entered_ms) >= u64::from(for_ms);
         if self.awaited.is_some() || self.now_ms < self.retry_ms || self.ending.is_some() {
+            return;
+        }
+        if !over && !self.life.take_sign(self.now_ms) {
+            let since_ms = self.life.seen_ms.max(self.entered_ms);
+            if self.now_ms.saturating_sub(since_ms) > ABANDONED_MS {
+                self.ending = Some(JobError::Abandoned);
+            }
             return;
         }
         if !over {

@@ -515,3 +515,38 @@ fn a_hold_at_the_next_pen_up_waits_for_it() {
     });
     assert_eq!((job.outcome(), held), (Some(&Ok(())), true));
 }
+
+#[test]
+fn a_jog_is_repeated_only_on_fresh_signs_of_life_and_ends_with_them() {
+    for seed in 1..40_u64 {
+        let mut random = super::super::bench::Line::new(seed, 0);
+        let (mut bench, life) = (Bench::new(1, 0), Life::default());
+        let task = Task::Motion(Motion::Jog {
+            velocity_mm_s: [10.0, 0.0, 0.0],
+            for_ms: 20_000,
+        });
+        let mut job = Job::new(Config::default(), task, JobOptions::default());
+        job.live_on(life.clone());
+        let (every_ms, until_ms) = (1 + random.random() % 60, 2_000 + random.random() % 3_000);
+        let is_jog = |command: &&Command| matches!(command, Command::Jog { velocity_mm_s } if velocity_mm_s[0] > 0.0);
+        let jogs = |bench: &Bench| bench.commands.iter().filter(is_jog).count();
+        let (mut jogs_at_silence, mut last_ms) = (0, 0);
+        run(&mut bench, &mut job, 20_000, |now_ms, bench, _| {
+            if now_ms < until_ms && now_ms.is_multiple_of(every_ms) {
+                life.sign();
+            }
+            if now_ms == until_ms {
+                jogs_at_silence = jogs(bench);
+            }
+            last_ms = now_ms;
+        });
+        assert_eq!(job.outcome(), Some(&Err(JobError::Abandoned)), "seed {seed}");
+        assert!(jogs_at_silence > 10, "seed {seed}: {jogs_at_silence} jogs");
+        let late = jogs(&bench) - jogs_at_silence;
+        assert!(late <= 1, "seed {seed}: {late} jogs after the last sign of life");
+        assert!(
+            last_ms < until_ms + 2_000 && bench.mode != Mode::Moving,
+            "seed {seed}: {last_ms} ms"
+        );
+    }
+}

@@ -1,0 +1,223 @@
+//! The ways of orders to the machine's thread: a stop has one of its own.
+//!
+//! Invariant: a stop is taken before every other order that waits, and what was ordered before it and waits still is not
+//! carried out after it.
+
+use super::{Answer, Failure, Order};
+use crate::commands::code;
+use crate::link::terms::Life;
+use etherpen::link::protocol::Command;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Stops that may wait; the thread takes all of them every millisecond.
+const STOPS_MAX: usize = 64;
+/// Orders that are taken at a time.
+const ORDERS_AT_ONCE: usize = 64;
+
+/// Called once a stop has been written to the port, or cannot be.
+pub(super) type Written = Box<dyn FnOnce() + Send>;
+
+/// An order on its way.
+pub(super) struct Envelope {
+    /// Orders are counted, stops among them.
+    number: u64,
+    pub(super) order: Order,
+    pub(super) reply: Sender<Answer>,
+    /// What a jog from another process lives on.
+    pub(super) life: Option<Life>,
+    written: Option<Written>,
+}
+
+impl Envelope {
+    fn is_stop(&self) -> bool {
+        matches!(self.order, Order::Stop | Order::Tell(Command::Stop))
+    }
+
+    /// What is to be called once the stop has been written.
+    pub(super) fn take_written(&mut self) -> Option<Written> {
+        self.written.take()
+    }
+}
+
+impl Drop for Envelope {
+    fn drop(&mut self) {
+        // Whoever waits for a stop's writing never waits for one that is not written any more.
+        if let Some(written) = self.written.take() {
+            written();
+        }
+    }
+}
+
+/// Stops that wait; nothing once the thread has ended.
+type Stops = Arc<Mutex<Option<Vec<Envelope>>>>;
+
+fn lock(stops: &Stops) -> MutexGuard<'_, Option<Vec<Envelope>>> {
+    stops.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Where orders are given.
+#[derive(Clone)]
+pub(super) struct Lanes {
+    orders: Sender<Envelope>,
+    stops: Stops,
+    next: Arc<AtomicU64>,
+}
+
+impl std::fmt::Debug for Lanes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Lanes")
+    }
+}
+
+/// The lanes' two ends.
+pub(super) fn lanes() -> (Lanes, Taken) {
+    let (orders, received) = mpsc::channel();
+    let stops = Stops::new(Mutex::new(Some(Vec::new())));
+    let lanes = Lanes {
+        orders,
+        stops: stops.clone(),
+        next: Arc::default(),
+    };
+    let taken = Taken {
+        orders: received,
+        stops,
+        overtaken_to: 0,
+    };
+    (lanes, taken)
+}
+
+impl Lanes {
+    /// Gives an order; exactly one answer comes, or the channel closes when the thread has ended.
+    pub(super) fn give(&self, order: Order, life: Option<Life>, written: Option<Written>) -> Receiver<Answer> {
+        let (reply, answer) = mpsc::channel();
+        let envelope = Envelope {
+            number: self.next.fetch_add(1, Ordering::SeqCst),
+            order,
+            reply,
+            life,
+            written,
+        };
+        if !envelope.is_stop() {
+            // Without the thread nobody keeps the sender, and the receiver is told so.
+            let _ = self.orders.send(envelope);
+            return answer;
+        }
+        match lock(&self.stops).as_mut() {
+            Some(stops) if stops.len() < STOPS_MAX => stops.push(envelope),
+            Some(_) => {
+                let many = Failure::new(code::FAILED, "other stops are on their way");
+                let _ = envelope.reply.send(Err(many));
+            }
+            None => {}
+        }
+        answer
+    }
+}
+
+/// Where the thread takes them; dropping it ends both lanes.
+pub(super) struct Taken {
+    orders: Receiver<Envelope>,
+    stops: Stops,
+    /// Number before which every order was overtaken by a stop.
+    overtaken_to: u64,
+}
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        let _ = lock(&self.stops).take();
+    }
+}
+
+impl Taken {
+    /// What is to be done now: stops first, then some of the other orders.
+    pub(super) fn take(&mut self, mut act: impl FnMut(Envelope)) {
+        self.take_stops(&mut act);
+        for _ in 0..ORDERS_AT_ONCE {
+            let Ok(envelope) = self.orders.try_recv() else { return };
+            self.sort(envelope, &mut act);
+        }
+    }
+
+    /// The same, waiting for the first order at most this long.
+    pub(super) fn take_within(&mut self, longest: Duration, mut act: impl FnMut(Envelope)) {
+        self.take_stops(&mut act);
+        match self.orders.recv_timeout(longest) {
+            Ok(envelope) => self.sort(envelope, &mut act),
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+        }
+        self.take_stops(&mut act);
+    }
+
+    fn take_stops(&mut self, act: &mut impl FnMut(Envelope)) {
+        let stops = lock(&self.stops).as_mut().map(std::mem::take).unwrap_or_default();
+        for stop in stops {
+            self.overtaken_to = self.overtaken_to.max(stop.number);
+            act(stop);
+        }
+    }
+
+    fn sort(&self, envelope: Envelope, act: &mut impl FnMut(Envelope)) {
+        if envelope.number >= self.overtaken_to {
+            return act(envelope);
+        }
+        let _ = envelope.reply.send(Err(overtaken()));
+    }
+}
+
+/// What an order is answered that a stop has overtaken.
+pub(super) fn overtaken() -> Failure {
+    Failure::new(code::FAILED, "a stop has overtaken it")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Orders as they come out.
+    fn taken(lane: &mut Taken) -> Vec<Order> {
+        let mut orders = Vec::new();
+        lane.take(|envelope| orders.push(envelope.order.clone()));
+        orders
+    }
+
+    #[test]
+    fn a_stop_comes_out_first_and_what_was_ordered_before_it_never() {
+        for (before, after) in (0..200_u64).map(|case| (case % 14, case / 14)) {
+            let (lanes, mut lane) = lanes();
+            let give = |order| lanes.give(order, None, None);
+            let earlier: Vec<_> = (0..before).map(|_| give(Order::Tell(Command::Acknowledge))).collect();
+            let _stopped = give(Order::Stop);
+            let _later: Vec<_> = (0..after).map(|_| give(Order::Hold)).collect();
+            let mut expected = vec![Order::Stop];
+            expected.extend((0..after).map(|_| Order::Hold));
+            assert_eq!(taken(&mut lane), expected, "{before} before, {after} after");
+            for answer in earlier {
+                assert_eq!(answer.recv(), Ok(Err(overtaken())));
+            }
+        }
+    }
+
+    #[test]
+    fn however_many_orders_wait_a_stop_is_among_the_next_that_are_taken() {
+        let (lanes, mut lane) = lanes();
+        let _answers: Vec<_> = (0..10_000).map(|_| lanes.give(Order::Hold, None, None)).collect();
+        assert_eq!(taken(&mut lane).len(), ORDERS_AT_ONCE);
+        let _stopped = lanes.give(Order::Stop, None, None);
+        assert_eq!(taken(&mut lane), [Order::Stop]);
+    }
+
+    #[test]
+    fn whoever_waits_for_a_stop_is_told_also_when_nobody_takes_it() {
+        let (lanes, lane) = lanes();
+        let (told, wait) = mpsc::channel();
+        let told_again = told.clone();
+        let waiting = lanes.give(Order::Stop, None, Some(Box::new(move || drop(told.send(())))));
+        drop(lane);
+        let late = lanes.give(Order::Stop, None, Some(Box::new(move || drop(told_again.send(())))));
+        assert_eq!((wait.recv(), wait.recv()), (Ok(()), Ok(())));
+        assert!(waiting.recv().is_err() && late.recv().is_err());
+    }
+}

@@ -1,0 +1,91 @@
+//! The dead man's switch behind a program that has the port: a client that is stopped stops the robot.
+
+use crate::program::{Folder, Running, etherpen, run, wait_until};
+use etherpen::config::Config;
+use host_tools::cell::CellOptions;
+use host_tools::commands::code;
+use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Speed below which a joint stands, rad/s.
+const STANDS_RAD_S: f64 = 1e-4;
+/// Longest time, by the cell's clock, from the client's standstill to the motors', ms: the firmware's dead-man time, a sign
+/// of life on its way and the ramp; the rest is for a computer on which the port's owner is not run for a while.
+const STOP_MAX_MS: u64 = 1_000;
+
+struct Bench {
+    folder: Folder,
+    cell: VirtualCell,
+}
+
+impl Bench {
+    fn command(&self, words: &[&str]) -> std::process::Command {
+        let mut command = etherpen(&self.folder);
+        command.args(words).env("ETHERPEN_PORT", self.cell.port().to_string());
+        command
+    }
+
+    fn moves(&self) -> bool {
+        let speeds = self.cell.state().velocities.0;
+        speeds.iter().any(|speed| speed.abs() > STANDS_RAD_S)
+    }
+}
+
+fn signal(program: &Running, signal: Signal) {
+    let pid = Pid::from_raw(program.id() as i32).expect("a process has a number");
+    kill_process(pid, signal).expect("it is a child of this test");
+}
+
+/// Whether a process was stopped by a signal, by its line in /proc.
+fn is_stopped(program: &Running) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", program.id())).unwrap_or_default();
+    stat.rsplit_once(')')
+        .is_some_and(|(_, rest)| rest.trim_start().starts_with('T'))
+}
+
+#[test]
+fn a_client_that_is_stopped_while_it_jogs_through_a_console_stops_the_robot() {
+    let cell = VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated);
+    let bench = Bench {
+        folder: Folder::new(),
+        cell: cell.expect("the cell starts"),
+    };
+    let port = bench.cell.port().to_string();
+    let mut console =
+        Running::start(etherpen(&bench.folder).args(["console", "--listen", "127.0.0.1:0", "--port", &port]));
+    console.wait_for("address", |console| console.stdout().contains("http://").then_some(()));
+    let enabled = || run(&mut bench.command(&["enable"])).0 == Some(0);
+    wait_until("enabled drives", enabled);
+    let mut jog = Running::start(&mut bench.command(&["jog", "0,20,0", "--for", "8"]));
+    jog.wait_for("motion", |_| bench.moves().then_some(()));
+    let begun_ms = bench.cell.state().time_ms;
+    wait_until("a motion of half a second", || {
+        bench.cell.state().time_ms > begun_ms + 500
+    });
+    assert!(bench.moves(), "the jog goes on while its client lives");
+    signal(&jog, Signal::STOP);
+    wait_until("a client that stands", || is_stopped(&jog));
+    let stopped_ms = bench.cell.state().time_ms;
+    wait_until("motors that stand", || !bench.moves());
+    let took_ms = bench.cell.state().time_ms - stopped_ms;
+    println!("the motors stood {took_ms} ms after their client, by the cell's clock");
+    assert!(took_ms <= STOP_MAX_MS, "{took_ms} ms");
+    let joints = bench.cell.state().joints;
+    wait_until("two more seconds", || {
+        bench.cell.state().time_ms > stopped_ms + took_ms + 2_000
+    });
+    signal(&jog, Signal::CONT);
+    assert_eq!(jog.end().code(), Some(i32::from(code::FAILED)), "{}", jog.stderr());
+    assert!(jog.stderr().contains("fell silent"), "{}", jog.stderr());
+    let drift = bench
+        .cell
+        .state()
+        .joints
+        .0
+        .iter()
+        .zip(joints.0)
+        .map(|(now, then)| (now - then).abs());
+    assert!(drift.fold(0.0, f64::max) < 1e-3, "the jog does not go on by itself");
+    let (status, _, stderr) = run(&mut bench.command(&["jog", "0,-20,0", "--for", "0.3"]));
+    assert_eq!(status, Some(0), "{stderr}");
+}
