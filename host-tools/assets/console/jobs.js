@@ -162,6 +162,33 @@ function studio(link) {
   show();
 }
 
+// What an unfinished drawing needs to go on, and the buttons for it.
+function goOn(link, drawing) {
+  const words = element("small");
+  const button = element("button", { type: "button", className: "continue", on: { click: () => link.send({ type: "continue", job: drawing }) } }, "Continue");
+  const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the arms since", on: { click: () => link.command({ do: "reference_here" }) } }, "They stand where they stopped");
+  const wants = (status, all) => {
+    if (all.active || !status) return "";
+    if (!link.controls) return ": take control first";
+    if (status.mode === "Fault") return ": acknowledge the fault first";
+    if (!["DrivesOff", "Unreferenced", "Idle"].includes(status.mode)) return ": wait until the robot is at rest";
+    if (status.referenced) return "";
+    const marks = ": the controller does not know where the arms stand. Bring them to their marks and press Reference";
+    if (!status.seen_mm) return marks;
+    const [x, y] = status.seen_mm.map((mm) => number(mm, 0));
+    return `${marks}, or, if nobody has moved them (pen at x ${x}, y ${y} mm):`;
+  };
+  const show = (job) => {
+    const { jobs: all, status } = link.state;
+    const ready = link.controls && !all.active && Boolean(status?.referenced) && ["DrivesOff", "Idle"].includes(status.mode);
+    text(words, `stroke ${job.stroke} of ${job.strokes}${wants(status, all)}`);
+    set(button, { hidden: !job.unfinished, disabled: !ready, title: `Goes on at stroke ${job.stroke}; is the same paper in its place?` });
+    set(words, { hidden: !job.unfinished });
+    set(here, { hidden: !job.unfinished || !link.controls || !status?.seen_mm || !["DrivesOff", "Unreferenced", "Idle"].includes(status.mode) });
+  };
+  return [[button, words, here], show];
+}
+
 function lists(link) {
   const waiting = (job) => {
     const [name, facts] = [element("b"), element("span")];
@@ -185,8 +212,17 @@ function lists(link) {
     return [element("li", { className: "active" }, element("span", {}, name, phase)), show];
   };
   const ended = (job) => {
-    const words = element("span", {}, element("b", {}, job.name), ` ${job.done ? "drawn in" : "ended after"} ${duration(job.drawn_s)}`, job.done ? null : element("small", {}, ` ${job.text}`));
-    return [element("li", { data: { done: String(job.done) } }, words)];
+    const [how, why] = [element("span"), element("small")];
+    const [buttons, showButtons] = goOn(link, job.number);
+    const node = element("li", {}, element("span", {}, element("b", {}, job.name), how, why), ...buttons);
+    const show = (now) => {
+      if (!now) return;
+      set(node.dataset, { done: String(now.done), unfinished: String(now.unfinished) });
+      text(how, ` ${now.done ? "drawn in" : "ended after"} ${duration(now.drawn_s)}`);
+      text(why, now.done ? "" : ` ${now.text}`);
+      showButtons(now);
+    };
+    return [node, show];
   };
   const empty = (words) => [element("li", { className: "empty" }, words)];
   const show = () => {
@@ -198,5 +234,5 @@ function lists(link) {
     keyed($("past"), past.length ? past : [null], (job) => job?.number ?? "empty", (job) => (job ? ended(job) : empty("nothing yet")));
   };
   for (const name of ["jobs", "control", "you", "status"]) link.on(name, show);
-  link.on("closed", () => [...$("queue").querySelectorAll("button")].forEach((button) => set(button, { disabled: true })));
+  link.on("closed", () => [...$("queue").querySelectorAll("button"), ...$("past").querySelectorAll("button")].forEach((button) => set(button, { disabled: true })));
 }

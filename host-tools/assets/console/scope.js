@@ -18,6 +18,20 @@ const PRESETS = [
   ["16 signals", (signal) => /^[qv]\d/.test(signal.name)],
 ];
 
+// The parts of an answer as one.
+function joined(parts) {
+  const concat = (Kind, arrays) => {
+    const all = new Kind(arrays.reduce((length, array) => length + array.length, 0));
+    let at = 0;
+    for (const array of arrays) {
+      all.set(array, at);
+      at += array.length;
+    }
+    return all;
+  };
+  return { ...parts[0], last: true, numbers: concat(Uint32Array, parts.map((part) => part.numbers)), spans: concat(Float32Array, parts.map((part) => part.spans)) };
+}
+
 export class Scope {
   constructor(link) {
     this.link = link;
@@ -104,8 +118,10 @@ export class Scope {
   take(columns) {
     const wanted = this.waiting.get(columns.id);
     if (wanted) {
+      wanted.parts.push(columns);
+      if (!columns.last) return;
       this.waiting.delete(columns.id);
-      wanted(columns);
+      wanted.resolve(joined(wanted.parts));
     } else if (columns.id === this.picture) {
       if (columns.reset) this.renew();
       this.live.bucketMs = columns.bucketMs;
@@ -119,7 +135,7 @@ export class Scope {
     this.picture += 1;
     const id = this.picture + 1e6;
     return new Promise((resolve) => {
-      this.waiting.set(id, resolve);
+      this.waiting.set(id, { resolve, parts: [] });
       this.link.send({ type: "range", id, signals: this.chosen, from_ms: Math.max(0, Math.floor(fromMs)), to_ms: Math.ceil(toMs), columns });
     });
   }

@@ -6,6 +6,7 @@
 //! Invariant: a row is measured in this run or left out; none is remembered.
 
 mod bring_up;
+pub mod console;
 pub mod drawing;
 pub mod ethercat;
 pub mod latency;

@@ -1,9 +1,12 @@
 //! `etherpen bench`: the project's figures beside those of its peers, measured in one run.
 
 use super::{CommandError, code, print_json};
-use crate::bench::{BenchError, Report, Row, Selection, drawing, ethercat, motion, recording};
+use crate::bench::{BenchError, Report, Row, Selection, console, drawing, ethercat, motion, recording};
 use crate::setup;
 use std::io::Write;
+
+/// Stops of each kind under each load of the console.
+const CONSOLE_STOPS: usize = 20;
 
 /// Options of `etherpen bench`.
 #[derive(clap::Args, Debug)]
@@ -14,6 +17,9 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand, Debug)]
 enum Bench {
+    /// A stop through the console under hostile load, by socket and by request: longest delay down to the port, and the
+    /// console's memory.
+    Console(Options),
     /// The vectoriser on the sample photographs (time, strokes, tone, edges), and the order of the sample vectors beside
     /// vpype's (linemerge linesort --two-opt; from PyPI, set up in a folder of its own below the target folder).
     Drawing(Options),
@@ -84,10 +90,15 @@ impl Options {
 /// A tool is missing, or something could not be measured. A target that is missed is no error.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
-    if !matches!(arguments.bench, Bench::Recording(_)) {
+    if !matches!(arguments.bench, Bench::Recording(_) | Bench::Console(_)) {
         setup::ensure_sources()?;
     }
     let (options, report) = match &arguments.bench {
+        Bench::Console(options) => {
+            let program = std::env::current_exe().map_err(|cause| CommandError::failed("this program", cause))?;
+            let report = console::run(&options.selection(), &program, CONSOLE_STOPS, progress);
+            (options, report)
+        }
         Bench::Drawing(options) => (options, drawing::run(&options.selection(), progress)),
         Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),
         Bench::Latency(arguments) => return super::latency::run(arguments),

@@ -3,7 +3,7 @@
 use super::{CommandError, code};
 use crate::history::{self, Record, hash_text};
 use crate::link::job::Drawing;
-use crate::link::remainder::Remainder;
+use crate::link::remainder::{OVERLAP_UM, Remainder};
 use crate::link::text;
 use crate::machine::{Machine, Snapshot};
 use etherpen::application::Mode;
@@ -12,8 +12,6 @@ use etherpen::link::protocol::{PathAck, PathVertex};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Length of the broken stroke that is drawn again, um: more than a pen needs to touch down.
-const OVERLAP_UM: f64 = 1_000.0;
 /// Longest wait for the machine's state; the link itself gives up before.
 const STATE_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for what a firmware that holds says of its path.

@@ -11,6 +11,8 @@ use crate::link::job::{JobEvent, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, News, NoNews, Order, Subscription};
 use etherpen::application::Mode;
+use etherpen::link::protocol::Command;
+use etherpen::robot::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
@@ -23,6 +25,11 @@ pub(super) const NEWS_MAX: usize = 4_096;
 const WAIT: Duration = Duration::from_millis(20);
 /// Time in which all news of a drawing that has ended have come.
 const SETTLED: Duration = Duration::from_millis(500);
+/// Time before a bus that could not be brought up is tried again.
+const PREPARED_AGAIN: Duration = Duration::from_secs(2);
+/// What is said of a drawing whose firmware has started anew.
+const RESTARTED: &str = "the controller started anew while it was drawing, and the robot stopped where it was; it knows \
+                         neither the drawing nor where the arms stand any more";
 /// Orders whose answers are waited for.
 const EXPECTED_MAX: usize = 256;
 
@@ -30,6 +37,10 @@ const EXPECTED_MAX: usize = 256;
 #[derive(Default)]
 pub(super) struct Attendant {
     expected: Mutex<Vec<(&'static str, Receiver<Answer>)>>,
+    /// Who has asked for stops that have not been noted.
+    stops: Mutex<Vec<String>>,
+    /// When the bus was ordered to be brought up, and the order's answer.
+    preparing: Mutex<Option<(Instant, Receiver<Answer>)>>,
     /// The drawing that was ordered, with its number.
     drawing: Mutex<Option<(u64, Receiver<Answer>)>>,
     /// The drawing whose order failed, why and when.
@@ -44,6 +55,36 @@ impl Attendant {
             expected.remove(0);
         }
         expected.push((what, answer));
+    }
+
+    /// Takes note of a stop, in whatever thread; a stop of the same viewer that has not been noted yet is the same.
+    pub(super) fn stop_asked(&self, who: &str, answer: Receiver<Answer>) {
+        let mut stops = lock(&self.stops);
+        if !stops.iter().any(|other| other == who) {
+            stops.push(who.to_owned());
+        }
+        drop(stops);
+        self.expect("STOP", answer);
+    }
+
+    /// Whether the bus has to be brought up now: it is not being, and was not a moment ago.
+    fn has_to_prepare(&self) -> bool {
+        let mut preparing = lock(&self.preparing);
+        let Some((since, answer)) = preparing.as_mut() else {
+            return true;
+        };
+        match answer.try_recv() {
+            Err(TryRecvError::Empty) => return false,
+            Ok(Err(failure)) => {
+                // Told like every other order that failed.
+                let (reply, refused) = std::sync::mpsc::channel();
+                let _ = reply.send(Err(failure));
+                self.expect("bringing up the bus", refused);
+            }
+            // An answer is taken once; after it the channel is closed.
+            Ok(Ok(_)) | Err(TryRecvError::Disconnected) => {}
+        }
+        since.elapsed() > PREPARED_AGAIN
     }
 
     /// A drawing whose order failed a while ago, and why: news of one that began and ended have come by then.
@@ -99,6 +140,9 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
     loop {
         let next = news.next_within(WAIT);
         let Some(console) = console.upgrade() else { return };
+        for who in std::mem::take(&mut *lock(&console.attendant.stops)) {
+            console.change(|hub| hub.stop_asked(&who));
+        }
         match next {
             Ok(next) => take(&console, next),
             Err(NoNews::Timeout) => {}
@@ -121,10 +165,15 @@ fn take(console: &Console, news: News) {
     match news {
         News::Samples { missing, samples } => console.hub().take_samples(missing, &samples),
         News::Status(status) => {
-            let begins = status.mode == Mode::Startup && console.hub().mode() != Some(Mode::Startup);
-            console.change(|hub| hub.take_status(&status));
-            if begins {
-                console.order("bringing up the bus", Order::Prepare(Ready::Bus));
+            console.change(|hub| {
+                if status.mode == Mode::Startup && !hub.jobs.is_restarted() && hub.jobs.restarted() {
+                    hub.note(Level::Error, RESTARTED);
+                }
+                hub.take_status(&status);
+            });
+            if status.mode == Mode::Startup && console.attendant.has_to_prepare() {
+                let answer = console.machine.order(Order::Prepare(Ready::Bus));
+                *lock(&console.attendant.preparing) = Some((Instant::now(), answer));
             }
         }
         News::Progress(progress) => console.change(|hub| {
@@ -143,13 +192,15 @@ fn take(console: &Console, news: News) {
         News::Ended { result, report } => {
             if report.is_some() {
                 console.change(|hub| {
+                    let text = match &result {
+                        Ok(()) => "drawn".to_owned(),
+                        Err(_) if hub.jobs.is_restarted() => RESTARTED.to_owned(),
+                        Err(failure) => failure.text.clone(),
+                    };
                     match &result {
                         Ok(()) => hub.note(Level::Info, "the drawing is done"),
-                        Err(failure) => hub.note(Level::Warning, format!("the drawing ended early: {failure}")),
+                        Err(_) => hub.note(Level::Warning, format!("the drawing ended early: {text}")),
                     }
-                    let text = result
-                        .as_ref()
-                        .map_or_else(ToString::to_string, |()| "drawn".to_owned());
                     hub.jobs.end(result.is_ok(), on_page(&text));
                     hub.say_jobs();
                 });
@@ -189,13 +240,53 @@ impl Console {
             drawing
         });
         let Some((name, path)) = drawing else { return false };
+        self.order_drawing(number, name, crate::link::job::Drawing::new(path));
+        true
+    }
+
+    /// Goes on with an unfinished drawing.
+    ///
+    /// # Errors
+    /// Why it cannot go on now, as a person reads it.
+    pub(super) fn go_on(&self, number: u64) -> Result<(), &'static str> {
+        let unfinished = self.change(|hub| {
+            if hub.status().is_none_or(|status| !status.referenced) {
+                return Err("the controller does not know where the arms stand; take the reference, then go on");
+            }
+            let unfinished = hub.jobs.go_on(number, &self.config);
+            hub.say_jobs();
+            unfinished
+        })?;
+        let drawing = crate::link::job::Drawing {
+            may_reference: unfinished.is_whole,
+            ..crate::link::job::Drawing::new(unfinished.path)
+        };
+        self.order_drawing(number, unfinished.name, drawing);
+        Ok(())
+    }
+
+    fn order_drawing(&self, number: u64, name: String, drawing: crate::link::job::Drawing) {
         let order = DrawOrder {
-            drawing: crate::link::job::Drawing::new(path),
+            drawing,
             name,
             keep_samples: false,
         };
         *lock(&self.attendant.drawing) = Some((number, self.machine.order(Order::Draw(order))));
-        true
+    }
+
+    /// The reference at the pose in which the arms were seen last while they were referenced; the firmware checks it against
+    /// its resolvers and against where the platform was.
+    pub(super) fn reference_here(&self) -> Option<Command> {
+        let hub = self.hub();
+        let (known, status) = (hub.known()?, hub.status()?);
+        let increments = crate::link::reference::all(&status.increments)?;
+        let [x_mm, y_mm, z_mm] = known.platform_mm.map(f64::from);
+        let wanted = crate::link::reference::Wanted {
+            pose: crate::link::reference::Pose::Seen(known.joints_rad.map(f64::from)),
+            position: Some(Position { x_mm, y_mm, z_mm }),
+            calibrate: false,
+        };
+        Some(wanted.command(&self.config, &increments))
     }
 
     /// Jogs; a machine that does not want to says so by its mode.

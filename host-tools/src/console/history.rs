@@ -57,13 +57,21 @@ impl History {
 
     /// Rows from this number on, or from the oldest that is kept; with the number of the first given.
     pub fn since(&self, number: u64) -> (u64, Vec<Row>) {
+        self.some_since(number, usize::MAX)
+    }
+
+    /// Rows from this number on, or from the oldest that is kept, at most so many; with the number of the first given.
+    pub fn some_since(&self, number: u64, most: usize) -> (u64, Vec<Row>) {
         let from = number.clamp(self.first, self.next());
         let mut skip = (from - self.first) as usize;
-        let mut rows = Vec::with_capacity((self.next() - from) as usize);
+        let mut left = most.min((self.next() - from) as usize);
+        let mut rows = Vec::with_capacity(left);
         for piece in self.pieces.iter().map(|piece| &**piece).chain([self.open.as_slice()]) {
             match piece.get(skip..) {
                 Some(part) => {
+                    let part = part.get(..left).unwrap_or(part);
                     rows.extend_from_slice(part);
+                    left -= part.len();
                     skip = 0;
                 }
                 None => skip -= piece.len(),
@@ -162,8 +170,8 @@ impl Decimator {
     }
 
     /// The column that has not ended.
-    pub fn finish(self) -> Option<Bucket> {
-        self.open
+    pub fn take(&mut self) -> Option<Bucket> {
+        self.open.take()
     }
 }
 
@@ -238,7 +246,7 @@ mod tests {
             }
             buckets.extend(decimator.push(&row));
         }
-        buckets.extend(decimator.finish());
+        buckets.extend(decimator.take());
         assert_eq!(buckets.len(), 10);
         assert_eq!(buckets[4].spans[0][1], 99.0);
         assert!((buckets[4].spans[0][0] - 0.4_f32.sin()).abs() < 1e-6);

@@ -31,6 +31,14 @@ const PRESS_MS: u64 = 1_000;
 const STOP: &str = "STOP";
 /// Viewers at the same time.
 pub const VIEWERS_MAX: usize = 32;
+/// Viewers without the token at the same time: there is always room for those that have it.
+pub const GUESTS_MAX: usize = 24;
+/// Viewers whose pictures are kept: each keeps two minutes of telemetry, 17 MB.
+const KEPT_MAX: usize = 4;
+/// Viewers with an armed trigger.
+const ARMED_MAX: usize = 4;
+
+const _: () = assert!(GUESTS_MAX < VIEWERS_MAX);
 
 /// A part of the state that is sent as a whole when it has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -137,6 +145,15 @@ struct Pose {
     errors_rad: [f32; 4],
 }
 
+/// Where a referenced robot was seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Known {
+    /// Joint angles, rad.
+    pub joints_rad: [f32; 4],
+    /// The platform, mm.
+    pub platform_mm: [f32; 3],
+}
+
 /// A viewer's trigger.
 struct Armed {
     capture: Capture,
@@ -156,8 +173,13 @@ pub struct Hub {
     log: VecDeque<LogLine>,
     log_next: u64,
     captures: BTreeMap<ViewerId, Armed>,
+    /// What viewers keep looking at, the oldest first.
+    kept: VecDeque<(ViewerId, Snapshot)>,
     stop_wanted: bool,
-    viewers: usize,
+    /// Where the arms and the platform were seen last while they were referenced.
+    known: Option<Known>,
+    /// Who looks, and who of them has shown the token.
+    viewers: BTreeMap<ViewerId, bool>,
     viewer_next: ViewerId,
     /// Who commands.
     pub control: ControlLock,
@@ -187,8 +209,10 @@ impl Hub {
             log: VecDeque::new(),
             log_next: 0,
             captures: BTreeMap::new(),
+            kept: VecDeque::new(),
             stop_wanted: false,
-            viewers: 0,
+            known: None,
+            viewers: BTreeMap::new(),
             viewer_next: 1,
             control: ControlLock::default(),
             jobs: Jobs::new(),
@@ -263,6 +287,16 @@ impl Hub {
         self.status.as_ref().map(|status| status.mode)
     }
 
+    /// The firmware's status.
+    pub fn status(&self) -> Option<&Status> {
+        self.status.as_ref()
+    }
+
+    /// Where the arms were seen last while they were referenced.
+    pub fn known(&self) -> Option<Known> {
+        self.known
+    }
+
     /// Slaves that the firmware knows.
     pub fn slaves(&self) -> u8 {
         let slaves = self.status.as_ref().map_or(0, |status| status.slaves.len());
@@ -271,7 +305,7 @@ impl Hub {
 
     /// Whether anybody looks.
     pub fn is_watched(&self) -> bool {
-        self.viewers > 0
+        !self.viewers.is_empty()
     }
 
     /// Where the robot is, as text; `None` before the first sample.
@@ -351,7 +385,8 @@ impl Hub {
         }
         let silent_s = |since_ms: &Option<u64>| since_ms.map(|since_ms| now_ms.saturating_sub(since_ms) / 1_000);
         let silent_s: Vec<_> = self.silent_ms.iter().map(silent_s).collect();
-        self.say(Topic::Status, &status::view(status, &silent_s));
+        let view = status::view(status, &silent_s).seen_at(self.known.map(|known| known.platform_mm));
+        self.say(Topic::Status, &view);
         self.status = Some(status.clone());
     }
 
@@ -362,6 +397,13 @@ impl Hub {
         for sample in samples {
             let row = self.rows.take(sample);
             self.history.push(row);
+            self.jobs.follow(&row);
+            if self.status.as_ref().is_some_and(|status| status.referenced) {
+                self.known = Some(Known {
+                    joints_rad: row.joints_rad(),
+                    platform_mm: row.measured_mm(),
+                });
+            }
             self.step_captures(&row);
         }
     }
@@ -375,10 +417,49 @@ impl Hub {
         }
     }
 
-    /// Arms a viewer's trigger, in place of the one before.
-    pub fn arm(&mut self, viewer: ViewerId, trigger: Trigger) {
+    /// Arms a viewer's trigger, in place of the one before; gives whether there was room for it. One with the token takes
+    /// the place of one without.
+    pub fn arm(&mut self, viewer: ViewerId, trigger: Trigger) -> bool {
+        if self.captures.len() >= ARMED_MAX && !self.captures.contains_key(&viewer) {
+            let guest = self.captures.keys().copied().find(|armed| !self.is_trusted(*armed));
+            let Some(guest) = guest.filter(|_| self.is_trusted(viewer)) else {
+                return false;
+            };
+            self.captures.remove(&guest);
+        }
         let capture = Capture::new(trigger);
         self.captures.insert(viewer, Armed { capture, caught: None });
+        true
+    }
+
+    /// Keeps what a viewer looks at, in place of what it kept before; gives whether there was room for it. The oldest goes,
+    /// one without the token first.
+    pub fn keep(&mut self, viewer: ViewerId, snapshot: Snapshot) -> bool {
+        self.forget(viewer);
+        if self.kept.len() >= KEPT_MAX {
+            let guest = self.kept.iter().position(|(kept, _)| !self.is_trusted(*kept));
+            if guest.is_none() && !self.is_trusted(viewer) {
+                return false;
+            }
+            self.kept.remove(guest.unwrap_or(0));
+        }
+        self.kept.push_back((viewer, snapshot));
+        true
+    }
+
+    /// What a viewer keeps looking at, else what there is now.
+    pub fn seen_by(&self, viewer: ViewerId) -> Snapshot {
+        let kept = self.kept.iter().find(|(kept, _)| *kept == viewer);
+        kept.map_or_else(|| self.history.snapshot(), |(_, snapshot)| snapshot.clone())
+    }
+
+    /// Forgets what a viewer keeps.
+    pub fn forget(&mut self, viewer: ViewerId) {
+        self.kept.retain(|(kept, _)| *kept != viewer);
+    }
+
+    fn is_trusted(&self, viewer: ViewerId) -> bool {
+        self.viewers.get(&viewer).copied().unwrap_or(false)
     }
 
     /// Takes a viewer's trigger away.
@@ -423,21 +504,43 @@ impl Hub {
         }
     }
 
-    /// A viewer comes, if there is room; gives its number.
-    pub fn enter(&mut self) -> Option<ViewerId> {
-        if self.viewers >= VIEWERS_MAX {
+    /// A viewer comes, if there is room; gives its number, and the viewer that has to go for it: of those without the token
+    /// the one that has been there longest.
+    pub fn enter(&mut self) -> Option<(ViewerId, Option<ViewerId>)> {
+        let mut guests = self
+            .viewers
+            .iter()
+            .filter(|(_, trusted)| !**trusted)
+            .map(|(viewer, _)| *viewer);
+        let oldest = guests.next();
+        let guests = guests.count() + usize::from(oldest.is_some());
+        let full = self.viewers.len() >= VIEWERS_MAX;
+        let leaving = oldest.filter(|_| full || guests >= GUESTS_MAX);
+        if full && leaving.is_none() {
             return None;
         }
-        self.viewers += 1;
+        if let Some(leaving) = leaving {
+            self.viewers.remove(&leaving);
+        }
+        let viewer = self.viewer_next;
         self.viewer_next += 1;
+        self.viewers.insert(viewer, false);
         self.say_control();
-        Some(self.viewer_next - 1)
+        Some((viewer, leaving))
+    }
+
+    /// A viewer has shown the token.
+    pub fn trust(&mut self, viewer: ViewerId) {
+        if let Some(trusted) = self.viewers.get_mut(&viewer) {
+            *trusted = true;
+        }
     }
 
     /// A viewer goes; gives whether a jog of its has to stop.
     pub fn leave(&mut self, viewer: ViewerId, now_ms: u64) -> bool {
-        self.viewers = self.viewers.saturating_sub(1);
+        self.viewers.remove(&viewer);
         self.captures.remove(&viewer);
+        self.forget(viewer);
         let change = self.control.gone(viewer, now_ms);
         self.say_control();
         change == Some(Change::Vanished)
@@ -452,7 +555,7 @@ impl Hub {
         }
         let control = Control {
             holder: self.control.holder(),
-            viewers: self.viewers,
+            viewers: self.viewers.len(),
         };
         self.say(Topic::Control, &control);
     }
@@ -471,69 +574,4 @@ impl Hub {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::capture::Condition;
-    use super::super::signals::tests::sample;
-    use super::*;
-
-    fn hub() -> Hub {
-        Hub::new(&Config::default(), "test")
-    }
-
-    #[test]
-    fn only_what_has_changed_is_news_and_each_change_once() {
-        let mut hub = hub();
-        let mut version = 0;
-        let mut news = |hub: &Hub| {
-            let news = hub.news_since(version);
-            version = news.last().map_or(version, |(last, _)| *last);
-            news.len()
-        };
-        assert_eq!(news(&hub), 3);
-        hub.say(Topic::Studio, &"a");
-        hub.say(Topic::Studio, &"a");
-        hub.say(Topic::Studio, &"b");
-        assert_eq!(news(&hub), 1);
-        assert_eq!(news(&hub), 0);
-    }
-
-    #[test]
-    fn the_log_keeps_its_last_lines_and_their_numbers() {
-        let mut hub = hub();
-        (0..2 * LOG_LINES).for_each(|line| hub.note(Level::Info, line.to_string()));
-        let (lines, next) = hub.log_since(0);
-        assert_eq!((lines.len(), next), (LOG_LINES, 2 * LOG_LINES as u64));
-        assert_eq!(lines.first().map(|line| line.number), Some(LOG_LINES as u64));
-        assert!(hub.log_since(next).0.is_empty());
-    }
-
-    #[test]
-    fn a_trigger_catches_for_its_viewer_only_and_once() {
-        let mut hub = hub();
-        let trigger = Trigger {
-            signal: 1,
-            condition: Condition::Rising,
-            level: 0.5,
-            before_ms: 10,
-            after_ms: 10,
-        };
-        hub.arm(7, trigger);
-        let samples: Vec<_> = (0..100).map(|t_ms| sample(t_ms, t_ms as f32 / 100.0)).collect();
-        hub.take_samples(0, &samples);
-        assert!(hub.take_caught(8).is_none());
-        let (caught, snapshot) = hub.take_caught(7).unwrap();
-        assert_eq!((caught.from_ms, caught.to_ms), (40, 60));
-        assert_eq!(snapshot.rows(40, 60).count(), 21);
-        assert!(hub.take_caught(7).is_none() && hub.capture_state(7).is_none());
-    }
-
-    #[test]
-    fn no_more_viewers_than_there_is_room_for() {
-        let mut hub = hub();
-        let first = hub.enter().unwrap();
-        assert!((1..VIEWERS_MAX).all(|_| hub.enter().is_some()));
-        assert_eq!(hub.enter(), None);
-        hub.leave(first, 0);
-        assert!(hub.enter().is_some_and(|viewer| viewer != first));
-    }
-}
+mod tests;

@@ -1,10 +1,17 @@
 //! Drawings: the one that is drawn, those that wait, those that are past.
 //!
-//! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. Invariants: at most
-//! one drawing is active; the past keeps its last entries only.
+//! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. One that ended early
+//! can go on where its ink ends, as telemetry has seen it, with a millimetre drawn again. Invariants: at most one drawing is
+//! active; the past keeps its last entries only, and the paths of the last unfinished ones.
 
-use crate::link::progress::Progress;
+use super::signals::Row;
+use crate::link::ink::Ink;
+use crate::link::progress::{PathMeasure, Progress};
+use crate::link::remainder::{OVERLAP_UM, Remainder};
+use etherpen::application::Mode;
+use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
+use etherpen::motion::Pen;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,6 +20,8 @@ use std::sync::Arc;
 const WAITING_MAX: usize = 20;
 /// Past drawings that are kept.
 const PAST_MAX: usize = 50;
+/// Vertices of unfinished drawings that are kept: 32 MB.
+const UNFINISHED_VERTICES_MAX: usize = 1_600_000;
 
 /// A drawing that can be drawn.
 #[derive(Clone, Debug)]
@@ -30,6 +39,55 @@ pub struct Drawing {
 struct Job {
     number: u64,
     drawing: Drawing,
+    ink: Ink,
+    measure: PathMeasure,
+    /// What is left of it since it went on, and the vertices executed before.
+    rest: Option<(Remainder, usize)>,
+    /// Vertices of the whole path that were executed.
+    executed: usize,
+    /// Time that was drawn before it went on, s.
+    drawn_before_s: f64,
+}
+
+impl Job {
+    fn new(number: u64, drawing: Drawing) -> Self {
+        Self {
+            number,
+            ink: Ink::new(drawing.path.clone()),
+            measure: PathMeasure::default(),
+            rest: None,
+            executed: 0,
+            drawn_before_s: 0.0,
+            drawing,
+        }
+    }
+
+    /// Progress of the whole path, from that of the part that is drawn.
+    fn whole(&mut self, progress: &Progress) -> Progress {
+        let Some((rest, before)) = &self.rest else {
+            self.executed = progress.vertices;
+            return *progress;
+        };
+        self.executed = rest.executed(progress.vertices, *before);
+        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
+        Progress {
+            elapsed_s: self.drawn_before_s + progress.elapsed_s,
+            left_s: progress.left_s,
+            ..self
+                .measure
+                .progress(number(*before), number(self.executed), progress.elapsed_s)
+        }
+    }
+}
+
+/// A drawing that goes on: its name, the path that is left, and whether that is the whole one.
+pub struct Unfinished {
+    /// What a person calls it.
+    pub name: String,
+    /// The path that is left.
+    pub path: Arc<[PathVertex]>,
+    /// Whether nothing of it has been drawn.
+    pub is_whole: bool,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -58,6 +116,16 @@ struct PastView {
     done: bool,
     text: String,
     drawn_s: f64,
+    /// Whether it can go on.
+    unfinished: bool,
+    /// The stroke on which it goes on, from 1.
+    stroke: u32,
+}
+
+struct Past {
+    view: PastView,
+    /// What is needed to go on.
+    job: Option<Job>,
 }
 
 /// What the page shows of the drawings.
@@ -87,13 +155,14 @@ pub struct ProgressView {
 #[derive(Default)]
 pub struct Jobs {
     active: Option<Job>,
-    /// The drawing that was active last.
-    last: Option<Job>,
+    /// Number and path of the drawing that was active last.
+    last: Option<(u64, Arc<[PathVertex]>)>,
     phase: String,
     waiting: Vec<Job>,
-    past: VecDeque<PastView>,
+    past: VecDeque<Past>,
     next: u64,
     elapsed_s: f64,
+    restarted: bool,
 }
 
 impl Jobs {
@@ -107,6 +176,7 @@ impl Jobs {
             past: VecDeque::new(),
             next: 1,
             elapsed_s: 0.0,
+            restarted: false,
         }
     }
 
@@ -117,7 +187,7 @@ impl Jobs {
         }
         let number = self.next;
         self.next += 1;
-        self.waiting.push(Job { number, drawing });
+        self.waiting.push(Job::new(number, drawing));
         Some(number)
     }
 
@@ -136,10 +206,76 @@ impl Jobs {
         let index = self.waiting.iter().position(|job| job.number == number)?;
         let job = self.waiting.remove(index);
         let begun = (job.drawing.name.clone(), job.drawing.path.clone());
+        self.activate(job);
+        Some(begun)
+    }
+
+    fn activate(&mut self, job: Job) {
+        self.elapsed_s = job.drawn_before_s;
         self.active = Some(job);
         self.phase = "starting".to_owned();
-        self.elapsed_s = 0.0;
-        Some(begun)
+        self.restarted = false;
+    }
+
+    /// Makes an unfinished drawing the active one again; gives what is left of it.
+    ///
+    /// # Errors
+    /// Another one is active, or there is nothing to go on with.
+    pub fn go_on(&mut self, number: u64, config: &Config) -> Result<Unfinished, &'static str> {
+        if self.active.is_some() {
+            return Err("another drawing is active");
+        }
+        let gone = "this drawing is not in the history any more; add it to the queue again";
+        let index = self
+            .past
+            .iter()
+            .position(|past| past.view.job.number == number && past.job.is_some());
+        let past = index.and_then(|index| self.past.get_mut(index)).ok_or(gone)?;
+        let job = past.job.as_mut().ok_or(gone)?;
+        let (leg, end_um) = job.ink.end();
+        let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
+        let rest = Remainder::after(&job.drawing.path, leg, end_um, OVERLAP_UM, lift_um);
+        if rest.vertices.is_empty() {
+            past.job = None;
+            past.view.unfinished = false;
+            return Err("all of this drawing's strokes were drawn");
+        }
+        let unfinished = Unfinished {
+            name: job.drawing.name.clone(),
+            path: rest.vertices.clone().into(),
+            is_whole: leg == 0,
+        };
+        job.drawn_before_s = past.view.drawn_s;
+        job.measure = PathMeasure::new(&job.drawing.path, config);
+        job.rest = Some((rest, job.executed));
+        let job = index
+            .and_then(|index| self.past.remove(index))
+            .and_then(|past| past.job);
+        self.activate(job.ok_or(gone)?);
+        Ok(unfinished)
+    }
+
+    /// Follows the pen of the active drawing.
+    pub fn follow(&mut self, row: &Row) {
+        let Some(job) = &mut self.active else { return };
+        match (row.mode, row.pen) {
+            (Mode::Drawing | Mode::Holding | Mode::Stopping, Pen::Down) => {
+                job.ink.draws(row.stroke, row.measured_mm().map(f64::from));
+            }
+            _ => job.ink.lifted(),
+        }
+    }
+
+    /// The firmware has started anew; gives whether it was drawing.
+    pub fn restarted(&mut self) -> bool {
+        let begun = |job: &Job| job.executed > 0 || job.ink.end().0 > 0;
+        self.restarted |= self.active.as_ref().is_some_and(begun);
+        self.restarted
+    }
+
+    /// Whether the firmware has started anew since the active drawing began.
+    pub fn is_restarted(&self) -> bool {
+        self.restarted
     }
 
     /// Number of the active drawing.
@@ -149,8 +285,8 @@ impl Jobs {
 
     /// Number and path of the drawing on the sheet: the active one, or the last that was.
     pub fn on_sheet(&self) -> Option<(u64, Arc<[PathVertex]>)> {
-        let job = self.active.as_ref().or(self.last.as_ref())?;
-        Some((job.number, job.drawing.path.clone()))
+        let active = self.active.as_ref().map(|job| (job.number, job.drawing.path.clone()));
+        active.or_else(|| self.last.clone())
     }
 
     /// What the active drawing is doing.
@@ -160,7 +296,8 @@ impl Jobs {
 
     /// How far the active drawing is.
     pub fn progress(&mut self, progress: &Progress) -> Option<ProgressView> {
-        let job = self.active.as_ref()?;
+        let job = self.active.as_mut()?;
+        let progress = job.whole(progress);
         self.elapsed_s = progress.elapsed_s;
         Some(ProgressView {
             job: job.number,
@@ -179,14 +316,26 @@ impl Jobs {
     pub fn end(&mut self, done: bool, text: impl Into<String>) {
         let Some(job) = self.active.take() else { return };
         self.phase.clear();
-        self.past.push_front(PastView {
+        let view = PastView {
             job: JobView::of(&job),
             done,
             text: text.into(),
             drawn_s: self.elapsed_s,
-        });
+            unfinished: !done,
+            stroke: job.ink.stroke().saturating_add(1),
+        };
+        self.last = Some((job.number, job.drawing.path.clone()));
+        let job = (!done).then_some(job);
+        self.past.push_front(Past { view, job });
         self.past.truncate(PAST_MAX);
-        self.last = Some(job);
+        let mut vertices = 0;
+        for past in &mut self.past {
+            vertices += past.job.as_ref().map_or(0, |job| job.drawing.path.len());
+            if vertices > UNFINISHED_VERTICES_MAX {
+                past.job = None;
+                past.view.unfinished = false;
+            }
+        }
     }
 
     /// What the page shows.
@@ -195,7 +344,7 @@ impl Jobs {
             active: self.active.as_ref().map(JobView::of),
             phase: self.phase.clone(),
             waiting: self.waiting.iter().map(JobView::of).collect(),
-            past: self.past.iter().cloned().collect(),
+            past: self.past.iter().map(|past| past.view.clone()).collect(),
         }
     }
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::sync::Arc;
 
 /// Longest request, bytes.
-pub const REQUEST_BYTES_MAX: usize = 16 * 1024;
+pub const REQUEST_BYTES_MAX: usize = 4 * 1024;
 /// Longest photograph or drawing, bytes.
 pub const FILE_BYTES_MAX: usize = 32 * 1024 * 1024;
 /// Most columns of a plot.
@@ -50,6 +50,8 @@ fn reals<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
 pub enum Action {
     /// Take the reference at the marks.
     Reference,
+    /// Take the reference where the arms were seen last while they were referenced.
+    ReferenceHere,
     /// Power the drives.
     Enable,
     /// Take the power.
@@ -225,6 +227,11 @@ pub enum Request {
     },
     /// Begin with a drawing of the queue.
     Start {
+        /// Number of the drawing.
+        job: u64,
+    },
+    /// Go on with an unfinished drawing where its ink ends.
+    Continue {
         /// Number of the drawing.
         job: u64,
     },

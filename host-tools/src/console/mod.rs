@@ -1,15 +1,19 @@
 //! The operator's console: the machine in a browser, on this computer.
 //!
-//! One thread takes the machine's news into the [`hub`]; the [`server`] gives the page and a socket to each viewer, and
-//! every `viewer` takes from the hub what it can carry. Orders go straight to the machine.
+//! One thread takes the machine's news into the [`hub`]. In the [`server`] the thread `stop` takes in what every connection
+//! says, finds the stops in it and gives them to the machine; everything else it puts into an inbox, from which the thread
+//! `viewers` serves it. Every `viewer` takes from the hub what it can carry; its pictures are computed in a third thread.
+//! Orders go straight to the machine.
 //!
-//! Invariants: a stop goes from the socket to the machine without waiting for anything; only the viewer that holds control
+//! Invariants: a stop waits for no request, lock or computation of any viewer, and no request is begun while one is on its
+//! way to the port ([`gate`]); what viewers ask for takes a bounded amount of memory, whatever they ask; only the viewer that holds control
 //! commands; a slow viewer slows nobody; nothing is kept that grows with time.
 
 mod assets;
 mod attendant;
 pub mod capture;
 pub mod control;
+pub mod gate;
 pub mod history;
 pub mod hub;
 pub mod jobs;
@@ -28,6 +32,7 @@ use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order};
 use attendant::Attendant;
 use etherpen::config::Config;
+use gate::Gate;
 use hub::{Hub, Level, Topic};
 use jobs::Drawing;
 use messages::Injection;
@@ -112,6 +117,8 @@ pub struct Console {
     removed: Mutex<Vec<usize>>,
     preview: Mutex<Preview>,
     changed: watch::Sender<u64>,
+    gate: Arc<Gate>,
+    viewers: viewer::Viewers,
     /// Whether the firmware's measurements are being read.
     measuring: AtomicBool,
     begun: Instant,
@@ -168,6 +175,8 @@ impl Console {
             removed: Mutex::new(Vec::new()),
             preview: Mutex::default(),
             changed: watch::channel(0).0,
+            gate: Arc::default(),
+            viewers: viewer::Viewers::default(),
             measuring: AtomicBool::new(false),
             begun: Instant::now(),
         });
@@ -204,11 +213,22 @@ impl Console {
         self.begun.elapsed().as_millis() as u64
     }
 
-    /// Stops the robot: first the order, then everything else.
+    /// The virtual cell, where there is one.
+    pub fn cell(&self) -> Option<&VirtualCell> {
+        self.cell.as_ref().map(|(cell, _)| cell)
+    }
+
+    /// Where requests wait for stops.
+    pub fn gate(&self) -> &Gate {
+        &self.gate
+    }
+
+    /// Stops the robot: the order goes to the machine at once, everything else is the attendant's.
     pub fn stop(&self, who: &str) {
-        let answer = self.machine.order(Order::Stop);
-        self.attendant.expect(attendant::STOP, answer);
-        self.change(|hub| hub.stop_asked(who));
+        self.gate.stop_arrived();
+        let gate = self.gate.clone();
+        let answer = self.machine.stop(move || gate.stop_written());
+        self.attendant.stop_asked(who, answer);
     }
 
     /// Gives an order; what is refused is told in the log.

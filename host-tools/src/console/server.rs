@@ -1,7 +1,11 @@
 //! The console's HTTP server: the page, a socket for every viewer, a way in for files and for a stop.
 //!
+//! The thread `stop` takes in connections and what they say, and answers requests for files of the page; the thread
+//! `viewers` serves everything that the viewers ask for.
+//!
 //! Invariants: a request that another page makes this browser send is refused by its origin, one that was sent to another
-//! name by its host; whoever commands has the token that was printed in the terminal.
+//! name by its host; whoever commands has the token that was printed in the terminal, and nothing of a file is read before
+//! the token was seen; connections are bounded in number, their heads and bodies in time and length.
 
 use super::assets::{ASSETS, POLICY};
 use super::control::Change;
@@ -10,24 +14,36 @@ use super::messages::{FILE_BYTES_MAX, REQUEST_BYTES_MAX};
 use super::studio::Wishes;
 use super::{Console, viewer};
 use axum::Router;
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{DefaultBodyLimit, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use futures_util::StreamExt;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use std::collections::VecDeque;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
-use tokio::sync::oneshot;
+use tokio::runtime::{Builder, Handle};
+use tokio::sync::watch;
+use tokio::task::AbortHandle;
 
 /// Time between two looks at what nobody asks for.
 const LOOK: Duration = Duration::from_millis(200);
 /// Looks between two reports of the link's counts.
 const LOOKS_PER_REPORT: u32 = 5;
+/// Where a stop is asked for.
+const STOP: &str = "/stop";
 /// Header of the token.
 const TOKEN: &str = "x-etherpen-token";
 /// Header of the number that the viewer was given.
@@ -37,20 +53,39 @@ const NAME: &str = "x-etherpen-name";
 /// Header of what is wished of a drawing, as JSON.
 const OPTIONS: &str = "x-etherpen-options";
 /// Most bytes that wait for one viewer in this process.
-const WRITE_BUFFER_MAX: usize = 64 << 20;
+const WRITE_BUFFER_MAX: usize = 4 << 20;
+/// Connections beside the viewers' sockets; of more the oldest goes that has not shown the token.
+const CONNECTIONS_MAX: usize = 64;
+/// Longest time for the head of a request.
+const HEAD_MAX: Duration = Duration::from_secs(5);
+/// Longest head of a request, bytes.
+const HEAD_BYTES_MAX: usize = 32 * 1024;
+/// Longest pause within a file, and longest time for all of it.
+const PAUSE_MAX: Duration = Duration::from_secs(10);
+const UPLOAD_MAX: Duration = Duration::from_secs(180);
+/// Time before connections are taken in again when there was no room for one in this process.
+const FULL: Duration = Duration::from_millis(50);
 
 /// A running server; dropping it ends it.
 pub struct Server {
     address: SocketAddr,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    end: watch::Sender<bool>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 #[derive(Clone)]
 struct Door {
     console: Arc<Console>,
     address: SocketAddr,
+    /// Whether a file is being sent here.
+    uploading: Arc<AtomicBool>,
+    /// The thread that serves the viewers.
+    viewers: Handle,
 }
+
+/// Whether a connection has shown the token.
+#[derive(Clone, Default)]
+struct Trusted(Arc<AtomicBool>);
 
 impl Server {
     /// Starts to serve at an address; port 0 takes a free one.
@@ -61,27 +96,29 @@ impl Server {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let (end, ended) = oneshot::channel::<()>();
-        let thread = thread::Builder::new().name("console".to_owned()).spawn(move || {
-            runtime.block_on(async move {
-                tokio::spawn(look_after(console.clone()));
-                let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
-                    return;
-                };
-                let app = router(Door { console, address });
-                tokio::select! {
-                    _ = axum::serve(listener, app).into_future() => {}
-                    _ = ended => {}
-                }
-            });
-            runtime.shutdown_background();
-        })?;
-        Ok(Self {
+        let (end, ended) = watch::channel(false);
+        // One thread computes pictures, one after the other.
+        let viewers = Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(1)
+            .build()?;
+        let door = Door {
+            console: console.clone(),
             address,
-            end: Some(end),
-            thread: Some(thread),
-        })
+            uploading: Arc::default(),
+            viewers: viewers.handle().clone(),
+        };
+        let stop = Builder::new_current_thread().enable_all().build()?;
+        let accepting = async move {
+            if let Ok(listener) = tokio::net::TcpListener::from_std(listener) {
+                accept(&listener, router(door)).await;
+            }
+        };
+        let threads = vec![
+            run("viewers", viewers, ended.clone(), look_after(console))?,
+            run("stop", stop, ended, accepting)?,
+        ];
+        Ok(Self { address, end, threads })
     }
 
     /// Where it listens.
@@ -92,13 +129,65 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        if let Some(end) = self.end.take() {
-            // A server that has ended already is what is wanted.
-            let _ = end.send(());
-        }
-        if let Some(thread) = self.thread.take() {
+        // A server that has ended already is what is wanted.
+        let _ = self.end.send(true);
+        for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
+    }
+}
+
+/// Runs this in a thread of its own, with everything that it spawns, until the server ends.
+fn run(
+    name: &str,
+    runtime: tokio::runtime::Runtime,
+    mut ended: watch::Receiver<bool>,
+    work: impl Future<Output = ()> + Send + 'static,
+) -> io::Result<JoinHandle<()>> {
+    thread::Builder::new().name(name.to_owned()).spawn(move || {
+        runtime.block_on(async move {
+            tokio::select! {
+                () = work => {}
+                _ = ended.wait_for(|ended| *ended) => {}
+            }
+        });
+        runtime.shutdown_background();
+    })
+}
+
+/// Takes in connections, a bounded number of them at a time.
+async fn accept(listener: &tokio::net::TcpListener, app: Router) {
+    let app = TowerToHyperService::new(app);
+    let mut open: VecDeque<(Trusted, AbortHandle)> = VecDeque::new();
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            tokio::time::sleep(FULL).await;
+            continue;
+        };
+        open.retain(|(_, connection)| !connection.is_finished());
+        if open.len() >= CONNECTIONS_MAX {
+            let untrusted = open.iter().position(|(trusted, _)| !trusted.0.load(Ordering::Relaxed));
+            if let Some((_, oldest)) = open.remove(untrusted.unwrap_or(0)) {
+                oldest.abort();
+            }
+        }
+        // A line that cannot be told to hurry is slower, nothing else.
+        let _ = stream.set_nodelay(true);
+        let (app, trusted) = (app.clone(), Trusted::default());
+        let shown = trusted.clone();
+        let serve = service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(shown.clone());
+            app.call(request)
+        });
+        let connection = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(HEAD_MAX)
+            .max_buf_size(HEAD_BYTES_MAX)
+            .serve_connection(TokioIo::new(stream), serve)
+            .with_upgrades();
+        // How a connection ends is its client's business.
+        let connection = tokio::spawn(async move { drop(connection.await) });
+        open.push_back((trusted, connection.abort_handle()));
     }
 }
 
@@ -110,8 +199,8 @@ fn router(door: Door) -> Router {
     }
     router
         .route("/socket", get(socket))
-        .route("/stop", post(stop))
-        .route("/file", post(file).layer(DefaultBodyLimit::max(FILE_BYTES_MAX)))
+        .route(STOP, post(stop))
+        .route("/file", post(file))
         .layer(middleware::from_fn_with_state(door.clone(), guard))
         .with_state(door)
 }
@@ -125,6 +214,14 @@ async fn guard(State(door): State<Door>, request: Request<Body>, next: Next) -> 
     } else if !origin.is_empty() && origin.strip_prefix("http://") != Some(host) {
         refused(StatusCode::FORBIDDEN, "another page may not talk to this console")
     } else {
+        if has_token(&door, request.headers())
+            && let Some(Trusted(trusted)) = request.extensions().get()
+        {
+            trusted.store(true, Ordering::Relaxed);
+        }
+        if request.uri().path() != STOP {
+            door.console.gate().begin(0).await;
+        }
         next.run(request).await
     };
     let headers = response.headers_mut();
@@ -162,7 +259,7 @@ async fn socket(State(door): State<Door>, upgrade: WebSocketUpgrade) -> Response
         .max_message_size(REQUEST_BYTES_MAX)
         .max_frame_size(REQUEST_BYTES_MAX)
         .max_write_buffer_size(WRITE_BUFFER_MAX)
-        .on_upgrade(move |socket| viewer::serve(socket, door.console))
+        .on_upgrade(move |socket| viewer::serve(socket, door.console, door.viewers))
 }
 
 fn has_token(door: &Door, headers: &HeaderMap) -> bool {
@@ -178,23 +275,77 @@ async fn stop(State(door): State<Door>, headers: HeaderMap) -> Response {
     StatusCode::ACCEPTED.into_response()
 }
 
-async fn file(State(door): State<Door>, headers: HeaderMap, content: Bytes) -> Response {
+/// Takes a file in, one at a time; who may not send one is told so before anything of it is read.
+async fn file(State(door): State<Door>, request: Request) -> Response {
+    let (head, body) = request.into_parts();
+    let headers = head.headers;
     if !has_token(&door, &headers) {
         return refused(StatusCode::FORBIDDEN, "wrong token");
     }
     let viewer = text(&headers, VIEWER).parse().unwrap_or(0);
-    if !door.console.hub().control.is_held_by(viewer) {
+    let console = door.console.clone();
+    // This thread waits for no lock of the viewers'.
+    let asking = door
+        .viewers
+        .spawn(async move { console.hub().control.is_held_by(viewer) });
+    if !asking.await.unwrap_or(false) {
         return refused(StatusCode::CONFLICT, "you do not have control; take it first");
     }
+    if door.uploading.swap(true, Ordering::Relaxed) {
+        return refused(StatusCode::CONFLICT, "another file is being sent; wait a moment");
+    }
+    let _uploading = Uploading(door.uploading.clone());
+    let length = text(&headers, header::CONTENT_LENGTH.as_str()).parse().unwrap_or(0);
+    let content = match tokio::time::timeout(UPLOAD_MAX, content_of(body, length)).await {
+        Ok(Ok(content)) => content,
+        Ok(Err(refusal)) => return refusal.into_response(),
+        Err(_) => return refused(StatusCode::REQUEST_TIMEOUT, "the file took too long"),
+    };
     let name = decoded(text(&headers, NAME));
     let wishes = match Wishes::parse(&decoded(text(&headers, OPTIONS))) {
         Ok(wishes) => wishes,
         Err(why) => return (StatusCode::BAD_REQUEST, why).into_response(),
     };
-    match door.console.prepare(&name, wishes, content.into()) {
-        Ok(()) => StatusCode::ACCEPTED.into_response(),
-        Err(why) => (StatusCode::CONFLICT, why).into_response(),
+    let console = door.console.clone();
+    let preparing = door
+        .viewers
+        .spawn(async move { console.prepare(&name, wishes, content) });
+    match preparing.await {
+        Ok(Ok(())) => StatusCode::ACCEPTED.into_response(),
+        Ok(Err(why)) => (StatusCode::CONFLICT, why).into_response(),
+        Err(_) => refused(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "the file could not be taken; try again",
+        ),
     }
+}
+
+/// A file that is being sent here, until it is dropped.
+struct Uploading(Arc<AtomicBool>);
+
+impl Drop for Uploading {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
+}
+
+/// Everything of a body whose length was announced, if it comes.
+async fn content_of(body: Body, length: usize) -> Result<Vec<u8>, (StatusCode, &'static str)> {
+    const TOO_LONG: (StatusCode, &str) = (StatusCode::PAYLOAD_TOO_LARGE, "the file is larger than 32 MB");
+    const STUCK: (StatusCode, &str) = (StatusCode::REQUEST_TIMEOUT, "the file stopped coming");
+    if length > FILE_BYTES_MAX {
+        return Err(TOO_LONG);
+    }
+    let mut content = Vec::with_capacity(length);
+    let mut parts = body.into_data_stream();
+    while let Some(part) = tokio::time::timeout(PAUSE_MAX, parts.next()).await.map_err(|_| STUCK)? {
+        let part = part.map_err(|_| STUCK)?;
+        if content.len() + part.len() > FILE_BYTES_MAX {
+            return Err(TOO_LONG);
+        }
+        content.extend_from_slice(&part);
+    }
+    Ok(content)
 }
 
 /// A name as `encodeURIComponent` writes it.

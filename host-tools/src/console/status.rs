@@ -19,6 +19,8 @@ pub struct StatusView {
     /// Whether the robot stands because of a stop that somebody asked for.
     stopped: bool,
     referenced: bool,
+    /// Where the platform was seen last while the arms were referenced, mm; only while they are not.
+    seen_mm: Option<[f32; 3]>,
     configured: bool,
     override_percent: u8,
     /// What the mode allows, by the names of the page's buttons.
@@ -135,6 +137,14 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
     }
 }
 
+impl StatusView {
+    /// The same, with where the platform was seen last while the arms were referenced, if they are not.
+    pub fn seen_at(self, seen_mm: Option<[f32; 3]>) -> Self {
+        let seen_mm = seen_mm.filter(|_| !self.referenced);
+        Self { seen_mm, ..self }
+    }
+}
+
 /// A status in words; `silent_s` tells of each slave for how long it has not answered.
 pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
     let counters = &status.counters;
@@ -154,6 +164,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
                 Some(Fault::EmergencyStop(StopSource::Link | StopSource::Input))
             ),
         referenced: status.referenced,
+        seen_mm: None,
         configured: status.config.is_some(),
         override_percent: status.override_percent,
         allowed: match status.recovering {

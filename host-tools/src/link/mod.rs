@@ -6,6 +6,7 @@
 #[cfg(test)]
 pub(crate) mod bench;
 pub mod error;
+pub mod ink;
 pub mod job;
 pub mod measurement;
 pub mod ownership;

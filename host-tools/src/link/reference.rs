@@ -35,6 +35,8 @@ pub enum Pose {
     Joints(JointAngles),
     /// With these arm angles, rad, and axis 4 on the motor turn nearest to 0.
     Arms([f64; ARMS]),
+    /// On the motor turns nearest to these joint angles, rad: where a referenced robot was seen before it stopped.
+    Seen([f64; AXES]),
 }
 
 /// What is to be referenced.
@@ -67,6 +69,7 @@ impl Wanted {
         match self.pose {
             Pose::Marks => None,
             Pose::Joints(pose) => Some(pose),
+            Pose::Seen(seen_rad) => Some(angles(config, increments, seen_rad.map(Some))),
             Pose::Arms([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
             Pose::Arms([first, second, third]) => {
                 let JointAngles([.., fourth]) = angles(config, increments, [Some(0.0); AXES]);

@@ -8,6 +8,9 @@
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 
+/// Length of the broken stroke that is drawn again, um: more than a pen needs to touch down.
+pub const OVERLAP_UM: f64 = 1_000.0;
+
 /// What is left of a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Remainder {
@@ -20,6 +23,25 @@ pub struct Remainder {
 }
 
 impl Remainder {
+    /// What is left of `path` when its ink ends on the leg to vertex `leg`, at `end_um` or, without one, at the leg's
+    /// beginning, with `overlap_um` of the broken stroke drawn again.
+    pub fn after(path: &[PathVertex], leg: usize, end_um: Option<[i32; 3]>, overlap_um: f64, lift_um: i32) -> Self {
+        let Some((next, position_um)) = path.get(leg).zip(end_um) else {
+            return Self::new(path, leg, overlap_um, lift_um);
+        };
+        // The end becomes a vertex that was executed.
+        let end = PathVertex { position_um, ..*next };
+        let (done, undone) = path.split_at(leg);
+        let split = [done, &[end], undone].concat();
+        let remainder = Self::new(&split, leg + 1, overlap_um, lift_um);
+        let own = split.len() - remainder.from;
+        Self {
+            from: path.len() - own,
+            total: path.len(),
+            ..remainder
+        }
+    }
+
     /// What is left of `path` after `executed` vertices, with `overlap_um` of a broken stroke drawn again.
     pub fn new(path: &[PathVertex], executed: usize, overlap_um: f64, lift_um: i32) -> Self {
         let nothing = Self {
@@ -180,5 +202,69 @@ mod tests {
             assert!(Remainder::new(&path(), executed, 2_000.0, LIFT_UM).vertices.is_empty());
         }
         assert!(Remainder::new(&[], 0, 1.0, 1).vertices.is_empty());
+    }
+
+    #[test]
+    fn from_wherever_the_ink_ends_everything_else_is_drawn_and_the_overlap_twice() {
+        let drawn_um = |path: &[PathVertex]| -> f64 {
+            let pairs = path
+                .iter()
+                .zip(path.iter().skip(1))
+                .filter(|(_, to)| to.pen == Pen::Down);
+            pairs
+                .map(|(from, to)| distance_um(&from.position_um, &to.position_um))
+                .sum()
+        };
+        let mut random = 1_u64;
+        let mut next = |below: i64| {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (random >> 33) as i64 % below
+        };
+        for case in 0..500 {
+            let mut path = Vec::new();
+            for stroke in 0..1 + next(4) as u32 {
+                let mut point = || [next(200_000) as i32, next(200_000) as i32, 0];
+                let start = point();
+                let vertex = |position_um, pen| PathVertex {
+                    position_um,
+                    pen,
+                    stroke,
+                };
+                path.push(vertex([start[0], start[1], LIFT_UM], Pen::Up));
+                path.push(vertex(start, Pen::Up));
+                path.extend((0..4).map(|_| vertex(point(), Pen::Down)));
+            }
+            let legs: Vec<usize> = (0..path.len()).filter(|leg| path[*leg].pen == Pen::Down).collect();
+            let leg = legs[next(legs.len() as i64) as usize];
+            let (from, to) = (path[leg - 1].position_um, path[leg].position_um);
+            let share = next(1_000) as f64 / 1_000.0;
+            let end: [i32; 3] =
+                std::array::from_fn(|k| (f64::from(from[k]) + f64::from(to[k] - from[k]) * share).round() as i32);
+            let before_um = drawn_um(&path[..leg]) + distance_um(&from, &end);
+            let stroke = path[leg].stroke;
+            let of_stroke = |vertices: &[PathVertex]| -> Vec<PathVertex> {
+                vertices
+                    .iter()
+                    .filter(|vertex| vertex.stroke == stroke)
+                    .copied()
+                    .collect()
+            };
+            let of_stroke_um = drawn_um(&of_stroke(&path[..leg])) + distance_um(&from, &end);
+            let rest = Remainder::after(&path, leg, Some(end), OVERLAP_UM, LIFT_UM);
+            let twice_um = drawn_um(&rest.vertices) + before_um - drawn_um(&path);
+            let expected_um = OVERLAP_UM.min(of_stroke_um);
+            assert!(
+                (twice_um - expected_um).abs() < 10.0,
+                "case {case}: {twice_um} um twice of {expected_um}"
+            );
+            assert_eq!(
+                rest.vertices[rest.vertices.len() - (path.len() - leg)..],
+                path[leg..],
+                "case {case}"
+            );
+            assert_eq!(rest.executed(rest.vertices.len(), 0), path.len(), "case {case}");
+        }
     }
 }

@@ -214,9 +214,17 @@ mod tests {
         let (lanes, lane) = lanes();
         let (told, wait) = mpsc::channel();
         let told_again = told.clone();
-        let waiting = lanes.give(Order::Stop, None, Some(Box::new(move || drop(told.send(())))));
+        let waiting = lanes.give(
+            Order::Stop,
+            None,
+            Some(Box::new(move || told.send(()).unwrap_or_default())),
+        );
         drop(lane);
-        let late = lanes.give(Order::Stop, None, Some(Box::new(move || drop(told_again.send(())))));
+        let late = lanes.give(
+            Order::Stop,
+            None,
+            Some(Box::new(move || told_again.send(()).unwrap_or_default())),
+        );
         assert_eq!((wait.recv(), wait.recv()), (Ok(()), Ok(())));
         assert!(waiting.recv().is_err() && late.recv().is_err());
     }

@@ -35,7 +35,7 @@ use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 pub use following::{Account, Source};
-use lanes::{Envelope, Lanes, Taken};
+use lanes::{Lanes, Taken};
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;

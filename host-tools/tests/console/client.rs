@@ -42,6 +42,14 @@ impl Bench {
         }
     }
 
+    pub(crate) fn console(&self) -> &Console {
+        &self.console
+    }
+
+    pub(crate) fn cell(&self) -> &VirtualCell {
+        self.console.cell().expect("the robot is simulated")
+    }
+
     pub(crate) fn address(&self) -> SocketAddr {
         self.server.address()
     }

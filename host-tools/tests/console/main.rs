@@ -2,9 +2,11 @@
 
 mod browser;
 mod client;
+mod hostile;
 mod page;
 mod protocol;
 mod stopping;
 mod studio;
 mod truth;
+mod unfinished;
 mod updates;

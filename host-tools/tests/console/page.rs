@@ -91,11 +91,11 @@ pub(crate) fn press_until(browser: &mut Browser, button: &str, name: &str) {
     ));
 }
 
-fn acknowledge(browser: &mut Browser) {
+pub(crate) fn acknowledge(browser: &mut Browser) {
     press_until(browser, "acknowledge", "DrivesOff");
 }
 
-fn set_override(browser: &mut Browser, percent: u32) {
+pub(crate) fn set_override(browser: &mut Browser, percent: u32) {
     browser.value(&format!(
         "{{ const slider = document.getElementById('override'); slider.value = {percent}; \
          slider.dispatchEvent(new Event('input')); }}"

@@ -1,16 +1,17 @@
 //! One viewer: what it asks is done, what it can carry is sent.
 //!
-//! Reading and writing are independent: a stop is heard while a picture waits for a slow line. Invariants: what waits for
-//! a viewer is bounded, the newest replaces what it could not take; a request of a viewer without the token or without
-//! control is refused, a stop with the token is not.
+//! Three tasks: one reads and finds the stops, in the thread that does nothing else; one does what is asked, one sends.
+//! Invariants: a stop is heard whatever the other two do; what waits for a viewer is bounded, the newest replaces what it
+//! could not take; a request of a viewer without the token or without control is refused, a stop with the token is not.
 
+mod inbox;
 mod pictures;
+mod ranges;
 
-use super::capture::{CAPTURE_MAX_MS, Trigger};
+use super::capture::Trigger;
 use super::control::ViewerId;
-use super::history::Snapshot;
 use super::hub::Level;
-use super::messages::{self, Action, COLUMNS_MAX, REQUEST_BYTES_MAX, Request, WINDOW_MAX_MS, section};
+use super::messages::{Action, COLUMNS_MAX, REQUEST_BYTES_MAX, Request, WINDOW_MAX_MS, section};
 use super::signals::SIGNALS;
 use super::{Console, lock};
 use crate::machine::Order;
@@ -20,12 +21,15 @@ use etherpen::motion::Pen;
 use etherpen::robot::Position;
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
-use pictures::{CaptureView, decimated, text};
+use inbox::Inbox;
+use pictures::{CaptureView, text};
+use ranges::Wanted;
 use serde::Serialize;
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, Instant};
+use tokio::runtime::Handle;
 use tokio::sync::Notify;
 
 /// Answers that may wait for a viewer.
@@ -38,6 +42,11 @@ const CLOSE_POLICY: u16 = 1008;
 const JOGGING_MS: u64 = 500;
 /// Longest name of a page.
 const PAGE_CHARS_MAX: usize = 40;
+/// Messages that a viewer without the token may send at once, and time in which it earns another one.
+const GUEST_BURST: u32 = 100;
+const GUEST_EARNS: Duration = Duration::from_millis(20);
+/// Time that a viewer which is sent away has to take the last word.
+const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What a viewer is plotting.
 struct Watched {
@@ -52,20 +61,28 @@ struct Watched {
 struct Mail {
     answers: VecDeque<Message>,
     watch: Option<Watched>,
-    frozen: Option<Snapshot>,
-    commanding: bool,
+    range: Option<Wanted>,
     closing: Option<&'static str>,
 }
 
-/// What a viewer's two halves have in common.
-struct Viewer {
+/// What a viewer's tasks have in common.
+pub(super) struct Viewer {
     console: Arc<Console>,
     id: ViewerId,
+    /// Whether it has shown the token.
+    commanding: AtomicBool,
+    inbox: Mutex<Inbox>,
+    asked: Notify,
     mail: Mutex<Mail>,
     awake: Notify,
+    /// Told when the viewer has to go.
+    leave: Notify,
     jogged_ms: AtomicU64,
     page: Mutex<String>,
 }
+
+/// All viewers, so that one can be sent away.
+pub(super) type Viewers = Mutex<Vec<Weak<Viewer>>>;
 
 /// What a viewer is told of itself.
 #[derive(Serialize)]
@@ -76,43 +93,115 @@ struct You {
     skipped: u64,
 }
 
-/// Serves a viewer until it goes.
-pub(super) async fn serve(socket: WebSocket, console: Arc<Console>) {
-    let Some(id) = console.change(|hub| hub.enter()) else {
+/// Reads a viewer until it goes; everything but its stops is served by `elsewhere`.
+pub(super) async fn serve(socket: WebSocket, console: Arc<Console>, elsewhere: Handle) {
+    let entering = elsewhere.spawn(async move { enter(console) });
+    let Ok(Some(viewer)) = entering.await else {
         let mut socket = socket;
         let full = CloseFrame {
             code: CLOSE_POLICY,
             reason: "too many viewers".into(),
         };
         // It is sent away either way.
-        let _ = socket.send(Message::Close(Some(full))).await;
+        let _ = tokio::time::timeout(FAREWELL, socket.send(Message::Close(Some(full)))).await;
         return;
     };
+    let (sink, stream) = socket.split();
+    let mut writing = elsewhere.spawn(pictures::write(sink, viewer.clone()));
+    let serving = elsewhere.spawn(serve_requests(viewer.clone()));
+    let goodbye = tokio::select! {
+        () = read(stream, &viewer) => Some("goodbye"),
+        () = viewer.leave.notified() => Some("there are too many viewers without the token"),
+        _ = &mut writing => None,
+    };
+    if let Some(goodbye) = goodbye {
+        lock(&viewer.mail).closing.get_or_insert(goodbye);
+        // Let the last word out, but do not wait for a line that is stuck.
+        viewer.awake.notify_one();
+        let _ = tokio::time::timeout(FAREWELL, &mut writing).await;
+        writing.abort();
+    }
+    serving.abort();
+    elsewhere.spawn(async move { viewer.left() });
+}
+
+/// Lets a viewer in where there is room, and sends the one away that has to go for it.
+fn enter(console: Arc<Console>) -> Option<Arc<Viewer>> {
+    let (id, leaving) = console.change(|hub| hub.enter())?;
     let viewer = Arc::new(Viewer {
-        console,
+        console: console.clone(),
         id,
+        commanding: AtomicBool::new(false),
+        inbox: Mutex::default(),
+        asked: Notify::new(),
         mail: Mutex::default(),
         awake: Notify::new(),
+        leave: Notify::new(),
         jogged_ms: AtomicU64::new(0),
         page: Mutex::default(),
     });
-    let (sink, stream) = socket.split();
-    let mut writing = tokio::spawn(pictures::write(sink, viewer.clone()));
-    tokio::select! {
-        () = read(stream, &viewer) => {
-            // Let the last word out, but do not wait for a line that is stuck.
-            viewer.awake.notify_one();
-            let _ = tokio::time::timeout(Duration::from_secs(1), &mut writing).await;
-            writing.abort();
-        }
-        _ = &mut writing => {}
+    let mut viewers = lock(&console.viewers);
+    viewers.retain(|viewer| viewer.strong_count() > 0);
+    let leaving = viewers
+        .iter()
+        .filter_map(Weak::upgrade)
+        .find(|viewer| Some(viewer.id) == leaving);
+    if let Some(leaving) = leaving {
+        leaving.leave.notify_one();
     }
-    viewer.left();
+    viewers.push(Arc::downgrade(&viewer));
+    Some(viewer)
+}
+
+/// Does what a viewer asks, one request after the other, none while a stop is on its way.
+async fn serve_requests(viewer: Arc<Viewer>) {
+    loop {
+        viewer.asked.notified().await;
+        while let Some(request) = viewer.next_request() {
+            viewer.console.gate.begin(viewer.id).await;
+            viewer.take(request);
+            tokio::task::yield_now().await;
+        }
+    }
+}
+
+/// How often a viewer without the token may be heard.
+struct Patience {
+    since: Instant,
+    heard: u32,
+}
+
+impl Patience {
+    fn new() -> Self {
+        Self {
+            since: Instant::now(),
+            heard: 0,
+        }
+    }
+
+    /// How long to wait before the next message is read.
+    fn pause(&mut self) -> Duration {
+        let earned = (self.since.elapsed().as_millis() / GUEST_EARNS.as_millis()) as u32;
+        if earned >= self.heard {
+            *self = Self::new();
+        }
+        self.heard = self.heard.saturating_add(1);
+        match self.heard > earned.saturating_add(GUEST_BURST) {
+            true => GUEST_EARNS,
+            false => Duration::ZERO,
+        }
+    }
 }
 
 async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
-    let mut malformed = 0;
+    let (mut malformed, mut patience) = (0, Patience::new());
     while let Some(Ok(message)) = stream.next().await {
+        // One message a turn, so that nobody's flood keeps others from being heard.
+        tokio::task::yield_now().await;
+        let pause = patience.pause();
+        if !pause.is_zero() && !viewer.may_command() {
+            tokio::time::sleep(pause).await;
+        }
         let text = match message {
             Message::Text(text) => text,
             Message::Close(_) => break,
@@ -120,7 +209,7 @@ async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
             Message::Binary(_) => "".into(),
         };
         match serde_json::from_str::<Request>(&text) {
-            Ok(request) if text.len() <= REQUEST_BYTES_MAX => viewer.take(request),
+            Ok(request) if text.len() <= REQUEST_BYTES_MAX => viewer.hear(request),
             Ok(_) => break,
             Err(cause) => {
                 malformed += 1;
@@ -132,11 +221,33 @@ async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
             break;
         }
     }
-    let mut mail = lock(&viewer.mail);
-    mail.closing.get_or_insert("goodbye");
 }
 
 impl Viewer {
+    fn may_command(&self) -> bool {
+        self.commanding.load(Ordering::Relaxed)
+    }
+
+    /// Stops at once; everything else is put where it is served from.
+    fn hear(&self, request: Request) {
+        if let Request::Hello { token, .. } = &request {
+            let right = same(token.as_bytes(), self.console.token.as_bytes());
+            self.commanding.store(right, Ordering::Relaxed);
+        }
+        if request == Request::Stop && self.may_command() {
+            return self.console.stop(&self.name());
+        }
+        if lock(&self.inbox).push(request) {
+            self.asked.notify_one();
+        } else {
+            self.refuse("too many requests at once");
+        }
+    }
+
+    fn next_request(&self) -> Option<Request> {
+        lock(&self.inbox).pop()
+    }
+
     fn answer(&self, message: Message) {
         let mut mail = lock(&self.mail);
         mail.answers.push_back(message);
@@ -163,12 +274,10 @@ impl Viewer {
     fn take(&self, request: Request) {
         let now_ms = self.console.now_ms();
         self.console.hub().control.heard(self.id, now_ms);
-        let may_command = lock(&self.mail).commanding;
         match request {
             Request::Alive => {}
-            Request::Hello { token, page } => self.hello(&token, &page, now_ms),
-            Request::Stop if may_command => self.console.stop(&self.name()),
-            Request::Take { force } if may_command => self.take_control(force, now_ms),
+            Request::Hello { page, .. } => self.hello(&page, now_ms),
+            Request::Take { force } if self.may_command() => self.take_control(force, now_ms),
             Request::Stop | Request::Take { .. } => self.refuse(NO_TOKEN),
             Request::Release => self.release(now_ms),
             request @ (Request::Watch { .. }
@@ -192,6 +301,9 @@ impl Viewer {
                 window_ms,
                 columns,
             } => {
+                if let Err(why) = ranges::check_window(window_ms, columns) {
+                    return self.refuse(&why);
+                }
                 lock(&self.mail).watch = Some(Watched {
                     id,
                     signals: existing(signals),
@@ -202,17 +314,26 @@ impl Viewer {
             }
             Request::Freeze => {
                 let snapshot = console.hub().history().snapshot();
-                lock(&self.mail).frozen = Some(snapshot);
+                if !console.hub().keep(self.id, snapshot) {
+                    self.refuse("too many viewers keep a picture; this one goes on with what comes");
+                }
             }
-            Request::Thaw => lock(&self.mail).frozen = None,
+            Request::Thaw => console.hub().forget(self.id),
             Request::Range {
                 id,
                 signals,
                 from_ms,
                 to_ms,
                 columns,
-            } => self.range(id, &existing(signals), from_ms, to_ms, columns),
+            } => match Wanted::new(id, existing(signals), from_ms, to_ms, columns) {
+                Ok(wanted) => {
+                    lock(&self.mail).range = Some(wanted);
+                    self.awake.notify_one();
+                }
+                Err(why) => self.refuse(&why),
+            },
             Request::Arm { signal, .. } if signal >= SIGNALS => self.refuse("there is no such signal"),
+            Request::Arm { level, .. } if !(level as f32).is_finite() => self.refuse("the level is too large"),
             Request::Arm {
                 signal,
                 condition,
@@ -227,7 +348,9 @@ impl Viewer {
                     before_ms,
                     after_ms,
                 };
-                console.hub().arm(self.id, trigger);
+                if !console.hub().arm(self.id, trigger) {
+                    return self.refuse("too many viewers wait for an event; try again later");
+                }
                 self.tell("capture", &CaptureView::armed());
             }
             _ => {
@@ -242,6 +365,9 @@ impl Viewer {
         let console = &self.console;
         match request {
             Request::Command { action } => self.command(action),
+            Request::Jog { velocity_mm_s } if velocity_mm_s.iter().any(|speed| !(*speed as f32).is_finite()) => {
+                self.refuse("this velocity is too large");
+            }
             Request::Jog { velocity_mm_s } => {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
                 console.jog(velocity_mm_s.map(|speed| speed as f32));
@@ -258,6 +384,11 @@ impl Viewer {
             }
             Request::Enqueue { preparation } => self.enqueue(preparation),
             Request::Start { job } => self.start(job),
+            Request::Continue { job } => {
+                if let Err(why) = console.go_on(job) {
+                    self.refuse(why);
+                }
+            }
             Request::Discard { job } => console.change(|hub| {
                 hub.jobs.discard(job);
                 hub.say_jobs();
@@ -278,19 +409,18 @@ impl Viewer {
         });
     }
 
-    fn hello(&self, token: &str, page: &str, now_ms: u64) {
-        let commanding = same(token.as_bytes(), self.console.token.as_bytes());
+    fn hello(&self, page: &str, now_ms: u64) {
+        let commanding = self.may_command();
         let page: String = page.chars().take(PAGE_CHARS_MAX).collect();
         if commanding {
             self.console.change(|hub| {
+                hub.trust(self.id);
                 if hub.control.returned(self.id, &page, now_ms) {
                     hub.say_control();
                 }
             });
         }
         *lock(&self.page) = page;
-        lock(&self.mail).commanding = commanding;
-        self.awake.notify_one();
         let you = You {
             id: self.id,
             may_command: commanding,
@@ -318,6 +448,10 @@ impl Viewer {
     fn command(&self, action: Action) {
         let (what, order) = match action {
             Action::Reference => ("the reference", Order::Tell(Command::Reference)),
+            Action::ReferenceHere => match self.console.reference_here() {
+                Some(command) => ("the reference", Order::Tell(command)),
+                None => return self.refuse("nobody knows where the arms were; take the reference at the marks"),
+            },
             Action::Enable => ("enabling the drives", Order::Tell(Command::Enable)),
             Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),
             Action::Hold => ("holding", Order::Hold),
@@ -349,21 +483,6 @@ impl Viewer {
         if let Err(why) = self.console.enqueue(preparation) {
             self.refuse(why);
         }
-    }
-
-    fn range(&self, id: u32, signals: &[usize], from_ms: u64, to_ms: u64, columns: u64) {
-        let to_ms = to_ms.min(from_ms.saturating_add(WINDOW_MAX_MS.max(CAPTURE_MAX_MS)));
-        let frozen = lock(&self.mail).frozen.clone();
-        let snapshot = frozen.unwrap_or_else(|| self.console.hub().history().snapshot());
-        let length_ms = to_ms.saturating_sub(from_ms);
-        let bucket_ms = length_ms.div_ceil(if columns == 0 {
-            length_ms.max(1)
-        } else {
-            columns.clamp(10, COLUMNS_MAX)
-        });
-        let buckets = decimated(&snapshot, signals, bucket_ms.max(1), from_ms, to_ms);
-        let bytes = messages::columns(id, 3, signals.len(), bucket_ms.max(1), &buckets);
-        self.answer(Message::Binary(bytes.into()));
     }
 
     fn stop_jog(&self, now_ms: u64) {

@@ -3,9 +3,10 @@
 //! Invariant: a viewer that is slow gets the newest of everything, each column of its plots once, and is told how many
 //! pictures it has missed.
 
+use super::ranges::Parts;
 use super::{CLOSE_POLICY, Viewer, Watched, You};
 use crate::console::capture::Caught;
-use crate::console::history::{Bucket, Decimator, Snapshot};
+use crate::console::history::Decimator;
 use crate::console::lock;
 use crate::console::messages::{self, PathUse, section};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
@@ -18,8 +19,11 @@ use std::time::{Duration, Instant};
 
 /// Time between two pictures.
 const PICTURE: Duration = Duration::from_millis(33);
-/// Longest time that a message may take to leave; after it the viewer counts as gone.
+/// Longest time that a message may take to leave; after it the viewer counts as gone. One without the token gets less.
 const SEND_MAX: Duration = Duration::from_secs(20);
+const SEND_GUEST_MAX: Duration = Duration::from_secs(5);
+/// Milliseconds by which a plot grows at once.
+const ROWS_AT_ONCE: usize = 4_000;
 /// Vertices of a path that are sent.
 const VERTICES_MAX: usize = 60_000;
 
@@ -75,6 +79,7 @@ struct Sent {
     job: Option<u64>,
     preview: Option<u64>,
     live: Option<Live>,
+    parts: Option<Parts>,
     skipped: u64,
     skipped_told: u64,
     fired: Option<bool>,
@@ -87,10 +92,17 @@ pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<V
     let mut picture_at = Instant::now();
     loop {
         let due = Instant::now() >= picture_at;
-        let (messages, closing) = viewer.gather(&mut sent, due);
+        let (mut messages, watch, closing) = viewer.gather(&mut sent, due);
+        match watch {
+            Some(watched) => messages.extend(viewer.clone().begin(&mut sent, watched).await),
+            None if due => messages.extend(viewer.grow(&mut sent)),
+            None => {}
+        }
+        messages.extend(viewer.next_part(&mut sent).await);
         let begun = Instant::now();
+        let longest = if viewer.may_command() { SEND_MAX } else { SEND_GUEST_MAX };
         for message in messages {
-            match tokio::time::timeout(SEND_MAX, sink.send(message)).await {
+            match tokio::time::timeout(longest, sink.send(message)).await {
                 Ok(Ok(())) => {}
                 Ok(Err(_)) | Err(_) => return,
             }
@@ -108,6 +120,10 @@ pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<V
             picture_at = Instant::now() + PICTURE;
             sent.skipped += (begun.elapsed().as_millis() / PICTURE.as_millis()) as u64;
         }
+        if sent.parts.is_some() {
+            tokio::task::yield_now().await;
+            continue;
+        }
         tokio::select! {
             () = tokio::time::sleep_until(picture_at.into()) => {}
             result = changed.changed() => if result.is_err() { return },
@@ -118,7 +134,7 @@ pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<V
 
 impl Viewer {
     /// Everything that is to be sent now; pictures only when they are due.
-    fn gather(&self, sent: &mut Sent, picture: bool) -> (Vec<Message>, Option<&'static str>) {
+    fn gather(&self, sent: &mut Sent, picture: bool) -> (Vec<Message>, Option<Watched>, Option<&'static str>) {
         let mut messages = Vec::new();
         let hub = self.console.hub();
         for (version, news) in hub.news_since(sent.version) {
@@ -142,21 +158,34 @@ impl Viewer {
             messages.extend(mail.answers.drain(..));
             (mail.watch.take(), mail.closing)
         };
-        if let Some(watched) = watch {
-            messages.push(self.begin(sent, watched));
-        } else if picture {
-            messages.extend(self.grow(sent));
-        }
         if sent.skipped > sent.skipped_told && picture {
             sent.skipped_told = sent.skipped;
             let you = You {
                 id: self.id,
-                may_command: lock(&self.mail).commanding,
+                may_command: self.may_command(),
                 skipped: sent.skipped,
             };
             messages.push(text(&section("you", &you)));
         }
-        (messages, closing)
+        (messages, watch, closing)
+    }
+
+    /// The next part of what was asked of the past, computed in another thread.
+    async fn next_part(&self, sent: &mut Sent) -> Option<Message> {
+        let mut parts = match sent.parts.take() {
+            Some(parts) => parts,
+            None => {
+                let wanted = lock(&self.mail).range.take()?;
+                Parts::new(wanted, &self.console.hub().seen_by(self.id))
+            }
+        };
+        let computed = tokio::task::spawn_blocking(move || {
+            let (bytes, is_last) = parts.next();
+            (bytes, (!is_last).then_some(parts))
+        });
+        let (bytes, rest) = computed.await.ok()?;
+        sent.parts = rest;
+        Some(Message::Binary(bytes.into()))
     }
 
     fn gather_paths(&self, sent: &mut Sent, on_sheet: Option<(u64, Arc<[PathVertex]>)>, messages: &mut Vec<Message>) {
@@ -191,13 +220,13 @@ impl Viewer {
         }
         let caught = self.console.hub().take_caught(self.id);
         if let Some((caught, snapshot)) = caught {
-            lock(&self.mail).frozen = Some(snapshot);
+            self.console.hub().keep(self.id, snapshot);
             messages.push(text(&section("capture", &CaptureView::caught(caught))));
         }
     }
 
-    /// A new picture: everything of its window so far.
-    fn begin(&self, sent: &mut Sent, watched: Watched) -> Message {
+    /// A new picture: everything of its window so far, computed in another thread.
+    async fn begin(self: Arc<Self>, sent: &mut Sent, watched: Watched) -> Option<Message> {
         let Watched {
             id,
             signals,
@@ -209,46 +238,34 @@ impl Viewer {
             let hub = self.console.hub();
             (hub.history().snapshot(), hub.history().next())
         };
-        let mut decimator = Decimator::new(signals.clone(), bucket_ms);
-        let now_ms = snapshot.last_ms();
-        let rows = snapshot.rows(now_ms.saturating_sub(window_ms), u64::MAX);
-        let buckets: Vec<_> = rows.filter_map(|row| decimator.push(row)).collect();
+        let count = signals.len();
+        let computed = tokio::task::spawn_blocking(move || {
+            let mut decimator = Decimator::new(signals, bucket_ms);
+            let now_ms = snapshot.last_ms();
+            let rows = snapshot.rows(now_ms.saturating_sub(window_ms), u64::MAX);
+            let buckets: Vec<_> = rows.filter_map(|row| decimator.push(row)).collect();
+            (messages::columns(id, 1, count, bucket_ms, &buckets), decimator)
+        });
+        let (bytes, decimator) = computed.await.ok()?;
         sent.live = Some(Live {
             id,
             decimator,
-            signals: signals.len(),
+            signals: count,
             next,
         });
-        Message::Binary(messages::columns(id, 1, signals.len(), bucket_ms, &buckets).into())
+        Some(Message::Binary(bytes.into()))
     }
 
     /// What a picture has grown by.
     fn grow(&self, sent: &mut Sent) -> Option<Message> {
         let live = sent.live.as_mut()?;
-        let (from, rows) = self.console.hub().history().since(live.next);
+        let (from, rows) = self.console.hub().history().some_since(live.next, ROWS_AT_ONCE);
         live.next = from + rows.len() as u64;
         let buckets: Vec<_> = rows.iter().filter_map(|row| live.decimator.push(row)).collect();
         let bucket_ms = live.decimator.bucket_ms();
         (!buckets.is_empty())
             .then(|| Message::Binary(messages::columns(live.id, 0, live.signals, bucket_ms, &buckets).into()))
     }
-}
-
-/// Columns of a span.
-pub(super) fn decimated(
-    snapshot: &Snapshot,
-    signals: &[usize],
-    bucket_ms: u64,
-    from_ms: u64,
-    to_ms: u64,
-) -> Vec<Bucket> {
-    let mut decimator = Decimator::new(signals.to_vec(), bucket_ms);
-    let mut buckets: Vec<_> = snapshot
-        .rows(from_ms, to_ms)
-        .filter_map(|row| decimator.push(row))
-        .collect();
-    buckets.extend(decimator.finish());
-    buckets
 }
 
 pub(super) fn text(text: &Arc<str>) -> Message {

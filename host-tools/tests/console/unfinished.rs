@@ -1,0 +1,193 @@
+//! Drawings that end early and go on from the page: the ink on the paper is whole, and little of it is drawn twice.
+//!
+//! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what the page shows.
+
+use super::browser::Browser;
+use super::client::Bench;
+use super::page::{begin, drop_file, enable, mode, set_override, short_drawing};
+use host_tools::cell::InkStroke;
+use serde_json::json;
+
+/// Farthest that a point of ink may lie from the other run's ink, mm.
+const SAME_MM: f64 = 0.1;
+/// Ink drawn twice at most, mm: the overlap of one millimetre, and what was drawn while the last telemetry was on its way.
+const TWICE_MAX_MM: f64 = 8.0;
+/// Longest way that the drives take to stop beside the line, mm.
+const STOP_MM: f64 = 8.0;
+
+type Point = [f64; 2];
+
+fn length_mm(points: &[Point]) -> f64 {
+    let pairs = points.windows(2);
+    pairs
+        .map(|pair| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]))
+        .sum()
+}
+
+fn whole_mm(ink: &[InkStroke]) -> f64 {
+    ink.iter().map(|stroke| length_mm(&stroke.points_mm)).sum()
+}
+
+/// Distance of a point from the nearest ink, mm.
+fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
+    let pairs = ink.iter().flat_map(|stroke| stroke.points_mm.windows(2));
+    let to_segment = |pair: &[Point]| {
+        let along = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
+        let from = [point[0] - pair[0][0], point[1] - pair[0][1]];
+        let squared = along[0].powi(2) + along[1].powi(2);
+        let share = match squared > 0.0 {
+            true => ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0),
+            false => 0.0,
+        };
+        (from[0] - share * along[0]).hypot(from[1] - share * along[1])
+    };
+    pairs.map(to_segment).fold(f64::INFINITY, f64::min)
+}
+
+/// Adds the drawing to the queue and begins with it. On a computer that is so busy that the page is not heard of for seconds,
+/// or the line falls silent, control is taken again and what was held goes on.
+fn start(browser: &mut Browser) {
+    browser.value(
+        "setInterval(() => { const { link } = etherpen; \
+         if (link.state.control && link.state.control.holder === null) link.send({ type: 'take' }); \
+         if (link.allows('resume')) link.command({ do: 'resume' }); }, 300), 0",
+    );
+    drop_file(browser, "waves.csv", short_drawing().as_bytes());
+    browser.press("#enqueue");
+    browser.press("#queue button.primary");
+}
+
+/// The same drawing, undisturbed.
+fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
+    let bench = Bench::start();
+    begin(browser, &bench);
+    start(browser);
+    browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
+    assert_eq!(
+        browser.value("document.querySelectorAll('#past button:not([hidden])').length"),
+        0,
+        "what is done needs no button"
+    );
+    bench.cell().ink()
+}
+
+/// Waits until the pen is in the middle of a stroke that is neither the first nor the last one.
+fn until_broken(bench: &Bench) {
+    bench.until("the third stroke", |_| {
+        let ink = bench.cell().ink();
+        let last = ink.last().map_or(0.0, |stroke| length_mm(&stroke.points_mm));
+        ink.len() == 3 && last > 40.0
+    });
+}
+
+fn check(what: &str, whole: &[InkStroke], ink: &[InkStroke]) {
+    let points = whole.iter().flat_map(|stroke| &stroke.points_mm);
+    let missing_mm = points.map(|point| away_mm(point, ink)).fold(0.0, f64::max);
+    let stray: Vec<Point> = (ink.iter().flat_map(|stroke| &stroke.points_mm))
+        .filter(|point| away_mm(point, whole) > SAME_MM)
+        .copied()
+        .collect();
+    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(whole), whole_mm(ink), length_mm(&stray));
+    println!(
+        "{what}: {whole_mm:.2} mm undisturbed, {drawn_mm:.2} mm with the interruption, {stray_mm:.2} mm of them beside the \
+         lines; farthest point without ink {missing_mm:.3} mm"
+    );
+    assert!(
+        missing_mm <= SAME_MM,
+        "{what}: ink is missing {missing_mm} mm away from any other"
+    );
+    assert!(stray_mm < STOP_MM, "{what}: {stray_mm} mm beside the lines");
+    let twice_mm = drawn_mm - stray_mm - whole_mm;
+    assert!(twice_mm < TWICE_MAX_MM, "{what}: {twice_mm} mm were drawn twice");
+}
+
+fn picture(browser: &mut Browser, name: &str) {
+    if let Some(folder) = std::env::var_os("ETHERPEN_SCREENSHOTS") {
+        browser.screenshot(&std::path::Path::new(&folder).join(name), 1600, None);
+    }
+}
+
+/// Presses *Continue* and waits for the drawing's end.
+fn go_on(browser: &mut Browser) {
+    assert_eq!(browser.value("etherpen.link.state.jobs.past[0].stroke"), 3);
+    browser.press("#past button.continue");
+    browser.until("etherpen.link.state.jobs.active?.name === 'waves.csv'");
+    browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
+    browser.until("!document.querySelector('#past button:not([hidden])')");
+}
+
+#[test]
+fn a_drawing_goes_on_from_the_history_after_a_fault_a_stop_and_a_cancel() {
+    let Some(mut browser) = Browser::start() else { return };
+    let browser = &mut browser;
+    let whole = undisturbed(browser);
+    for (what, press) in [
+        ("fault", "[data-inject='fault-2']"),
+        ("stop", "#stop"),
+        ("cancel", "#cancel"),
+    ] {
+        let bench = Bench::start();
+        begin(browser, &bench);
+        set_override(browser, 50);
+        start(browser);
+        until_broken(&bench);
+        browser.press(press);
+        browser.until("etherpen.link.state.jobs.past.length === 1");
+        assert_eq!(
+            browser.value("etherpen.link.state.jobs.past[0].unfinished"),
+            json!(true)
+        );
+        picture(browser, &format!("8-{what}.png"));
+        if what != "cancel" {
+            super::page::acknowledge(browser);
+        }
+        mode(browser, "DrivesOff");
+        go_on(browser);
+        check(what, &whole, &bench.cell().ink());
+    }
+    assert!(browser.errors.is_empty(), "{:?}", browser.errors);
+}
+
+#[test]
+fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_ends() {
+    let Some(mut browser) = Browser::start() else { return };
+    let browser = &mut browser;
+    let whole = undisturbed(browser);
+    let bench = Bench::start();
+    begin(browser, &bench);
+    set_override(browser, 50);
+    start(browser);
+    until_broken(&bench);
+    browser.press("#segment [data-inject='restart']");
+    // The job ends and the controller is configured without anybody's help; the words are the reader's.
+    browser.until("etherpen.link.state.jobs.past.length === 1");
+    browser.until("document.getElementById('past').innerText.includes('started anew')");
+    let words = browser.value("document.getElementById('past').innerText");
+    assert!(
+        words.as_str().is_some_and(|words| !words.contains("etherpen ")),
+        "{words}"
+    );
+    browser.until(
+        "etherpen.link.state.status && !['Startup', 'BusConfiguring'].includes(etherpen.link.state.status.mode)",
+    );
+    picture(browser, "6-restarted.png");
+    // The drives have latched that no telegrams came.
+    browser.until("['Fault', 'DrivesOff'].includes(etherpen.link.state.status?.mode)");
+    if browser.value("etherpen.link.state.status.mode") == json!("Fault") {
+        super::page::acknowledge(browser);
+    }
+    mode(browser, "DrivesOff");
+    assert_eq!(
+        browser.value("document.querySelector('#past button.continue').disabled"),
+        true
+    );
+    picture(browser, "6-unreferenced.png");
+    browser.press("#past button.reference-here");
+    browser.until("etherpen.link.state.status.referenced");
+    picture(browser, "6-ready.png");
+    go_on(browser);
+    check("restart", &whole, &bench.cell().ink());
+    // Everything else works again, too.
+    enable(browser);
+    assert!(browser.errors.is_empty(), "{:?}", browser.errors);
+}
