@@ -109,7 +109,9 @@ fn picture(browser: &mut Browser, name: &str) {
 
 /// Presses *Continue* and waits for the drawing's end.
 fn go_on(browser: &mut Browser) {
-    assert_eq!(browser.value("etherpen.link.state.jobs.past[0].stroke"), 3);
+    // On a busy computer the browser presses late.
+    let stroke = browser.value("etherpen.link.state.jobs.past[0].stroke").as_u64();
+    assert!(stroke.is_some_and(|stroke| (3..=6).contains(&stroke)), "{stroke:?}");
     browser.press("#past button.continue");
     browser.until("etherpen.link.state.jobs.active?.name === 'waves.csv'");
     browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
