@@ -77,14 +77,8 @@ fn a_client_that_is_stopped_while_it_jogs_through_a_console_stops_the_robot() {
     signal(&jog, Signal::CONT);
     assert_eq!(jog.end().code(), Some(i32::from(code::FAILED)), "{}", jog.stderr());
     assert!(jog.stderr().contains("fell silent"), "{}", jog.stderr());
-    let drift = bench
-        .cell
-        .state()
-        .joints
-        .0
-        .iter()
-        .zip(joints.0)
-        .map(|(now, then)| (now - then).abs());
+    let now = bench.cell.state().joints;
+    let drift = now.0.iter().zip(joints.0).map(|(now, then)| (now - then).abs());
     assert!(drift.fold(0.0, f64::max) < 1e-3, "the jog does not go on by itself");
     let (status, _, stderr) = run(&mut bench.command(&["jog", "0,-20,0", "--for", "0.3"]));
     assert_eq!(status, Some(0), "{stderr}");
