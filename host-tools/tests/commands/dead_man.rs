@@ -7,8 +7,8 @@ use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Speed below which a joint stands, rad/s.
-const STANDS_RAD_S: f64 = 1e-4;
+/// Speed below which a joint stands, rad/s; at 20 mm/s the fastest has 0.04.
+const STANDS_RAD_S: f64 = 5e-3;
 /// Longest time, by the cell's clock, from the client's standstill to the motors', ms: the firmware's dead-man time, a sign
 /// of life on its way and the ramp; the rest is for a computer on which the port's owner is not run for a while.
 const STOP_MAX_MS: u64 = 1_000;
