@@ -50,7 +50,7 @@ SECTIONS
     *(.text.*6nucleo3eth* .text.*nucleo..eth* .text.*6nucleo5timer*);
     *(.text.*8etherpen5board18EmergencyStopInput*);
     *(.text.*8etherpen7control* .text.*etherpen..control*);
-    *(.text.*8etherpen14ethercat_robot*EtherCatRobot* .text.*8etherpen14ethercat_robot9AxisState*);
+    *(.text.*8etherpen14ethercat_robot*EtherCatRobot* .text.*8etherpen14ethercat_robot9AxisState* .text.*8etherpen14ethercat_robot5Scale*);
     *(.text.*8etherpen11application9reference18resolver_angle_rad*);
     *(.text.*8etherpen8ethercat6cyclic* .text.*8etherpen8ethercat8telegram* .text.*8etherpen8ethercat8envelope*);
     *(.text.*8etherpen8ethercat4plan11CyclicSlave* .text.*8etherpen8ethercat5clock8steering*);

@@ -210,7 +210,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 1024;
+pub const CONFIG_BYTES_MAX: usize = 1280;
 impl Config {
     /// Hash of the configuration as it travels: FNV-1a, 64 bits, over its postcard encoding.
     ///
