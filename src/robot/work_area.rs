@@ -196,11 +196,12 @@ impl WorkArea {
             return Err(outside);
         }
         let (before, after) = (self.beyond(from), self.beyond(to));
-        let farther = |(before, after): (&f64, &f64)| !(*after <= before.max(0.0) + CHANGE_NONE);
+        // What is not a number stays nowhere.
+        let stays = |(before, after): (&f64, &f64)| *after <= before.max(0.0) + CHANGE_NONE;
         let nearer = |(before, after): (&f64, &f64)| *before > 0.0 && *after < *before - CHANGE_NONE;
-        let leaves = before.iter().zip(&after).any(farther);
+        let stays_within = before.iter().zip(&after).all(stays);
         let enters = before.iter().zip(&after).any(nearer);
-        if enters && !leaves { Ok(()) } else { Err(outside) }
+        if enters && stays_within { Ok(()) } else { Err(outside) }
     }
 
     /// The same, and what the arms allow holds `room_mm` around it too; a few millimetres at most.
