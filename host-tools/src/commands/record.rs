@@ -231,7 +231,13 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
                 return Err(failure.into());
             }
             Ok(account) => {
-                connected |= matches!(account, Account::Connected(_));
+                // The greeting may have come before this program began to listen.
+                let is_greeting = matches!(account, Account::Connected(_));
+                if let Some(welcome) = source.welcome().filter(|_| !connected && !is_greeting) {
+                    recording.write(|recorder| take(recorder, &Account::Connected(welcome)));
+                    connected = true;
+                }
+                connected |= is_greeting;
                 recording.write(|recorder| take(recorder, &account));
             }
             Err(NoNews::Timeout) => {}

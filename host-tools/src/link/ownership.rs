@@ -23,8 +23,8 @@ const ATTEMPT: Duration = Duration::from_millis(10);
 /// Endings of the files of a port.
 const LOCK: &str = "lock";
 const SOCKET: &str = "sock";
-/// Longest file name made of a port's name, bytes.
-const NAME_BYTES_MAX: usize = 60;
+/// Longest part of a file name made of a port's name, bytes: a Unix socket's path has 108 at most.
+const NAME_BYTES_MAX: usize = 40;
 
 /// A program that has a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

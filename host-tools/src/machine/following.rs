@@ -103,6 +103,14 @@ pub enum Source {
 }
 
 impl Source {
+    /// The firmware that is connected to this process' own machine.
+    pub fn welcome(&self) -> Option<Welcome> {
+        match self {
+            Self::Own(machine, _) => machine.snapshot().welcome,
+            Self::Shared(_) => None,
+        }
+    }
+
     /// The oldest account, waited for at most this long.
     ///
     /// # Errors
