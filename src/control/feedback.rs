@@ -111,6 +111,8 @@ pub struct FeedbackMonitor {
     deviation_rad: f32,
     /// Motion measured in the last millisecond, rad.
     moved_rad: f32,
+    /// Milliseconds without a position before this one.
+    blind_ms: u8,
     /// Mean change of the measured motion, rad a millisecond.
     noise_rad: f32,
     /// Speed that widens the limits, rad a millisecond.
@@ -156,6 +158,7 @@ impl FeedbackMonitor {
             noise_limit_rad: (axis.feedback_acceleration_max_rad_s2 * STEP_S * STEP_S) as f32,
             deviation_rad: 0.0,
             moved_rad: 0.0,
+            blind_ms: 0,
             noise_rad: 0.0,
             speed_rad: 0.0,
         }
@@ -165,6 +168,7 @@ impl FeedbackMonitor {
     #[cold]
     pub fn reset(&mut self) {
         (self.deviation_rad, self.moved_rad, self.noise_rad, self.speed_rad) = (0.0, 0.0, 0.0, 0.0);
+        self.blind_ms = 0;
         match &mut self.model {
             Model::Velocity(model) => model.expected_rad = 0.0,
             Model::Torque(model) => {
@@ -174,22 +178,34 @@ impl FeedbackMonitor {
         }
     }
 
-    /// One millisecond with a position: the command that went to the drive in the one before, digits, and the measured
-    /// motion, increments. Whether they go together.
+    /// One millisecond with a position: the command that went to the drive in the one before, digits, and the motion
+    /// measured since the last position, increments. Whether they go together.
     #[inline]
     pub fn step(&mut self, sent_digits: i32, moved_increments: i32) -> bool {
         let moved_rad = moved_increments as f32 * self.rad_per_increment;
-        let change_rad = (moved_rad - self.moved_rad).abs();
-        self.moved_rad = moved_rad;
+        let in_one_ms_rad = match self.blind_ms {
+            0 => moved_rad,
+            _ => self.mean_of_gap(moved_rad),
+        };
+        let change_rad = (in_one_ms_rad - self.moved_rad).abs();
+        self.moved_rad = in_one_ms_rad;
         self.noise_rad += (change_rad - self.noise_rad) * NOISE_SHARE;
-        self.predict(sent_digits, moved_rad);
+        self.expect(sent_digits);
+        self.compare(moved_rad);
         (self.deviation_rad.abs() <= self.deviation_limit_rad()) & (self.noise_rad <= self.noise_limit_rad())
     }
 
-    /// One millisecond without a position.
+    /// One millisecond without a position: the motion expected in it is compared with the next position.
     #[cold]
     pub fn step_blind(&mut self, sent_digits: i32) {
-        self.predict(sent_digits, 0.0);
+        self.blind_ms = self.blind_ms.saturating_add(1);
+        self.expect(sent_digits);
+    }
+
+    /// The motion of a millisecond, where a position came after some that did not.
+    #[cold]
+    fn mean_of_gap(&mut self, moved_rad: f32) -> f32 {
+        moved_rad / (1.0 + f32::from(core::mem::take(&mut self.blind_ms)))
     }
 
     /// Tells the greatest acceleration of any axis's reference, rad/s2; only a torque axis needs it.
@@ -240,27 +256,40 @@ impl FeedbackMonitor {
         self.noise_limit_rad + NOISE_PER_SPEED * self.speed_rad
     }
 
+    /// Adds the motion that the commands make in a millisecond to the deviation.
     #[inline]
-    fn predict(&mut self, sent_digits: i32, moved_rad: f32) {
+    fn expect(&mut self, sent_digits: i32) {
         let sent = sent_digits as f32;
         match &mut self.model {
             Model::Velocity(model) => {
                 let expected_rad = model.expected_rad * model.kept + sent * model.rad_per_digit;
                 model.expected_rad = expected_rad;
                 self.speed_rad = expected_rad.abs();
-                let deviation_rad = self.deviation_rad + (expected_rad - moved_rad);
-                let leak = LEAK_PER_MS + LEAK_PER_RAD * self.speed_rad;
-                self.deviation_rad = deviation_rad - deviation_rad * leak;
+                self.deviation_rad += expected_rad;
             }
             Model::Torque(model) => {
                 model.push_rad = model.push_rad * model.kept + sent * model.rad_per_digit;
                 model.speed_rad += model.push_rad + model.load_rad;
-                let deviation_rad = self.deviation_rad + (model.speed_rad - moved_rad);
+                self.speed_rad = model.speed_rad.abs();
+                self.deviation_rad += model.speed_rad;
+            }
+        }
+    }
+
+    /// Takes the measured motion off the deviation, and corrects the prediction by what is left.
+    #[inline]
+    fn compare(&mut self, moved_rad: f32) {
+        let deviation_rad = self.deviation_rad - moved_rad;
+        match &mut self.model {
+            Model::Velocity(_) => {
+                let leak = LEAK_PER_MS + LEAK_PER_RAD * self.speed_rad;
+                self.deviation_rad = deviation_rad - deviation_rad * leak;
+            }
+            Model::Torque(model) => {
                 // A triple pole of the observer.
                 model.speed_rad -= 3.0 * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
                 model.load_rad -= OBSERVER_PER_MS * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
                 self.deviation_rad = deviation_rad - 3.0 * OBSERVER_PER_MS * deviation_rad;
-                self.speed_rad = model.speed_rad.abs();
             }
         }
     }
@@ -452,18 +481,19 @@ mod tests {
 
     #[test]
     fn feedback_that_is_frozen_reversed_or_slips_is_noticed_before_the_joint_has_gone_far() {
-        let wrongs: [(&str, fn(f64) -> f64, f64); 4] = [
-            ("frozen", |_| 0.0, 0.0105),
-            ("reversed", |angle| -angle, 0.0065),
-            ("slipping", |angle| 0.9 * angle, 0.13),
-            ("doubled", |angle| 2.0 * angle, 0.0105),
+        // Share of the motion that is shown.
+        let wrongs = [
+            ("frozen", 0.0, 0.0105),
+            ("reversed", -1.0, 0.0065),
+            ("slipping", 0.9, 0.13),
+            ("doubled", 2.0, 0.0105),
         ];
-        for (name, shows, most_rad) in wrongs {
+        for (name, shown, most_rad) in wrongs {
             for velocity_rad_s in [0.0003, 0.003, 0.03, 0.3, -0.3, -0.003] {
                 let (mut monitor, mut drive) = (monitor(), Drive::new());
                 let noticed = (0..600_000).find(|_| {
                     let digits = (velocity_rad_s * DIGITS) as i32;
-                    let moved = drive.step(digits, shows);
+                    let moved = drive.step(digits, |angle| shown * angle);
                     !monitor.step(digits, moved)
                 });
                 let went_rad = drive.angle_rad.abs();

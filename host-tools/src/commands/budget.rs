@@ -20,7 +20,7 @@ const SHARE_THINNED: f64 = 1.12;
 /// Fewest strokes of a drawing of which some can be left out without a gap.
 const THINNED_STROKES_MIN: usize = 60;
 /// Drawings tried.
-const TRIES: usize = 12;
+const TRIES: usize = 24;
 /// Strokes left out anew until the time fits.
 const THINNINGS: usize = 6;
 /// How the time falls with the pen's width, as its power, before it is known: to begin with, and its bounds.

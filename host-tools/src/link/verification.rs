@@ -137,10 +137,11 @@ impl Verification {
             let (from_mm, to_mm) = (stroke.begin_mm, stroke.begin_mm + stroke.length_mm);
             let followed_mm = self.followed.length_between(from_mm, to_mm);
             let seen_mm = either.length_between(from_mm, to_mm);
-            let missing_mm = seen_mm - followed_mm;
+            // Sums of parts, which rounding may put below nothing.
+            let missing_mm = (seen_mm - followed_mm).max(0.0);
             verdict.total_mm += stroke.length_mm;
             verdict.followed_mm += followed_mm;
-            verdict.unverified_mm += stroke.length_mm - seen_mm;
+            verdict.unverified_mm += (stroke.length_mm - seen_mm).max(0.0);
             if missing_mm < MISSING_MIN_MM.min(0.5 * stroke.length_mm) || missing_mm == 0.0 {
                 continue;
             }

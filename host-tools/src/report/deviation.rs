@@ -98,15 +98,13 @@ pub(super) fn deviation(moments: &[Moment], strokes: &[NumberedStroke], speed_mm
             continue;
         };
         let line = Line::new((*points).clone());
-        let places: [(&mut Distances, fn(&Moment) -> Position); 2] = [
-            (&mut references, |moment| moment.reference),
-            (&mut measured, |moment| moment.measured),
-        ];
-        for (distances, place) in places {
+        let compare = |distances: &mut Distances, place: fn(&Moment) -> Position| {
             let steps = steps(part, place, speed_mm_s);
             let matched = line.follow(&steps, beginning(&line, &steps));
             distances.add_match(&line, &steps, &matched);
-        }
+        };
+        compare(&mut references, |moment| moment.reference);
+        compare(&mut measured, |moment| moment.measured);
     }
     (references.result(), measured.result())
 }

@@ -65,7 +65,10 @@ fn a_picture_comes_back_from_the_process_that_prepares_it() {
         figure("tone_correlation") > 0.0 && figure("planned_s") <= 8.0,
         "{stdout}"
     );
-    assert_eq!((figure("not_followed_mm"), figure("not_verified_mm")), (0.0, 0.0));
+    assert!(
+        figure("not_followed_mm") < 1.0e-6 && figure("not_verified_mm") < 1.0e-6,
+        "{stdout}"
+    );
     assert!((figure("followed_mm") - figure("pen_down_mm")).abs() < 0.01, "{stdout}");
 }
 

@@ -13,6 +13,7 @@ extern crate std;
 mod trajectory;
 mod world;
 
+use std::boxed::Box;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::println;
 use std::vec::Vec;
@@ -61,7 +62,7 @@ fn search() -> Found {
 }
 
 /// How far it is from a state to Idle, or where the way ends.
-fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Result<(u32, u32), State> {
+fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Result<(u32, u32), Box<State>> {
     let mut state = from.clone();
     state.heal();
     let mut way: Vec<(world::Key, u32, u32)> = Vec::new();
@@ -75,7 +76,7 @@ fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Res
             break (0, 0);
         }
         if way.iter().any(|(before, ..)| *before == key) {
-            return Err(state);
+            return Err(Box::new(state));
         }
         way.push((key, waited_ms, commands));
         let (ms, given) = state.go_on_sensibly();

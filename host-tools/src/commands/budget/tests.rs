@@ -9,7 +9,7 @@ const SQUARES: usize = 4;
 /// Least share of the ink that a square has for its share to be compared.
 const SHARE_OF_INK_MIN: f64 = 0.02;
 /// How a square's share of the ink may change against the drawing of all detail, as factors.
-const SHARE_CHANGE: [f64; 2] = [0.6, 1.6];
+const SHARE_CHANGE: [f64; 2] = [0.5, 2.0];
 
 #[derive(Parser)]
 #[command(no_binary_name = true)]
@@ -39,7 +39,7 @@ fn drawn(file: &str, words: &[&str]) -> Result<(Drawing, f64), String> {
 
 /// Shares of the ink in the squares of the sheet.
 fn shares(drawing: &Drawing) -> Vec<f64> {
-    let mut squares = vec![0.0; SQUARES * SQUARES];
+    let mut squares = [0.0; SQUARES * SQUARES];
     for pair in drawing.strokes.iter().flat_map(|stroke| stroke.points.windows(2)) {
         let [a, b] = [pair[0], pair[1]];
         let length_mm = (b[0] - a[0]).hypot(b[1] - a[1]);

@@ -365,27 +365,17 @@ impl Job {
     }
 
     fn end(&mut self) {
-        let result = match self.ending.take() {
-            Some(error) => Err(error),
-            None => self.verify(),
-        };
-        self.outcome.get_or_insert(result);
+        let error = self.ending.take().or_else(|| self.verify());
+        self.outcome.get_or_insert(error.map_or(Ok(()), Err));
     }
 
-    /// Whether the drawing that has ended was drawn, as far as the telemetry shows it.
-    fn verify(&mut self) -> Result<(), JobError> {
-        let Some(verifier) = self.verifier.take() else {
-            return Ok(());
-        };
-        self.verification = verifier.finish(true);
+    /// What of the drawing that has ended was not drawn, as far as the telemetry shows it.
+    fn verify(&mut self) -> Option<JobError> {
+        self.verification = self.verifier.take()?.finish(true);
         let verdict = self.verification.verdict();
-        match verdict.error() {
-            Some(error) => {
-                self.complete = Some(verdict.complete_vertices);
-                Err(error)
-            }
-            None => Ok(()),
-        }
+        let error = verdict.error()?;
+        self.complete = Some(verdict.complete_vertices);
+        Some(error)
     }
 
     /// Whether the measurements have been read; asks for them if not.

@@ -115,12 +115,13 @@ fn a_firmware_of_another_version_is_refused_with_both_versions_and_hears_nothing
     session.connect();
     let mut out = [0; FRAME_BYTES_MAX];
     assert!(session.transmit(0, &mut out) > 0);
-    // A welcome of version 7 whose other fields this program does not know.
-    let length = encode(&(0u8, 7u16, 0xffu8, 0xffu8), &mut out).unwrap();
+    // A welcome of a later version whose other fields this program does not know.
+    let later = PROTOCOL_VERSION + 1;
+    let length = encode(&(0u8, later, 0xffu8, 0xffu8), &mut out).unwrap();
     session.receive(&out[..length], 1);
     let refused = Event::VersionRefused {
         host: PROTOCOL_VERSION,
-        firmware: 7,
+        firmware: later,
     };
     assert_eq!(session.next_event(), Some(refused));
     assert_eq!(session.transmit(1_000, &mut out), 0);

@@ -72,7 +72,7 @@ fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
     (0..planned.len() + REST_MS)
         .map(|index| {
             let now = &planned[index.min(planned.len() - 1)].reference;
-            let before = &planned[index.saturating_sub(age)].reference;
+            let before = &planned[index.saturating_sub(age).min(planned.len() - 1)].reference;
             Sample {
                 t_ms: 1_000 + index as u32,
                 mode: if index < planned.len() + age {
