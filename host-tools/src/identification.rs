@@ -107,8 +107,12 @@ impl std::fmt::Display for NoAnswer {
     }
 }
 
-/// The configuration that the test motion is driven with: the given one, no faster than a test should be, and with the
-/// fourth axis along the path.
+/// Least deviation of commanded from measured motion that the test motion allows, rad: the delay by which motion is
+/// predicted is not known yet.
+const FEEDBACK_DEVIATION_RAD: f64 = 0.03;
+
+/// The configuration that the test motion is driven with: the given one, no faster than a test should be, with the fourth
+/// axis along the path, and with room for a delay that is not known yet in the supervision of the feedback.
 pub fn test_config(config: &Config) -> Config {
     let mut test = config.clone();
     let motion = &mut test.motion;
@@ -116,6 +120,9 @@ pub fn test_config(config: &Config) -> Config {
     motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MAX_MM_S);
     motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MAX_MM_S);
     motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MAX_MM_S2);
+    for axis in &mut test.axes {
+        axis.feedback_deviation_max_rad = axis.feedback_deviation_max_rad.max(FEEDBACK_DEVIATION_RAD);
+    }
     test
 }
 

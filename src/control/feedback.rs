@@ -25,8 +25,8 @@ use crate::config::{Axis, AxisMode};
 /// out a position, which is one of it.
 pub const LAG_MS: f32 = 1.5;
 /// Share of the deviation that a radian of motion takes away, 1/rad: with it a wrong scale of [`LEAK_PER_RAD`] times the
-/// limit (2.4 % at 0.008 rad) is never a fault, so that a drive whose gain is not identified yet can be identified.
-pub const LEAK_PER_RAD: f32 = 3.0;
+/// limit (0.3 % at 0.008 rad) is never a fault.
+pub const LEAK_PER_RAD: f32 = 0.4;
 /// Share of the deviation that a millisecond takes away.
 const LEAK_PER_MS: f32 = 1.0e-6;
 /// Share of a new value in the mean of the noise: the mean of 32 ms.

@@ -21,6 +21,9 @@ const SHARE_THINNED: f64 = 1.12;
 const THINNED_STROKES_MIN: usize = 60;
 /// Drawings tried.
 const TRIES: usize = 24;
+/// Tries after which widths beside the range that is left are tried, and the step between them.
+const SCATTERED_FROM: usize = 10;
+const SCATTER: f64 = 0.003;
 /// Strokes left out anew until the time fits.
 const THINNINGS: usize = 6;
 /// How the time falls with the pen's width, as its power, before it is known: to begin with, and its bounds.
@@ -54,7 +57,10 @@ pub(super) fn within(
     // Widths that take too long, and widths that take too little, each with its time.
     let (mut slow, mut quick) = ((1.0_f64, whole.planned_s), None::<(f64, f64)>);
     let mut width = (whole.planned_s / (SHARE_AIM * budget_s)).powf(1.0 / POWER);
-    for _ in 0..TRIES {
+    for attempt in 0..TRIES {
+        if let (Some(quick), true) = (quick, attempt >= SCATTERED_FROM) {
+            width = scattered_width(slow, quick, attempt - SCATTERED_FROM);
+        }
         width = width.min(WIDEST);
         let Some(tried) = draw(width).ok().map(|drawing| timed(drawing, config, options)) else {
             // So wide a pen draws nothing.
@@ -108,6 +114,12 @@ fn next_width(slow: (f64, f64), quick: Option<(f64, f64)>, aim_s: f64) -> f64 {
     // A try that lands on an end again would learn nothing.
     let room = (quick.0 / slow.0).powf(0.1);
     width.clamp(slow.0.min(quick.0) * room, (quick.0 / room).max(slow.0 * room))
+}
+
+/// Widths on both sides of the range that is left: a single line's time is no smooth function of the width.
+fn scattered_width(slow: (f64, f64), quick: (f64, f64), attempt: usize) -> f64 {
+    let side = if attempt.is_multiple_of(2) { 1.0 } else { -1.0 };
+    (slow.0 * quick.0).sqrt() * (1.0 + side * SCATTER * (attempt / 2 + 1) as f64)
 }
 
 fn timed(drawing: Drawing, config: &Config, options: &OrderOptions) -> Timed {
