@@ -238,12 +238,15 @@ fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answe
     if !fits || lead_ms < 0.0 || delay_ms <= 0.5 {
         return Err(NoAnswer::Model);
     }
-    let parts: Option<Vec<_>> = equations
+    // A part of one speed does not tell gain from delay and gives no estimate.
+    let parts: Vec<_> = equations
         .chunks_exact(equations.len() / PARTS)
         .take(PARTS)
-        .map(estimate)
+        .filter_map(estimate)
         .collect();
-    let parts = parts.ok_or(NoAnswer::Model)?;
+    if parts.len() <= PARTS / 2 {
+        return Err(NoAnswer::Model);
+    }
     let spread = |of: fn(&Estimate) -> f64| {
         let mean = parts.iter().map(of).sum::<f64>() / parts.len() as f64;
         let squares = parts.iter().map(|part| (of(part) - mean).powi(2)).sum::<f64>();
