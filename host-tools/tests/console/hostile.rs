@@ -169,7 +169,7 @@ fn there_is_room_for_the_token_however_many_look_without_it() {
     for operator in &mut operators {
         operator.mode("DrivesOff");
     }
-    let viewers = operators[0].until("control", |_| true)["viewers"].as_u64();
+    let viewers = operators[0].state("control", |_| true)["viewers"].as_u64();
     assert!(viewers <= Some(VIEWERS_MAX as u64), "{viewers:?}");
     while guests[0].take().is_some() {}
     operators[0].enable();
