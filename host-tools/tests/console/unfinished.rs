@@ -122,38 +122,6 @@ fn until_drawn(browser: &mut Browser) {
 }
 
 #[test]
-fn a_drawing_goes_on_from_the_history_after_a_fault_a_stop_and_a_cancel() {
-    let Some(mut browser) = Browser::start() else { return };
-    let browser = &mut browser;
-    let whole = undisturbed(browser);
-    for (what, press) in [
-        ("fault", "[data-inject='fault-2']"),
-        ("stop", "#stop"),
-        ("cancel", "#cancel"),
-    ] {
-        let bench = Bench::start();
-        begin(browser, &bench);
-        set_override(browser, 50);
-        start(browser);
-        until_broken(&bench);
-        browser.press(press);
-        browser.until("etherpen.link.state.jobs.past.length === 1");
-        assert_eq!(
-            browser.value("etherpen.link.state.jobs.past[0].unfinished"),
-            json!(true)
-        );
-        picture(browser, &format!("8-{what}.png"));
-        if what != "cancel" {
-            super::page::acknowledge(browser);
-        }
-        mode(browser, "DrivesOff");
-        go_on(browser);
-        check(what, &whole, &bench.cell().ink());
-    }
-    assert!(browser.errors.is_empty(), "{:?}", browser.errors);
-}
-
-#[test]
 fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_ends() {
     let Some(mut browser) = Browser::start() else { return };
     let browser = &mut browser;
