@@ -107,15 +107,6 @@ fn picture(browser: &mut Browser, name: &str) {
     }
 }
 
-/// Presses *Continue* and waits for the drawing's end.
-fn go_on(browser: &mut Browser) {
-    // On a busy computer the browser presses late.
-    let stroke = browser.value("etherpen.link.state.jobs.past[0].stroke").as_u64();
-    assert!(stroke.is_some_and(|stroke| (3..=6).contains(&stroke)), "{stroke:?}");
-    browser.press("#past button.continue");
-    until_drawn(browser);
-}
-
 fn until_drawn(browser: &mut Browser) {
     browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
     browser.until("!document.querySelector('#past button:not([hidden])')");
