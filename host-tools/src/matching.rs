@@ -6,7 +6,7 @@
 //! between distances that are enough and distances that are not (Alt and Godau, 1995).
 //!
 //! Invariant: places along the line never decrease from one position to the next, except across a break, by at most
-//! [`BACK_MM`].
+//! `BACK_MM`.
 
 use etherpen::robot::Position;
 

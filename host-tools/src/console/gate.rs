@@ -1,7 +1,7 @@
 //! What keeps every request waiting while a stop is on its way to the port.
 //!
 //! Invariant: between a stop's arrival and the moment at which it has been written to the port (or cannot be, or
-//! [`WAIT_MAX`] has passed) nobody's request is begun.
+//! `WAIT_MAX` has passed) nobody's request is begun.
 
 use super::lock;
 use std::sync::Mutex;

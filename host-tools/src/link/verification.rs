@@ -6,7 +6,7 @@
 //! neither followed nor missing: they are not verified.
 //!
 //! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
-//! never reached; memory is bounded by the path and [`SAMPLES_MAX`].
+//! never reached; memory is bounded by the path and `SAMPLES_MAX`.
 
 use super::error::JobError;
 use crate::matching::{Line, Step};
