@@ -8,6 +8,7 @@ mod bursts;
 mod commands;
 mod feedback;
 mod liveness;
+mod outside;
 mod robot;
 mod stale;
 

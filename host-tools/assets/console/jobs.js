@@ -186,7 +186,7 @@ function goOn(link, drawing) {
     set(words, { hidden: !job.unfinished });
     set(here, { hidden: !job.unfinished || !link.controls || !status?.seen_mm || !["DrivesOff", "Unreferenced", "Idle"].includes(status.mode) });
   };
-  return [[button, words, here], show];
+  return [[words, button, here], show];
 }
 
 function lists(link) {

@@ -107,9 +107,50 @@ fn picture(browser: &mut Browser, name: &str) {
     }
 }
 
+/// Presses *Continue* and waits for the drawing's end.
+fn go_on(browser: &mut Browser) {
+    // On a busy computer the browser presses late.
+    let stroke = browser.value("etherpen.link.state.jobs.past[0].stroke").as_u64();
+    assert!(stroke.is_some_and(|stroke| (3..=6).contains(&stroke)), "{stroke:?}");
+    browser.press("#past button.continue");
+    until_drawn(browser);
+}
+
 fn until_drawn(browser: &mut Browser) {
     browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
     browser.until("!document.querySelector('#past button:not([hidden])')");
+}
+
+#[test]
+fn a_drawing_goes_on_from_the_history_after_a_fault_a_stop_and_a_cancel() {
+    let Some(mut browser) = Browser::start() else { return };
+    let browser = &mut browser;
+    let whole = undisturbed(browser);
+    for (what, press) in [
+        ("fault", "[data-inject='fault-2']"),
+        ("stop", "#stop"),
+        ("cancel", "#cancel"),
+    ] {
+        let bench = Bench::start();
+        begin(browser, &bench);
+        set_override(browser, 50);
+        start(browser);
+        until_broken(&bench);
+        browser.press(press);
+        browser.until("etherpen.link.state.jobs.past.length === 1");
+        assert_eq!(
+            browser.value("etherpen.link.state.jobs.past[0].unfinished"),
+            json!(true)
+        );
+        picture(browser, &format!("8-{what}.png"));
+        if what != "cancel" {
+            super::page::acknowledge(browser);
+        }
+        mode(browser, "DrivesOff");
+        go_on(browser);
+        check(what, &whole, &bench.cell().ink());
+    }
+    assert!(browser.errors.is_empty(), "{:?}", browser.errors);
 }
 
 #[test]
