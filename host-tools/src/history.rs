@@ -22,6 +22,9 @@ pub struct Entry {
     pub changed_unix_s: u64,
     /// What was drawn.
     pub file: PathBuf,
+    /// With which options it became strokes; null in a log of a program that did not note them.
+    #[serde(default)]
+    pub options: serde_json::Value,
     /// Where.
     pub port: String,
     /// Board and firmware that drew, once they have answered.

@@ -14,7 +14,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 7;
+pub const PROTOCOL_VERSION: u16 = 8;
 /// Longest encoded message before framing, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 1400;
 /// Vertices in one path message.
@@ -247,6 +247,8 @@ pub struct Status {
     pub port: PortState,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
+    /// Whether they were referenced once since the start-up and are not any more: the arms may stand anywhere.
+    pub reference_lost: bool,
     /// What each axis' resolver shows within its motor turn, increments; `None` where no position arrives.
     pub increments: [Option<u32>; AXES],
     /// Hash of the configuration in force.

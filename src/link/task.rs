@@ -90,6 +90,8 @@ pub struct LinkTask<'a> {
     pose_check: Option<PoseCheck>,
     config_hash: Option<u64>,
     condition: Condition,
+    /// Whether the joint angles have been referenced since the start-up.
+    was_referenced: bool,
     motion: MotionReport,
     report: Option<CycleReport>,
     slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
@@ -134,6 +136,7 @@ impl<'a> LinkTask<'a> {
             pose_check: None,
             config_hash: None,
             condition: Condition::UNKNOWN,
+            was_referenced: false,
             motion: MotionReport::default(),
             report: None,
             slaves: Vec::new(),
@@ -467,6 +470,7 @@ impl<'a> LinkTask<'a> {
             self.counters.frames_ignored = report.bus.frames_ignored();
             self.counters.working_counter_errors = report.bus.working_counter_errors;
             self.condition = condition(&report);
+            self.was_referenced |= self.condition.unreferenced.is_none();
             self.report = Some(report);
         }
         let counts = self.endpoint.counts();
@@ -579,6 +583,7 @@ impl<'a> LinkTask<'a> {
             interlock: self.condition.interlock,
             port: self.board.port,
             referenced: self.condition.unreferenced.is_none(),
+            reference_lost: self.was_referenced && self.condition.unreferenced.is_some(),
             increments: self.increments(),
             config: self.config_hash,
             override_percent: self.application.override_percent(),

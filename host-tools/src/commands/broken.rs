@@ -1,5 +1,6 @@
 //! How a broken drawing goes on: with what the firmware holds, else from the log.
 
+use super::source::SourceArguments;
 use super::{CommandError, code};
 use crate::history::{self, Record, hash_text};
 use crate::link::job::Drawing;
@@ -64,6 +65,21 @@ impl Resumption {
             Self::Last(file) => file,
             Self::Job(record) => &record.entry.file,
         }
+    }
+
+    /// How that file became strokes, where a job was named that noted it.
+    ///
+    /// # Errors
+    /// A file that it names, a font for instance, is not there any more.
+    pub(super) fn source(&self) -> Result<Option<SourceArguments>, CommandError> {
+        let Self::Job(record) = self else { return Ok(None) };
+        serde_json::from_value(record.entry.options.clone()).map_err(|cause| {
+            let text = format!(
+                "the options of job {} cannot be used again: {cause}; name file and options beside --resume",
+                record.name()
+            );
+            CommandError::new(code::INPUT, text)
+        })
     }
 
     /// The jobs of this path that may go on. The first is the one to take up, unless the firmware holds another one.
@@ -175,7 +191,7 @@ pub(super) fn plan(
 ) -> Result<Plan, CommandError> {
     let snapshot = state(machine)?;
     let mut record = chosen(candidates, &snapshot)?;
-    check(&record, &snapshot, config)?;
+    check_board(&record, &snapshot)?;
     let entry = &record.entry;
     let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
     let rest_after = |executed: u32| Remainder::new(path, executed as usize, OVERLAP_UM, lift_um);
@@ -183,6 +199,7 @@ pub(super) fn plan(
     let mode = snapshot.status.as_ref().map(|status| status.mode);
     let held = snapshot.path.filter(|ack| ack.job == entry.number);
     if let (Some(ack), Some(Mode::Holding | Mode::Drawing)) = (held, mode) {
+        check_config(&record, config)?;
         let vertices = given
             .as_ref()
             .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
@@ -226,6 +243,10 @@ pub(super) fn plan(
         entry.strokes_total,
         OVERLAP_UM / 1_000.0
     );
+    if let Err(changed) = check_config(&record, config) {
+        eprintln!("{changed}: the rest may not meet the ink exactly");
+        record.entry.config_hash = config_hash(config);
+    }
     record.entry.given_from = executed;
     let drawn_before_s = record.entry.drawn_s;
     if executed == 0 {
@@ -299,28 +320,57 @@ pub(super) fn state(machine: &Machine) -> Result<Snapshot, CommandError> {
     }
 }
 
-/// Whether this is the machine, with the configuration, that the drawing was begun on.
-fn check(record: &Record, snapshot: &Snapshot, config: &Config) -> Result<(), CommandError> {
-    let entry = &record.entry;
+/// Whether this is the machine that the drawing was begun on.
+fn check_board(record: &Record, snapshot: &Snapshot) -> Result<(), CommandError> {
+    let begun_on = &record.entry.board;
     let welcome = snapshot.welcome.as_ref();
     let board = welcome.map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
-    if !entry.board.is_empty() && entry.board != board {
-        let text = format!(
-            "this drawing was begun on {}, this machine is {board}; go on with it there, or draw it from the beginning",
-            entry.board
-        );
-        return Err(CommandError::new(code::FAILED, text));
+    if begun_on.is_empty() || *begun_on == board {
+        return Ok(());
     }
-    let ours = config.hash().map(hash_text).unwrap_or_default();
-    if entry.config_hash != ours {
-        let text = format!(
-            "this drawing was begun with another configuration (hash {}, this one has {ours}); use the same one \
-             (--config), or draw it from the beginning",
-            entry.config_hash
-        );
-        return Err(CommandError::new(code::USAGE, text));
+    let text = format!(
+        "this drawing was begun on {begun_on}, this machine is {board}; go on with it there, or draw it from the beginning"
+    );
+    Err(CommandError::new(code::FAILED, text))
+}
+
+/// Whether this is the configuration that the drawing was begun with.
+fn check_config(record: &Record, config: &Config) -> Result<(), ConfigChanged> {
+    let (then, now) = (record.entry.config_hash.clone(), config_hash(config));
+    if then == now {
+        Ok(())
+    } else {
+        Err(ConfigChanged { then, now })
     }
-    Ok(())
+}
+
+/// The hash of a configuration as the log has it.
+pub(super) fn config_hash(config: &Config) -> String {
+    config.hash().map(hash_text).unwrap_or_default()
+}
+
+/// Hashes of two configurations that are not the same.
+struct ConfigChanged {
+    then: String,
+    now: String,
+}
+
+impl std::fmt::Display for ConfigChanged {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { then, now } = self;
+        write!(
+            f,
+            "this drawing was begun with another configuration (hash {then}, this one has {now})"
+        )
+    }
+}
+
+impl From<ConfigChanged> for CommandError {
+    fn from(changed: ConfigChanged) -> Self {
+        let text =
+            format!("{changed}; go on with that one (--config), or end the drawing that is held: etherpen cancel");
+        Self::new(code::USAGE, text)
+    }
 }
 
 #[cfg(test)]

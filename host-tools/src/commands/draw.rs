@@ -3,7 +3,7 @@
 //! The machine is shared while it draws, so that other terminals can hold, resume, cancel and stop. Every drawing is kept
 //! in the log of jobs, from which a broken one goes on.
 
-use super::broken::{self, Plan, Resumption, state};
+use super::broken::{self, Plan, Resumption, config_hash, state};
 use super::display::Display;
 use super::operator::{Key, Operator};
 use super::outline::around;
@@ -56,8 +56,9 @@ pub struct Arguments {
     #[arg(long)]
     acknowledge: bool,
     /// Go on with this drawing where it broke off: with what the firmware holds, else from the log of jobs (etherpen
-    /// jobs) with a small overlap. JOB is a name of that log, or its beginning; without it, the last job of this file that
-    /// drew something. File, options and configuration must be the same; with JOB, the file may be left out.
+    /// jobs) with a small overlap. JOB is a name of that log, or its beginning: its file and its options are taken from the
+    /// log. Without JOB, the last job of this file that drew something; the options must be the same. The configuration may
+    /// have changed where paper and limits of motion are the same.
     #[arg(long, value_name = "JOB", num_args = 0..=1, default_missing_value = "", conflicts_with = "acknowledge")]
     resume: Option<String>,
     /// Draw layer by layer, with a pause without power to change the pen in between; results go to DIR/layer-N.
@@ -80,8 +81,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.drawing.config.load()?;
     let resumption = resumption(arguments)?;
     let file = file(arguments, resumption.as_ref())?;
+    let source = &source(arguments, resumption.as_ref())?;
     let mut operator = Operator::start();
-    let (source, out) = (&arguments.drawing.source, &arguments.drawing.out);
+    let out = &arguments.drawing.out;
     if arguments.outline {
         outline(arguments, &config, &file, &mut operator)?;
     }
@@ -218,7 +220,7 @@ fn draw(
     let machine = start(arguments, config)?;
     let plan = match before.is_empty() {
         false => broken::plan(before, &machine, config, &path)?,
-        true => Plan::whole(&path, begin_log(arguments, part.file, config, &path, hash)),
+        true => Plan::whole(&path, begin_log(arguments, part, config, &path, hash)),
     };
     let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
     let ended = session.draw(&part.name)?;
@@ -272,13 +274,32 @@ fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBu
     Ok(file)
 }
 
-fn begin_log(arguments: &Arguments, file: &Path, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
+/// How the file becomes strokes: as the options say, or as it did for the job that is gone on with.
+fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, CommandError> {
+    let given = &arguments.drawing.source;
+    let Some(resumption) = resumption.filter(|_| arguments.file.is_none()) else {
+        return Ok(given.clone());
+    };
+    match resumption.source()? {
+        Some(_) if given.is_given() => {
+            let text =
+                "--resume JOB takes the options of the file from the log of jobs: leave them out, or name the file too";
+            Err(CommandError::new(code::USAGE, text))
+        }
+        Some(of_job) => Ok(of_job),
+        None => Ok(given.clone()),
+    }
+}
+
+fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
     let entry = Entry {
-        file: std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned()),
+        file: std::fs::canonicalize(part.file).unwrap_or_else(|_| part.file.to_owned()),
+        // Options that cannot be noted have to be given again.
+        options: serde_json::to_value(&part.source).unwrap_or_default(),
         port: arguments.port.port.to_string(),
         path_hash: hash,
-        config_hash: config.hash().map(hash_text).unwrap_or_default(),
+        config_hash: config_hash(config),
         vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
         strokes_total: total.strokes_total,
         ..Entry::default()

@@ -116,6 +116,19 @@ impl SourceArguments {
         }
     }
 
+    /// Whether anything differs from what a command line without options says.
+    #[must_use]
+    pub fn is_given(&self) -> bool {
+        #[derive(clap::Parser)]
+        struct Plain {
+            #[command(flatten)]
+            source: SourceArguments,
+        }
+        let plain = <Plain as clap::Parser>::try_parse_from([""]).map(|plain| plain.source);
+        // Both are made of the same fields in the same order.
+        plain.is_ok_and(|plain| serde_json::to_value(self).ok() != serde_json::to_value(plain).ok())
+    }
+
     /// The same for one layer alone, which comes to lie where it lies among the others.
     #[must_use]
     pub fn only(&self, layer: &str) -> Self {

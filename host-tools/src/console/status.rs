@@ -213,6 +213,7 @@ pub(crate) mod tests {
             mode,
             fault,
             referenced: true,
+            reference_lost: false,
             increments: [None; 4],
             config: Some(1),
             override_percent: 100,

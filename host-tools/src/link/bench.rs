@@ -305,6 +305,7 @@ impl Bench {
                 interlock: None,
                 port: PortState::Unknown,
                 referenced: self.referenced,
+                reference_lost: false,
                 increments: self.increments,
                 config: self.config,
                 override_percent: 100,

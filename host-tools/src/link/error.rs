@@ -228,7 +228,8 @@ impl fmt::Display for JobError {
             ),
             Self::NotReferenced => f.write_str(
                 "the joint angles are not referenced any more, and the arms may stand anywhere; bring them to a known \
-                 pose and take the reference (etherpen reference), then draw --resume",
+                 pose and take the reference (etherpen reference), then go on: with draw --resume where a drawing broke \
+                 off",
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
             Self::Abandoned => f.write_str(

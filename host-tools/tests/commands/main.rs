@@ -14,6 +14,7 @@ mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;
 mod ethercrab;
+mod followed;
 mod installed;
 mod network;
 mod outputs;
@@ -28,6 +29,7 @@ mod restarted;
 mod segment;
 #[cfg(target_os = "linux")]
 mod sessions;
+mod unreferenced;
 
 use etherpen::board::PreviousRun;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};

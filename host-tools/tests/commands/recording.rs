@@ -258,6 +258,7 @@ fn firmware(listener: &TcpListener) {
             interlock: None,
             port: Default::default(),
             referenced: false,
+            reference_lost: false,
             increments: [None; 4],
             config: None,
             override_percent: 100,

@@ -203,6 +203,7 @@ fn full_status() -> Status {
         interlock: Some(Interlock::Clock),
         port: PortState::Up,
         referenced: true,
+        reference_lost: true,
         increments: [Some(u32::MAX); 4],
         config: Some(u64::MAX),
         override_percent: 100,

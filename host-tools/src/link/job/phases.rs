@@ -231,12 +231,14 @@ impl Job {
         }
     }
 
+    /// Takes the arms to be at their marks, unless they may stand anywhere.
     fn reference(&mut self) {
-        match &self.task {
-            Task::Draw(drawing) if !drawing.may_reference => {
-                self.ending.get_or_insert(JobError::NotReferenced);
-            }
-            _ => self.request(Command::Reference),
+        let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
+        let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
+        if is_lost || is_elsewhere {
+            self.ending.get_or_insert(JobError::NotReferenced);
+        } else {
+            self.request(Command::Reference);
         }
     }
 

@@ -1,0 +1,73 @@
+//! A robot that has lost its reference is not taken to stand at its marks: nothing is drawn until somebody says where the
+//! arms are. The truth is the cell's motors.
+
+use crate::program::{Folder, etherpen, run, strokes};
+use etherpen::config::Config;
+use host_tools::cell::CellOptions;
+use host_tools::commands::code;
+use host_tools::console::virtual_cell::{CellView, Firmware, VirtualCell};
+use std::path::Path;
+
+/// Farthest that an arm may turn while nothing moves, rad.
+const STILL_RAD: f64 = 1.0e-4;
+
+fn joints(view: &CellView) -> [f64; 4] {
+    view.state().joints.0
+}
+
+/// Runs a command that has to be refused for want of a reference, and looks that no arm moves.
+fn assert_refused(folder: &Folder, cell: &VirtualCell, words: &[&str]) {
+    let before = joints(&cell.view());
+    let (status, _, stderr) = tell(folder, cell, words);
+    assert_eq!(status, Some(i32::from(code::FAILED)), "{words:?}: {stderr}");
+    assert!(stderr.contains("etherpen reference"), "{words:?}: {stderr}");
+    let after = joints(&cell.view());
+    let turned = before.iter().zip(after).map(|(before, after)| (before - after).abs());
+    assert!(
+        turned.fold(0.0, f64::max) < STILL_RAD,
+        "{words:?} moved: {before:?} {after:?}"
+    );
+}
+
+fn tell(folder: &Folder, cell: &VirtualCell, words: &[&str]) -> (Option<i32>, String, String) {
+    run(etherpen(folder)
+        .args(words)
+        .env("ETHERPEN_PORT", cell.port().to_string()))
+}
+
+fn toml(folder: &Folder, config: &Config) -> String {
+    let text = toml::to_string(config).expect("a configuration");
+    folder.file("other.toml", text).to_string_lossy().into_owned()
+}
+
+#[test]
+fn a_reference_that_another_configuration_has_cost_is_not_guessed() {
+    let folder = Folder::new();
+    let file = strokes();
+    let file = Path::to_str(&file).expect("UTF-8");
+    let cell = VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated);
+    let cell = cell.expect("the cell starts");
+    let (status, _, stderr) = tell(&folder, &cell, &["draw", file]);
+    assert_eq!(status, Some(0), "{stderr}");
+    let drawn = cell.ink().len();
+    let mut config = Config::default();
+    config.motion.speed_mm_s *= 0.9;
+    let other = toml(&folder, &config);
+    for words in [
+        &["draw", file, "--config", &other][..],
+        &["enable", "--config", &other],
+        &["move", "0,0,-800", "--config", &other],
+        &["draw", file],
+    ] {
+        assert_refused(&folder, &cell, words);
+    }
+    assert_eq!(cell.ink().len(), drawn, "ink without a reference");
+    // Somebody measures where the platform stands.
+    let platform = cell.view().state().platform.expect("the arms hold a platform");
+    let position = format!("{:.0},{:.0},{:.0}", platform.x_mm, platform.y_mm, platform.z_mm);
+    let (status, _, stderr) = tell(&folder, &cell, &["reference", "--position", &position]);
+    assert_eq!(status, Some(0), "{stderr}");
+    let (status, _, stderr) = tell(&folder, &cell, &["draw", file]);
+    assert_eq!(status, Some(0), "{stderr}");
+    assert_eq!(cell.ink().len(), 2 * drawn);
+}
