@@ -41,9 +41,9 @@ pub(super) struct Attendant {
     stops: Mutex<Vec<String>>,
     /// When the bus was ordered to be brought up, and the order's answer.
     preparing: Mutex<Option<(Instant, Receiver<Answer>)>>,
-    /// The drawing that was ordered, with its number.
+    /// The drawing that was ordered, with its activation.
     drawing: Mutex<Option<(u64, Receiver<Answer>)>>,
-    /// The drawing whose order failed, why and when.
+    /// The activation whose order failed, why and when.
     refused: Mutex<Option<(u64, String, Instant)>>,
 }
 
@@ -90,11 +90,11 @@ impl Attendant {
     /// A drawing whose order failed a while ago, and why: news of one that began and ended have come by then.
     fn refused_drawing(&self) -> Option<(u64, String)> {
         let (mut drawing, mut refused) = (lock(&self.drawing), lock(&self.refused));
-        if let Some((number, answer)) = drawing.as_ref() {
+        if let Some((activation, answer)) = drawing.as_ref() {
             match answer.try_recv() {
                 Err(TryRecvError::Empty) => {}
                 Ok(Err(failure)) => {
-                    *refused = Some((*number, failure.to_string(), Instant::now()));
+                    *refused = Some((*activation, failure.to_string(), Instant::now()));
                     *drawing = None;
                 }
                 Ok(Ok(_)) | Err(TryRecvError::Disconnected) => *drawing = None,
@@ -155,8 +155,8 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
         for refusal in console.attendant.refusals() {
             console.change(|hub| hub.note(Level::Warning, refusal));
         }
-        if let Some((number, why)) = console.attendant.refused_drawing() {
-            console.change(|hub| hub.refused_drawing(number, &why));
+        if let Some((activation, why)) = console.attendant.refused_drawing() {
+            console.change(|hub| hub.refused_drawing(activation, &why));
         }
     }
 }
@@ -235,12 +235,14 @@ impl Console {
     /// Begins with a waiting drawing; gives whether it could.
     pub(super) fn draw(&self, number: u64) -> bool {
         let drawing = self.change(|hub| {
-            let drawing = hub.jobs.start(number);
+            let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
             hub.say_jobs();
             drawing
         });
-        let Some((name, path)) = drawing else { return false };
-        self.order_drawing(number, name, crate::link::job::Drawing::new(path));
+        let Some(((name, path), activation)) = drawing else {
+            return false;
+        };
+        self.order_drawing(activation, name, crate::link::job::Drawing::new(path));
         true
     }
 
@@ -255,23 +257,24 @@ impl Console {
             }
             let unfinished = hub.jobs.go_on(number, &self.config);
             hub.say_jobs();
-            unfinished
-        })?;
+            unfinished.map(|unfinished| (unfinished, hub.jobs.activation().unwrap_or_default()))
+        });
+        let (unfinished, activation) = unfinished?;
         let drawing = crate::link::job::Drawing {
             may_reference: unfinished.is_whole,
             ..crate::link::job::Drawing::new(unfinished.path)
         };
-        self.order_drawing(number, unfinished.name, drawing);
+        self.order_drawing(activation, unfinished.name, drawing);
         Ok(())
     }
 
-    fn order_drawing(&self, number: u64, name: String, drawing: crate::link::job::Drawing) {
+    fn order_drawing(&self, activation: u64, name: String, drawing: crate::link::job::Drawing) {
         let order = DrawOrder {
             drawing,
             name,
             keep_samples: false,
         };
-        *lock(&self.attendant.drawing) = Some((number, self.machine.order(Order::Draw(order))));
+        *lock(&self.attendant.drawing) = Some((activation, self.machine.order(Order::Draw(order))));
     }
 
     /// The reference at the pose in which the arms were seen last while they were referenced; the firmware checks it against

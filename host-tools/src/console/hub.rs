@@ -479,9 +479,10 @@ impl Hub {
         self.captures.get(&viewer).map(|armed| armed.capture.has_fired())
     }
 
-    /// A drawing was not begun; of one that has ended the end is known already.
-    pub fn refused_drawing(&mut self, number: u64, why: &str) {
-        if self.jobs.active() == Some(number) {
+    /// A drawing was not begun, which was made the active one by this activation; of one that has ended the end is known
+    /// already.
+    pub fn refused_drawing(&mut self, activation: u64, why: &str) {
+        if self.jobs.activation() == Some(activation) {
             self.note(Level::Warning, format!("the drawing was not begun: {why}"));
             self.jobs.end(false, on_page(why));
             self.say_jobs();

@@ -161,6 +161,8 @@ pub struct Jobs {
     waiting: Vec<Job>,
     past: VecDeque<Past>,
     next: u64,
+    /// How often a drawing was made the active one.
+    activations: u64,
     elapsed_s: f64,
     restarted: bool,
 }
@@ -175,6 +177,7 @@ impl Jobs {
             waiting: Vec::new(),
             past: VecDeque::new(),
             next: 1,
+            activations: 0,
             elapsed_s: 0.0,
             restarted: false,
         }
@@ -213,6 +216,7 @@ impl Jobs {
     fn activate(&mut self, job: Job) {
         self.elapsed_s = job.drawn_before_s;
         self.active = Some(job);
+        self.activations += 1;
         self.phase = "starting".to_owned();
         self.restarted = false;
     }
@@ -278,9 +282,9 @@ impl Jobs {
         self.restarted
     }
 
-    /// Number of the active drawing.
-    pub fn active(&self) -> Option<u64> {
-        self.active.as_ref().map(|job| job.number)
+    /// Tells this activation of a drawing from an earlier one of the same drawing; `None` while none is active.
+    pub fn activation(&self) -> Option<u64> {
+        self.active.as_ref().map(|_| self.activations)
     }
 
     /// Number and path of the drawing on the sheet: the active one, or the last that was.
@@ -381,7 +385,7 @@ mod tests {
         };
         assert_eq!(jobs.progress(&progress).map(|view| view.executed), Some(10));
         jobs.end(true, "drawn");
-        assert_eq!(jobs.active(), None);
+        assert_eq!(jobs.activation(), None);
         assert_eq!(jobs.on_sheet().map(|(number, _)| number), Some(first));
         assert!(jobs.start(second).is_some());
         assert_eq!(jobs.view().past.first().map(|past| past.drawn_s), Some(2.0));

@@ -26,6 +26,8 @@ const FOLLOWED_BY_TORQUE_MM: f64 = 1.5;
 const ALONG: f64 = 2.0;
 /// Parts of a stroke that are missing count from this length together, mm: less is a dot at its ends.
 const MISSING_MIN_MM: f64 = 0.5;
+/// Less than this is rounding, mm.
+const ROUNDING_MM: f64 = 1e-6;
 /// References begin and end within this distance of their stroke's ends, mm.
 const END_MM: f64 = 0.5;
 /// Samples of a stroke that are matched at once.
@@ -152,6 +154,9 @@ impl Verification {
             if verdict.strokes.last() != Some(&stroke.number) {
                 verdict.strokes.push(stroke.number);
             }
+        }
+        if verdict.unverified_mm < ROUNDING_MM {
+            verdict.unverified_mm = 0.0;
         }
         verdict
     }

@@ -5,6 +5,8 @@
 
 mod deviation;
 mod platform;
+#[cfg(test)]
+mod styles;
 mod tables;
 mod timing;
 mod tracking_plot;

@@ -6,7 +6,11 @@ use etherpen::config::Config;
 use host_tools::cell::{CellOptions, InkStroke};
 use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
-use std::fmt::Write;
+use host_tools::link::port::PortName;
+use std::fmt::Write as _;
+use std::io::{Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
 
 /// Farthest that a point of ink may lie from the other run's ink, mm.
 const SAME_MM: f64 = 0.1;
@@ -124,6 +128,78 @@ fn a_drawing_that_was_not_followed_ends_with_code_8_and_goes_on_by_the_jobs_name
     println!("{stderr}");
     assert_eq!(status, Some(0), "{stderr}");
     let missing_mm = farthest_mm(&whole, &cell.ink());
+    assert!(
+        missing_mm <= SAME_MM,
+        "ink is missing {missing_mm} mm away from any other"
+    );
+}
+
+/// Share of bytes on their way to the host that are damaged, per million.
+const DAMAGED_PER_MILLION: u32 = 1_500;
+
+/// Copies bytes until the line ends; gives the number of damaged ones.
+fn pass_on(mut from: UnixStream, mut to: UnixStream, damaged_per_million: u32) -> u32 {
+    let (mut buffer, mut state, mut damaged) = ([0; 4096], 0x9E37_79B9_u32, 0);
+    while let Ok(count @ 1..) = from.read(&mut buffer) {
+        for byte in &mut buffer[..count] {
+            state ^= state << 13;
+            state ^= state >> 17;
+            state ^= state << 5;
+            if state % 1_000_000 < damaged_per_million {
+                *byte ^= 0x20;
+                damaged += 1;
+            }
+        }
+        if to.write_all(&buffer[..count]).is_err() {
+            break;
+        }
+    }
+    // The other direction ends with this one; a line that is down already needs no more.
+    let _ = from.shutdown(std::net::Shutdown::Both);
+    let _ = to.shutdown(std::net::Shutdown::Both);
+    damaged
+}
+
+/// A line to the cell that damages what the firmware says, for one connection; gives what it has damaged.
+fn bad_line(socket: &Path, cell: &VirtualCell) -> std::thread::JoinHandle<u32> {
+    let listener = UnixListener::bind(socket).expect("a socket");
+    let PortName::Unix(firmware) = cell.port() else {
+        panic!("the cell has a socket")
+    };
+    std::thread::spawn(move || {
+        let (host, _) = listener.accept().expect("a connection");
+        let firmware = UnixStream::connect(firmware).expect("the cell listens");
+        let (to_firmware, from_host) = (firmware.try_clone().unwrap(), host.try_clone().unwrap());
+        std::thread::spawn(move || pass_on(from_host, to_firmware, 0));
+        pass_on(firmware, host, DAMAGED_PER_MILLION)
+    })
+}
+
+#[test]
+fn a_drawing_over_a_line_that_loses_telemetry_is_whole_and_says_how_much_was_not_seen() {
+    let folder = Folder::new();
+    let file = folder.file("zigzags.svg", svg()).to_string_lossy().into_owned();
+    let undisturbed = cell();
+    let port = undisturbed.port().to_string();
+    let (status, _, stderr) = run(etherpen(&folder).args(["draw", &file, "--port", &port]));
+    assert_eq!(status, Some(0), "{stderr}");
+
+    let cell = cell();
+    let socket = folder.join("line");
+    let line = bad_line(&socket, &cell);
+    let port = format!("unix:{}", socket.display());
+    let (status, report, stderr) = run(etherpen(&folder).args(["draw", &file, "--json", "--port", &port]));
+    println!("{stderr}");
+    assert_eq!(status, Some(0), "{stderr}");
+    let damaged = line.join().expect("the line");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let length = |name: &str| report[name].as_f64().expect("a number");
+    let unseen_mm = length("not_verified_mm");
+    let share = unseen_mm / (unseen_mm + length("followed_mm"));
+    println!("{damaged} bytes damaged, {unseen_mm:.1} mm not seen, {share:.3} of the drawing");
+    assert!(damaged > 20 && share > 0.01 && share < 0.95, "{damaged} bytes, {share}");
+    assert!(length("not_followed_mm") == 0.0, "{report}");
+    let missing_mm = farthest_mm(&undisturbed.ink(), &cell.ink());
     assert!(
         missing_mm <= SAME_MM,
         "ink is missing {missing_mm} mm away from any other"

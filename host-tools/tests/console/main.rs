@@ -5,6 +5,7 @@ mod client;
 mod hostile;
 mod page;
 mod protocol;
+mod resumed;
 mod stopping;
 mod studio;
 mod truth;
