@@ -59,6 +59,9 @@ enum Event {
 
 const CODES: [u16; 5] = [0, 0x001A, 0x001B, 0x002C, 0xFFFF];
 
+/// States that a slave may fall back to.
+const LOWER: [AlState; 3] = [AlState::Init, AlState::PreOperational, AlState::SafeOperational];
+
 fn of_frames(random: &mut Random) -> Event {
     let fault = match random.below(14) {
         0 => Fault::Drop,
@@ -93,7 +96,7 @@ fn of_a_slave(random: &mut Random, at_rest: bool) -> Fault {
             random.one_of(&[Product::Ax2000, Product::Cia402, Product::Ek1100]),
         ),
         5 | 6 => Fault::Power(slave, ms),
-        7 => Fault::Retreat(slave, code),
+        7 => Fault::Fall(slave, random.one_of(&LOWER), code),
         8 => Fault::Refuse(slave, random.one_of(&states), code),
         9 => Fault::Processor(slave, ms),
         10 => {

@@ -1,5 +1,6 @@
 //! Whatever happened: once the world is whole, an acknowledgement leads back to a drawing, or to what is wrong.
 
+use crate::STILL_RAD_S;
 use crate::robot::{Robot, path};
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::config::Config;
@@ -243,6 +244,25 @@ fn a_slave_that_someone_brought_down_is_brought_up_by_an_acknowledgement() {
             robot.wait_for(Mode::Fault);
             println!("    {:?}", robot.fault());
             come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+        }
+    }
+}
+
+#[test]
+fn a_slave_that_falls_back_by_itself_is_a_fault_and_is_brought_up_by_an_acknowledgement() {
+    for clocks in [false, true] {
+        for state in [AlState::Init, AlState::PreOperational, AlState::SafeOperational] {
+            for drawing in [false, true] {
+                println!("{state:?}, clocks {clocks}, drawing {drawing}");
+                let robot = with(clocks).enabled();
+                let mut robot = if drawing { robot.in_a_drawing() } else { robot };
+                robot.inject(CellFault::Fall(3, state, 0x001B));
+                robot.run_until("a fault is told", |robot| robot.fault().is_some());
+                println!("    {:?}", robot.fault());
+                robot.run(200);
+                assert!(robot.speed_rad_s() < STILL_RAD_S, "{} rad/s", robot.speed_rad_s());
+                come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
+            }
         }
     }
 }

@@ -53,6 +53,8 @@ pub enum Fault {
     Power(usize, u64),
     /// A slave falls back to SAFEOP with an AL status code.
     Retreat(usize, u16),
+    /// A slave falls back by itself to a lower state with an AL status code.
+    Fall(usize, AlState, u16),
     /// A slave refuses the next request for a state with an AL status code.
     Refuse(usize, AlState, u16),
     /// A slave's processor stands still for some milliseconds.
@@ -149,6 +151,7 @@ impl Fault {
             | Self::Swap(slave, _)
             | Self::Power(slave, _)
             | Self::Retreat(slave, _)
+            | Self::Fall(slave, ..)
             | Self::Refuse(slave, ..)
             | Self::Processor(slave, _)
             | Self::Sii(slave, _)
@@ -198,6 +201,7 @@ impl Fault {
             Self::Swap(..) => "swap",
             Self::Power(..) => "power",
             Self::Retreat(..) => "retreat",
+            Self::Fall(..) => "fall",
             Self::Refuse(..) => "refuse",
             Self::Processor(..) => "pdi",
             Self::Sii(..) => "sii",

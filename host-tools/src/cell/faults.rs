@@ -49,6 +49,7 @@ Faults of the chain:
 
 Faults of a slave:
   retreat K CODE      slave K falls back to SAFEOP with the error bit and this AL status code
+  fall K STATE CODE   it falls back to init, preop or safeop, the same way
   refuse K STATE CODE the next request for init, preop, safeop or op is refused with this code
   pdi K N             the processor of slave K stands still for N ms; its controller works
   sii K WHAT          the information memory: busy, refused, blank, damaged, owned; whole ends it
@@ -330,6 +331,7 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "swap" => Fault::Swap(words.slave()?, words.choice(&Product::NAMES)?),
         "power" => Fault::Power(words.slave()?, words.number()?),
         "retreat" => Fault::Retreat(words.slave()?, words.number()?),
+        "fall" => Fault::Fall(words.slave()?, words.state()?, words.number()?),
         "refuse" => Fault::Refuse(words.slave()?, words.state()?, words.number()?),
         "pdi" => Fault::Processor(words.slave()?, words.number()?),
         "sii" => Fault::Sii(words.slave()?, words.choice(&SII_FAULTS)?),
@@ -536,6 +538,7 @@ mod tests {
             "frame 1 reflect",
             "ms 1 crc 0 2",
             "ms 1 swap 1 cia402",
+            "ms 1 fall 1 init 0x1D",
             "ms 1 refuse 1 safeop 0x1D",
             "ms 1 pdi 1 20",
             "ms 1 sii 1 damaged",

@@ -3,6 +3,7 @@
 //! A frame passes the slaves in order, whole, and comes back; the first controller marks its source address. Cables
 //! and power decide how far it gets, the script what else happens to it.
 
+use super::application::AlState;
 use super::damage;
 use super::datagram::{Datagrams, mark_processed};
 use super::drive::Drive;
@@ -147,7 +148,8 @@ impl Segment {
             Fault::Remove(slave) => self.set_removed(slave, true),
             Fault::Insert(slave) => self.set_removed(slave, false),
             Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
-            Fault::Retreat(slave, code) => self.with(slave, |slave| slave.retreat(code)),
+            Fault::Retreat(slave, code) => self.with(slave, |slave| slave.fall(AlState::SafeOperational, code)),
+            Fault::Fall(slave, state, code) => self.with(slave, |slave| slave.fall(state, code)),
             Fault::Silence(slave, ms) => self.with(slave, |slave| slave.silence(ms)),
             Fault::Drive(slave, code) => self.with_drive(slave, |drive| drive.fault(code)),
             Fault::Resolver(slave, fault, ms) => self.with_drive(slave, |drive| drive.set_resolver_fault(fault, ms)),

@@ -176,9 +176,9 @@ impl Slave {
         self.show_state();
     }
 
-    /// Falls back to SAFEOP with an AL status code.
-    pub(super) fn retreat(&mut self, code: u16) {
-        self.application.retreat(AlState::SafeOperational, code);
+    /// Falls back to a state, if it is in a higher one, with an AL status code.
+    pub(super) fn fall(&mut self, state: AlState, code: u16) {
+        self.application.retreat(state, code);
         self.show_state();
     }
 
