@@ -284,6 +284,11 @@ pub fn fault(fault: &Fault) -> String {
                                 move anything; check the board's USB supply, then reset the board"
                 .into()
         }
+        Fault::OtherProduct { slave, expected, found } if expected == found => format!(
+            "slave {} has the product code of before ({found:#010x}) and otherwise tells another identity: it is of another \
+             vendor or its information memory is damaged; put the right one back, then acknowledge",
+            one(slave)
+        ),
         Fault::OtherProduct { slave, expected, found } => format!(
             "slave {} is another product than before (product code {found:#010x}, expected {expected:#010x}); put the right \
              one back, then acknowledge",
@@ -558,6 +563,12 @@ mod tests {
             other.contains("slave 2 ") && other.contains("0x044c2c52, expected 0x07d06014"),
             "{other}"
         );
+        let damaged = fault(&Fault::OtherProduct {
+            slave: 1,
+            expected: 0x07D0_6014,
+            found: 0x07D0_6014,
+        });
+        assert!(damaged.contains("slave 2 ") && damaged.contains("vendor"), "{damaged}");
         let late = fault(&Fault::RepairTimeout { waited_ms: 10_000 });
         assert!(
             late.contains("10000 ms") && late.contains("acknowledge again"),

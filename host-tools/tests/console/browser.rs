@@ -250,6 +250,18 @@ impl Browser {
         self.window(width, height.unwrap_or(whole));
         std::thread::sleep(Duration::from_millis(700));
         self.until("!document.querySelector('.toast')");
+        self.capture(path);
+    }
+
+    /// A picture of what the window shows now, where `ETHERPEN_SCREENSHOTS` names a folder to keep it in.
+    pub(crate) fn keep(&mut self, name: &str) {
+        if let Some(folder) = std::env::var_os("ETHERPEN_SCREENSHOTS") {
+            let plain = name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+            self.capture(&Path::new(&folder).join(format!("{plain}.png")));
+        }
+    }
+
+    fn capture(&mut self, path: &Path) {
         let shot = self.call("Page.captureScreenshot", json!({"format": "png"}));
         let bytes = base64(shot["data"].as_str().expect("a picture"));
         std::fs::write(path, bytes).expect("the picture is written");

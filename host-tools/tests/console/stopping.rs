@@ -2,6 +2,8 @@
 //!
 //! What lies over the page is found, not listed: everything that opens something is pressed, and whatever is then in
 //! sight and was not before is an overlay. Whether the robot was stopped, the drives of the virtual cell say.
+//!
+//! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what lies over the page.
 
 use super::browser::Browser;
 use super::client::{Bench, Client, PATIENCE};
@@ -130,6 +132,7 @@ fn stops(browser: &mut Browser, bench: &Bench, helper: &mut Client, what: &str, 
         open(browser);
         assert_eq!(browser.value("search.stop()"), "", "{what}");
         assert!(has_power(bench), "nothing but STOP stops: {what}");
+        browser.keep(&format!("1 {what}"));
         match by_key {
             false => browser.click("#stop"),
             true => browser.key("Escape", ESCAPE),

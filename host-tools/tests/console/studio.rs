@@ -131,8 +131,10 @@ fn every_wish_plans_the_file_anew_and_the_last_one_wins() {
     ));
     browser.click("#options choice-list button");
     browser.click("#options choice-list li[data-value=hatch]");
+    browser.keep("12 while it is planned");
     browser.until("darkest !== null");
     browser.until(&is("hatch", "60mm"));
+    browser.keep("12 planned");
     let dimmed = browser.value("darkest").as_f64().unwrap();
     println!("darkest of the sheet: preview {drawn}, while it is planned anew {dimmed}");
     assert!(drawn < 120.0 && dimmed > drawn + 60.0, "{drawn}, {dimmed}");
