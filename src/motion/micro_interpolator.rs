@@ -136,6 +136,11 @@ impl Stretch {
         self.end_squared
     }
 
+    /// mm/s2.
+    pub(crate) fn acceleration(&self) -> f64 {
+        self.acceleration
+    }
+
     /// Place on the path, mm from where the stretches are counted.
     pub(crate) fn offset_mm(&self) -> f64 {
         if self.complete() {

@@ -81,6 +81,8 @@ pub(crate) struct Plan {
     offset_mm: f64,
     squared: f64,
     stretch: Option<Stretch>,
+    /// Acceleration of the last stretch, where that ended within the present interval.
+    under_way: Option<f64>,
     /// What the present stretch was chosen for.
     pace: Pace,
     pause: Option<Pause>,
@@ -106,6 +108,7 @@ impl Plan {
             offset_mm: 0.0,
             squared: 0.0,
             stretch: None,
+            under_way: None,
             pace: Pace::Go,
             pause: None,
             rest: PathSample::NONE,
@@ -133,6 +136,7 @@ impl Plan {
         self.offset_mm = 0.0;
         self.squared = 0.0;
         self.stretch = None;
+        self.under_way = None;
         self.pause = None;
         self.planned = self.wanted;
         self.course.angle = place.heading;
@@ -161,6 +165,7 @@ impl Plan {
         if let Some(stretch) = self.stretch.take() {
             self.offset_mm = stretch.offset_mm();
             self.squared = moving(stretch.squared());
+            self.under_way = Some(stretch.acceleration());
         }
     }
 
@@ -241,27 +246,9 @@ impl Plan {
             middle: Middle::NONE,
         };
         if span.curved {
-            let mut row = self.row_at(piece, span.middle_parameter());
             let before = self.points.last_mut().map_or(0.0, |last| last.row.curvature);
-            let bulge = 2.0 * row.curvature - before - end.row.curvature;
-            row.curvature += BULGE_PART * bulge.max(0.0);
-            let (steep, half_mm) = (end.row.curvature - before, 0.5 * span.length_mm);
-            let slow = SMOOTHED_S * SMOOTHED_S * self.limits.acceleration;
-            if half_mm * half_mm * row.curvature > slow {
-                row.curvature += STEEP_PART * (steep * steep / row.curvature + bulge.abs());
-            }
-            let cap = self.limits.cap(&row);
-            span.middle = Middle {
-                joints: row.joints,
-                curvature: row.curvature,
-                cap: if span.lifts {
-                    self.limits.cap_pen(cap, &row)
-                } else {
-                    cap
-                },
-                rise: row.rise,
-                rise_change: row.rise_change,
-            };
+            let curvatures = [before, end.row.curvature];
+            span.middle = self.middle(piece, span.middle_parameter(), curvatures, span.length_mm, span.lifts);
         }
         let (limits, course) = (&self.limits, &mut self.course);
         if let Some(last) = self.points.last_mut() {
@@ -319,6 +306,27 @@ impl Plan {
             turn: 0.0,
             rise: frame.tangent[2],
             rise_change: frame.bend[2],
+        }
+    }
+
+    /// What holds in the middle of a curve's part, for its parameter there, the curvature at both ends, and its length.
+    fn middle(&self, piece: &Piece, parameter: f64, ends: [f64; 2], length_mm: f64, lifts: bool) -> Middle {
+        let mut row = self.row_at(piece, parameter);
+        let [before, after] = ends;
+        let bulge = 2.0 * row.curvature - before - after;
+        row.curvature += BULGE_PART * bulge.max(0.0);
+        let (steep, half_mm) = (after - before, 0.5 * length_mm);
+        let slow = SMOOTHED_S * SMOOTHED_S * self.limits.acceleration;
+        if half_mm * half_mm * row.curvature > slow {
+            row.curvature += STEEP_PART * (steep * steep / row.curvature + bulge.abs());
+        }
+        let cap = self.limits.cap(&row);
+        Middle {
+            joints: row.joints,
+            curvature: row.curvature,
+            cap: if lifts { self.limits.cap_pen(cap, &row) } else { cap },
+            rise: row.rise,
+            rise_change: row.rise_change,
         }
     }
 
@@ -417,6 +425,7 @@ impl Plan {
                 break;
             }
             self.squared = moving(stretch.end_squared());
+            self.under_way = Some(stretch.acceleration());
             self.stretch = None;
             self.arrive();
             if left_s <= 0.0 {
@@ -451,6 +460,7 @@ impl Plan {
         }
         self.place = self.place.wrapping_add(1);
         self.offset_mm = 0.0;
+        self.under_way = None;
     }
 
     /// Chooses the acceleration from the present place to the next point; `false` where the motion rests.
@@ -473,18 +483,21 @@ impl Plan {
         }
         let x = self.squared;
         let start = self.row_here(here);
-        let interval = here.interval(&self.limits, &start, next, self.offset_mm);
+        let mut interval = here.interval(&self.limits, &start, next, self.offset_mm);
+        if here.span.curved && interval.middle.is_none() {
+            interval.middle = self.middle_of_rest(here, &start, &next.row, left_mm);
+        }
         let ends = next_number.wrapping_add(1) == self.points.end() && !next.stop;
         let stretch = match pace {
             Pace::Brake if x <= 0.0 => return false,
-            Pace::Brake => braking(&interval, self.offset_mm, x),
+            Pace::Brake => braking(&interval, self.offset_mm, x, self.under_way),
             // Nothing is known of what follows.
             Pace::Go if x <= 0.0 && next.reach <= 0.0 && ends => return false,
             Pace::Go => {
                 let cap = here.cap.min(next.cap).min(here.nominal * self.planned * self.planned);
                 let ratio = (self.wanted / self.planned).min(1.0);
                 over_the_middle(&interval, self.offset_mm, x, cap)
-                    .unwrap_or_else(|| going(&interval, self.offset_mm, x, ratio * ratio))
+                    .unwrap_or_else(|| going(&interval, self.offset_mm, x, ratio * ratio, self.under_way))
             }
         };
         if !stretch.valid() {
@@ -505,6 +518,16 @@ impl Plan {
             turn: here.row.turn + here.span.turn_change * self.offset_mm,
             ..row
         }
+    }
+
+    /// What holds in the middle of what is left of an interval, where the interval's own middle is passed.
+    fn middle_of_rest(&self, here: &GridPoint, start: &Row, end: &Row, left_mm: f64) -> Option<(Middle, f64)> {
+        let piece = self.pieces.get(here.span.piece)?;
+        let ahead_mm = 0.5 * left_mm;
+        let parameter = here.span.parameter_at(piece, self.offset_mm + ahead_mm);
+        let curvatures = [start.curvature, end.curvature];
+        let middle = self.middle(piece, parameter, curvatures, left_mm, here.span.lifts);
+        Some((middle, ahead_mm))
     }
 
     /// The pause between arriving at a stop and departing from it, where there is one.

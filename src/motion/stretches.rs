@@ -13,29 +13,40 @@ pub(super) const STRETCH_MAX_S: f64 = 0.12;
 /// middle first. Going evenly from end to end would take more than five times as long, from rest to rest for ever.
 const SLOW_PART: f64 = 0.01;
 
+/// Lowest and highest acceleration from a squared speed. The one under way was chosen for the whole interval and stays
+/// allowed: where the limits are used up, rounding leaves of them too little, and there would be no other.
+fn allowed(interval: &Interval<'_>, x: f64, under_way: Option<f64>) -> (f64, f64) {
+    let range = interval.range(x);
+    let planned = (interval.end_squared - x) / (2.0 * interval.length_mm);
+    match under_way.map(|acceleration| acceleration.min(planned)) {
+        Some(kept) => (range.low.min(kept), range.high.max(kept)),
+        None => (range.low, range.high),
+    }
+}
+
 /// The stretch that slows down from a squared speed as the limits allow, to rest where the interval is long enough.
-pub(super) fn braking(interval: &Interval<'_>, offset_mm: f64, x: f64) -> Stretch {
+pub(super) fn braking(interval: &Interval<'_>, offset_mm: f64, x: f64, under_way: Option<f64>) -> Stretch {
     let braking = interval.braking(x);
     if x + 2.0 * interval.length_mm * braking <= 0.0 {
         Stretch::new(offset_mm, -x / (2.0 * braking), x, 0.0)
     } else {
-        let range = interval.range(x);
-        Stretch::to(offset_mm, interval.length_mm, x, range.low.min(range.high))
+        let (low, high) = allowed(interval, x, under_way);
+        Stretch::to(offset_mm, interval.length_mm, x, low.min(high))
     }
 }
 
 /// The stretch to the interval's end, with `part` of the squared speed that is planned there.
-pub(super) fn going(interval: &Interval<'_>, offset_mm: f64, x: f64, part: f64) -> Stretch {
-    let range = interval.range(x);
+pub(super) fn going(interval: &Interval<'_>, offset_mm: f64, x: f64, part: f64, under_way: Option<f64>) -> Stretch {
+    let (low, high) = allowed(interval, x, under_way);
     let target_squared = part * interval.end_squared;
     let acceleration = |end_squared: f64| (end_squared - x) / (2.0 * interval.length_mm);
     let target = acceleration(target_squared);
     // A lower speed than the planned one is reached as fast as the limits allow; the planned one always is.
-    let lowest = range.low.min(acceleration(interval.end_squared));
-    let even = if target >= lowest && target <= range.high {
+    let lowest = low.min(acceleration(interval.end_squared));
+    let even = if target >= lowest && target <= high {
         Stretch::new(offset_mm, interval.length_mm, x, target_squared)
     } else {
-        Stretch::to(offset_mm, interval.length_mm, x, target.max(lowest).min(range.high))
+        Stretch::to(offset_mm, interval.length_mm, x, target.max(lowest).min(high))
     };
     if even.duration_s() <= STRETCH_MAX_S {
         return even;

@@ -107,8 +107,8 @@ pub(super) fn duration_with_rests_s(config: &Config, path: &[Vertex]) -> f64 {
     path.windows(2).map(leg_s).sum()
 }
 
-/// Runs a path to its end; how long that took and how long it may take, s.
-fn run_to_its_end(config: &Config, path: &[Vertex], name: &str) -> (Run, f64) {
+/// Runs a path to its end; the part of the time that it may take.
+pub(super) fn run_to_its_end(config: &Config, path: &[Vertex], name: &str) -> (Run, f64) {
     let bound_s = SLOWER * duration_with_rests_s(config, path) + BESIDE_S;
     let mut run = Run::new(config, path);
     run.feed(usize::MAX);
@@ -130,31 +130,36 @@ fn run_to_its_end(config: &Config, path: &[Vertex], name: &str) -> (Run, f64) {
     );
 }
 
-fn check_end(run: &Run, name: &str) {
-    run.check_limits(name);
-    tolerance::check_distances(run, name);
+/// Checks all that holds at a walk's end; gives the largest parts of its limits and of its tolerance.
+pub(super) fn check_end(run: &Run, name: &str) -> ([f64; KINDS], (f64, f64)) {
+    let parts = run.check_limits(name);
+    let distances = tolerance::check_distances(run, name);
     let last = run.path.last().unwrap().position.into();
     let away = length(&subtract(&run.end(), &last));
     // A vertex that repeats the one before is merged with it.
     assert!(away < 2.0 * LEG_MIN_MM, "{name}: ends {away} mm away");
     assert_eq!(run.trajectory.executed() as usize, run.path.len(), "{name}");
     assert_eq!(run.trajectory.underruns(), 0, "{name}");
+    (parts, distances)
 }
 
 #[test]
 fn noise_of_every_scale_ends_at_its_last_vertex_in_bounded_time() {
-    let (mut count, mut longest) = (0, 0.0_f64);
+    let (mut count, mut longest, mut worst, mut apart) = (0, 0.0_f64, [0.0_f64; KINDS], (0.0_f64, 0.0_f64));
     for seed in walks() {
         let mut random = Random::new(seed);
         let config = limits(&mut random);
         let path = walk(&mut random);
         let name = format!("walk {seed}");
         let (run, part) = run_to_its_end(&config, &path, &name);
-        check_end(&run, &name);
+        let (parts, distances) = check_end(&run, &name);
+        worst = core::array::from_fn(|kind| worst[kind].max(parts[kind]));
+        apart = (apart.0.max(distances.0), apart.1.max(distances.1));
         longest = longest.max(part);
         count += 1;
     }
-    println!("{count} walks, the longest took {longest:.3} of its bound");
+    println!("{count} walks, the longest took {longest:.3} of its bound, worst parts of the limits {worst:.4?}");
+    println!("worst parts of the tolerance: reference to line {:.4}, vertex to reference {:.4}", apart.0, apart.1);
 }
 
 #[test]
@@ -166,74 +171,85 @@ fn a_recorded_walk_of_ten_micrometres_with_reversals_ends() {
     println!("{:.3} s, {part:.3} of its bound", run.duration_s());
 }
 
+/// A walk with an override and a hold or a cancel somewhere in it; what it took to come to rest, ms, and the largest parts
+/// of its limits. None where it had ended before.
+pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
+    let mut random = Random::new(seed);
+    let config = limits(&mut random);
+    let path = walk(&mut random);
+    let name = format!("walk {seed}");
+    let bound_s = SLOWER * duration_with_rests_s(&config, &path) + BESIDE_S;
+    let periods = (bound_s / (PERIOD_MS as f64 * TICK_S)) as usize + 1;
+    let mut run = Run::new(&config, &path);
+    run.command(MotionCommand::Start);
+    for _ in 0..random.below(periods.min(200)) {
+        run.feed(usize::MAX);
+        run.step();
+    }
+    let before = run.references.len();
+    let percent = 10 + random.below(191) as u8;
+    let _ = run.trajectory.command(MotionCommand::Override(percent));
+    run.step();
+    let cancels = random.below(2) == 0;
+    let command = if cancels {
+        MotionCommand::Cancel
+    } else {
+        MotionCommand::Hold
+    };
+    if run.trajectory.state() != MotionState::Running {
+        return None;
+    }
+    run.command(command);
+    // From the fastest that there is to a rest, the turn of the fourth axis at a stop, and the lift of the pen.
+    let motion = &config.motion;
+    let turn_acceleration = motion.joint_acceleration_rad_s2[3];
+    let brake_s = 2.0 * motion.speed_mm_s / motion.acceleration_mm_s2 + 4.0 * libm::sqrt(PI / turn_acceleration) + 3.0;
+    for _ in 0..(brake_s / (PERIOD_MS as f64 * TICK_S)) as usize {
+        run.feed(if cancels { 0 } else { usize::MAX });
+        run.step();
+        if matches!(run.trajectory.state(), MotionState::Held | MotionState::Idle) {
+            break;
+        }
+    }
+    let state = run.trajectory.state();
+    assert!(
+        matches!(state, MotionState::Idle) || !cancels && state == MotionState::Held,
+        "{name}: {state:?} after {command:?} and {brake_s} s"
+    );
+    let rest_ms = run.references.len() - before;
+    if state == MotionState::Held {
+        resume_to_the_end(&mut run, periods, &name);
+    }
+    run.config.motion.speed_mm_s *= 2.0;
+    run.config.motion.travel_speed_mm_s *= 2.0;
+    Some((rest_ms, run.check_limits(&name)))
+}
+
+pub(super) fn resume_to_the_end(run: &mut Run, periods: usize, name: &str) {
+    run.command(MotionCommand::Override(100));
+    run.command(MotionCommand::Resume);
+    let left = periods + (4.0 / (PERIOD_MS as f64 * TICK_S)) as usize;
+    for _ in 0..left {
+        run.feed(usize::MAX);
+        run.step();
+        if run.trajectory.state() == MotionState::Idle {
+            break;
+        }
+    }
+    assert_eq!(run.trajectory.state(), MotionState::Idle, "{name}: after the resume");
+    assert_eq!(run.trajectory.executed() as usize, run.path.len(), "{name}");
+}
+
 /// What is commanded in the middle of a walk comes to its end as if the walk were a line.
 #[test]
 fn hold_cancel_and_override_act_in_the_middle_of_noise() {
-    let mut slowest_ms = 0;
-    for seed in walks() {
-        let mut random = Random::new(seed);
-        let config = limits(&mut random);
-        let path = walk(&mut random);
-        let name = format!("walk {seed}");
-        let bound_s = SLOWER * duration_with_rests_s(&config, &path) + BESIDE_S;
-        let periods = (bound_s / (PERIOD_MS as f64 * TICK_S)) as usize + 1;
-        let mut run = Run::new(&config, &path);
-        run.command(MotionCommand::Start);
-        for _ in 0..random.below(periods.min(200)) {
-            run.feed(usize::MAX);
-            run.step();
-        }
-        let before = run.references.len();
-        let percent = 10 + random.below(191) as u8;
-        let _ = run.trajectory.command(MotionCommand::Override(percent));
-        run.step();
-        let cancels = random.below(2) == 0;
-        let command = if cancels {
-            MotionCommand::Cancel
-        } else {
-            MotionCommand::Hold
-        };
-        if run.trajectory.state() != MotionState::Running {
-            continue;
-        }
-        run.command(command);
-        // From the fastest that there is to a rest, the turn of the fourth axis at a stop, and the lift of the pen.
-        let motion = &config.motion;
-        let turn_acceleration = motion.joint_acceleration_rad_s2[3];
-        let brake_s =
-            2.0 * motion.speed_mm_s / motion.acceleration_mm_s2 + 4.0 * libm::sqrt(PI / turn_acceleration) + 3.0;
-        for _ in 0..(brake_s / (PERIOD_MS as f64 * TICK_S)) as usize {
-            run.feed(if cancels { 0 } else { usize::MAX });
-            run.step();
-            if matches!(run.trajectory.state(), MotionState::Held | MotionState::Idle) {
-                break;
-            }
-        }
-        let state = run.trajectory.state();
-        assert!(
-            matches!(state, MotionState::Idle) || !cancels && state == MotionState::Held,
-            "{name}: {state:?} after {command:?} and {brake_s} s"
-        );
-        slowest_ms = slowest_ms.max(run.references.len() - before);
-        if state == MotionState::Held {
-            run.command(MotionCommand::Override(100));
-            run.command(MotionCommand::Resume);
-            let left = periods + (4.0 / (PERIOD_MS as f64 * TICK_S)) as usize;
-            for _ in 0..left {
-                run.feed(usize::MAX);
-                run.step();
-                if run.trajectory.state() == MotionState::Idle {
-                    break;
-                }
-            }
-            assert_eq!(run.trajectory.state(), MotionState::Idle, "{name}: after the resume");
-            assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
-        }
-        run.config.motion.speed_mm_s *= 2.0;
-        run.config.motion.travel_speed_mm_s *= 2.0;
-        run.check_limits(&name);
+    let (mut count, mut slowest_ms, mut worst) = (0, 0, [0.0_f64; KINDS]);
+    for (rest_ms, parts) in walks().filter_map(commanded) {
+        count += 1;
+        slowest_ms = slowest_ms.max(rest_ms);
+        worst = core::array::from_fn(|kind| worst[kind].max(parts[kind]));
     }
-    println!("at rest after {slowest_ms} ms at most");
+    println!("{count} commanded walks, at rest after {slowest_ms} ms at most, worst parts of the limits {worst:.4?}");
 }
 
 /// A line at 1 mm/s takes two seconds from one point of the grid to the next.
