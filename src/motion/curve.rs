@@ -7,6 +7,9 @@ use crate::robot::vector::{Vector, add_scaled, dot, length, root, scale, subtrac
 
 /// Coefficients of a curve.
 const COEFFICIENTS: usize = 6;
+/// Newton steps to the parameter at which a curve reaches a point: a spline's legs differ by a factor of six at most, and its
+/// first step is then a fifth too short.
+const REACH_STEPS: usize = 4;
 /// Offset and weights of three-point Gauss quadrature.
 const GAUSS_OFFSET: f64 = 0.774_596_669_241_483_4;
 const GAUSS_OUTER: f64 = 5.0 / 9.0;
@@ -161,6 +164,20 @@ impl Curve {
     /// Arc length for a unit of the parameter at a parameter, mm.
     pub(crate) fn stretch(&self, parameter: f64) -> f64 {
         length(&self.first_derivative(parameter))
+    }
+
+    /// Parameter at which a curve that begins before a point is beside it, seen across a direction.
+    pub(crate) fn reaches(&self, point: &Vector, direction: &Vector) -> f64 {
+        let mut parameter = 0.0;
+        for _ in 0..REACH_STEPS {
+            let left = dot(&subtract(point, &self.at(parameter)), direction);
+            let pace = dot(&self.first_derivative(parameter), direction);
+            if pace <= 0.0 {
+                break;
+            }
+            parameter = (parameter + left / pace).clamp(0.0, 1.0);
+        }
+        parameter
     }
 
     /// Frame at a parameter.

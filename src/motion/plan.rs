@@ -448,7 +448,7 @@ impl Plan {
             && point.span.length_mm > 0.0
         {
             let [_, to] = point.span.parameter;
-            let mut label = if to > 0.5 { piece.exit } else { piece.entry };
+            let mut label = piece.label_at(to);
             if to >= 1.0 {
                 label.vertex = piece.vertex_after;
             }
@@ -566,7 +566,7 @@ impl Plan {
         PathSample {
             point: piece.curve.at(parameter),
             heading: point.heading_at(self.offset_mm),
-            label: if parameter > 0.5 { piece.exit } else { piece.entry },
+            label: piece.label_at(parameter),
         }
     }
 }

@@ -29,6 +29,8 @@ const STOP_TURN_COSINE: f64 = -0.965_925_826_289_068_3;
 const STRAIGHT_SINE: f64 = 1.0e-7;
 /// Part of a leg that each of its two blends may take.
 const BLEND_LEG_PART: f64 = 0.5 * (1.0 - 1.0e-9);
+/// Part of the way between two control points by which a knot may be before the one between them through rounding.
+const KNOT_ROUNDING: f64 = 1.0e-9;
 /// Lines shorter than this are left out, mm.
 const LINE_MIN_MM: f64 = 1.0e-6;
 /// Length that one interval of the grid spans at most on a curve, mm.
@@ -101,10 +103,12 @@ pub(crate) struct Piece {
     pub(crate) curve: Curve,
     /// Intervals that the grid divides it into, evenly in the parameter.
     pub(crate) intervals: u16,
-    /// Label of the first half.
+    /// Label at its beginning.
     pub(crate) entry: Label,
-    /// Label of the second half.
+    /// Label from `exit_from` on.
     pub(crate) exit: Label,
+    /// Parameter at which the vertex is reached that the labels change at.
+    pub(crate) exit_from: f64,
     /// Vertices executed at its end.
     pub(crate) vertex_after: u32,
     /// The path rests at its end.
@@ -121,6 +125,7 @@ impl Piece {
         intervals: 0,
         entry: Label::NONE,
         exit: Label::NONE,
+        exit_from: 0.0,
         vertex_after: 0,
         stop_after: false,
         dwell_after: false,
@@ -129,6 +134,15 @@ impl Piece {
 }
 
 impl Piece {
+    /// Label at a parameter.
+    pub(crate) fn label_at(&self, parameter: f64) -> Label {
+        if parameter > self.exit_from {
+            self.exit
+        } else {
+            self.entry
+        }
+    }
+
     /// Whether the pen may be lifted or lowered on it.
     pub(crate) fn lifts(&self) -> bool {
         !(self.entry.pen == Pen::Down && self.exit.pen == Pen::Down)
@@ -160,8 +174,8 @@ enum Passage {
 enum Start {
     /// On the leg, this far from its first vertex, mm.
     Straight { trim: f64 },
-    /// In a run of the spline, whose control point before the vertex this is.
-    Spline { before: Vector },
+    /// In a run of the spline: its control point before the vertex, and the vertices executed on the leg that led there.
+    Spline { before: Vector, passed: u32 },
 }
 
 /// Shapes one leg at a time.
@@ -245,11 +259,12 @@ impl Shaper {
         self.start = match (passage, self.start) {
             (Passage::Stop, _) => Start::Straight { trim: 0.0 },
             (Passage::Corner { trim, .. }, _) => Start::Straight { trim },
-            (Passage::Smooth, Start::Straight { .. }) => Start::Spline {
-                before: middle(&self.node.point, &end.point),
-            },
-            (Passage::Smooth, Start::Spline { .. }) => Start::Spline {
-                before: self.node.point,
+            (Passage::Smooth, start) => Start::Spline {
+                before: match start {
+                    Start::Straight { .. } => middle(&self.node.point, &end.point),
+                    Start::Spline { .. } => self.node.point,
+                },
+                passed: self.node.count,
             },
         };
         self.node = end;
@@ -341,7 +356,19 @@ impl Shaper {
                 (false, true) => SPAN_INTERVALS,
                 (false, false) => UNEVEN_SPAN_INTERVALS,
             };
-            Some(piece(curve, curve_intervals(leg_length, at_least), label))
+            let mut span = piece(curve, curve_intervals(leg_length, at_least), label);
+            if let Start::Spline { passed, .. } = self.start
+                && let Some(reached) =
+                    late(&control[0], &control[1], &control[2]).map(|onward| curve.reaches(&control[1], &onward))
+            {
+                span.exit_from = reached;
+                span.entry = Label {
+                    stroke: self.node.stroke,
+                    pen: self.node.pen,
+                    vertex: passed,
+                };
+            }
+            Some(span)
         };
         let direction_after = after.map(|after| {
             let leg = subtract(&after.point, &end.point);
@@ -361,8 +388,10 @@ impl Shaper {
         let (first, second) = match (self.start, control) {
             (Start::Straight { trim }, None) => (line(begin(trim), close(trim_after)), None),
             (Start::Straight { trim }, Some(next)) => (line(begin(trim), half), span([*from, half, end.point, next])),
-            (Start::Spline { before }, Some(next)) => (span([before, *from, end.point, next]), None),
-            (Start::Spline { before }, None) => (span([before, *from, half, end.point]), line(half, close(trim_after))),
+            (Start::Spline { before, .. }, Some(next)) => (span([before, *from, end.point, next]), None),
+            (Start::Spline { before, .. }, None) => {
+                (span([before, *from, half, end.point]), line(half, close(trim_after)))
+            }
         };
         let third = match (passage, after, direction_after) {
             (Passage::Corner { trim, shape }, Some(after), Some(direction_after)) if trim > 0.0 => {
@@ -376,6 +405,7 @@ impl Shaper {
                     (_, true) => SHARP_BLEND_INTERVALS,
                 };
                 let mut blend = piece(curve, curve_intervals(2.0 * trim, at_least), label);
+                blend.exit_from = 0.5;
                 blend.exit = Label {
                     stroke: after.stroke,
                     pen: after.pen,
@@ -398,7 +428,12 @@ impl Shaper {
             }
         }
         if let Some(last) = pieces.last_mut() {
-            last.vertex_after = end.count;
+            let knot = match (self.start, control) {
+                (_, None) => None,
+                (Start::Straight { .. }, Some(next)) => late(&half, &end.point, &next),
+                (Start::Spline { .. }, Some(next)) => late(from, &end.point, &next),
+            };
+            last.vertex_after = if knot.is_some() { label.vertex } else { end.count };
             last.stop_after = matches!(passage, Passage::Stop);
             last.dwell_after = last.stop_after && self.dwells && after.is_some_and(|after| after.pen != end.pen);
         }
@@ -412,11 +447,20 @@ fn piece(curve: Curve, intervals: u16, label: Label) -> Piece {
         intervals,
         entry: label,
         exit: label,
+        exit_from: 0.0,
         vertex_after: label.vertex,
         stop_after: false,
         dwell_after: false,
         turn_to: None,
     }
+}
+
+/// The spline's way past a control point, from the one before to the one after, where the knot between its spans lies before
+/// the place at which it passes the point; none where it lies behind.
+fn late(before: &Vector, point: &Vector, after: &Vector) -> Option<Vector> {
+    let onward = subtract(after, before);
+    let second = subtract(&add(before, after), &scale(point, 2.0));
+    (dot(&second, &onward) < -KNOT_ROUNDING * dot(&onward, &onward)).then_some(onward)
 }
 
 fn unit(vector: &Vector, length: f64) -> Vector {

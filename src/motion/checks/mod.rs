@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod commands;
+mod executed;
 mod noise;
 mod orientation;
 mod paths;

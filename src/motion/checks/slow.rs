@@ -69,3 +69,53 @@ fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
     }
     println!("worst parts of the acceleration limit, without and with an average: {worst:?}");
 }
+
+/// Runs with a speed that is asked for anew again and again; `change` gives it for a period, if it changes there.
+fn run_with_overrides(config: &Config, path: &[Vertex], mut change: impl FnMut(usize) -> Option<u8>) -> Run {
+    let mut run = Run::new(config, path);
+    run.command(MotionCommand::Start);
+    for period in 0..PERIODS_MAX {
+        run.feed(usize::MAX);
+        if let Some(percent) = change(period) {
+            run.command(MotionCommand::Override(percent));
+        }
+        run.step();
+        if run.trajectory.state() == MotionState::Idle {
+            return run;
+        }
+    }
+    panic!("{} of {} executed", run.trajectory.executed(), path.len());
+}
+
+/// Where the limits are used up, a new choice of the acceleration finds almost nothing left of them.
+#[test]
+fn speeds_that_change_all_the_time_keep_the_acceleration() {
+    let mut worst = 0.0_f64;
+    for seed in (1..40).chain([308, 525, 905, 1596, 2334, 2513, 2784]) {
+        let mut random = Random::new(seed);
+        let mut config = Config::default();
+        let motion = &mut config.motion;
+        motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.3, 3.5));
+        motion.speed_mm_s = libm::pow(10.0, random.between(0.5, 2.5));
+        motion.tolerance_mm = libm::pow(10.0, random.between(-2.0, -0.2));
+        motion.jerk_window_ms = [0, 0, 4][random.below(3)];
+        let scale_mm = motion.tolerance_mm * libm::pow(10.0, random.between(-0.3, 1.5));
+        let (mut at, mut heading, mut path) = ([0.0, 0.0], 0.0, Vec::new());
+        for _ in 0..40 {
+            path.push(down(at[0], at[1]));
+            heading += random.between(-2.8, 2.8);
+            let leg_mm = scale_mm * random.between(0.5, 1.5);
+            at[0] += leg_mm * libm::cos(heading);
+            at[1] += leg_mm * libm::sin(heading);
+        }
+        let (part, at) = peak(&run_with_overrides(&config, &path, |_| {
+            (random.below(3) == 0).then(|| match random.below(2) {
+                0 => 99 + random.below(3) as u8,
+                _ => 50 + random.below(151) as u8,
+            })
+        }));
+        assert!(part <= 1.0 + EXCESS, "seed {seed}: {part} of the limit at {at} ms");
+        worst = worst.max(part);
+    }
+    println!("worst part of the acceleration limit: {worst}");
+}
