@@ -9,7 +9,7 @@
 //! is the path's at the ends of a pair, and the slope in its middle is what leads from the one to the other.
 
 use super::limits::Limits;
-use super::shaping::Piece;
+use super::shaping::{Change, Piece};
 use crate::robot::vector::{Vector, length, root, scale};
 use core::f64::consts::{PI, TAU};
 
@@ -168,7 +168,7 @@ impl Course {
     /// Angle and slope that the axis is to have at a parameter of a piece.
     fn at(&self, piece: &Piece, parameter: f64) -> (f64, f64) {
         let frame = piece.curve.frame(parameter);
-        if let Some(target) = piece.turn_to {
+        if let Change::Turn(target) = piece.change {
             let turn = turn_to(self.piece_angle, target);
             let square = parameter * parameter;
             let angle = self.piece_angle + turn * square * (3.0 - 2.0 * parameter);

@@ -97,6 +97,17 @@ impl Label {
     };
 }
 
+/// What changes on the way over a piece.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) enum Change {
+    #[default]
+    None,
+    /// The fourth axis, where it follows the path, turns to this direction, rad: a vertical line has none.
+    Turn(f64),
+    /// The labels, at this parameter: there a vertex is reached.
+    Labels(f64),
+}
+
 /// A piece of the shaped path.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Piece {
@@ -105,18 +116,15 @@ pub(crate) struct Piece {
     pub(crate) intervals: u16,
     /// Label at its beginning.
     pub(crate) entry: Label,
-    /// Label from `exit_from` on.
+    /// Label at its end.
     pub(crate) exit: Label,
-    /// Parameter at which the vertex is reached that the labels change at.
-    pub(crate) exit_from: f64,
     /// Vertices executed at its end.
     pub(crate) vertex_after: u32,
     /// The path rests at its end.
     pub(crate) stop_after: bool,
     /// The pen dwells there.
     pub(crate) dwell_after: bool,
-    /// Direction that the fourth axis, where it follows the path, turns to on this piece: a vertical line has none.
-    pub(crate) turn_to: Option<f64>,
+    pub(crate) change: Change,
 }
 
 impl Piece {
@@ -125,21 +133,19 @@ impl Piece {
         intervals: 0,
         entry: Label::NONE,
         exit: Label::NONE,
-        exit_from: 0.0,
         vertex_after: 0,
         stop_after: false,
         dwell_after: false,
-        turn_to: None,
+        change: Change::None,
     };
 }
 
 impl Piece {
     /// Label at a parameter.
     pub(crate) fn label_at(&self, parameter: f64) -> Label {
-        if parameter > self.exit_from {
-            self.exit
-        } else {
-            self.entry
+        match self.change {
+            Change::Labels(from) if parameter <= from => self.entry,
+            _ => self.exit,
         }
     }
 
@@ -361,7 +367,7 @@ impl Shaper {
                 && let Some(reached) =
                     late(&control[0], &control[1], &control[2]).map(|onward| curve.reaches(&control[1], &onward))
             {
-                span.exit_from = reached;
+                span.change = Change::Labels(reached);
                 span.entry = Label {
                     stroke: self.node.stroke,
                     pen: self.node.pen,
@@ -374,14 +380,17 @@ impl Shaper {
             let leg = subtract(&after.point, &end.point);
             unit(&leg, length(&leg))
         });
-        let turn_to = match heading::direction(&direction) {
-            None => direction_after.as_ref().and_then(heading::direction),
-            Some(_) => None,
+        let change = match heading::direction(&direction) {
+            None => direction_after
+                .as_ref()
+                .and_then(heading::direction)
+                .map_or(Change::None, Change::Turn),
+            Some(_) => Change::None,
         };
         let line = |from: Vector, to: Vector| {
             let line_length = length(&subtract(&to, &from));
             (line_length > LINE_MIN_MM).then(|| Piece {
-                turn_to,
+                change,
                 ..piece(Curve::line(&from, &to), line_intervals(line_length), label)
             })
         };
@@ -405,7 +414,7 @@ impl Shaper {
                     (_, true) => SHARP_BLEND_INTERVALS,
                 };
                 let mut blend = piece(curve, curve_intervals(2.0 * trim, at_least), label);
-                blend.exit_from = 0.5;
+                blend.change = Change::Labels(0.5);
                 blend.exit = Label {
                     stroke: after.stroke,
                     pen: after.pen,
@@ -447,11 +456,10 @@ fn piece(curve: Curve, intervals: u16, label: Label) -> Piece {
         intervals,
         entry: label,
         exit: label,
-        exit_from: 0.0,
         vertex_after: label.vertex,
         stop_after: false,
         dwell_after: false,
-        turn_to: None,
+        change: Change::None,
     }
 }
 
