@@ -15,9 +15,9 @@ const SLOWER: f64 = 4.0;
 /// What a walk takes beside its motion, s: averaging, and periods at its ends.
 const BESIDE_S: f64 = 0.12;
 
-/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, and an override in the second half of a
-/// slow blend's interval.
-const FARTHER: [u64; 2] = [4517, 2013];
+/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a slow
+/// blend's interval, and a fast average past repeated vertices.
+const FARTHER: [u64; 3] = [4517, 2013, 7682];
 
 fn walks() -> impl Iterator<Item = u64> {
     let asked = std::env::var(WALKS).ok().and_then(|text| text.parse().ok());

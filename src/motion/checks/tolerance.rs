@@ -8,7 +8,8 @@ use super::*;
 /// Variable that asks for another number of drawings than the one of the test suite.
 const DRAWINGS: &str = "ETHERPEN_TOLERANCE_DRAWINGS";
 const DRAWINGS_OF_THE_SUITE: u64 = 150;
-/// Vertices around the one that a reference reports among which its leg is looked for, and the reverse.
+/// Places around that of the vertex which a reference reports, among which its leg is looked for, and the reverse. Vertices
+/// that repeat one another are one place.
 const NEAR: usize = 3;
 
 /// Distance of a point from the line between two others.
@@ -25,10 +26,27 @@ fn apart(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     libm::sqrt(dx * dx + dy * dy + dz * dz)
 }
 
+/// Number of the place of each vertex, and of what is behind the last one.
+fn places(vertices: &[[f64; 3]]) -> Vec<usize> {
+    let (mut number, mut place) = (0, vertices[0]);
+    let mut numbers: Vec<usize> = vertices
+        .iter()
+        .map(|vertex| {
+            if apart(*vertex, place, place) >= LEG_MIN_MM {
+                (number, place) = (number + 1, *vertex);
+            }
+            number
+        })
+        .collect();
+    numbers.push(number + 1);
+    numbers
+}
+
 /// Largest distances with the pen down: of a reference from its legs, and of a vertex from the references around it.
 fn distances(run: &Run) -> (f64, f64) {
     let delta = Delta::new(&run.config.geometry).unwrap();
     let vertices: Vec<[f64; 3]> = run.path.iter().map(|vertex| vertex.position.into()).collect();
+    let places = places(&vertices);
     let mut off_legs = 0.0_f64;
     let mut nearest = std::vec![f64::INFINITY; vertices.len()];
     let mut before: Option<[f64; 3]> = None;
@@ -37,10 +55,12 @@ fn distances(run: &Run) -> (f64, f64) {
         // A millisecond may pass many vertices, and an average lies between those of its neighbours.
         let executed = |number: usize| run.references[number.min(run.references.len() - 1)].vertex as usize;
         let (first, last) = (executed(number.saturating_sub(1)), executed(number + 1));
-        let (from, to) = (
-            first.min(last).saturating_sub(NEAR),
-            (first.max(last) + NEAR).min(vertices.len()),
+        let (low, high) = (
+            places[first.min(last)].saturating_sub(NEAR),
+            places[first.max(last)] + NEAR,
         );
+        let from = places.partition_point(|place| *place < low);
+        let to = places.partition_point(|place| *place < high).min(vertices.len());
         let off = vertices[from..to]
             .windows(2)
             .map(|leg| apart(at, leg[0], leg[1]))
