@@ -8,6 +8,10 @@
 //! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
 //! turns may have been miscounted, whose feedback cannot be true, or whose drive was configured anew, is not referenced.
 
+mod findings;
+
+pub use findings::{Reading, ReferenceError};
+
 use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{FeedbackMonitor, Implausible};
@@ -46,21 +50,6 @@ const JUMP_SPEED: f64 = 1.5;
 /// Motor speed below which an axis is at rest, revolutions a second.
 const REST_REVOLUTIONS_S: f64 = 0.05;
 
-/// Why an axis could not be referenced.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ReferenceError {
-    /// No position came in this cycle.
-    NoPosition {
-        /// Axis, from 0.
-        axis: u8,
-    },
-    /// The axis moves.
-    Moving {
-        /// Axis, from 0.
-        axis: u8,
-    },
-}
-
 /// What a drive's digits are worth on an axis.
 #[derive(Clone, Copy, Debug)]
 struct Scale {
@@ -87,19 +76,6 @@ impl Scale {
             limit,
         })
     }
-}
-
-/// What an axis reported in this cycle.
-#[derive(Clone, Copy, Debug)]
-pub struct Reading {
-    /// Motor position, unwrapped.
-    pub increments: i64,
-    /// Joint angle, rad; before there is a reference from where the unwrapping began, good for differences.
-    pub angle_rad: f64,
-    /// Whether there is a reference.
-    pub referenced: bool,
-    /// The drive's status word.
-    pub status: StatusWord,
 }
 
 /// Where an axis's values are.

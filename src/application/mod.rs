@@ -28,8 +28,6 @@ pub const STANDSTILL_MAX_MS: u32 = 1_000;
 pub const ENABLE_MAX_MS: u32 = 3_000;
 /// Longest wait for the bus and the drives to recover after an acknowledgement, ms.
 pub const RECOVERY_MAX_MS: u32 = 10_000;
-/// AL state OP without the error flag.
-const AL_OPERATIONAL: u8 = 8;
 /// Most actions of one step.
 pub const ACTIONS_MAX: usize = 8;
 
@@ -178,7 +176,7 @@ impl Application {
             (BusCondition::Failed(_), Some(_)) if self.recovering_since_ms.is_some() && was_whole => self.recover_bus(),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), None) => self.enter_fault(fault),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), Some(known)) => {
-                if names_better(&fault, &known) {
+                if fault.names_better(&known) {
                     self.fault = Some(fault);
                 }
             }
@@ -571,32 +569,6 @@ impl Application {
             _ => {}
         }
     }
-}
-
-/// Whether `fault` tells more about what `known` was latched for: the supervisor knows which slave and why, the critical
-/// tasks only that something is wrong. A slave that answers in OP again only waits to be taken back.
-fn names_better(fault: &Fault, known: &Fault) -> bool {
-    let slave_of = |fault: &Fault| match fault {
-        Fault::SlaveLost { slave } | Fault::SlaveState { slave, .. } => Some(*slave),
-        _ => None,
-    };
-    if matches!(fault, Fault::NoLink { .. }) {
-        // Whatever the bus is missed for, this is why.
-        return matches!(
-            known,
-            Fault::Blind { .. }
-                | Fault::SlaveLost { .. }
-                | Fault::SlaveState { .. }
-                | Fault::UnexpectedBus { .. }
-                | Fault::RepairTimeout { .. }
-        );
-    }
-    let is_specific = !matches!(fault, Fault::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
-    let is_vague = matches!(
-        known,
-        Fault::Blind { .. } | Fault::RepairTimeout { .. } | Fault::SlaveState { slave: u8::MAX, .. }
-    );
-    is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(fault))
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);

@@ -4,6 +4,9 @@ use crate::board::PortState;
 use crate::control::feedback::Implausible;
 use serde::{Deserialize, Serialize};
 
+/// AL state OP without the error flag.
+const AL_OPERATIONAL: u8 = 8;
+
 /// Operating mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Mode {
@@ -216,6 +219,32 @@ impl Fault {
                 limit_rad_s2,
             },
         }
+    }
+
+    /// Whether it tells more about what `known` was latched for: the supervisor knows which slave and why, the critical
+    /// tasks only that something is wrong. A slave that answers in OP again only waits to be taken back.
+    pub(super) fn names_better(&self, known: &Self) -> bool {
+        let slave_of = |fault: &Self| match fault {
+            Self::SlaveLost { slave } | Self::SlaveState { slave, .. } => Some(*slave),
+            _ => None,
+        };
+        if matches!(self, Self::NoLink { .. }) {
+            // Whatever the bus is missed for, this is why.
+            return matches!(
+                known,
+                Self::Blind { .. }
+                    | Self::SlaveLost { .. }
+                    | Self::SlaveState { .. }
+                    | Self::UnexpectedBus { .. }
+                    | Self::RepairTimeout { .. }
+            );
+        }
+        let is_specific = !matches!(self, Self::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
+        let is_vague = matches!(
+            known,
+            Self::Blind { .. } | Self::RepairTimeout { .. } | Self::SlaveState { slave: u8::MAX, .. }
+        );
+        is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(self))
     }
 }
 

@@ -4,6 +4,7 @@
 //! commands are answered one by one and overtake the path, telemetry is best effort and counts what it drops.
 
 pub mod device;
+mod ends;
 pub mod frame;
 pub mod path;
 pub mod ports;

@@ -5,8 +5,9 @@
 //! queues of the faster tasks and tells the host. It may be kept waiting by the trajectory task for several
 //! milliseconds; its queues hold what arrives meanwhile.
 
+pub use super::ends::{LinkEnds, PortEnds};
+
 use super::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
-use super::frame::Decoder;
 use super::ports::LinkPort;
 use super::protocol::{Command, ConfigRefusal, Counters, PathVertex, SLAVES_REPORTED, Sample, SlaveStatus, Status};
 use crate::application::reference::{PoseCheck, positions_arrive};
@@ -15,17 +16,13 @@ use crate::board::{BoardState, Interlock, PortState, PreviousRun};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::drives::cia402::{DriveState, StatusWord};
-use crate::ethercat::ApplicationEnd;
 use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::ethercat::service::{ServiceError, ServiceRequest};
 use crate::ethercat::state::AlReport;
-use crate::measurement::Measurements;
 use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
-use crate::network::SettingsEnd;
 use crate::robot::{AXES, JointAngles, Position};
 use heapless::Vec;
-use heapless::spsc::{Consumer, Producer};
 
 /// Longest time between two status messages, ms.
 pub const STATUS_PERIOD_MS: u32 = 500;
@@ -35,49 +32,6 @@ pub const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
 /// Orders to the trajectory, and to the sampler, for which a command has to find room; a stop and what the operating modes
 /// do by themselves have it to themselves.
 const ORDERS_KEPT_FREE: usize = ACTIONS_MAX;
-
-/// The link task's ends of a port's channels.
-pub struct PortEnds<'a> {
-    /// Bytes from the host.
-    pub received: Consumer<'a, u8>,
-    /// Finds the frames in them; long, hence in the channels.
-    pub decoder: &'a mut Decoder,
-    /// Bytes to the host.
-    pub sent: Producer<'a, u8>,
-}
-
-/// The link task's ends of the channels.
-pub struct LinkEnds<'a> {
-    /// The serial line.
-    pub serial: PortEnds<'a>,
-    /// The board's own USB.
-    pub usb: PortEnds<'a>,
-    /// What the sampler saw.
-    pub reports: Consumer<'a, CycleReport>,
-    /// What the sampler is asked for.
-    pub sampler_commands: Producer<'a, SamplerCommand>,
-    /// The path.
-    pub vertices: Producer<'a, PathItem>,
-    /// What the trajectory is asked for.
-    pub motion_orders: Producer<'a, MotionOrder>,
-    /// Where the trajectory stands.
-    pub motion_reports: Consumer<'a, MotionReport>,
-    /// The bus' supervisor.
-    pub bus: ApplicationEnd<'a>,
-    /// What the IP stack is to do.
-    pub network: SettingsEnd<'a>,
-    /// How long things took.
-    pub measurements: &'a Measurements,
-}
-
-impl<'a> LinkEnds<'a> {
-    fn port(&mut self, port: LinkPort) -> &mut PortEnds<'a> {
-        match port {
-            LinkPort::Serial => &mut self.serial,
-            LinkPort::Usb => &mut self.usb,
-        }
-    }
-}
 
 /// The link task.
 pub struct LinkTask<'a> {

@@ -6,6 +6,7 @@
 //! 12 ms.
 
 mod admission;
+mod averaging;
 #[cfg(test)]
 mod checks;
 mod curve;

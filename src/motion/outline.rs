@@ -3,9 +3,9 @@
 //! Tools compare the planner with others on the same curve, so they need the curve itself. It comes from the shaping
 //! that the trajectory stage uses, leg by leg, in bounded memory.
 
+use super::averaging::tolerances;
 use super::ring::Ring;
 use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
-use super::trajectory::tolerances;
 use super::{Pen, Vertex};
 use crate::config::Config;
 use crate::robot::vector::{Vector, length};

@@ -8,13 +8,14 @@
 //! is commanded, the motion goes from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
+use super::averaging::{averaging, tolerances};
 use super::jog::{self, Jog};
 use super::limits::Limits;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
 use super::plan::{GROWTH, Pace, Plan};
 use super::progress::Watch;
 use super::ring::Ring;
-use super::shaping::{Label, Node, QUEUE, Shaper, Tolerances};
+use super::shaping::{Label, Node, QUEUE, Shaper};
 use super::straight::Straight;
 use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Reference, Refusal, RefusalReason, Vertex};
 use crate::config::Config;
@@ -23,8 +24,6 @@ use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
 
 /// Vertices that wait for the shaping at most.
 pub const QUEUE_VERTICES: usize = QUEUE;
-/// Part of the tolerance that the moving average may take.
-const AVERAGE_PART_MAX: f64 = 0.5;
 /// Part of the lift under which a pen on its way counts as down.
 const NEAR_PAPER: f64 = 0.5;
 /// Bounds of the override, percent.
@@ -276,33 +275,6 @@ impl Trajectory {
     /// Points of the grid that the last step computed: new ones, and ones whose speed was computed anew.
     pub fn work(&self) -> u32 {
         self.motion.work
-    }
-}
-
-/// Tolerances of the shape: what the moving average leaves of the configured ones.
-pub(super) fn tolerances(config: &Config) -> Tolerances {
-    let (_, average_mm) = averaging(config);
-    Tolerances {
-        drawing_mm: config.motion.tolerance_mm - average_mm,
-        travel_mm: config.motion.travel_tolerance_mm - average_mm,
-    }
-}
-
-/// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24, and A t^2 / 12 for references the time t
-/// apart, which cut corners by A t^2 / 8 but average over t less.
-pub(super) fn averaging(config: &Config) -> (u16, f64) {
-    let deviation = |window_ms: u16| {
-        let window_s = f64::from(window_ms) * TICK_S;
-        config.motion.acceleration_mm_s2 * (window_s * window_s + 2.0 * TICK_S * TICK_S) / 24.0
-    };
-    let mut window_ms = config.motion.jerk_window_ms;
-    while window_ms > 1 && deviation(window_ms) > AVERAGE_PART_MAX * config.motion.tolerance_mm {
-        window_ms -= 1;
-    }
-    if window_ms > 1 {
-        (window_ms, deviation(window_ms))
-    } else {
-        (window_ms, 0.0)
     }
 }
 

@@ -10,6 +10,7 @@
 
 extern crate std;
 
+mod inputs;
 mod trajectory;
 mod world;
 

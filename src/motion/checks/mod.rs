@@ -168,7 +168,7 @@ impl Run {
                 "{name}: kind {kind} {value} over {limit} at {at} ms"
             );
         };
-        let window_ms = super::trajectory::averaging(&self.config).0;
+        let window_ms = super::averaging::averaging(&self.config).0;
         let jerk_s = f64::from(window_ms) * TICK_S;
         let mut accelerations = [0.0; AXES];
         let mut before: Option<(Vector, Vector, Reference)> = None;
