@@ -231,9 +231,7 @@ impl AxisState {
     /// The feedback cannot be true: where the joint is, is not known any more.
     #[cold]
     fn distrust(&mut self) {
-        if self.zero.is_some() {
-            self.implausible = Some(self.feedback.implausible());
-        }
+        self.implausible = Some(self.feedback.implausible());
         self.end_comparison();
         self.lose_reference();
     }
@@ -408,6 +406,15 @@ impl EtherCatRobot {
         }
     }
 
+    /// Starts again with other axes, none of them referenced.
+    pub fn configure(&mut self, axes: &[Axis; AXES]) {
+        for (state, axis) in self.axes.iter_mut().zip(axes) {
+            *state = AxisState::new(axis);
+        }
+        self.commands = [AxisCommand::default(); AXES];
+        self.plan = None;
+    }
+
     /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
     pub fn read(&mut self, exchange: &RobotExchange<'_>) {
         self.follow_plan(exchange);
@@ -480,15 +487,11 @@ impl EtherCatRobot {
     /// its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
     ///
     /// # Errors
-    /// [`ReferenceError`]; then nothing has changed.
+    /// [`ReferenceError`]; then no axis is referenced: the reference from before is what was to be corrected.
     pub fn reference(&mut self, near: Option<&JointAngles>) -> Result<(), ReferenceError> {
-        for (number, axis) in (0..).zip(&self.axes) {
-            if !axis.valid {
-                return Err(ReferenceError::NoPosition { axis: number });
-            }
-            if axis.is_moving() {
-                return Err(ReferenceError::Moving { axis: number });
-            }
+        if let Some(error) = self.why_not_referenced() {
+            self.axes.iter_mut().for_each(AxisState::lose_reference);
+            return Err(error);
         }
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let near_rad = near.and_then(|pose| pose.0.get(number).copied());
@@ -497,6 +500,15 @@ impl EtherCatRobot {
             axis.reference_lost = false;
         }
         Ok(())
+    }
+
+    /// What keeps the present positions from being a reference.
+    fn why_not_referenced(&self) -> Option<ReferenceError> {
+        (0..).zip(&self.axes).find_map(|(number, axis)| match axis {
+            _ if !axis.valid => Some(ReferenceError::NoPosition { axis: number }),
+            _ if axis.is_moving() => Some(ReferenceError::Moving { axis: number }),
+            _ => None,
+        })
     }
 
     /// Whether all axes are referenced.

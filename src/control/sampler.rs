@@ -303,9 +303,12 @@ impl<'a> Sampler<'a> {
         while let Some(command) = queue::take(&mut self.commands) {
             match command {
                 SamplerCommand::Configure { axes, bus } => {
-                    self.robot = EtherCatRobot::new(&axes);
-                    self.controllers = axes.map(|axis| PositionController::new(&axis));
-                    self.velocity_controllers = axes.map(|axis| VelocityController::new(&axis));
+                    self.robot.configure(&axes);
+                    // One at a time: an array of them lies on the stack as often as it is moved.
+                    for (index, axis) in axes.iter().enumerate() {
+                        self.controllers[index] = PositionController::new(axis);
+                        self.velocity_controllers[index] = VelocityController::new(axis);
+                    }
                     self.has_torque_axis = axes.iter().any(|axis| axis.mode == AxisMode::Torque);
                     (self.axes, self.bus) = (axes, bus);
                     self.same_zero = [false; AXES];
@@ -318,7 +321,7 @@ impl<'a> Sampler<'a> {
                 }
                 SamplerCommand::TakeReference { near } => {
                     self.epoch = None;
-                    // A refusal leaves the axes unreferenced, which the operating modes wait for in vain and report.
+                    // A refusal leaves the axes without a reference, which the operating modes see and report.
                     let _ = self.robot.reference(near.as_ref());
                     self.same_zero = [false; AXES];
                 }
@@ -463,13 +466,14 @@ impl<'a> Sampler<'a> {
         } else {
             seen.drive_fault = self.look_for_drive_faults(power);
         }
-        if self.reference_lost != [false; AXES] {
+        // An axis whose feedback cannot be true loses its reference, if it has one.
+        if self.now.referenced != [true; AXES] {
             self.look_at_feedback();
         }
         self.supervision.step(&self.axes, &self.bus, &seen);
     }
 
-    /// An axis has lost its reference: perhaps because its feedback cannot be true.
+    /// An axis has no reference: perhaps because its feedback cannot be true.
     #[cold]
     fn look_at_feedback(&mut self) {
         if let Some((axis, implausible)) = self.robot.take_implausible() {

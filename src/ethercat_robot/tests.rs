@@ -114,6 +114,20 @@ fn a_moving_or_silent_axis_is_not_referenced() {
 }
 
 #[test]
+fn a_reference_that_cannot_be_corrected_is_lost() {
+    let mut robot = robot([0; AXES]);
+    robot.reference(None).unwrap();
+    robot.axes[1].step(None, 0);
+    let elsewhere = JointAngles([TAU / 12.0; AXES]);
+    assert_eq!(
+        robot.reference(Some(&elsewhere)),
+        Err(ReferenceError::NoPosition { axis: 1 })
+    );
+    assert!(!robot.is_referenced(), "the wrong reference counts on");
+    assert_eq!(robot.references_lost(), [true; AXES]);
+}
+
+#[test]
 fn a_gap_in_motion_costs_the_reference_after_8_ms_and_at_rest_after_half_a_second() {
     for (speed, survived_ms) in [(50_000, GAP_IN_MOTION_MAX_MS), (0, GAP_AT_REST_MAX_MS)] {
         for (gap_ms, kept) in [(survived_ms, true), (survived_ms + 1, false)] {

@@ -11,6 +11,7 @@ mod liveness;
 mod outside;
 mod robot;
 mod stale;
+mod unreferenced;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::Config;

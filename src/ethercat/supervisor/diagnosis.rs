@@ -132,8 +132,10 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let Some(slave) = self.slaves.get_mut(number) else {
             return;
         };
-        slave.processor_stops = Some(expiries);
-        if slave.condition == Condition::Operational && before.is_some_and(|before| expiries > before) {
+        let is_operational = slave.condition == Condition::Operational;
+        // A slave that was reset or repaired counts from anywhere.
+        slave.processor_stops = is_operational.then_some(expiries);
+        if is_operational && before.is_some_and(|before| expiries != before) {
             let position = number as u8;
             self.emit(BusEvent::ProcessorStopped { position, expiries }).await;
         }
