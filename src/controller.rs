@@ -28,7 +28,8 @@ pub const VERTICES: usize = 513;
 pub const RECEIVED_BYTES: usize = 4_097;
 /// Bytes that wait for the line to the host.
 pub const SENT_BYTES: usize = 4_097;
-/// The same on USB, which waits by itself when nobody takes its bytes: what comes in a millisecond at full rate.
+/// Bytes received on USB that wait for the link task: one millisecond at full rate. USB holds the host back by itself
+/// while nobody takes its bytes.
 pub const USB_RECEIVED_BYTES: usize = 1_025;
 /// Bytes that wait for the host on USB.
 pub const USB_SENT_BYTES: usize = 257;

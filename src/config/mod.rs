@@ -137,7 +137,7 @@ pub struct Motion {
     pub joint_acceleration_rad_s2: [f64; AXES],
     /// Deviation of the reference from the polyline with the pen down, mm.
     pub tolerance_mm: f64,
-    /// The same with the pen up, mm.
+    /// Deviation of the reference from the polyline on travel moves (pen up), mm.
     pub travel_tolerance_mm: f64,
     /// Length of the moving average that bounds jerk, ms; 0 switches it off.
     pub jerk_window_ms: u16,

@@ -84,7 +84,7 @@ impl Setting {
         Self::of(Object::new(index, sub), value, length)
     }
 
-    /// The same for an object.
+    /// A setting of `object` that is written and not read back.
     pub const fn of(object: Object, value: u32, length: u8) -> Self {
         Self {
             object,
@@ -95,7 +95,7 @@ impl Setting {
         }
     }
 
-    /// The same, read back from the object itself.
+    /// This setting, read back from the object itself.
     pub const fn verified(self) -> Self {
         Self {
             verify: Some(self.object),
@@ -103,7 +103,7 @@ impl Setting {
         }
     }
 
-    /// The same, read back from another object.
+    /// This setting, read back from another object.
     pub const fn shown_by(self, object: Object) -> Self {
         Self {
             verify: Some(object),
@@ -111,7 +111,7 @@ impl Setting {
         }
     }
 
-    /// The same, for objects that not every drive of the type has.
+    /// This setting for an object that not every drive of the type has.
     pub const fn optional(self) -> Self {
         Self { optional: true, ..self }
     }

@@ -64,7 +64,7 @@ pub(super) fn run(segment: FakeSegment, losses: Losses, script: impl FnMut(u32, 
     run_with(BusSetup::default(), segment, losses, script);
 }
 
-/// The same with a configuration.
+/// Runs `script` with a supervisor that has been told to start with a configuration.
 pub(super) fn run_with(
     setup: BusSetup,
     segment: FakeSegment,

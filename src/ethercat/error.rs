@@ -45,7 +45,8 @@ pub enum BusError {
         /// Product code found.
         actual: u32,
     },
-    /// The same product at this place, but the serial number of another slave of this bus: they were swapped.
+    /// The expected product is at this place, but with the serial number of another slave of this bus: the two were
+    /// swapped.
     Serial {
         /// Serial number expected.
         expected: u32,

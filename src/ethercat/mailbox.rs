@@ -175,7 +175,7 @@ impl Mailbox {
         self.receive_within(port, protocol, MAILBOX_TIMEOUT_MS, accept).await
     }
 
-    /// The same with another limit, ms.
+    /// Receives like [`Self::receive`] with the caller's time limit, ms.
     ///
     /// # Errors
     /// As [`Self::receive`].

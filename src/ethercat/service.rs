@@ -1,9 +1,9 @@
 //! What a person or a tool may ask of the bus beside the robot's work.
 //!
-//! The same requests reach the supervisor of a master on any computer through its queues, and that of the firmware
-//! through the link; it carries them out between its own duties, in the spare room of the cyclic frames. Long values
-//! travel in pieces of [`PIECE_BYTES_MAX`]: the first piece (offset 0) fetches the value from the slave, further pieces
-//! come from the supervisor's memory.
+//! On a computer, requests reach the supervisor through its queues; in the firmware they come over the link. The
+//! supervisor carries them out between its own duties, in the free space of the cyclic frames. Long values travel in
+//! pieces of [`PIECE_BYTES_MAX`]: the first piece (offset 0) fetches the value from the slave, further pieces come from
+//! the supervisor's memory.
 //!
 //! Invariant: every request gets exactly one answer; none of them disturbs the cyclic data of another slave.
 

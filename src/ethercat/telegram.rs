@@ -543,13 +543,13 @@ impl<'a> Walk<'a> {
         Some((data, counter))
     }
 
-    /// The same for a datagram of any command.
+    /// The next datagram, of any command, `length` bytes long.
     fn next_any(&mut self, length: usize) -> Option<(&'a [u8], u16)> {
         let command = Command::from_number(read_u8(self.sent, 0));
         self.next(length, command.is_ok_and(Command::counts_position))
     }
 
-    /// The same for a datagram of any length.
+    /// The next datagram, of any command and length.
     fn next_sent(&mut self) -> Option<(&'a [u8], u16)> {
         let length = read_u16(self.sent.get(..DATAGRAM_OVERHEAD)?, 6) & !(MORE_BIT | CIRCULATING_BIT);
         self.next_any(length.into())

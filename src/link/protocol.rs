@@ -69,8 +69,8 @@ pub struct PathVertex {
 pub enum Command {
     /// Take the resolvers' angles at the present pose as the reference.
     Reference,
-    /// The same on the motor turns nearest to a known pose, if the resolvers show it and forward kinematics of it leads to
-    /// the measured position.
+    /// Take the motor turns nearest to a known pose as the reference, if the resolvers show that pose and its forward
+    /// kinematics leads to the measured position.
     ReferenceAt {
         /// The pose at which the robot stands.
         pose: JointAngles,

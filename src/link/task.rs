@@ -40,7 +40,7 @@ pub struct LinkTask<'a> {
     application: Application,
     /// Absent until a configuration has come.
     admission: Option<Admission>,
-    /// The same.
+    /// Checks poses against the configuration. Absent until a configuration has come.
     pose_check: Option<PoseCheck>,
     config_hash: Option<u64>,
     condition: Condition,

@@ -83,7 +83,7 @@ impl Stretch {
         )
     }
 
-    /// The same motion, for `time_s` at most.
+    /// This motion cut off after `time_s`.
     pub(crate) fn within(self, time_s: f64) -> Self {
         if self.duration_s <= time_s {
             return self;

@@ -28,7 +28,8 @@ pub(crate) const POINTS: usize = 256;
 pub(crate) const PIECES: usize = 128;
 /// Intervals that the grid grows by in one period at most.
 pub(crate) const GROWTH: usize = 64;
-/// The same while another speed is to be taken over: that looks back over the whole grid.
+/// Most intervals that the grid grows by in one period while a change of speed is pending: that pass looks back over
+/// the whole grid.
 const GROWTH_RESCALING: usize = 16;
 /// Change of a squared speed that counts as none, relative.
 const UNCHANGED: f64 = 1.0e-12;

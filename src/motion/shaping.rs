@@ -37,16 +37,16 @@ const LINE_MIN_MM: f64 = 1.0e-6;
 const CURVE_STEP_MM: f64 = 2.0;
 /// Intervals of a blend and of a span at least.
 const BLEND_INTERVALS: u16 = 10;
-/// The same where the blend is long enough for the joints' derivatives to change on it.
+/// Least intervals of a blend that is long enough for the joints' derivatives to change along it.
 const LONG_BLEND_INTERVALS: u16 = 18;
-/// The same where the turn is sharp and the curvature has a narrow peak.
+/// Least intervals of a blend at a sharp turn, where the curvature has a narrow peak.
 const SHARP_BLEND_INTERVALS: u16 = 20;
 /// Cosine of the turn from which it is sharp: 95 degrees.
 const SHARP_TURN_COSINE: f64 = -0.087_155_742_747_658_17;
 /// Trim from which a blend is long, mm.
 const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
-/// The same of a span whose legs are uneven.
+/// Intervals of a span whose legs are uneven.
 const UNEVEN_SPAN_INTERVALS: u16 = 5;
 /// Deflection of the curve's direction over a span, as a part of its length, up to which fewer intervals do.
 const SPAN_GENTLE: f64 = 0.1;

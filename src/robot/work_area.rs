@@ -204,7 +204,8 @@ impl WorkArea {
         if enters && stays_within { Ok(()) } else { Err(outside) }
     }
 
-    /// The same, and what the arms allow holds `room_mm` around it too; a few millimetres at most.
+    /// Checks a position like [`Self::check`], and also that what the arms allow holds `room_mm` around the position;
+    /// meant for a room of a few millimetres at most.
     ///
     /// # Errors
     /// The first reason why the position is outside; limits are given with the room taken off.

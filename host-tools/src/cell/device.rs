@@ -153,7 +153,7 @@ pub(super) trait Device: fmt::Debug + Send {
     fn servo(&self) -> Option<&Servo> {
         None
     }
-    /// The same, to be changed.
+    /// The drive inside, mutable, if there is one.
     fn servo_mut(&mut self) -> Option<&mut Servo> {
         None
     }

@@ -147,12 +147,12 @@ impl Drive {
         drive
     }
 
-    /// The same drive with another meaning of its numbers.
+    /// This drive with the given scaling of its objects.
     pub(super) fn with_profile(self, profile: Profile) -> Self {
         Self { profile, ..self }
     }
 
-    /// The same drive with friction at its motor, and a resolver with noise of so many increments.
+    /// This drive with friction at its motor, rad/s, and resolver noise, increments.
     pub(super) fn with_imperfections(mut self, friction_rad_s: f64, noise_increments: f64, seed: u64) -> Self {
         self.motor = self.motor.with_friction(friction_rad_s * self.axis.gear.abs());
         self.resolver = Resolver::new(noise_increments / self.increments_per_rad(), seed);

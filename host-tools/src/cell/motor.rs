@@ -51,7 +51,7 @@ impl Motor {
         }
     }
 
-    /// The same motor with dry friction that slows its loop down by this speed, rad/s.
+    /// This motor with dry friction that slows its loop down by `friction_rad_s`.
     pub(super) fn with_friction(self, friction_rad_s: f64) -> Self {
         Self { friction_rad_s, ..self }
     }

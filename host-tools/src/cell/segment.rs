@@ -134,7 +134,7 @@ impl Segment {
         self.slaves.iter().filter_map(Slave::drive)
     }
 
-    /// The same, to be changed.
+    /// The drives in the order of the chain, mutable: the robot's axes first.
     pub(super) fn drives_mut(&mut self) -> impl Iterator<Item = &mut Drive> {
         self.slaves.iter_mut().filter_map(Slave::drive_mut)
     }

@@ -19,7 +19,7 @@ const TYPE_INTEGER32: u8 = 0x04;
 const TYPE_UNSIGNED16: u8 = 0x06;
 /// CoE details of the general category: SDO access, SDO information, PDO assignment, complete access.
 pub(super) const DETAILS_FIXED_PDO: u8 = 0x27;
-/// The same, and PDO mapping.
+/// CoE details of the general category: SDO access, SDO information, PDO assignment and mapping, complete access.
 pub(super) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
 /// Sync manager of a PDO that is not assigned.
 const NOT_ASSIGNED: u8 = 0xFF;

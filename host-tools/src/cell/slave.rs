@@ -100,7 +100,7 @@ impl Slave {
         self.device.servo().map(|servo| &servo.drive)
     }
 
-    /// The same, to be changed.
+    /// The drive inside, mutable, if there is one.
     pub(super) fn drive_mut(&mut self) -> Option<&mut Drive> {
         self.device.servo_mut().map(|servo| &mut servo.drive)
     }

@@ -99,7 +99,7 @@ impl Operator {
         self.keys.try_recv().ok()
     }
 
-    /// The same as controls of a job that moves: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
+    /// The oldest key as a control of a job that moves: Ctrl-C holds, Enter resumes, a second Ctrl-C cancels.
     pub(super) fn next_control(&mut self) -> Option<Control> {
         Some(match self.next_key()? {
             Key::Enter => {

@@ -31,7 +31,7 @@ pub(super) struct Quickest {
     pub(super) layers: Option<Vec<Drawing>>,
     /// Planned duration of what was given, s, over two hours about; none where the robot cannot draw it.
     pub(super) given_s: Option<f64>,
-    /// The same of what was chosen.
+    /// Planned duration of what was chosen, s; none where the robot cannot draw it.
     pub(super) chosen_s: Option<f64>,
 }
 

@@ -129,7 +129,7 @@ impl SourceArguments {
         plain.is_ok_and(|plain| serde_json::to_value(self).ok() != serde_json::to_value(plain).ok())
     }
 
-    /// The same for one layer alone, which comes to lie where it lies among the others.
+    /// These options for one layer alone, placed where it lies among the other layers.
     #[must_use]
     pub fn only(&self, layer: &str) -> Self {
         Self {

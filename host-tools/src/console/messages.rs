@@ -149,7 +149,7 @@ pub enum Request {
     Stop,
     /// Take control.
     Take {
-        /// Also from another viewer.
+        /// Take control even if another viewer has it.
         #[serde(default)]
         force: bool,
     },

@@ -138,7 +138,7 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
 }
 
 impl StatusView {
-    /// The same, with where the platform was seen last while the arms were referenced, if they are not.
+    /// Adds the platform's last position from the time when the arms were referenced, if they no longer are.
     pub fn seen_at(self, seen_mm: Option<[f32; 3]>) -> Self {
         let seen_mm = seen_mm.filter(|_| !self.referenced);
         Self { seen_mm, ..self }

@@ -142,7 +142,7 @@ pub enum DrawingError {
     OffSheet {
         /// Where it is off the sheet, from the sheet's left edge, micrometres.
         x_um: i64,
-        /// The same from its upper edge.
+        /// Where it is off the sheet, from the sheet's upper edge, micrometres.
         y_um: i64,
     },
     /// A line of a coordinate file has another number of columns than its heading.
@@ -312,7 +312,7 @@ impl fmt::Display for DrawingError {
 }
 
 impl DrawingError {
-    /// The same error with its place in the file, where that was not known.
+    /// This error with its place in the file, if the place was not known yet.
     #[must_use]
     pub(super) fn at(self, place: FilePlace) -> Self {
         match self {

@@ -41,7 +41,7 @@ pub(crate) fn distance_to_segment(point: Point, a: Point, b: Point) -> f64 {
     distance(point, between(a, b, t))
 }
 
-/// The same line with points about `step` apart.
+/// The line with points about `step` apart.
 pub(crate) fn resampled(points: &[Point], step: f64) -> Vec<Point> {
     let (Some(&first), Some(&last)) = (points.first(), points.last()) else {
         return Vec::new();

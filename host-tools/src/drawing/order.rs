@@ -48,7 +48,7 @@ pub struct OrderReport {
     pub lifts_after: usize,
     /// Way with the pen up as given, from the first stroke's start to the last one's end, mm.
     pub pen_up_mm_before: f64,
-    /// The same now.
+    /// Length of the travel moves now, from the first stroke's start to the last one's end, mm.
     pub pen_up_mm_after: f64,
     /// Ink added where gaps were joined, mm.
     pub bridged_mm: f64,

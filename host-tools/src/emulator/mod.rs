@@ -38,7 +38,8 @@ const HOST_SOCKET: &str = "host.sock";
 pub trait Segment {
     /// Takes a frame that the firmware sent at `time_us` (since its first sample) and gives the frames that come back.
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>>;
-    /// The same with the time in nanoseconds, for those that keep time as exactly.
+    /// Takes a frame that the firmware sent at `time_ns` and gives the frames that come back. Segments that keep time
+    /// in nanoseconds implement this; the default rounds down to microseconds.
     fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.frame(time_ns / 1_000, frame)
     }

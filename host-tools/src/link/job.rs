@@ -257,7 +257,7 @@ impl Job {
         self.take_report()
     }
 
-    /// The same, for a job that goes on.
+    /// What was collected so far; the job goes on.
     pub fn take_report(&mut self) -> JobReport {
         let progress = self.progress();
         if let Some(verifier) = self.verifier.take() {

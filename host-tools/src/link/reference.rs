@@ -188,7 +188,7 @@ impl ReferenceJob {
         }
     }
 
-    /// The same job, which acknowledges a fault that is latched from before when `acknowledge` says so.
+    /// Sets whether this job acknowledges a fault that was latched before it started.
     #[must_use]
     pub fn acknowledging(self, acknowledge: bool) -> Self {
         Self { acknowledge, ..self }

@@ -132,7 +132,7 @@ impl Drawing {
 pub enum Control {
     /// Decelerate on the path, lift the pen, wait.
     Hold,
-    /// The same as soon as the pen is up.
+    /// Hold as soon as the pen is up.
     HoldAtPenUp,
     /// Go on.
     Resume,

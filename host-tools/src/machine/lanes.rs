@@ -141,7 +141,7 @@ impl Taken {
         }
     }
 
-    /// The same, waiting for the first order at most this long.
+    /// Hands out the pending orders; waits for the first one at most this long.
     pub(super) fn take_within(&mut self, longest: Duration, mut act: impl FnMut(Envelope)) {
         self.take_stops(&mut act);
         match self.orders.recv_timeout(longest) {

@@ -59,7 +59,7 @@ pub enum Order {
     Tell(Command),
     /// Decelerate on the path, lift the pen, wait.
     Hold,
-    /// The same as soon as the pen is up.
+    /// Hold as soon as the pen is up.
     HoldAtPenUp,
     /// Go on with a held drawing, also with one that was under way when the connection broke.
     Resume,

@@ -43,11 +43,11 @@ pub struct Limits {
     pub acceleration_mm_s2: f64,
     /// Vertical, where the pen is lifted or lowered, mm/s; absent where the limits of all motion are enough.
     pub pen_speed_mm_s: Option<f64>,
-    /// The same, mm/s2.
+    /// Vertical, where the pen is lifted or lowered, mm/s2; absent where the limits of all motion are enough.
     pub pen_acceleration_mm_s2: Option<f64>,
     /// Distance from the path with the pen down, mm.
     pub tolerance_mm: f64,
-    /// The same with the pen up, mm.
+    /// Distance from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
     /// Length of the moving average that the planner takes, ms.
     pub jerk_window_ms: u16,
@@ -90,7 +90,7 @@ pub struct Peaks {
     pub acceleration_mm_s2: f64,
     /// Vertical, where the pen is lifted or lowered, mm/s.
     pub pen_speed_mm_s: f64,
-    /// The same, mm/s2.
+    /// Vertical, where the pen is lifted or lowered, mm/s2.
     pub pen_acceleration_mm_s2: f64,
     /// Of the platform, mm/s3.
     pub jerk_mm_s3: f64,
@@ -125,7 +125,7 @@ pub struct Findings {
     pub length_mm: f64,
     /// Largest distance of a reference from the path, mm.
     pub deviation_max_mm: f64,
-    /// The same with the pen down, mm.
+    /// Largest distance of a reference from the path with the pen down, mm.
     pub deviation_drawn_max_mm: f64,
     /// Largest distance of a vertex from the line through the references, mm.
     pub corner_distance_max_mm: f64,

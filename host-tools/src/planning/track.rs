@@ -9,7 +9,8 @@ use etherpen::robot::vector::{Vector, add_scaled, dot, length, subtract};
 
 /// Length of path looked at on both sides of a reference at least, mm.
 const REACH_MIN_MM: f64 = 3.0;
-/// The same in lengths of the way that the references make in a millisecond: longer than any moving average.
+/// Length of path looked at on both sides of a reference, as a multiple of the distance that the references cover in a
+/// millisecond: longer than any moving average.
 const REACH_STEPS: f64 = 36.0;
 
 /// A path, and what has been found out about it.

@@ -49,7 +49,7 @@ fn in_order_mm(stroke: &[Position], positions: &[Position]) -> f64 {
     best.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// The same over all strokes that are short enough.
+/// Least possible largest distance of the positions from their stroke, over all strokes that are short enough.
 fn searched_mm(
     config: &Config,
     samples: &[Sample],

@@ -42,9 +42,9 @@ pub struct Timing {
     pub critical_path_instructions: Option<Spread>,
     /// Instructions of the trajectory task in a release, without the tasks that preempted it.
     pub planner_instructions: Option<Spread>,
-    /// The same as a duration, ns.
+    /// Duration of all critical tasks in a millisecond, ns.
     pub critical_path_ns: Option<Spread>,
-    /// The same as a duration, ns.
+    /// Duration of a release of the trajectory task, without the tasks that preempted it, ns.
     pub planner_ns: Option<Spread>,
     /// Share of the time in which the core did not sleep, 0 to 1.
     pub cpu_load: Option<f64>,

@@ -19,7 +19,8 @@ use heapless::spsc::{Consumer, Producer};
 
 /// How long something has to look wrong before the slaves are asked, ms.
 pub(super) const SUSPICION_MS: u32 = 3;
-/// The same while work is under way, ms: what the work itself shows for a moment is none of it.
+/// How long something has to look wrong before the slaves are asked while bus work is in progress, ms. The work itself
+/// may disturb the bus briefly.
 pub(super) const WORK_SUSPICION_MS: u32 = 20;
 
 /// State and error flag of an AL status register.

@@ -110,7 +110,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// The same for the slaves whose order in the chain is known; extra ones may stand anywhere.
+    /// Index of the slave at `station` among those whose order in the chain is known. Extra slaves may be anywhere in
+    /// the chain.
     fn rank_of(&self, station: u16) -> Option<usize> {
         self.number_of(station).filter(|number| *number < self.ordered)
     }

@@ -126,7 +126,7 @@ impl Address {
         Self::new(station, register)
     }
 
-    /// The same register of all slaves.
+    /// One register of all slaves.
     pub const fn broadcast(register: u16) -> Self {
         Self::new(0, register)
     }

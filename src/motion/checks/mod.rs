@@ -232,7 +232,7 @@ impl Run {
         worst
     }
 
-    /// The same where a hold has lifted the pen off the path.
+    /// Checks the deviation with the pen down only: a hold has lifted the pen off the path.
     fn check_drawn(&self, name: &str) {
         let (drawn, limit) = (self.deviation().0, self.config.motion.tolerance_mm);
         assert!(drawn <= limit * (1.0 + EXCESS), "{name}: {drawn} mm off");

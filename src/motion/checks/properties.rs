@@ -83,7 +83,7 @@ fn check_whole(run: &Run, name: &str) -> [f64; KINDS] {
     worst
 }
 
-/// The same path with a hold, an override and a resume at random times.
+/// Draws the path with a hold, an override and a resume at random times.
 fn check_held(random: &mut Random, config: &Config, path: &[Vertex], periods: usize, name: &str) {
     let mut run = Run::new(config, path);
     run.command(MotionCommand::Start);
