@@ -1,12 +1,12 @@
 //! The controller as a board sees it: seven task bodies and the lock-free channels between them.
 //!
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
-//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes and
-//! `usb_bytes` to the one that does so on the board's own USB, `link` to the low-priority task that speaks the protocol
-//! and keeps the operating mode, `network` to the task that runs the IP stack, `supervisor` to the task that brings up
-//! and watches the bus. A simulation calls the same parts in the same order in virtual time.
+//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes,
+//! `usb_bytes` to the task that moves the link's bytes on the board's own USB, `link` to the low-priority task that
+//! runs the protocol and the operating mode, `network` to the task that runs the IP stack, `supervisor` to the task
+//! that brings up and watches the bus. A simulation calls these parts in the same order in virtual time.
 //!
-//! Architecture invariant: nothing else passes between priorities; no part waits for another.
+//! Architecture invariant: priorities communicate only through these channels; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
@@ -20,18 +20,18 @@ use heapless::spsc::{Consumer, Producer, Queue};
 
 /// References between the trajectory task and the sampler: the period being read, the next one, and a spare.
 pub const REFERENCES: usize = 40;
-/// Cycle reports on their way to the link task: as many milliseconds as the trajectory task may keep it waiting.
+/// Cycle reports queued for the link task: one for each millisecond that the trajectory task may delay the link task.
 pub const REPORTS: usize = 33;
-/// Vertices between the link and the trajectory task.
+/// Vertices queued between the link task and the trajectory task.
 pub const VERTICES: usize = 513;
-/// Bytes received from the host that wait for the link task.
+/// Bytes received from the host that are queued for the link task.
 pub const RECEIVED_BYTES: usize = 4_097;
-/// Bytes that wait for the line to the host.
+/// Bytes queued for the line to the host.
 pub const SENT_BYTES: usize = 4_097;
-/// Bytes received on USB that wait for the link task: one millisecond at full rate. USB holds the host back by itself
-/// while nobody takes its bytes.
+/// Bytes received on USB that are queued for the link task: one millisecond at full rate. USB holds the host back by
+/// itself while nobody takes its bytes.
 pub const USB_RECEIVED_BYTES: usize = 1_025;
-/// Bytes that wait for the host on USB.
+/// Bytes queued for the host on USB.
 pub const USB_SENT_BYTES: usize = 257;
 /// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
 pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
@@ -40,7 +40,7 @@ const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
 const _: () = assert!(SENT_BYTES > SENT_AHEAD_BYTES && USB_SENT_BYTES > SENT_AHEAD_BYTES);
 
-/// All queues between the tasks, and the planner's memory: what is large stays where it is.
+/// All queues between the tasks, and the planner's memory. Large objects stay in here and are never moved.
 pub struct Channels {
     trajectory: Trajectory,
     references: Queue<Queued, REFERENCES>,
@@ -68,7 +68,7 @@ pub struct Parts<'a> {
     pub trajectory: TrajectoryTask<'a>,
     /// For the task that moves the link's bytes.
     pub host_bytes: HostBytes<'a>,
-    /// For the task that moves them on the board's own USB, if it has one.
+    /// For the task that moves the link's bytes on the board's own USB, if it has one.
     pub usb_bytes: HostBytes<'a>,
     /// For the task that speaks with the host.
     pub link: LinkTask<'a>,
@@ -76,7 +76,7 @@ pub struct Parts<'a> {
     pub network: NetworkTask<'a>,
     /// For the task that brings up and watches the bus.
     pub supervisor: RobotSupervisor<'a>,
-    /// Where the tasks of a board count how long things took.
+    /// Where a board's tasks record their execution times.
     pub measurements: &'a Measurements,
 }
 
@@ -174,7 +174,7 @@ impl Channels {
     }
 }
 
-/// The link's bytes between a line's interrupt and the link task.
+/// Moves the link's bytes between a line's interrupt and the link task.
 pub struct HostBytes<'a> {
     received: Producer<'a, u8>,
     sent: Consumer<'a, u8>,
@@ -182,7 +182,7 @@ pub struct HostBytes<'a> {
 }
 
 impl HostBytes<'_> {
-    /// Takes bytes from the line; returns how many found room. The others are lost and the link retransmits.
+    /// Queues bytes received from the line; returns how many fitted. The rest is lost and the link retransmits it.
     pub fn received(&mut self, bytes: &[u8]) -> usize {
         let taken = bytes
             .iter()
@@ -192,17 +192,17 @@ impl HostBytes<'_> {
         taken
     }
 
-    /// Received bytes for which there is room now.
+    /// How many received bytes can be queued now.
     pub fn room(&self) -> usize {
         self.received.capacity() - self.received.len()
     }
 
-    /// Lets go of what waits for a line that nobody reads.
+    /// Discards the bytes queued for a line that nobody reads.
     pub fn discard(&mut self) {
         while self.sent.dequeue().is_some() {}
     }
 
-    /// Fills `bytes` with what waits for the line; returns how many.
+    /// Fills `bytes` with bytes queued for the line; returns how many.
     pub fn to_send(&mut self, bytes: &mut [u8]) -> usize {
         let mut count = 0;
         for (slot, byte) in bytes.iter_mut().zip(core::iter::from_fn(|| self.sent.dequeue())) {
@@ -212,7 +212,7 @@ impl HostBytes<'_> {
         count
     }
 
-    /// Received bytes that found no room.
+    /// Number of received bytes that were lost because the queue was full.
     pub fn lost(&self) -> u32 {
         self.lost
     }

@@ -1,4 +1,4 @@
-//! etherpen: a robot controller that fits in a microcontroller.
+//! etherpen: a robot controller that runs on a microcontroller.
 //!
 //! An EtherCAT master, a motion planner and a 1 kHz position controller for a delta robot with four servo drives,
 //! without an operating system and without a heap. A host turns a photograph into strokes and streams them over a
@@ -7,10 +7,10 @@
 //!
 //! # Bird's eye view
 //!
-//! The library is everything that is not a board. [`controller::Channels`] holds the lock-free queues and splits into
-//! seven parts; a board (`src/bin/nucleo`, `src/bin/emulated`) gives each the interrupts that release it and a priority,
-//! and the host's simulation calls them in the same order in virtual time (`docs/tasks.md` lists every task of both
-//! boards):
+//! The library contains everything that does not depend on a board. [`controller::Channels`] holds the lock-free queues
+//! and splits into seven parts. A board (`src/bin/nucleo`, `src/bin/emulated`) gives each part a priority and the
+//! interrupts that release it; the host's simulation calls the parts in the same order in virtual time (`docs/tasks.md`
+//! lists every task of both boards):
 //!
 //! | part | released by | priority | does |
 //! |---|---|---|---|
@@ -33,16 +33,18 @@
 //!    reference a millisecond into the ring.
 //! 4. The sampler takes one reference a millisecond, compares it with the position that the drives have just reported
 //!    ([`ethercat::cyclic`], [`ethercat_robot`]), and sends each drive a velocity ([`control::position`]).
-//! 5. The drive turns the motor; what it measured comes back a millisecond later, as telemetry to the host too.
+//! 5. The drive turns the motor. Its measurements come back a millisecond later and also go to the host as telemetry.
 //!
 //! # Invariants
 //!
-//! - Lock-free queues, atomics and histograms with one writer are all that priorities share; nothing above waits for
-//!   anything below.
+//! - Priorities share only lock-free queues, atomics and histograms with one writer; no task waits for one of lower
+//! priority.
 //! - The critical tasks do the same bounded work every millisecond, whatever arrives; they never lock, log or allocate.
-//! - A committed plan ends at rest, so that a lost link, a late planner or an empty queue ends at rest on the path.
-//! - Every fault has one way: quick stop, standstill, brakes, power off, latched until acknowledged ([`application`]).
-//! - No board is chosen by `cfg` in this library; it knows no register of any microcontroller.
+//! - A committed plan ends at rest: after a lost link, a late planner or an empty queue the robot comes to rest on the
+//! path.
+//! - Every fault is handled in one way: quick stop, standstill, brakes, power off, latched until acknowledged
+//! ([`application`]).
+//! - No `cfg` in this library selects a board; the library accesses no register of any microcontroller.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,13 +1,13 @@
-//! Operating modes: what the robot may do now, and what ends in which standstill.
+//! Operating modes: what the robot may do in each, and how each motion ends in a standstill.
 //!
 //! `Startup -> BusConfiguring -> DrivesOff -> Unreferenced -> Idle -> Drawing <-> Holding -> Idle`, and `Fault` from
-//! anywhere, with `Stopping` in between while the drives still obey. [`Application`] is the state machine alone: it
-//! is stepped once a millisecond with what the 1 kHz tasks, the trajectory and the bus report, and answers with
-//! [`Action`]s. It decides; the critical tasks have already stopped the drives when it learns of a fault.
+//! any mode, with `Stopping` in between while the drives still obey. [`Application`] is the state machine alone. Each
+//! millisecond it takes the reports of the 1 kHz tasks, the trajectory and the bus, and answers with [`Action`]s. The
+//! critical tasks do not wait for it: they have already stopped the drives when it learns of a fault.
 //!
-//! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the power is
-//! taken from the drives only after a standstill and the brake's delay; a fault stays until it is acknowledged; an
-//! acknowledgement that does not succeed leaves a fault that names what is wrong now; all waiting ends.
+//! Invariants: a command that the mode does not allow is refused with the reason and changes nothing; the drives lose
+//! power only after a standstill and the brake delay; a fault stays latched until it is acknowledged; a failed
+//! acknowledgement leaves a fault that names the remaining cause; every wait has a time limit.
 
 mod exchange;
 pub mod reference;
@@ -34,11 +34,11 @@ pub const ACTIONS_MAX: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Enabling {
     No,
-    /// The reference is being taken: wait for the angles to be true.
+    /// Taking the reference: waiting until the angles are valid.
     Referencing {
         since_ms: u32,
     },
-    /// Power is coming.
+    /// Switching the drives' power on.
     Powering {
         since_ms: u32,
     },
@@ -46,11 +46,11 @@ enum Enabling {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// Braking to a standstill.
+    /// Decelerating to a standstill.
     Ramp { since_ms: u32 },
-    /// Standing, the brakes are closing.
+    /// At rest; the brakes are closing.
     Brake { since_ms: u32 },
-    /// Power is being taken.
+    /// Switching the drives' power off.
     Release { since_ms: u32 },
 }
 
@@ -70,7 +70,7 @@ pub struct Application {
     cancelling: bool,
     motion_started_ms: u32,
     host_silence_max_ms: u16,
-    /// What the drives were last asked for.
+    /// Power state last asked of the drives.
     power: Power,
     has_configuration: bool,
     actions: Vec<Action, ACTIONS_MAX>,
@@ -82,15 +82,15 @@ impl Default for Application {
     }
 }
 
-/// Time until the reports of the other tasks answer to an action, ms.
+/// Time until the reports of the other tasks reflect an action, ms.
 const SETTLE_MS: u32 = 2;
-/// Time until the drives slow down after a quick stop was asked for, ms: cycles on the bus and the drives' own delay.
+/// Time from a quick stop request until the drives decelerate, ms: bus cycles and the drives' own delay.
 const QUICK_STOP_DELAY_MS: u32 = 30;
 /// Time until a reset shows in the drives' status, ms.
 const RESET_MS: u32 = 30;
 
 impl Application {
-    /// The machine before a configuration has come.
+    /// The state machine before a configuration has been taken.
     pub const fn new() -> Self {
         Self {
             mode: Mode::Startup,
@@ -122,7 +122,7 @@ impl Application {
         self.fault
     }
 
-    /// Whether the fault was acknowledged, and bus and drives are being brought back.
+    /// Whether the fault was acknowledged and the bus and drives are still recovering.
     pub fn is_recovering(&self) -> bool {
         self.recovering_since_ms.is_some()
     }
@@ -132,12 +132,12 @@ impl Application {
         self.override_percent
     }
 
-    /// What the critical tasks last reported.
+    /// The last report of the critical tasks.
     pub fn condition(&self) -> &Condition {
         &self.condition
     }
 
-    /// Whether another configuration may be taken now: the drives are without power and nothing is under way.
+    /// Whether another configuration is accepted now: the drives are without power and no operation is in progress.
     pub fn may_configure(&self) -> bool {
         // A fault is cleared by an acknowledgement, unless it is about what the configuration expects of the bus.
         let at_rest = match self.mode {
@@ -151,7 +151,7 @@ impl Application {
         at_rest && self.stop.is_none() && self.enabling == Enabling::No && self.recovering_since_ms.is_none()
     }
 
-    /// A checked configuration was taken: the bus is being brought up.
+    /// Reports that a checked configuration was taken and that the bus is being brought up.
     pub fn configured(&mut self, host_silence_max_ms: u16) {
         self.host_silence_max_ms = host_silence_max_ms;
         self.has_configuration = true;
@@ -160,11 +160,11 @@ impl Application {
         self.bus = None;
     }
 
-    /// The bus's supervisor has something to say.
+    /// Takes a report of the bus's supervisor.
     pub fn bus(&mut self, condition: BusCondition) {
         let was_whole = self.bus == Some(BusCondition::Operational);
         match (condition, self.bus) {
-            // The first slave that is wrong is the cause, those behind it follow from it.
+            // The first slave that fails is the cause; failures of slaves behind it follow from it.
             (BusCondition::Failed(_), Some(BusCondition::Failed(_) | BusCondition::Refused(_))) => {}
             _ => self.bus = Some(condition),
         }
@@ -172,7 +172,7 @@ impl Application {
             (BusCondition::Operational, _) if self.mode == Mode::BusConfiguring => self.mode = Mode::DrivesOff,
             (BusCondition::Operational, _) => {}
             (BusCondition::Refused(fault), Some(_)) if self.recovering_since_ms.is_some() => self.give_up(fault),
-            // It was whole, and is not any more.
+            // The bus was operational and no longer is.
             (BusCondition::Failed(_), Some(_)) if self.recovering_since_ms.is_some() && was_whole => self.recover_bus(),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), None) => self.enter_fault(fault),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), Some(known)) => {
@@ -239,7 +239,7 @@ impl Application {
         }
     }
 
-    /// One millisecond: takes what was reported and returns what is to be done.
+    /// Advances by one millisecond: takes the reports and returns the actions.
     pub fn step(
         &mut self,
         now_ms: u32,
@@ -268,7 +268,7 @@ impl Application {
         self.take_actions()
     }
 
-    /// What is to be done since the last call; to be asked after each command.
+    /// Actions that have become due since the last call; call it after each command.
     pub fn take_actions(&mut self) -> Vec<Action, ACTIONS_MAX> {
         core::mem::take(&mut self.actions)
     }
@@ -289,8 +289,8 @@ impl Application {
         }
     }
 
-    /// A motion may begin: nothing else is under way, not even the taking of a reference, which takes the references of a
-    /// motion from the drives.
+    /// Checks that a motion may begin: no operation is in progress. Taking a reference counts as one, because it takes
+    /// the references of a motion away from the drives.
     fn require_idle(&self) -> Result<(), Refusal> {
         match self.mode {
             Mode::Idle if self.enabling != Enabling::No => Err(Refusal::Moving),
@@ -387,7 +387,7 @@ impl Application {
             self.act(Action::ClearFault);
             return Ok(());
         }
-        // The supervisor has to look: slaves that left OP may go on answering with what they last had.
+        // The supervisor has to check the bus: slaves that left OP may go on answering with their last data.
         self.recover_bus();
         self.act(Action::ClearFault);
         self.act(Action::Power(match self.condition.drive_fault {
@@ -419,7 +419,7 @@ impl Application {
         self.enabling = Enabling::No;
         self.cancelling = false;
         self.recovering_since_ms = None;
-        // Silence of the drives is no proof: what they were asked for counts too.
+        // Drives that send nothing are not proof of power off: the last power request counts too.
         let may_have_power = matches!(self.power, Power::On | Power::QuickStop) || !self.condition.unpowered;
         if may_have_power {
             self.mode = Mode::Stopping;
@@ -442,7 +442,7 @@ impl Application {
         self.now_ms.wrapping_sub(since_ms)
     }
 
-    /// Whoever is to move, or may be asked to, needs the angles of all axes.
+    /// Requires the angles of all axes in modes in which the robot moves or may be asked to move.
     fn look_at_reference(&mut self) {
         let needed = match self.mode {
             Mode::Idle | Mode::Moving | Mode::Drawing | Mode::Holding => true,
@@ -464,7 +464,7 @@ impl Application {
                 }
                 self.enabling = Enabling::No;
                 if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
-                    // Taking a reference ends the following; without one the drives hold the pose again.
+                    // Taking a reference ends following; on an axis without a reference the drives hold the pose again.
                     self.follow_from_here();
                     self.mode = if taken { Mode::Idle } else { Mode::Unreferenced };
                 }
@@ -522,7 +522,7 @@ impl Application {
         }
         let timed_out = self.waited_ms(since_ms) > RECOVERY_MAX_MS;
         match (self.condition.fault, self.missing()) {
-            // It came after the acknowledgement.
+            // The fault came after the acknowledgement.
             (Some(fault), _) => self.give_up(fault),
             (None, None) => {
                 self.recovering_since_ms = None;
@@ -537,7 +537,7 @@ impl Application {
         }
     }
 
-    /// What keeps the drives from being enabled again, as far as it is known.
+    /// What keeps the drives from being enabled again, as far as known.
     fn missing(&self) -> Option<Fault> {
         match (self.bus, self.condition.silent, self.condition.drive_fault) {
             (Some(BusCondition::Failed(fault) | BusCondition::Refused(fault)), ..) => Some(fault),
@@ -549,7 +549,7 @@ impl Application {
         }
     }
 
-    /// An acknowledgement did not succeed, and this is why.
+    /// Ends an acknowledgement that failed, with the cause.
     fn give_up(&mut self, fault: Fault) {
         self.recovering_since_ms = None;
         self.fault = Some(fault);
@@ -557,7 +557,7 @@ impl Application {
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
-        // The references of the last period are still on their way when the trajectory rests.
+        // The references of the last period are still in the ring when the trajectory is at rest.
         let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
@@ -572,7 +572,7 @@ impl Application {
 }
 
 const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);
-// Whatever configuration is taken, its quick stop ends, and is seen to have ended, before the brakes close.
+// In any valid configuration the quick stop ends, and the standstill is detected, before the brakes close.
 const _: () = assert!(
     crate::config::QUICK_STOP_MAX_MS + crate::control::sampler::STANDSTILL_MS as u32 + QUICK_STOP_DELAY_MS
         <= STANDSTILL_MAX_MS

@@ -1,18 +1,18 @@
-//! A reference at a known pose: checked before it is taken.
+//! Reference at a known pose: checks the pose before it is taken.
 //!
-//! A resolver is absolute within one motor turn, and at a gear of 1:12 an arm repeats every 30 degrees. A pose that
-//! somebody has read from marks, or measured, tells which of the turns it is. Two things can be checked: within its turn
-//! the resolver has to show the pose's angle, and where the platform's position was measured too, forward kinematics of
-//! the pose has to lead there. A pose that is wrong by whole turns passes the first and fails the second.
+//! A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. A pose read from
+//! marks or measured selects the turn. Two things can be checked: within its turn the resolver has to show the pose's
+//! angle, and if the platform's position was measured too, forward kinematics of the pose has to give that position. A
+//! pose that is wrong by whole turns passes the first check and fails the second.
 //!
-//! Invariant: a refused pose names the axis that disagrees most, and changes nothing.
+//! Invariant: a refused pose names the axis that disagrees most and changes nothing.
 
 use super::Refusal;
 use crate::config::{Axis, Config};
 use crate::robot::{ARMS, AXES, Delta, JointAngles, Position};
 use core::f64::consts::TAU;
 
-/// Largest difference between a pose and what the resolvers show, rad: a tenth of the turn after which an arm repeats.
+/// Largest difference between a pose and the resolver angles, rad: a tenth of the turn after which an arm repeats.
 pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
 /// Largest distance between a measured position and forward kinematics of the pose, mm; one motor turn of one arm moves the
 /// platform by more than 50 mm.
@@ -26,8 +26,8 @@ pub(crate) fn nearest_turn(difference: i64, revolution: i64) -> i64 {
     difference - turns as i64 * revolution
 }
 
-/// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`; without one on
-/// the turn nearest to the synchronisation mark.
+/// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`, or nearest
+/// to the synchronisation mark if `near_rad` is `None`.
 pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
     let revolution = i64::from(axis.increments_per_revolution.max(1));
     let off_mark = increments - i64::from(axis.sync_increments);
@@ -40,10 +40,10 @@ pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -
     }
 }
 
-/// Whether a position of every axis arrives.
+/// Checks that a position of every axis arrives.
 ///
 /// # Errors
-/// The first axis without one.
+/// The first axis without a position.
 pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal> {
     match (0u8..).zip(increments).find(|(_, increments)| increments.is_none()) {
         Some((axis, _)) => Err(Refusal::NoPosition { axis }),
@@ -51,7 +51,7 @@ pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal>
     }
 }
 
-/// What a pose is checked against.
+/// Limits and geometry against which a pose is checked.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseCheck {
     axes: [Axis; AXES],
@@ -59,7 +59,7 @@ pub struct PoseCheck {
 }
 
 impl PoseCheck {
-    /// The check of a configuration.
+    /// Makes the check for a configuration.
     pub fn new(config: &Config) -> Self {
         Self {
             axes: config.axes,
@@ -67,7 +67,7 @@ impl PoseCheck {
         }
     }
 
-    /// What the resolvers show within their motor turns, increments from 0.
+    /// Resolver positions within their motor turns, increments from 0.
     pub fn within_turn(&self, increments: &[Option<i64>; AXES]) -> [Option<u32>; AXES] {
         let mut within = [None; AXES];
         for ((within, axis), increments) in within.iter_mut().zip(&self.axes).zip(increments) {
@@ -77,11 +77,11 @@ impl PoseCheck {
         within
     }
 
-    /// Whether a pose may be taken as the reference: `increments` is what the resolvers show, `position` where the platform
-    /// was measured to be.
+    /// Checks whether a pose may be taken as the reference: `increments` are the resolver positions, `position` is the
+    /// measured position of the platform.
     ///
     /// # Errors
-    /// What disagrees, with the axis.
+    /// The disagreement, with its axis.
     pub fn check(
         &self,
         increments: &[Option<i64>; AXES],
@@ -121,7 +121,7 @@ fn check_position(delta: &Delta, pose: &JointAngles, position: &Position) -> Res
     if distance_mm <= POSITION_DIFFERENCE_MAX_MM {
         return Ok(());
     }
-    // The arm whose angle is farthest from what the position asks for.
+    // The arm whose angle is farthest from the angle that the position requires.
     let wanted = delta.inverse(position).unwrap_or([f64::NAN; ARMS]);
     let differences = (0u8..).zip(pose.0.iter().zip(wanted).map(|(angle, wanted)| angle - wanted));
     let worst = differences.max_by(|(_, a), (_, b)| a.abs().total_cmp(&b.abs()));

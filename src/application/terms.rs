@@ -1,4 +1,4 @@
-//! Modes, faults and refusals: the words in which the firmware tells where it stands.
+//! Modes, faults and refusals: the terms in which the firmware reports its state.
 
 use crate::board::PortState;
 use crate::control::feedback::Implausible;
@@ -15,9 +15,9 @@ pub enum Mode {
     Startup,
     /// The bus is being brought up.
     BusConfiguring,
-    /// The bus is operational, the drives are without power.
+    /// The bus is operational; the drives have no power.
     DrivesOff,
-    /// The drives hold the pose, the joint angles are not known.
+    /// The drives hold the pose; the joint angles are not known.
     Unreferenced,
     /// Enabled and at rest.
     Idle,
@@ -27,7 +27,7 @@ pub enum Mode {
     Drawing,
     /// A drawing is held on its path.
     Holding,
-    /// On the way to a standstill, before the power is taken from the drives.
+    /// Decelerating to a standstill, before the drives lose power.
     Stopping,
     /// A fault is latched.
     Fault,
@@ -84,7 +84,7 @@ pub enum Fault {
         /// Limit, rad.
         limit_rad: f32,
     },
-    /// The controller asked for more than the output limit for longer than a moment.
+    /// The controller's output was above its limit for longer than a moment.
     OutputLimit {
         /// Axis, from 0.
         axis: u8,
@@ -93,7 +93,7 @@ pub enum Fault {
         /// Limit, rad/s.
         limit_rad_s: f32,
     },
-    /// Positions were missing in motion for so long that the turn is no longer known.
+    /// Positions were missing during motion for so long that the motor turn is no longer known.
     ReferenceLost {
         /// Axis, from 0.
         axis: u8,
@@ -105,11 +105,11 @@ pub enum Fault {
         /// The limit.
         limit: u16,
     },
-    /// The ring of references ran dry.
+    /// The ring of references ran empty.
     ReferenceUnderrun,
-    /// The drives did not take power in time.
+    /// The drives did not switch to operation enabled in time.
     EnableTimeout {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u16,
     },
     /// The bus could not be brought up.
@@ -121,35 +121,35 @@ pub enum Fault {
         /// AL status or SDO abort code.
         code: u32,
     },
-    /// Other drives on the bus than the configuration expects.
+    /// The number of drives on the bus differs from the configuration.
     UnexpectedBus {
         /// Drives found.
         found: u8,
         /// Drives expected.
         expected: u8,
     },
-    /// The bus clock did not come any more.
+    /// The bus clock is no longer received.
     ClockLost {
         /// Cycles in a row without a clock value.
         missing_cycles: u8,
         /// The limit.
         limit_cycles: u8,
     },
-    /// The bus clock or the sample left its phase.
+    /// The bus clock or the sample has lost its phase.
     ClockJump {
-        /// Phase of the sample against the bus clock, ns; positive when the sample came too late.
+        /// Phase of the sample relative to the bus clock, ns; positive when the sample was late.
         error_ns: i32,
         /// The limit, ns.
         limit_ns: u32,
     },
-    /// The bus' Ethernet port has no link.
+    /// The bus's Ethernet port has no link.
     NoLink {
-        /// What its PHY says.
+        /// State that its PHY reports.
         port: PortState,
     },
-    /// The board's exact clock has failed; it runs on a substitute.
+    /// The board's precise clock source has failed; the board runs on a substitute.
     ClockFailure,
-    /// Another product than before stands in a slave's place.
+    /// A slave was replaced by a different product.
     OtherProduct {
         /// Position in the chain, from 0.
         slave: u8,
@@ -158,29 +158,29 @@ pub enum Fault {
         /// Product code found.
         found: u32,
     },
-    /// The bus was not repaired in time, and why is not known yet.
+    /// The bus was not repaired in time; the cause is not known yet.
     RepairTimeout {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u16,
     },
-    /// The planner made no progress on a motion that has to go on.
+    /// The planner made no progress on a motion that should go on.
     MotionStalled {
         /// Vertices of the path fully executed.
         vertex: u32,
-        /// How long it was waited for, ms.
+        /// Time waited for progress, ms.
         waited_ms: u16,
     },
-    /// An axis's measured motion is not the motion that was commanded: its feedback is frozen, slips, is reversed or
+    /// An axis's measured motion differs from its commanded motion: its feedback is frozen, slips, is reversed or
     /// belongs to another axis, or its drive does not follow.
     FeedbackDeviation {
         /// Axis, from 0.
         axis: u8,
-        /// Commanded less measured motion, rad.
+        /// Commanded minus measured motion, rad.
         deviation_rad: f32,
         /// Limit, rad.
         limit_rad: f32,
     },
-    /// An axis's measured position jumps about as no motor can.
+    /// An axis's measured position jumps in a way that no motor can.
     FeedbackNoise {
         /// Axis, from 0.
         axis: u8,
@@ -189,7 +189,7 @@ pub enum Fault {
         /// Limit, rad/s2.
         limit_rad_s2: f32,
     },
-    /// A slave's processor stood still: its watchdog expired, and what the slave showed was old.
+    /// A slave's processor had stopped: its watchdog expired and its process data were stale.
     ProcessorStopped {
         /// Position in the chain, from 0.
         slave: u8,
@@ -199,7 +199,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// The fault of an axis, from 0, whose feedback cannot be true.
+    /// The fault of an axis (from 0) whose feedback is implausible.
     pub fn feedback(axis: u8, implausible: Implausible) -> Self {
         match implausible {
             Implausible::Deviation {
@@ -221,15 +221,16 @@ impl Fault {
         }
     }
 
-    /// Whether it tells more about what `known` was latched for: the supervisor knows which slave and why, the critical
-    /// tasks only that something is wrong. A slave that answers in OP again only waits to be taken back.
+    /// Whether this fault tells more about the event for which `known` was latched. The supervisor knows which slave
+    /// failed and why; the critical tasks know only that something failed. A slave that answers in OP again only waits
+    /// to be taken back.
     pub(super) fn names_better(&self, known: &Self) -> bool {
         let slave_of = |fault: &Self| match fault {
             Self::SlaveLost { slave } | Self::SlaveState { slave, .. } => Some(*slave),
             _ => None,
         };
         if matches!(self, Self::NoLink { .. }) {
-            // Whatever the bus is missed for, this is why.
+            // This is the cause of any missing bus.
             return matches!(
                 known,
                 Self::Blind { .. }
@@ -248,7 +249,7 @@ impl Fault {
     }
 }
 
-/// Why a command was refused; nothing has changed.
+/// Why a command was refused. A refused command changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Refusal {
     /// The mode does not allow it.
@@ -257,39 +258,39 @@ pub enum Refusal {
     NotConfigured,
     /// The joint angles are not referenced.
     NotReferenced,
-    /// The target is outside what the robot may use.
+    /// The target is outside the work area.
     Target(crate::motion::Refusal),
     /// The override is outside 10 to 200 percent.
     OverrideRange(u8),
-    /// The cause of the fault is still there.
+    /// The cause of the fault is still present.
     CauseRemains(Fault),
     /// The robot is moving.
     Moving,
     /// A value is not a finite number.
     NotFinite,
-    /// No position of the axis arrives.
+    /// No position of an axis arrives.
     NoPosition {
         /// Axis, from 0.
         axis: u8,
     },
-    /// The axis' resolver shows another angle than the pose says.
+    /// The axis's resolver angle differs from the pose.
     PoseResolver {
         /// Axis, from 0.
         axis: u8,
-        /// What it shows, on the turn nearest to the pose, minus the pose, rad.
+        /// Resolver angle on the turn nearest to the pose, minus the pose, rad.
         difference_rad: f32,
     },
-    /// Forward kinematics of the pose does not lead to the measured position.
+    /// Forward kinematics of the pose does not give the measured position.
     PosePosition {
         /// The axis that differs most, from 0.
         axis: u8,
-        /// By how much, rad: near a multiple of a motor turn where the turn is the wrong one.
+        /// Difference of this axis, rad; near a multiple of a motor turn if the turn is wrong.
         difference_rad: f32,
         /// Distance between the two positions, mm.
         distance_mm: f32,
     },
     /// Too many commands at once.
     Busy,
-    /// The fault was acknowledged before, and bus and drives are being brought back.
+    /// The fault is already acknowledged; the bus and drives are recovering.
     Recovering,
 }

@@ -1,9 +1,10 @@
-//! What passes between the sampler and the slower tasks.
+//! Data exchanged between the sampler and the slower tasks.
 //!
-//! Commands and references come from below, a report of every millisecond goes there. All of it is plain data that the
-//! lock-free queues copy; what it does is the sampler's.
+//! The slower tasks send commands and references; the sampler sends a report every millisecond. All of it is plain data
+//! that the lock-free queues copy; the logic is in the sampler.
 //!
-//! Invariant: a report holds all that a slower task may know of its millisecond; nobody asks the sampler for more.
+//! Invariant: a report holds everything that a slower task may know about its millisecond; no task asks the sampler for
+//! more.
 
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
@@ -12,7 +13,7 @@ use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Reference;
 use crate::robot::{AXES, JointAngles};
 
-/// A reference on its way to the sampler, with the start it belongs to.
+/// A reference for the sampler, with the start that it belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Queued {
     /// The start ([`crate::application::Action::Place`]) this reference belongs to.
@@ -21,7 +22,7 @@ pub struct Queued {
     pub reference: Reference,
 }
 
-/// What the slower side asks of the sampler.
+/// A command of the slower tasks to the sampler.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // a handful, in static memory
 pub enum SamplerCommand {
@@ -34,7 +35,8 @@ pub enum SamplerCommand {
     },
     /// Power of the drives.
     Power(Power),
-    /// Take the resolvers' present angles as the reference, on the turns nearest to a pose, or to the marks.
+    /// Take the resolvers' present angles as the reference, on the turns nearest to a pose, or nearest to the marks if
+    /// there is no pose.
     TakeReference {
         /// The pose.
         near: Option<JointAngles>,
@@ -48,7 +50,7 @@ pub enum SamplerCommand {
     ClearFault,
 }
 
-/// What the sampler has counted since it started.
+/// Counters of the sampler since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SamplerCounters {
     /// Released samples.
@@ -57,11 +59,11 @@ pub struct SamplerCounters {
     pub cycles_late: u32,
     /// Milliseconds without a reference while following.
     pub underruns: u32,
-    /// Reports that found no room in their queue.
+    /// Reports dropped because their queue was full.
     pub reports_dropped: u32,
 }
 
-/// One millisecond as the sampler saw it.
+/// State of one millisecond as seen by the sampler.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CycleReport {
     /// Number of the millisecond.
@@ -78,26 +80,26 @@ pub struct CycleReport {
     pub status_word: [u16; AXES],
     /// Whether each axis delivered a valid position.
     pub valid: [bool; AXES],
-    /// What the drives' encoders showed last, increments since an unknown turn.
+    /// Last encoder positions of the drives, increments; the turn is unknown.
     pub increments: [i64; AXES],
     /// Whether each axis is referenced.
     pub referenced: [bool; AXES],
-    /// Whether all axes stand still.
+    /// Whether all axes are at rest.
     pub standstill: bool,
-    /// Phase of the sample against the bus clock, ns, positive when it came too late; `None` without a clock.
+    /// Phase of the sample relative to the bus clock, ns; positive when the sample was late; `None` without a clock.
     pub clock_error_ns: Option<i32>,
     /// The latched fault.
     pub fault: Option<Fault>,
-    /// What on the board keeps the drives in quick stop.
+    /// Board input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
     /// The sampler's counters.
     pub counters: SamplerCounters,
-    /// The bus' counters.
+    /// The bus's counters.
     pub bus: BusCounters,
 }
 
 impl CycleReport {
-    /// What the drives' encoders show, increments since an unknown turn; `None` where nothing came.
+    /// Encoder positions of the drives, increments; the turn is unknown. `None` where no position arrived.
     pub fn shown(&self) -> [Option<i64>; AXES] {
         core::array::from_fn(|axis| self.valid[axis].then_some(self.increments[axis]))
     }

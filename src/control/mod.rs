@@ -8,7 +8,7 @@ pub mod supervision;
 pub mod velocity;
 mod window;
 
-/// `value` between `-limit` and `limit`; what is not a number stays so. Unlike `clamp` it cannot panic.
+/// `value` limited to between `-limit` and `limit`; a NaN stays NaN. Unlike `clamp` it cannot panic.
 pub(crate) fn limited(value: f64, limit: f64) -> f64 {
     if value > limit {
         limit

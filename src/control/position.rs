@@ -1,13 +1,12 @@
 //! The position controller: v = Kfb (x_ref(t - age) - x) + Kff v_ff(t + lead).
 //!
-//! A measurement is older than the moment it is used, and a command acts later than the moment it is computed. The
-//! controller compares the measurement with the reference as old as the measurement, and feeds forward the velocity
-//! that will be wanted when the drive follows. Fractions of a millisecond are interpolated between neighbouring
-//! references. Gains and delays are found by `etherpen identify`.
+//! A measurement is older than the moment it is used, and a command takes effect later than the moment it is computed.
+//! The controller compares the measurement with the reference of the same age, and feeds forward the velocity reference
+//! of the moment at which the drive will follow. Fractions of a millisecond are interpolated between neighbouring
+//! references. `etherpen identify` finds gains and delays.
 //!
-//! Invariant: the command is what the law asks for, neither clamped nor filtered, so that the supervision sees a demand
-//! beyond the limit or one that is not a number. `ethercat_robot` clamps what is sent to a drive, and sends 0 instead
-//! of what is not a number.
+//! Invariant: the command is the output of the control law, neither clamped nor filtered, so that the supervision sees
+//! a demand beyond the limit or a NaN. `ethercat_robot` clamps the value sent to a drive, and sends 0 instead of a NaN.
 
 use crate::config::Axis;
 
@@ -15,9 +14,10 @@ use crate::config::Axis;
 pub const AGE_MAX_MS: usize = 10;
 /// Greatest lead of the feed-forward, ms; the bound of `axes.feed_forward_lead_ms`.
 pub const LEAD_MAX_MS: usize = 10;
-/// A velocity reference is the difference over the millisecond that ends at its time: its centre lies this far back.
+/// Time from the centre of a velocity reference to its time stamp, ms: it is the difference over the millisecond that
+/// ends there.
 const DIFFERENCE_CENTRE_MS: f64 = 0.5;
-/// Steps in a second.
+/// Cycles in a second.
 const CYCLES_PER_S: f64 = 1_000.0;
 /// References kept: the present one, the oldest whole age, one more to interpolate to, and the one before it; a power of
 /// two, so that an index is wrapped by a mask.
@@ -54,23 +54,23 @@ impl PositionController {
         }
     }
 
-    /// Forgets the references: the next one counts as having always been there. Used when the axis is enabled.
+    /// Discards the references: the next one counts as having been constant before. Used when the axis is enabled.
     pub fn reset(&mut self) {
         self.filled = false;
     }
 
-    /// One millisecond.
+    /// Advances by one millisecond.
     ///
     /// `reference_rad` is the position reference of this millisecond, `measured_rad` the latest measurement. `ahead`
-    /// gives the velocity references from this millisecond on; where it ends, its last value goes on.
+    /// gives the velocity references from this millisecond on; after its end its last value is used.
     ///
-    /// Returns the velocity command, rad/s at the joint, before any clamp; not finite when an input is not.
+    /// Returns the velocity command, rad/s at the joint, unclamped; not finite when an input is not.
     pub fn step(&mut self, reference_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
         let forward_rad_s = interpolate(ahead, self.lead);
         self.step_with(reference_rad, measured_rad, forward_rad_s)
     }
 
-    /// As [`Self::step`], with the velocity reference at [`Self::lead`].
+    /// Advances like [`Self::step`], with the velocity reference at [`Self::lead`].
     #[inline]
     pub(super) fn step_with(&mut self, reference_rad: f64, measured_rad: f64, forward_rad_s: f64) -> f64 {
         self.remember(reference_rad);
@@ -78,16 +78,16 @@ impl PositionController {
         self.feedback_gain_per_s * error + self.feed_forward_gain * forward_rad_s
     }
 
-    /// Where among the velocity references from this millisecond on the feed-forward is read.
+    /// Place among the velocity references from this millisecond on at which the feed-forward is read.
     #[inline]
     pub(super) fn lead(&self) -> Place {
         self.lead
     }
 
-    /// One millisecond of an axis whose velocity loop is closed by the firmware.
+    /// Advances an axis whose velocity loop is closed by the firmware by one millisecond.
     ///
-    /// Returns the velocity to be compared with the measured one, rad/s at the joint: the feed-forward is the
-    /// reference's difference over the very millisecond over which the latest measurements were differenced.
+    /// Returns the velocity to compare with the measured one, rad/s at the joint. Its feed-forward is the difference of
+    /// the reference over the millisecond over which the latest measurements were differenced.
     pub fn step_for_torque(&mut self, reference_rad: f64, measured_rad: f64) -> f64 {
         self.remember(reference_rad);
         let reference_rad = self.reference_at_age_rad;
@@ -95,7 +95,7 @@ impl PositionController {
         self.feedback_gain_per_s * (reference_rad - measured_rad) + self.feed_forward_gain * forward
     }
 
-    /// The reference that the latest measurement is compared with, rad.
+    /// The reference to which the latest measurement is compared, rad.
     pub fn reference_at_age(&self) -> f64 {
         self.reference_at_age_rad
     }
@@ -125,14 +125,14 @@ impl PositionController {
 /// A place in a sequence with one value a millisecond, from 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
-    /// The value before it.
+    /// Index of the value before the place.
     pub(super) whole: usize,
-    /// How far it lies on the way to the next one, from 0 to 1.
+    /// Fraction of the distance to the next value, 0 to 1.
     part: f64,
 }
 
 impl Place {
-    /// A place, ms from the sequence's beginning.
+    /// A place, ms from the beginning of the sequence.
     pub(super) fn new(place_ms: f64) -> Self {
         let whole = place_ms as usize;
         Self {
@@ -141,14 +141,14 @@ impl Place {
         }
     }
 
-    /// The value there, when `low` is the one before it and `high` the next one.
+    /// The interpolated value, for `low` before the place and `high` after it.
     #[inline]
     pub(super) fn between(self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.part
     }
 }
 
-/// The value at `place` of a sequence; its last value goes on for ever.
+/// The value at `place` of a sequence; after the end the last value is used.
 pub(super) fn interpolate(values: impl IntoIterator<Item = f64>, place: Place) -> f64 {
     let mut values = values.into_iter();
     let mut low = 0.0;

@@ -1,53 +1,53 @@
-//! Supervision of the axes: what the critical tasks see first and answer with a quick stop.
+//! Supervision of the axes: the faults that the critical tasks detect and answer with a quick stop.
 //!
-//! One [`Supervision`] is stepped every millisecond in the critical task, with bounded work and without a lock. The
-//! first cause is latched and stays until it is cleared from below; later causes do not replace it.
+//! One [`Supervision`] is stepped every millisecond in the critical task, with bounded work and without a lock. It
+//! latches the first cause until a slower task clears it; later causes do not replace the first.
 
 use crate::application::Fault;
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
 use crate::robot::AXES;
 
-/// Cycles in a row with the output at its clamp that make a fault.
+/// Consecutive cycles with a clamped output that cause a fault.
 pub const CLAMPED_CYCLES_MAX: u8 = 5;
 /// Length of the window in which late cycles are counted, ms.
 pub const LATE_WINDOW_MS: u16 = 1_000;
 
-/// What the supervision looks at in one millisecond.
+/// Inputs of the supervision for one millisecond.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
     /// Whether each axis delivered a valid position in this cycle.
     pub valid: [bool; AXES],
     /// Following error of each axis, rad.
     pub following_error_rad: [f64; AXES],
-    /// Velocity the controller asked for before the clamp, rad/s.
+    /// Velocity command before the clamp, rad/s.
     pub output_rad_s: [f64; AXES],
-    /// Status word of each axis' drive.
+    /// Status word of each axis's drive.
     pub status_word: [u16; AXES],
-    /// Whether each drive reports a fault or has lost its power although it should have it.
+    /// Whether each drive reports a fault or has lost its power while it should have power.
     pub drive_fault: [bool; AXES],
-    /// Whether each axis' position has been missing too long to know the motor's turn.
+    /// Whether each axis's position has been missing too long for the motor turn to be known.
     pub reference_lost: [bool; AXES],
-    /// AL state of all slaves, OR-ed, with the error flag, when the broadcast came back.
+    /// AL states of all slaves OR-ed, with the error flag; `None` if the broadcast did not return.
     pub al_status: Option<u8>,
-    /// What is wrong with the bus clock.
+    /// Fault of the bus clock, if any.
     pub clock: Option<Fault>,
-    /// Whether the drives are to have power.
+    /// Whether the drives should have power.
     pub power: bool,
     /// Whether the drives follow references.
     pub following: bool,
     /// Whether the ring of references was empty.
     pub underrun: bool,
-    /// Output telegrams since the last cycle that were late or not sent at all.
+    /// Number of output telegrams since the last cycle that were late or not sent at all.
     pub late: u16,
-    /// What on the board keeps the drives in quick stop.
+    /// Board input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
 }
 
 /// AL state OP without the error flag.
 const AL_OPERATIONAL: u8 = 8;
 
-/// Latches the first cause that asks for a quick stop.
+/// Latches the first cause of a quick stop.
 #[derive(Debug)]
 pub struct Supervision {
     fault: Option<Fault>,
@@ -64,7 +64,7 @@ impl Default for Supervision {
 }
 
 impl Supervision {
-    /// Nothing latched.
+    /// A supervision with nothing latched.
     pub const fn new() -> Self {
         Self {
             fault: None,
@@ -80,7 +80,7 @@ impl Supervision {
         self.fault
     }
 
-    /// Forgets the latched cause.
+    /// Clears the latched cause.
     pub fn clear(&mut self) {
         *self = Self::new();
     }
@@ -91,7 +91,7 @@ impl Supervision {
         self.fault.get_or_insert(fault);
     }
 
-    /// One millisecond: returns the latched cause, if there is one.
+    /// Advances by one millisecond; returns the latched cause, if there is one.
     #[inline]
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
         if let Some(interlock) = seen.interlock {
@@ -156,7 +156,7 @@ impl Supervision {
         } else if let Some(al_state) = seen.al_status
             && al_state != AL_OPERATIONAL
         {
-            // Which slave it is, the supervisor finds out; until then the state of all is named with slave 255.
+            // The supervisor finds out which slave it is; until then slave 255 stands for all.
             self.latch(Fault::SlaveState {
                 slave: u8::MAX,
                 al_state,
@@ -200,7 +200,7 @@ impl Supervision {
     fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
         let (mut near, mut below) = (true, true);
         for (axis, limits) in axes.iter().enumerate() {
-            // What is not a number is neither.
+            // A NaN counts as neither near nor below its limit.
             near &= seen.following_error_rad[axis].abs() <= limits.following_error_max_rad;
             below &= seen.output_rad_s[axis].abs() <= limits.output_max_rad_s;
         }

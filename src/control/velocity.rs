@@ -1,11 +1,11 @@
 //! The velocity controller of an axis whose drive takes a torque: PI with feed-forward and anti-windup.
 //!
 //! torque = K (e + Ti^-1 integral of e) + J a_ref(t + lead), with the velocity error e behind a first-order low-pass.
-//! The position controller around it gives the wanted velocity; wanted and measured velocity are differences over the
-//! same millisecond, so that the filter delays both alike. The integral stands still while the torque is at its limit
-//! and the error would drive it further (conditional integration; Åström and Hägglund, *Advanced PID Control*, 3.5).
+//! The outer position controller gives the wanted velocity. Wanted and measured velocity are differences over the same
+//! millisecond, so that the filter delays both alike. The integral is held while the torque is at its limit and the
+//! error would drive it further (conditional integration; Åström and Hägglund, *Advanced PID Control*, 3.5).
 //!
-//! Invariant: the torque is finite and within plus and minus the axis's limit; anything not finite gives 0.
+//! Invariant: the torque is finite and within plus and minus the axis's limit; a non-finite value gives 0.
 
 use super::position::{Place, interpolate};
 use crate::config::Axis;
@@ -15,14 +15,14 @@ use crate::control::limited;
 const STEP_MS: f64 = 1.0;
 const STEP_S: f64 = 1.0e-3;
 
-/// Velocity controller of one axis, stepped once a millisecond.
+/// Velocity controller of one axis, called once a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityController {
     gain_nm_s: f64,
     integral_per_s: f64,
     inertia_kg_m2: f64,
     lead: Place,
-    /// Share of a new error in the filtered one.
+    /// Weight of a new error in the filtered error, 0 to 1.
     filter: f64,
     limit_nm: f64,
     error_rad_s: f64,
@@ -45,17 +45,17 @@ impl VelocityController {
         }
     }
 
-    /// Forgets the error and the integral. Used while the drive takes no torque.
+    /// Resets the error and the integral. Used while the drive takes no torque.
     pub fn reset(&mut self) {
         self.error_rad_s = 0.0;
         self.integral_nm = 0.0;
     }
 
-    /// One millisecond: the torque command, N m at the joint.
+    /// Advances by one millisecond; returns the torque command, N m at the joint.
     ///
     /// `wanted_rad_s` and `measured_rad_s` are velocities at the joint. `ahead` gives the velocity references from this
-    /// millisecond on, each the difference over the millisecond that ends there; their differences are the acceleration
-    /// that the torque feed-forward is made from. Without references it is 0.
+    /// millisecond on, each the difference over the millisecond that ends there. Their differences are the acceleration
+    /// for the torque feed-forward, which is 0 without references.
     pub fn step(&mut self, wanted_rad_s: f64, measured_rad_s: f64, mut ahead: impl Iterator<Item = f64>) -> f64 {
         let error_rad_s = wanted_rad_s - measured_rad_s;
         self.error_rad_s += self.filter * (error_rad_s - self.error_rad_s);

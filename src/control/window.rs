@@ -1,6 +1,7 @@
-//! The references of this millisecond and the next ones, as the sampler looks ahead on them.
+//! The sampler's look-ahead: references of this millisecond and the next ones.
 //!
-//! Invariant: a reference is copied once, from the queue to its place here, where it stays until its time is over.
+//! Invariant: a reference is copied once, from the queue into the window, and stays at its place until its time is
+//! over.
 
 use super::sampler::Queued;
 use crate::motion::Reference;
@@ -8,14 +9,14 @@ use crate::queue;
 use crate::robot::AXES;
 use heapless::spsc::Consumer;
 
-/// References that are looked ahead, for the feed-forward that is read ahead of time.
+/// Number of references of the look-ahead, for the velocity feed-forward.
 const LOOK_AHEAD: usize = 12;
-/// Most references taken from the queue, or thrown away, in a millisecond: a start fills the window in two.
+/// Most references taken from the queue or discarded in a millisecond: at a start the window fills in two.
 const TAKEN_MAX: usize = 8;
-/// A power of two, so that an index is wrapped by a mask.
+/// Slots of the window: a power of two, so that an index is wrapped by a mask.
 const SLOTS: usize = LOOK_AHEAD.next_power_of_two();
 
-/// The window on the references.
+/// References of this millisecond and the next ones.
 #[derive(Debug)]
 pub(super) struct Window {
     references: [Reference; SLOTS],
@@ -40,7 +41,7 @@ impl Window {
         self.length == 0
     }
 
-    /// Lets the first reference go.
+    /// Removes the first reference.
     #[inline]
     pub(super) fn advance(&mut self) {
         if self.length > 0 {
@@ -49,7 +50,7 @@ impl Window {
         }
     }
 
-    /// Takes references of a start from the queue, as long as there is room, and throws away those of other starts.
+    /// Takes the references of a start from the queue while there is room, and discards those of other starts.
     #[inline]
     pub(super) fn fill(&mut self, references: &mut Consumer<'_, Queued>, epoch: u8) {
         for _ in 0..TAKEN_MAX {
@@ -73,8 +74,8 @@ impl Window {
         (self.length > 0).then(|| &self.references[self.first % SLOTS])
     }
 
-    /// The axes' velocities so many whole milliseconds from this one on, and a millisecond later, rad/s; the last ones go
-    /// on, and without any they are 0.
+    /// Velocities of all axes `whole` milliseconds from this one on, and a millisecond later, rad/s. After the end the
+    /// last velocities are used; without any they are 0.
     #[inline]
     pub(super) fn velocities_around(&self, whole: usize) -> [&[f64; AXES]; 2] {
         let Some(last) = self.length.checked_sub(1) else {

@@ -1,11 +1,11 @@
 //! The firmware's end of the link.
 //!
-//! A serial line may lose, damage, repeat and delay, and the host may be restarted at any time; what the application
-//! sees must not depend on that. Invariants: a request is handed out once however often it arrives, and its answer is
-//! kept and repeated; the path comes out complete, in order and never more than the application has room for; a frame
-//! once begun is finished, unless another port takes the link; everything lives in the endpoint's own memory. Frames come
-//! in through [`DeviceEndpoint::receive`], each from a port's decoder, bytes go out through
-//! [`DeviceEndpoint::transmit`], time is the caller's millisecond.
+//! A serial line may lose, damage, repeat and delay bytes, and the host may restart at any time. The application must
+//! not be affected. Invariants: a request is handed out once however often it arrives, and its answer is kept and
+//! repeated; the path comes out complete, in order, and never longer than the application has room for; a frame that
+//! has been started is finished, unless another port takes the link; the endpoint owns all its memory. Frames enter
+//! through [`DeviceEndpoint::receive`], each from a port's decoder; bytes leave through [`DeviceEndpoint::transmit`];
+//! the caller passes the time in milliseconds.
 
 use super::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
 use super::path::{PathReceiver, PathVertices};
@@ -20,7 +20,7 @@ use crate::ethercat::service::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use heapless::{Deque, String};
 
-/// Samples that wait for room on the line when nothing else is said: longer than the longest other frame takes.
+/// Default length of the telemetry queue, samples: covers the time that the longest other frame takes on the line.
 pub const SAMPLES_QUEUED: usize = 64;
 /// Requests whose answers are kept for repetition.
 pub const REQUESTS_KEPT: usize = 8;
@@ -31,7 +31,7 @@ const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAM
 
 const _: () = assert!(size_of::<DeviceEndpoint>() <= 10 * 1024);
 
-/// What the firmware says about itself in its [`Welcome`].
+/// Identity that the firmware reports in its [`Welcome`].
 #[derive(Clone, Copy, Debug)]
 pub struct Identity {
     /// Version of the firmware package, at most 16 bytes.
@@ -42,11 +42,11 @@ pub struct Identity {
     pub capacity: u16,
 }
 
-/// What the host wants of the application.
+/// A request of the host to the application.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time
 pub enum DeviceEvent {
-    /// A host has connected; the state of an earlier path is kept. It expects a [`Status`].
+    /// A host has connected; the state of an earlier path is kept. The host expects a [`Status`].
     Connected,
     /// Check and use this configuration, then call [`DeviceEndpoint::configured`].
     Configure {
@@ -55,7 +55,7 @@ pub enum DeviceEvent {
         /// The configuration, unchecked.
         config: Config,
     },
-    /// Do this or refuse it, then call [`DeviceEndpoint::answer`].
+    /// Carry out or refuse this command, then call [`DeviceEndpoint::answer`].
     Command {
         /// Number of the request.
         id: u16,
@@ -64,21 +64,21 @@ pub enum DeviceEvent {
     },
     /// The next vertices of the path; there is room for all of them.
     Path {
-        /// The vertices, possibly none when only the end is announced.
+        /// The vertices; empty if the message only announces the end of the path.
         vertices: PathVertices,
         /// Whether they end the path.
         last: bool,
     },
     /// The host wants a [`Status`] now.
     Inquire,
-    /// Ask this of the bus, then call [`DeviceEndpoint::bus_answered`].
+    /// Pass this request to the bus, then call [`DeviceEndpoint::bus_answered`].
     Bus {
         /// Number of the request.
         id: u16,
         /// What is asked.
         request: ServiceRequest,
     },
-    /// Ask this of the measurements, then call [`DeviceEndpoint::measured`].
+    /// Pass this request to the measurements, then call [`DeviceEndpoint::measured`].
     Measure {
         /// Number of the request.
         id: u16,
@@ -87,18 +87,18 @@ pub enum DeviceEvent {
     },
 }
 
-/// What the endpoint has counted since it was made.
+/// Counters of the endpoint since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounts {
-    /// Frames with a right CRC that were no message.
+    /// Frames with a correct CRC whose content was no message.
     pub not_understood: u32,
-    /// Messages before a greeting of the right version.
+    /// Messages received before a greeting of the right version.
     pub refused: u32,
-    /// Frames with a right CRC at a port while another one held the link.
+    /// Frames with a correct CRC at a port while another one held the link.
     pub other_port: u32,
-    /// Path messages out of order, repeated or without room.
+    /// Path messages that were out of order, repeated or without room.
     pub path_dropped: u32,
-    /// Samples that were pushed out by newer ones.
+    /// Samples dropped in favour of newer ones.
     pub samples_dropped: u32,
 }
 
@@ -109,7 +109,7 @@ struct Request {
     due: bool,
 }
 
-/// A request of which one is carried out at a time, and its answer.
+/// A kind of request that is carried out one at a time, with its answer.
 struct Single<T> {
     id: u16,
     result: Option<T>,
@@ -117,7 +117,7 @@ struct Single<T> {
 }
 
 impl<T> Single<T> {
-    /// Whether `id` is to be carried out; a repetition makes its answer due again.
+    /// Whether `id` is to be carried out; a repeated `id` makes its answer due again.
     fn begin(slot: &mut Option<Self>, id: u16) -> bool {
         match slot {
             Some(known) if known.id == id => {
@@ -142,7 +142,7 @@ impl<T> Single<T> {
         }
     }
 
-    /// The answer that is due, once.
+    /// The answer that is due; returned once.
     fn take_due(slot: &mut Option<Self>) -> Option<(u16, &T)> {
         let known = slot.as_mut().filter(|known| known.due)?;
         known.due = false;
@@ -208,17 +208,17 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    /// What every greeting is told of the run before this one.
+    /// Sets how the previous run ended, as reported in every [`Welcome`].
     pub fn set_previous_run(&mut self, previous: PreviousRun) {
         self.previous = previous;
     }
 
-    /// What was counted.
+    /// Counters since the endpoint was made.
     pub const fn counts(&self) -> LinkCounts {
         self.counts
     }
 
-    /// The port on which to send what [`Self::transmit`] gives.
+    /// The port for the bytes of [`Self::transmit`].
     pub const fn port(&self) -> LinkPort {
         self.hold.port()
     }
@@ -233,13 +233,13 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.session.map(|_| now_ms.saturating_sub(self.heard_ms))
     }
 
-    /// Takes the payload of a frame with a right CRC from a port. `free` is the number of vertices the application can take
-    /// now.
+    /// Takes the payload of a frame with a correct CRC from a port. `free` is the number of vertices that the
+    /// application can take now.
     pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent> {
         match self.hold.hear(port, now_ms) {
             Hearing::Held => {}
             Hearing::Taken => {
-                // Whoever comes has to greet. A 0x00 ends what the line may still hold of a frame that was cut off.
+                // A host at a new port has to greet. A 0x00 ends any frame that was cut off on the line.
                 self.session = None;
                 self.welcome_due = false;
                 (self.frame_length, self.frame_sent) = (1, 0);
@@ -324,7 +324,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             result: None,
             due: false,
         };
-        // There is room: the oldest has just made it.
+        // There is room: the oldest entry has just been removed.
         let _ = self.requests.push_back(request);
         Some(DeviceEvent::Command { id, command })
     }
@@ -360,7 +360,8 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    /// Answers a configuration: its hash, or why it was refused, after which the former one stays in force.
+    /// Answers a configuration: its hash, or why it was refused. A refused configuration leaves the former one in
+    /// force.
     pub fn configured(&mut self, id: u16, result: Result<u64, ConfigRefusal>) {
         if let Ok(hash) = result {
             self.config = Some(hash);
@@ -368,7 +369,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         Single::answer(&mut self.configuring, id, result);
     }
 
-    /// Answers a request to the bus; an answer to another one than the last is ignored.
+    /// Answers a request to the bus; ignored unless `id` is the latest request.
     pub fn bus_answered(&mut self, id: u16, result: ServiceResult) {
         Single::answer(&mut self.bus, id, result);
     }
@@ -378,34 +379,34 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         Single::answer(&mut self.measuring, id, answer);
     }
 
-    /// Tells the host how far the path is: vertices fully executed, vertices that find room now, whether the path was
-    /// executed to its end. Call it every millisecond or when something changed; the endpoint decides when to send.
+    /// Reports the progress of the path: vertices fully executed, free places for vertices, whether the path was
+    /// executed to its end. Call it every millisecond or on a change; the endpoint decides when to send.
     pub fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
         if let Some(path) = &mut self.path {
             path.acknowledge(executed, free, finished);
         }
     }
 
-    /// Refuses a vertex of the path; the path is not taken further.
+    /// Refuses a vertex of the path; no more vertices of this path are taken.
     pub fn refuse_vertex(&mut self, refusal: crate::motion::Refusal) {
         if let Some(path) = &mut self.path {
             path.refuse(refusal);
         }
     }
 
-    /// Takes no more of the path, for instance because a fault has ended the drawing.
+    /// Takes no more vertices of the path, for instance because a fault has ended the drawing.
     pub fn close_path(&mut self) {
         if let Some(path) = &mut self.path {
             path.close();
         }
     }
 
-    /// Puts a status in line for sending; a newer one replaces one that has not been sent.
+    /// Queues a status; a newer status replaces one that has not been sent.
     pub fn status(&mut self, status: Status) {
         self.status = Some(status);
     }
 
-    /// Puts a sample in line for sending; when the line is slow the oldest samples are dropped and counted.
+    /// Queues a sample; when the line is slow the oldest samples are dropped and counted.
     pub fn sample(&mut self, sample: Sample) {
         if self.session.is_none() {
             return;
@@ -414,12 +415,12 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
             self.samples.pop_front();
             self.counts.samples_dropped = self.counts.samples_dropped.wrapping_add(1);
         }
-        // There is room: the oldest has just made it.
+        // There is room: the oldest entry has just been removed.
         let _ = self.samples.push_back(sample);
         self.sequence_next = self.sequence_next.wrapping_add(1);
     }
 
-    /// Fills `out` with what is to be sent now and returns how many bytes that are.
+    /// Fills `out` with the bytes to send now; returns how many.
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
@@ -439,7 +440,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    /// The message that is due first: answers, acknowledgement, status, telemetry.
+    /// The next message in order of urgency: answers, acknowledgement, status, telemetry.
     fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
         if self.welcome_due {
             self.welcome_due = false;

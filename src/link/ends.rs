@@ -13,7 +13,7 @@ use heapless::spsc::{Consumer, Producer};
 pub struct PortEnds<'a> {
     /// Bytes from the host.
     pub received: Consumer<'a, u8>,
-    /// Finds the frames in them; long, hence in the channels.
+    /// Finds the frames in the received bytes; large, therefore stored in the channels.
     pub decoder: &'a mut Decoder,
     /// Bytes to the host.
     pub sent: Producer<'a, u8>,
@@ -25,21 +25,21 @@ pub struct LinkEnds<'a> {
     pub serial: PortEnds<'a>,
     /// The board's own USB.
     pub usb: PortEnds<'a>,
-    /// What the sampler saw.
+    /// Reports of the sampler, one a millisecond.
     pub reports: Consumer<'a, CycleReport>,
-    /// What the sampler is asked for.
+    /// Commands to the sampler.
     pub sampler_commands: Producer<'a, SamplerCommand>,
     /// The path.
     pub vertices: Producer<'a, PathItem>,
-    /// What the trajectory is asked for.
+    /// Orders to the trajectory task.
     pub motion_orders: Producer<'a, MotionOrder>,
-    /// Where the trajectory stands.
+    /// State of the trajectory task.
     pub motion_reports: Consumer<'a, MotionReport>,
-    /// The bus' supervisor.
+    /// The bus's supervisor.
     pub bus: ApplicationEnd<'a>,
-    /// What the IP stack is to do.
+    /// Settings for the IP stack.
     pub network: SettingsEnd<'a>,
-    /// How long things took.
+    /// Execution times of the tasks.
     pub measurements: &'a Measurements,
 }
 

@@ -1,9 +1,9 @@
 //! Frames of the link: COBS(postcard(message), CRC-32 little endian), 0x00.
 //!
-//! A serial line loses, damages and repeats bytes. COBS keeps 0x00 out of the frame's inside, so that the receiver is
-//! in step again at the next 0x00 whatever came before; the CRC decides whether the bytes between two of them are a
-//! message. Invariant: a message comes out of [`Decoder`] only with a right CRC, everything else is counted, and no
-//! input makes either side panic.
+//! A serial line loses, damages and repeats bytes. COBS keeps 0x00 out of a frame's content, so the receiver is
+//! synchronised again at the next 0x00; the CRC decides whether the bytes between two zeros are a message. Invariant:
+//! [`Decoder`] returns a message only if its CRC is correct; it counts everything else, and no input makes either side
+//! panic.
 
 use super::protocol::MESSAGE_BYTES_MAX;
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -15,40 +15,40 @@ use serde::{Serialize, de::DeserializeOwned};
 pub const CRC_BYTES: usize = 4;
 /// Longest message with its CRC, before COBS, bytes.
 pub const PAYLOAD_BYTES_MAX: usize = MESSAGE_BYTES_MAX + CRC_BYTES;
-/// Longest frame on the wire: COBS adds one byte for each 254 begun, then follows the 0x00.
+/// Longest frame on the wire, bytes: COBS adds one byte for each 254 begun, then the 0x00 follows.
 pub const FRAME_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + PAYLOAD_BYTES_MAX / 254 + 2;
 
 const _: () = assert!(crate::config::CONFIG_BYTES_MAX + 8 <= MESSAGE_BYTES_MAX);
 
-/// CRC-32/ISO-HDLC, the one of Ethernet and zip (catalogue of parametrised CRC algorithms).
+/// CRC-32/ISO-HDLC, as in Ethernet and zip (catalogue of parametrised CRC algorithms).
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// What is wrong with a frame.
+/// Why a frame was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkError {
-    /// The encoded message does not fit the buffer it was to be written to.
+    /// The encoded message does not fit into the output buffer.
     NoRoom {
         /// Size of the buffer, bytes.
         room_bytes: usize,
     },
-    /// More bytes than the longest frame without a 0x00.
+    /// More bytes arrived without a 0x00 than the longest frame has.
     Overlong {
         /// The longest payload, bytes.
         limit_bytes: usize,
     },
-    /// The 0x00 came inside a COBS block, or before there could be a CRC.
+    /// The 0x00 came inside a COBS block, or before a complete CRC.
     Truncated {
         /// Payload bytes received so far.
         received_bytes: usize,
     },
-    /// The CRC is not the one of the bytes.
+    /// The CRC does not match the bytes.
     Damaged {
         /// CRC of the bytes received.
         expected: u32,
-        /// CRC that came with them.
+        /// CRC received in the frame.
         received: u32,
     },
-    /// The CRC is right, but the bytes are no message of this protocol.
+    /// The CRC is correct, but the bytes are no message of this protocol.
     NoMessage {
         /// Length of the message, bytes.
         length_bytes: usize,
@@ -66,7 +66,7 @@ pub fn encode(message: &impl Serialize, out: &mut [u8]) -> Result<usize, LinkErr
     Ok(frame.len())
 }
 
-/// Reads a message from the payload of a frame; bytes behind it are ignored.
+/// Reads a message from the payload of a frame; bytes behind the message are ignored.
 ///
 /// # Errors
 /// [`LinkError::NoMessage`].
@@ -80,7 +80,7 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, LinkError> {
 /// [`Welcome`](super::protocol::Welcome) to the host) of any version: both are the first variant of their enum, and
 /// the version is their first field.
 ///
-/// `None` when the payload is no greeting.
+/// Returns `None` when the payload is no greeting.
 pub fn greeting_version(payload: &[u8]) -> Option<u16> {
     let (0u8, rest) = postcard::take_from_bytes(payload).ok()? else {
         return None;
@@ -88,23 +88,23 @@ pub fn greeting_version(payload: &[u8]) -> Option<u16> {
     postcard::take_from_bytes(rest).ok().map(|(version, _)| version)
 }
 
-/// What a decoder has seen since it was made.
+/// Counters of a decoder since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameCounts {
-    /// Frames with a right CRC.
+    /// Frames with a correct CRC.
     pub good: u32,
     /// Frames that were too long, truncated or damaged.
     pub bad: u32,
 }
 
-/// Takes frames out of a stream of bytes.
+/// Extracts frames from a stream of bytes.
 #[derive(Debug)]
 pub struct Decoder<const BYTES: usize = PAYLOAD_BYTES_MAX> {
     payload: [u8; BYTES],
     length: usize,
-    /// Bytes still to come in the present COBS block.
+    /// Bytes still to come in the current COBS block.
     block_left: u8,
-    /// Whether a zero stands between the present block and the next.
+    /// Whether a zero belongs between the current block and the next.
     zero_follows: bool,
     begun: bool,
     overlong: bool,
@@ -133,12 +133,12 @@ impl<const BYTES: usize> Decoder<BYTES> {
         }
     }
 
-    /// Frames seen.
+    /// Counters of the frames received.
     pub const fn counts(&self) -> FrameCounts {
         self.counts
     }
 
-    /// Takes one byte; at the end of a frame returns its payload without the CRC, or what was wrong with it.
+    /// Takes one byte. At the end of a frame it returns the payload without the CRC, or why the frame was rejected.
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], LinkError>> {
         if self.complete {
             self.restart();

@@ -1,7 +1,8 @@
 //! The serial link between the host's tools and the firmware.
 //!
-//! Both ends use the types of [`protocol`]; frames are COBS with a CRC, the path travels in a window with credit,
-//! commands are answered one by one and overtake the path, telemetry is best effort and counts what it drops.
+//! Both ends use the types of [`protocol`]. Frames are COBS with a CRC. The path travels in a window with credit.
+//! Commands are answered one by one and overtake the path. Telemetry is best effort and counts the samples that it
+//! drops.
 
 pub mod device;
 mod ends;

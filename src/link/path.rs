@@ -1,8 +1,8 @@
 //! The path as the firmware receives it: go-back-N with credit.
 //!
-//! The host may send as many vertices as there is room for; each message names its first vertex. Only the message
-//! that continues the path is taken, and only as far as there is room, so that the path comes out complete and in
-//! order whatever the line does; acknowledgements are cumulative, carry the credit and say when one is missing.
+//! The host may send as many vertices as there is room for; each message names its first vertex. The firmware takes
+//! only the message that continues the path, and only as far as there is room. The path therefore arrives complete and
+//! in order whatever the line does. Acknowledgements are cumulative, carry the credit and report a missing message.
 
 use super::protocol::{DeviceMessage, PathAck, PathVertex, VERTICES_PER_MESSAGE};
 use crate::motion::Refusal;
@@ -10,7 +10,7 @@ use heapless::Vec;
 
 /// Shortest time between two acknowledgements that only report progress, ms.
 pub const ACK_PROGRESS_MS: u64 = 12;
-/// Longest time between two acknowledgements while there is a path, ms; it repeats credit that was lost on the way.
+/// Longest time between two acknowledgements while there is a path, ms; repeats credit that was lost on the line.
 pub const ACK_PERIOD_MS: u64 = 100;
 
 const _: () = assert!(ACK_PROGRESS_MS < ACK_PERIOD_MS);
@@ -52,8 +52,8 @@ impl PathReceiver {
         self.ack.job
     }
 
-    /// Takes what continues the path and has room. Returns the vertices with whether they end the path, if there is
-    /// anything to take, and whether something was dropped.
+    /// Takes the vertices that continue the path and have room. Returns them with whether they end the path, or `None`
+    /// if there is nothing to take, and whether something was dropped.
     pub(super) fn take(
         &mut self,
         first: u32,
@@ -79,7 +79,7 @@ impl PathReceiver {
         (taken, dropped)
     }
 
-    /// Progress of the execution and present room.
+    /// Sets the progress of the execution and the present room.
     pub(super) fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
         let ack = PathAck {
             credit: if self.open { credit(free) } else { 0 },
@@ -92,19 +92,19 @@ impl PathReceiver {
         self.ack = ack;
     }
 
-    /// Repeats the acknowledgement at the next opportunity.
+    /// Makes the acknowledgement due again.
     pub(super) fn acknowledge_now(&mut self) {
         self.ack_due = true;
     }
 
-    /// Takes no more and says why, also whenever the host goes on sending.
+    /// Takes no more vertices; sends the reason now and whenever the host goes on sending.
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.close();
         self.refusal = Some(refusal);
         self.refusal_due = true;
     }
 
-    /// Takes no more.
+    /// Takes no more vertices.
     pub(super) fn close(&mut self) {
         self.open = false;
         self.ack.credit = 0;

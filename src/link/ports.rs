@@ -1,18 +1,18 @@
 //! Which of a board's ports the link speaks on.
 //!
-//! A board may offer the link on a serial line and on USB at the same time. Two programs that speak at once must not
-//! share a robot, a port that is merely opened (by a modem manager, by a terminal) must not take it from the one in use,
-//! and a cable that was pulled must not keep it. Invariant: the link is held by the port whose host has spoken last; what
-//! comes from the other one is dropped until the holder has been silent for [`HELD_MS`].
+//! A board may offer the link on a serial line and on USB at once. Two programs that speak at once must not share a
+//! robot. A port that is merely opened (by a modem manager or a terminal) must not take the link from the port in use,
+//! and a pulled cable must not keep it. Invariant: the port whose host spoke last holds the link; messages from the
+//! other port are dropped until the holder has been silent for [`HELD_MS`].
 
-/// Silence after which the other port may have the link, ms: longer than a host's repetitions take, and than the silence
-/// after which a drawing holds by default.
+/// Silence of the holder after which the other port may take the link, ms: longer than a host's repetitions, and longer
+/// than the silence after which a drawing holds by default.
 pub const HELD_MS: u64 = 1_000;
 
 /// A port on which a host may speak.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LinkPort {
-    /// A serial line, the port of a board that has no other.
+    /// A serial line; the only port on a board without USB.
     #[default]
     Serial,
     /// The board's own USB.
@@ -20,22 +20,22 @@ pub enum LinkPort {
 }
 
 impl LinkPort {
-    /// All of them.
+    /// All ports.
     pub const ALL: [Self; 2] = [Self::Serial, Self::Usb];
 }
 
-/// What becomes of a message.
+/// How a message is treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hearing {
-    /// It came from the holder.
+    /// Its port already holds the link.
     Held,
-    /// The link was free: its port is the holder from here on.
+    /// The link was free; the message's port holds it from now on.
     Taken,
-    /// Another port holds the link: it must not count.
+    /// Another port holds the link; the message is dropped.
     Dropped,
 }
 
-/// The port that holds the link.
+/// Keeps which port holds the link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PortHold {
     port: LinkPort,
@@ -43,7 +43,7 @@ pub struct PortHold {
 }
 
 impl PortHold {
-    /// A link that nobody holds.
+    /// A free link.
     pub const fn new() -> Self {
         Self {
             port: LinkPort::Serial,
@@ -51,12 +51,12 @@ impl PortHold {
         }
     }
 
-    /// The port to speak on: the holder's, or that of the last one.
+    /// The port to send on: the holder, or the last one if the link is free.
     pub const fn port(&self) -> LinkPort {
         self.port
     }
 
-    /// Decides on a message with a right check sum.
+    /// Decides how to treat a message with a correct CRC.
     pub fn hear(&mut self, port: LinkPort, now_ms: u64) -> Hearing {
         let held = |heard_ms: u64| now_ms.saturating_sub(heard_ms) < HELD_MS;
         let hearing = match self.heard_ms {

@@ -1,4 +1,4 @@
-//! Messages of the link: what the host and the firmware say to each other.
+//! Messages between the host and the firmware.
 //!
 //! Every message is postcard-encoded, followed by a CRC-32 and framed with COBS (see `frame`). An unknown protocol
 //! version is refused with both versions named; [`Hello`] and [`Welcome`] never change their first field.
@@ -24,22 +24,21 @@ pub const SAMPLES_PER_MESSAGE: usize = 4;
 /// Slaves described in a status.
 pub const SLAVES_REPORTED: usize = 8;
 
-/// The host's greeting.
+/// Greeting of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
     /// The host's [`PROTOCOL_VERSION`].
     pub protocol: u16,
-    /// Number of this connection, other than 0 and than the one before: a greeting with the same number again is a
-    /// repetition.
+    /// Number of this connection: not 0 and not the previous one. A greeting with an unchanged number is a repetition.
     pub session: u32,
 }
 
-/// The firmware's answer to [`Hello`], also when the versions differ.
+/// Answer of the firmware to [`Hello`], also when the versions differ.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The firmware's [`PROTOCOL_VERSION`].
     pub protocol: u16,
-    /// The connection of the [`Hello`] that is answered; 0 when the firmware has none, for instance after a reset.
+    /// Session of the [`Hello`] that is answered; 0 when the firmware has none, for instance after a reset.
     pub session: u32,
     /// Version of the firmware package.
     pub firmware: String<16>,
@@ -49,7 +48,7 @@ pub struct Welcome {
     pub config: Option<u64>,
     /// Vertices the firmware can hold when nothing is queued.
     pub capacity: u16,
-    /// How the run before this one ended.
+    /// How the previous run ended.
     pub previous: PreviousRun,
 }
 
@@ -58,13 +57,13 @@ pub struct Welcome {
 pub struct PathVertex {
     /// Position in the robot's frame, micrometres.
     pub position_um: [i32; 3],
-    /// Whether the leg that leads here is drawn.
+    /// Whether the pen draws on the way to this vertex.
     pub pen: Pen,
     /// Index of the stroke this vertex belongs to.
     pub stroke: u32,
 }
 
-/// What an operator can ask for.
+/// A command of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Command {
     /// Take the resolvers' angles at the present pose as the reference.
@@ -72,14 +71,14 @@ pub enum Command {
     /// Take the motor turns nearest to a known pose as the reference, if the resolvers show that pose and its forward
     /// kinematics leads to the measured position.
     ReferenceAt {
-        /// The pose at which the robot stands.
+        /// The robot's present pose.
         pose: JointAngles,
-        /// Where the platform was measured to be.
+        /// Measured position of the platform, if known.
         position: Option<Position>,
     },
     /// Power the drives and hold the pose.
     Enable,
-    /// Ramp to a standstill, brake, then take the power from the drives.
+    /// Decelerate to a standstill, close the brakes, then switch the drives' power off.
     Disable,
     /// Move while this message is repeated within the dead-man time; velocity in mm/s.
     Jog {
@@ -88,7 +87,7 @@ pub enum Command {
     },
     /// Move to a position in a straight line.
     Move {
-        /// Where to go.
+        /// Target.
         position: Position,
     },
     /// Begin a drawing: the path's vertices follow, counted from 0.
@@ -96,44 +95,44 @@ pub enum Command {
         /// Number chosen by the host, repeated in the acknowledgements.
         job: u16,
     },
-    /// Decelerate on the path, lift the pen, keep the state.
+    /// Decelerate on the path, lift the pen and wait; the drawing can be resumed.
     Hold,
     /// Go on with a held drawing.
     Resume,
-    /// End the drawing: decelerate on the path, lift the pen, forget the rest.
+    /// End the drawing: decelerate on the path, lift the pen, discard the rest.
     Cancel,
     /// Scale the path speed, percent from 10 to 200.
     Override {
         /// Percent of the configured speed.
         percent: u8,
     },
-    /// Lift or lower the pen where it stands.
+    /// Lift or lower the pen at the present position.
     Pen {
-        /// Where to.
+        /// Target.
         pen: Pen,
     },
     /// Quick stop of all drives at once, latched as a fault.
     Stop,
-    /// Acknowledge a fault: the cause is cleared if it has gone, lost slaves are brought back.
+    /// Acknowledge a fault: clears it if its cause is gone, and brings lost slaves back.
     Acknowledge,
 }
 
-/// From the host to the firmware.
+/// Message from the host to the firmware.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum HostMessage {
     /// First message of a connection.
     Hello(Hello),
-    /// Nothing to say, still here.
+    /// Keeps the connection alive when there is nothing else to send.
     Heartbeat,
-    /// Use this configuration; repeated until answered with the same `id`.
+    /// Use this configuration. Repeated until an answer with this `id` arrives.
     Configure {
         /// Number of this request.
         id: u16,
         /// The configuration.
         config: Config,
     },
-    /// Do this; repeated until answered with the same `id`, carried out once.
+    /// Carry out this command. Repeated until an answer with this `id` arrives; carried out once.
     Command {
         /// Number of this request.
         id: u16,
@@ -148,19 +147,19 @@ pub enum HostMessage {
         first: u32,
         /// The vertices.
         vertices: Vec<PathVertex, VERTICES_PER_MESSAGE>,
-        /// Whether the last of them ends the path.
+        /// Whether the last vertex in `vertices` ends the path.
         last: bool,
     },
     /// Ask for a [`DeviceMessage::Status`] now.
     Inquire,
-    /// Ask something of the bus; repeated until answered with the same `id`, carried out once. One at a time.
+    /// Request to the bus. Repeated until an answer with this `id` arrives; carried out once. One at a time.
     Bus {
         /// Number of this request.
         id: u16,
         /// What is asked.
         request: ServiceRequest,
     },
-    /// Ask something of the measurements; repeated until answered with the same `id`. One at a time.
+    /// Request to the measurements. Repeated until an answer with this `id` arrives. One at a time.
     Measure {
         /// Number of this request.
         id: u16,
@@ -169,7 +168,7 @@ pub enum HostMessage {
     },
 }
 
-/// One millisecond as the controller saw it.
+/// State of the controller in one millisecond.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// Milliseconds since the firmware started.
@@ -178,38 +177,38 @@ pub struct Sample {
     pub mode: Mode,
     /// Stroke being drawn or travelled to.
     pub stroke: u32,
-    /// Pen as the reference has it.
+    /// Pen state in the reference.
     pub pen: Pen,
-    /// Referenced joint positions, rad.
+    /// Commanded joint positions, rad.
     pub reference_rad: [f32; AXES],
     /// Measured joint positions, rad.
     pub measured_rad: [f32; AXES],
-    /// Referenced joint velocities, rad/s.
+    /// Commanded joint velocities, rad/s.
     pub reference_rad_s: [f32; AXES],
     /// Measured joint velocities, rad/s.
     pub measured_rad_s: [f32; AXES],
 }
 
-/// What the firmware has counted since it started.
+/// Counters of the firmware since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counters {
     /// Released samples.
     pub cycles: u32,
-    /// Output telegram not with the MAC in time.
+    /// Cycles in which the output telegram did not reach the MAC in time.
     pub cycles_late: u32,
     /// Telegrams without a reply.
     pub frames_lost: u32,
-    /// Replies with another working counter than expected, once the bus was operational.
+    /// Replies with an unexpected working counter after the bus became operational.
     pub working_counter_errors: u32,
-    /// Replies that were dropped: late, duplicated, foreign, damaged.
+    /// Replies that were dropped: late, duplicated, foreign or damaged.
     pub frames_ignored: u32,
-    /// Milliseconds in which the controller had no reference although it followed them.
+    /// Milliseconds without a reference while the controller was following references.
     pub reference_underruns: u32,
-    /// Times the path ran out of data while drawing.
+    /// Times the path ran out of vertices while drawing.
     pub path_starvations: u32,
-    /// Periods in which the trajectory task was released before it had finished.
+    /// Releases of the trajectory task before it had finished the previous period.
     pub trajectory_overruns: u32,
-    /// Samples that found no room in the telemetry ring or the link.
+    /// Samples dropped because the telemetry ring or the link had no room.
     pub telemetry_dropped: u32,
     /// Damaged frames received on the link.
     pub link_errors: u32,
@@ -228,28 +227,28 @@ pub struct SlaveStatus {
     pub al_state: u8,
     /// AL status code.
     pub al_code: u16,
-    /// CiA 402 status word, the last that arrived.
+    /// The last CiA 402 status word received.
     pub status_word: u16,
 }
 
-/// Where the controller stands.
+/// State of the controller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// Operating mode.
     pub mode: Mode,
     /// The latched fault.
     pub fault: Option<Fault>,
-    /// Whether the fault was acknowledged, and bus and drives are being brought back.
+    /// Whether the fault was acknowledged and the bus and drives are still recovering.
     pub recovering: bool,
-    /// What on the board keeps the drives in quick stop.
+    /// Board input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
-    /// The bus' Ethernet port.
+    /// State of the bus's Ethernet port.
     pub port: PortState,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
-    /// Whether they were referenced once since the start-up and are not any more: the arms may stand anywhere.
+    /// Whether the joint angles were referenced since start-up and no longer are: the arms may be anywhere.
     pub reference_lost: bool,
-    /// What each axis' resolver shows within its motor turn, increments; `None` where no position arrives.
+    /// Resolver position of each axis within its motor turn, increments; `None` where no position arrives.
     pub increments: [Option<u32>; AXES],
     /// Hash of the configuration in force.
     pub config: Option<u64>,
@@ -266,11 +265,11 @@ pub struct Status {
 pub struct PathAck {
     /// The job.
     pub job: u16,
-    /// The next vertex wanted; all before it have been taken.
+    /// The next vertex expected; all vertices before it have been taken.
     pub next: u32,
     /// How many vertices from `next` on may be sent.
     pub credit: u16,
-    /// Whether vertices behind `next` arrived and were dropped: `next` was lost on the way.
+    /// Whether later vertices arrived and were dropped because `next` was lost.
     pub missing: bool,
     /// Vertices fully executed.
     pub executed: u32,
@@ -280,14 +279,14 @@ pub struct PathAck {
     pub finished: bool,
 }
 
-/// Why a configuration was not taken; the former one stays in force.
+/// Why a configuration was refused. The former one stays in force.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ConfigRefusal {
-    /// A value is out of its bounds.
+    /// A value is out of bounds.
     Bounds(ConfigError),
     /// The mode does not allow another configuration.
     NotInMode(Mode),
-    /// The geometry is no delta robot.
+    /// The dimensions do not form a valid delta robot.
     Geometry(GeometryError),
 }
 
@@ -303,13 +302,13 @@ impl From<ConfigError> for ConfigRefusal {
     }
 }
 
-/// From the firmware to the host.
+/// Message from the firmware to the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum DeviceMessage {
     /// Answer to [`HostMessage::Hello`].
     Welcome(Welcome),
-    /// Answer to [`HostMessage::Configure`]: the configuration's hash or what is wrong with it.
+    /// Answer to [`HostMessage::Configure`]: the configuration's hash, or why it was refused.
     Configured {
         /// Number of the request.
         id: u16,
@@ -332,18 +331,18 @@ pub enum DeviceMessage {
     },
     /// Path acknowledgement with credit and progress.
     Ack(PathAck),
-    /// A vertex was refused; the path is not taken further.
+    /// A vertex was refused; no more vertices of this path are taken.
     VertexRefused {
         /// The job.
         job: u16,
-        /// What was refused and why.
+        /// The refused vertex and the reason.
         refusal: crate::motion::Refusal,
     },
-    /// Status, at every change and at least twice a second.
+    /// Status; sent on every change and at least twice a second.
     Status(Status),
     /// Samples, one a millisecond.
     Telemetry {
-        /// Sequence number of the first sample; gaps are samples that were dropped.
+        /// Sequence number of the first sample; a gap means that samples were dropped.
         sequence: u32,
         /// The samples.
         samples: Vec<Sample, SAMPLES_PER_MESSAGE>,

@@ -1,9 +1,9 @@
-//! The link task: speaks with the host and keeps the operating mode, once a millisecond at low priority.
+//! The link task: runs the host protocol and the operating modes once a millisecond at low priority.
 //!
-//! It is the one place where the host's requests, the bus' events, the critical tasks' reports and the trajectory's
-//! progress meet. [`Application`] decides; this task checks what comes from outside, hands the decisions to the
-//! queues of the faster tasks and tells the host. It may be kept waiting by the trajectory task for several
-//! milliseconds; its queues hold what arrives meanwhile.
+//! The host's requests, the bus's events, the critical tasks' reports and the trajectory's progress meet only here.
+//! [`Application`] decides. This task checks input from outside, passes the decisions to the queues of the faster tasks
+//! and informs the host. The trajectory task may delay it by several milliseconds; its queues hold what arrives
+//! meanwhile.
 
 pub use super::ends::{LinkEnds, PortEnds};
 
@@ -26,11 +26,11 @@ use heapless::Vec;
 
 /// Longest time between two status messages, ms.
 pub const STATUS_PERIOD_MS: u32 = 500;
-/// Bytes kept waiting for the line; few, so that an answer does not queue behind telemetry.
+/// Bytes queued ahead for the line; few, so that an answer does not queue behind telemetry.
 pub const SENT_AHEAD_BYTES: usize = 2 * LINE_BYTES_PER_MS;
 
-/// Orders to the trajectory, and to the sampler, for which a command has to find room; a stop and what the operating modes
-/// do by themselves have it to themselves.
+/// Queue entries for the trajectory and the sampler that commands leave free: reserved for a stop and for orders that
+/// the operating modes issue by themselves.
 const ORDERS_KEPT_FREE: usize = ACTIONS_MAX;
 
 /// The link task.
@@ -38,13 +38,13 @@ pub struct LinkTask<'a> {
     ends: LinkEnds<'a>,
     endpoint: DeviceEndpoint,
     application: Application,
-    /// Absent until a configuration has come.
+    /// Checks positions against the configuration. Absent until a configuration has been taken.
     admission: Option<Admission>,
-    /// Checks poses against the configuration. Absent until a configuration has come.
+    /// Checks poses against the configuration. Absent until a configuration has been taken.
     pose_check: Option<PoseCheck>,
     config_hash: Option<u64>,
     condition: Condition,
-    /// Whether the joint angles have been referenced since the start-up.
+    /// Whether the joint angles were referenced at any time since start-up.
     was_referenced: bool,
     motion: MotionReport,
     report: Option<CycleReport>,
@@ -52,19 +52,19 @@ pub struct LinkTask<'a> {
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
-    /// What the bus is working on: the number of the request, or none of one that an earlier session made.
+    /// Bus request in progress, with its number; the inner `None` if an earlier session made it.
     asked: Option<Option<u16>>,
     now_ms: u64,
     board: BoardState,
-    /// The port as the supervisor knows it.
+    /// Port state last passed to the supervisor.
     port_passed_on: PortState,
-    /// The supervisor is still to be told to bring lost slaves back.
+    /// Whether the supervisor still has to be asked to bring lost slaves back.
     recovery_due: bool,
     told: Told,
     told_ms: u32,
 }
 
-/// What the host knows, and since when.
+/// What was last reported to the host, and when.
 #[derive(Clone, Copy, PartialEq)]
 struct Told {
     mode: Mode,
@@ -75,7 +75,7 @@ struct Told {
 }
 
 impl<'a> LinkTask<'a> {
-    /// A link task that waits for a host; `board` is at most 16 bytes.
+    /// A link task without a host; `board` is at most 16 bytes.
     pub fn new(board: &'static str, ends: LinkEnds<'a>) -> Self {
         let capacity = u16::try_from(ends.vertices.capacity()).unwrap_or(u16::MAX);
         Self {
@@ -123,18 +123,18 @@ impl<'a> LinkTask<'a> {
         self.application.fault()
     }
 
-    /// What the host is told of the run before this one.
+    /// Sets how the previous run ended, as reported to the host.
     pub fn set_previous_run(&mut self, previous: PreviousRun) {
         self.endpoint.set_previous_run(previous);
     }
 
-    /// What the board sees of itself; to be told at every change before [`Self::tick`].
+    /// Sets the state of the board; call it at every change before [`Self::tick`].
     pub fn set_board(&mut self, board: BoardState) {
         self.board = board;
         self.counters.ethernet_errors = board.ethernet_errors;
     }
 
-    /// One millisecond.
+    /// Advances by one millisecond.
     pub fn tick(&mut self) {
         self.take_events();
         self.take_reports();
@@ -161,8 +161,8 @@ impl<'a> LinkTask<'a> {
         self.tell();
     }
 
-    /// Tells the supervisor what became of the port, or to repair the bus. One at a time: so there is always room for a new
-    /// configuration.
+    /// Passes the supervisor the port state, or the order to repair the bus; one at a time, so that there is always
+    /// room for a new configuration.
     fn instruct_supervisor(&mut self) {
         let (commands, port) = (&mut self.ends.bus.commands, self.board.port);
         if !commands.is_empty() {
@@ -178,7 +178,7 @@ impl<'a> LinkTask<'a> {
         }
     }
 
-    /// Time is the sampler's: releases of this task that come while it is kept waiting merge into one.
+    /// Sets the time from the sampler: releases of this task merge into one while it is delayed.
     fn tell_time(&mut self) {
         let cycle = self.report.map_or(0, |report| report.cycle);
         let passed_ms = cycle.wrapping_sub(self.now_ms as u32);
@@ -216,7 +216,7 @@ impl<'a> LinkTask<'a> {
         }
     }
 
-    /// Hands a request to the supervisor, or refuses it.
+    /// Passes a request to the supervisor, or refuses it.
     fn ask_bus(&mut self, id: u16, request: ServiceRequest) {
         let error = if request.changes() && !self.application.may_configure() {
             ServiceError::NotInMode(self.application.mode())
@@ -229,7 +229,7 @@ impl<'a> LinkTask<'a> {
         self.endpoint.bus_answered(id, Err(error));
     }
 
-    /// Room for vertices; one place is kept for the end of the path.
+    /// Room for vertices; one entry is reserved for the end of the path.
     fn free(&self) -> usize {
         (self.ends.vertices.capacity() - self.ends.vertices.len()).saturating_sub(1)
     }
@@ -253,7 +253,7 @@ impl<'a> LinkTask<'a> {
             bus: config.bus.clone(),
         });
         self.tell_trajectory(MotionOrder::Configure(config.clone()));
-        // The stack's task empties the queue every millisecond.
+        // The network task empties the queue every millisecond.
         let _ = self.ends.network.enqueue(config.bus.network());
         self.recovery_due = false;
         // There is room, see `instruct_supervisor`.
@@ -284,14 +284,14 @@ impl<'a> LinkTask<'a> {
         Ok(())
     }
 
-    /// What the operating modes want done.
+    /// Carries out the actions of the operating modes.
     fn carry_out_all(&mut self) {
         for action in self.application.take_actions() {
             self.carry_out(action);
         }
     }
 
-    /// A single motion leads somewhere and stays inside the work area, or comes in.
+    /// Checks that a single motion has a target inside the work area, or leads into the area.
     fn check_target(&mut self, command: Command) -> Result<(), Refusal> {
         let moves = matches!(
             command,
@@ -306,7 +306,7 @@ impl<'a> LinkTask<'a> {
         let checked = match command {
             Command::Move { position } => admission.check_move(pose, &position),
             Command::Pen { pen } => admission.check_pen(pose, pen),
-            // A jog that has begun slows down before a border by itself.
+            // A jog that has begun slows down by itself before a border.
             Command::Jog { velocity_mm_s }
                 if self.condition.standstill && velocity_mm_s.iter().all(|v| v.is_finite()) =>
             {
@@ -317,7 +317,8 @@ impl<'a> LinkTask<'a> {
         checked.map_err(Refusal::Target)
     }
 
-    /// A reference needs the positions of all axes, one at a known pose also a pose that agrees with them.
+    /// Checks that the positions of all axes arrive and, for a reference at a known pose, that the pose agrees with
+    /// them.
     fn check_reference(&self, command: Command) -> Result<(), Refusal> {
         if !matches!(command, Command::Reference | Command::ReferenceAt { .. }) {
             return Ok(());
@@ -330,7 +331,7 @@ impl<'a> LinkTask<'a> {
         }
     }
 
-    /// What the resolvers show within a motor turn.
+    /// Resolver positions within a motor turn.
     fn increments(&self) -> [Option<u32>; AXES] {
         match (&self.pose_check, &self.report) {
             (Some(check), Some(report)) => check.within_turn(&report.shown()),
@@ -352,7 +353,7 @@ impl<'a> LinkTask<'a> {
                 return;
             }
             self.vertices_admitted = self.vertices_admitted.wrapping_add(1);
-            // There is room: no more were taken from the line than were free.
+            // There is room: no more were taken from the line than there was room for.
             let _ = self.ends.vertices.enqueue(PathItem::Vertex(vertex));
         }
         if last {
@@ -393,11 +394,11 @@ impl<'a> LinkTask<'a> {
                 };
                 match self.slaves.get_mut(usize::from(position)) {
                     Some(slave) => *slave = status,
-                    // Slaves beyond those that a status describes are not shown.
+                    // Slaves beyond the capacity of a status are not shown.
                     None => drop(self.slaves.push(status)),
                 }
             }
-            // A slave that does not answer is in no state.
+            // A slave that does not answer has no state.
             BusEvent::SlaveLost { position } => self.take_state(position, AlReport::default()),
             BusEvent::SlaveLeft { position, report } => self.take_state(position, report),
             _ => {}
@@ -562,7 +563,7 @@ fn condition(report: &CycleReport) -> Condition {
         pose: JointAngles(report.measured_rad),
         unreferenced: first(report.referenced.map(|referenced| !referenced)),
         powered: silent.is_none() && status.iter().all(in_operation),
-        // A drive that does not answer is as it was when it last did.
+        // A drive that does not answer keeps its last known state.
         unpowered: !status.iter().any(|status| status.is_powered()),
         standstill: report.standstill,
         drive_fault: (0..AXES).find(|axis| faulty(*axis)).map(|axis| Fault::Drive {

@@ -1,13 +1,13 @@
-//! Admission: every vertex is checked before anything moves.
+//! Admission: checks every vertex before any motion begins.
 //!
-//! A vertex is admitted when it lies in the work area and so does its leg, checked every 5 mm. The same check runs
-//! on the host before a path is sent and in the firmware when it arrives.
+//! A vertex is admitted when both the vertex and its leg, checked every 5 mm, lie in the work area. The host runs this
+//! check before it sends a path, and the firmware runs it when the path arrives.
 //!
-//! Where the fourth axis follows the path, its turns add up over a drawing: the angle that the path has wound it to is
-//! kept, and a vertex whose leg would turn it out of its range is refused.
+//! Where the fourth axis follows the path, its turns add up over a drawing. Admission keeps the accumulated angle and
+//! refuses a vertex whose leg would turn the axis out of its range.
 //!
-//! The shaped path is inside too: it stays in the hull of its vertices, which is enough for cylinder and planes, and
-//! within the tolerance of its legs, which is the room that the checked points keep from what the arms allow.
+//! The shaped path is inside too. It stays in the hull of its vertices, which is enough for cylinder and planes. It
+//! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the arms.
 
 use super::heading::Winding;
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
@@ -15,14 +15,14 @@ use crate::config::{Config, Orientation};
 use crate::robot::vector::{Vector, add_scaled, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
 
-/// Distance of the points that are checked on a leg, mm.
+/// Distance between checked points on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
 /// Shortest leg, mm: half of the wire's resolution.
 pub const LEG_MIN_MM: f64 = 0.0005;
-/// Room kept from what the arms allow, beside the tolerance, mm: between two checked points of a leg their limits can be
-/// nearer than at both.
+/// Margin kept from the limits of the arms beside the tolerance, mm: between two checked points of a leg the limits can
+/// be nearer than at both.
 const LEG_ROOM_MM: f64 = 0.05;
-/// Points checked on one leg at most; more than any leg inside a work area needs.
+/// Most points checked on one leg; more than any leg inside a work area needs.
 const LEG_CHECKS_MAX: u32 = 4_000;
 
 /// Checks the vertices of a path in order.
@@ -31,9 +31,9 @@ pub struct Admission {
     area: WorkArea,
     room_mm: f64,
     previous: Option<Position>,
-    /// Where the robot stands when the path begins.
+    /// Position of the robot when the path begins.
     start: Option<Position>,
-    /// The fourth axis follows the path: where it is, the place that belongs to it, and what it may do.
+    /// State of a fourth axis that follows the path: its angle, the position that belongs to it, and its range.
     winding: Option<Winding>,
     wound_at: Option<Position>,
     turn_range_rad: [f64; 2],
@@ -42,10 +42,10 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Admission with the limits of a configuration, before the first vertex of a path.
+    /// Makes the admission for the limits of a configuration, before the first vertex of a path.
     ///
     /// # Errors
-    /// A geometry that is no delta robot.
+    /// The dimensions do not form a valid delta robot.
     pub fn new(config: &Config) -> Result<Self, GeometryError> {
         Ok(Self {
             area: WorkArea::new(config)?,
@@ -62,7 +62,7 @@ impl Admission {
         })
     }
 
-    /// Begins a new path from anywhere, with the fourth axis at 0.
+    /// Starts a new path from an unknown position, with the fourth axis at 0.
     pub fn restart(&mut self) {
         self.previous = None;
         self.start = None;
@@ -76,8 +76,8 @@ impl Admission {
         }
     }
 
-    /// Begins a new path from a pose: the way to its first vertex is checked too. From outside the work area it may only
-    /// lead inwards.
+    /// Starts a new path from a pose; the leg to its first vertex is checked too. From outside the work area that leg
+    /// may only lead inwards.
     pub fn restart_at(&mut self, pose: &JointAngles) {
         self.previous = None;
         let position = self.area.delta().forward(pose).ok();
@@ -86,7 +86,7 @@ impl Admission {
         self.start = position;
     }
 
-    /// Checks vertex `index` of the path; one that is refused leaves the state as it was.
+    /// Checks vertex `index` of the path; a refused vertex leaves the state unchanged.
     ///
     /// # Errors
     /// The index with the first reason found.
@@ -100,7 +100,7 @@ impl Admission {
         Ok(())
     }
 
-    /// Checks a straight move from a pose, on which the fourth axis keeps its angle.
+    /// Checks a straight move from a pose; the fourth axis keeps its angle.
     ///
     /// # Errors
     /// Index 0 with the first reason found.
@@ -109,7 +109,7 @@ impl Admission {
         self.reason(target).map_err(|reason| Refusal { index: 0, reason })
     }
 
-    /// Checks a move of the pen where it stands.
+    /// Checks lifting or lowering the pen at the present position.
     ///
     /// # Errors
     /// Index 0 with the first reason found.
@@ -127,10 +127,10 @@ impl Admission {
             .map_err(refused)
     }
 
-    /// Checks that a jog from a pose leads anywhere, mm/s: at a border not outwards, outside the work area only inwards.
+    /// Checks that a jog from a pose, mm/s, is possible: at a border not outwards, outside the work area only inwards.
     ///
     /// # Errors
-    /// Index 0 with what bars the way.
+    /// Index 0 with the limit that blocks the jog.
     pub fn check_jog(&self, pose: &JointAngles, velocity_mm_s: &Vector) -> Result<(), Refusal> {
         self.standing(pose)
             .and_then(|position| jog::check(&self.area, &position.into(), velocity_mm_s))
@@ -140,12 +140,12 @@ impl Admission {
             })
     }
 
-    /// Where the platform is with a pose.
+    /// Position of the platform at a pose.
     fn standing(&self, pose: &JointAngles) -> Result<Position, Outside> {
         self.area.delta().forward(pose).map_err(Outside::Kinematics)
     }
 
-    /// Where the leg to a position winds the fourth axis to.
+    /// State of the fourth axis after the leg to a position.
     fn wound(&self, position: &Position) -> Result<Option<Winding>, RefusalReason> {
         let (Some(winding), Some(from)) = (self.winding, self.wound_at) else {
             return Ok(self.winding);
@@ -153,7 +153,7 @@ impl Admission {
         let after = winding.over(&subtract(&(*position).into(), &from.into()));
         let [low_rad, high_rad] = self.turn_range_rad;
         let angle_rad = after.angle_rad();
-        // An axis that stands outside may come in.
+        // An axis outside its range may move into it.
         let leaves = angle_rad > high_rad.max(winding.angle_rad()) || angle_rad < low_rad.min(winding.angle_rad());
         if leaves || angle_rad.is_nan() {
             return Err(RefusalReason::Wound {
@@ -176,7 +176,7 @@ impl Admission {
         let leaves = |(at, outside)| RefusalReason::Leg { at, outside };
         let Some(previous) = self.previous else {
             let Some(start) = self.start else { return Ok(()) };
-            // A robot that stands with less room may leave.
+            // A robot that begins with less margin may leave that place.
             return if self.area.check_around(&start, self.room_mm).is_ok() {
                 check_leg(&self.area, self.room_mm, &start, position)
             } else {
@@ -192,7 +192,7 @@ impl Admission {
     }
 }
 
-/// Checks the points between two positions; gives the first that is outside and why.
+/// Checks the points between two positions; returns the first that is outside, with the reason.
 pub(crate) fn check_leg(
     area: &WorkArea,
     room_mm: f64,
@@ -209,8 +209,8 @@ pub(crate) fn check_leg(
     Ok(())
 }
 
-/// Checks the points between a position, which may be outside, and one inside: each step leads inwards until it is inside
-/// and stays there; gives the first that does not and why.
+/// Checks the points between a position, which may be outside, and one inside. Each step has to lead inwards until a
+/// point is inside, and from there every point has to be inside. Returns the first point that fails, with the reason.
 pub(crate) fn check_way_in(area: &WorkArea, from: &Position, to: &Position) -> Result<(), (Position, Outside)> {
     let start = Vector::from(*from);
     let leg = subtract(&(*to).into(), &start);

@@ -1,13 +1,13 @@
-//! The moving average of the references: how long it may be, and what it leaves of the tolerances.
+//! The moving average of the references: its longest length, and the tolerance that remains for shaping.
 
 use super::micro_interpolator::TICK_S;
 use super::shaping::Tolerances;
 use crate::config::Config;
 
-/// Part of the tolerance that the moving average may take.
+/// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
 
-/// Tolerances of the shape: what the moving average leaves of the configured ones.
+/// Tolerances for shaping: the configured ones less the part used by the moving average.
 pub(super) fn tolerances(config: &Config) -> Tolerances {
     let (_, average_mm) = averaging(config);
     Tolerances {
@@ -16,8 +16,8 @@ pub(super) fn tolerances(config: &Config) -> Tolerances {
     }
 }
 
-/// Length of the moving average, ms, and the deviation it adds, mm: A T^2 / 24, and A t^2 / 12 for references the time t
-/// apart, which cut corners by A t^2 / 8 but average over t less.
+/// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for references the
+/// time t apart, which cut corners by A t^2 / 8 but average over t less.
 pub(super) fn averaging(config: &Config) -> (u16, f64) {
     let deviation = |window_ms: u16| {
         let window_s = f64::from(window_ms) * TICK_S;

@@ -1,14 +1,14 @@
 //! Polynomial pieces of the shaped path: lines, spans of a cubic B-spline, and quintic corner blends.
 //!
-//! A curve runs over its parameter from 0 to 1. All three kinds are polynomials of degree five at most, so that the
-//! grid, the scan and the interpolator need one form only. Curvature is zero at both ends of a line and of a blend.
+//! A curve's parameter runs from 0 to 1. All three kinds are polynomials of degree five at most, so the grid, the scan
+//! and the interpolator need one form only. Curvature is zero at both ends of a line and of a blend.
 
 use crate::robot::vector::{Vector, add_scaled, dot, length, root, scale, subtract};
 
 /// Coefficients of a curve.
 const COEFFICIENTS: usize = 6;
-/// Newton steps to the parameter at which a curve reaches a point: a spline's legs differ by a factor of six at most, and its
-/// first step is then a fifth too short.
+/// Newton steps to the parameter at which a curve reaches a point: a spline's legs differ by a factor of six at most,
+/// and the first step is then a fifth too short.
 const REACH_STEPS: usize = 4;
 /// Offset and weights of three-point Gauss quadrature.
 const GAUSS_OFFSET: f64 = 0.774_596_669_241_483_4;
@@ -35,7 +35,7 @@ pub(crate) struct Curve {
     coefficients: [Vector; COEFFICIENTS],
 }
 
-/// Where a curve is, and how it goes on, at one parameter.
+/// Point, tangent and curvature of a curve at one parameter.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     pub(crate) point: Vector,
@@ -68,15 +68,15 @@ impl BlendShape {
         }
     }
 
-    /// How far the blend's middle lies from the corner, for a first control point at distance 1 and the difference
-    /// of the legs' unit vectors of length 1.
+    /// Distance of the blend's middle from the corner, for a first control point at distance 1 and legs whose unit
+    /// vectors differ by a vector of length 1.
     pub(crate) fn deviation(&self) -> f64 {
         (1.0 + 5.0 * self.second + 10.0 * self.third) / 32.0
     }
 }
 
 impl Curve {
-    /// All of it in the origin.
+    /// A curve that is one point, the origin.
     pub(crate) const NONE: Self = Self {
         coefficients: [[0.0; 3]; COEFFICIENTS],
     };
@@ -88,7 +88,7 @@ impl Curve {
         curve
     }
 
-    /// Whether it is a line.
+    /// Whether the curve is a line.
     pub(crate) fn is_straight(&self) -> bool {
         self.coefficients
             .iter()
@@ -162,12 +162,12 @@ impl Curve {
         result
     }
 
-    /// Arc length for a unit of the parameter at a parameter, mm.
+    /// Derivative of the arc length with respect to the parameter, mm.
     pub(crate) fn stretch(&self, parameter: f64) -> f64 {
         length(&self.first_derivative(parameter))
     }
 
-    /// Parameter at which a curve that begins before a point is beside it, seen across a direction.
+    /// Parameter at which a curve that begins before a point is level with the point, measured along a direction.
     pub(crate) fn reaches(&self, point: &Vector, direction: &Vector) -> f64 {
         let mut parameter = 0.0;
         for _ in 0..REACH_STEPS {

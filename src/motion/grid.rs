@@ -1,7 +1,8 @@
 //! The grid of a plan: points on the path, each with the interval that begins at it.
 //!
-//! A point carries what the scan needs (the joints' row, the caps of its speed), an interval where it lies on its piece.
-//! Invariant: an interval's parameter grows with its arc length, and no place on it is outside of its two ends.
+//! A point carries the inputs of the scan (the joints' row, the caps of its speed); an interval carries its place on
+//! its piece. Invariant: an interval's parameter grows with its arc length, and no point of it lies outside its two
+//! ends.
 
 use super::limits::Limits;
 use super::scan::{Interval, Middle, Row};
@@ -9,7 +10,7 @@ use super::shaping::Piece;
 
 /// Newton steps from arc length to parameter.
 const ARC_STEPS: usize = 2;
-/// Remainder of an interval that counts as its end, mm.
+/// Remaining length of an interval that counts as its end, mm.
 pub(super) const ARRIVED_MM: f64 = 1.0e-9;
 
 /// The interval that begins at a point of the grid.
@@ -18,14 +19,14 @@ pub(super) struct Span {
     pub(super) length_mm: f64,
     pub(super) piece: u32,
     pub(super) parameter: [f64; 2],
-    /// Arc length for a unit of the parameter at both ends, mm.
+    /// Derivative of the arc length with respect to the parameter at both ends, mm.
     pub(super) stretch: [f64; 2],
-    /// The fourth axis at its beginning, rad, and the change of its slope, rad/mm2.
+    /// Angle of the fourth axis at the beginning, rad, and the change of its slope, rad/mm2.
     pub(super) heading: f64,
     pub(super) turn_change: f64,
-    /// The pen is lifted or lowered.
+    /// Whether the pen is lifted or lowered.
     pub(super) lifts: bool,
-    /// It lies on a curve, whose limits in the middle hold too.
+    /// Whether the interval lies on a curve, where the limits in its middle apply too.
     pub(super) curved: bool,
     pub(super) middle: Middle,
 }
@@ -49,9 +50,9 @@ pub(super) struct GridPoint {
     pub(super) row: Row,
     /// Largest squared speed that the robot allows, mm2/s2.
     pub(super) cap: f64,
-    /// Squared speed that the path asks for at 100 %, mm2/s2.
+    /// Squared speed of the path at 100 % override, mm2/s2.
     pub(super) nominal: f64,
-    /// Largest squared speed from which the plan's end is reached at rest, mm2/s2.
+    /// Largest squared speed from which the motion can come to rest at the end of the plan, mm2/s2.
     pub(super) reach: f64,
     pub(super) span: Span,
     pub(super) stop: bool,
@@ -69,7 +70,7 @@ impl GridPoint {
         dwell: false,
     };
 
-    /// The interval that begins here, or `offset_mm` later.
+    /// The interval that begins at this point, or `offset_mm` later.
     pub(super) fn interval<'a>(
         &self,
         limits: &'a Limits,
@@ -97,7 +98,7 @@ impl GridPoint {
 }
 
 impl Span {
-    /// Parameter in the middle of the arc length, by the cubic through both ends.
+    /// Parameter at half of the arc length, from the cubic through both ends.
     pub(super) fn middle_parameter(&self) -> f64 {
         let [from, to] = self.parameter;
         let [stretch_from, stretch_to] = self.stretch;

@@ -1,32 +1,32 @@
-//! The fourth axis on a path: the direction of the path seen from above, as a continuous angle.
+//! The fourth axis on a path: the direction of the path in plan view, as a continuous angle.
 //!
-//! Where the path has no direction seen from above, lifting or lowering the pen, the angle has no prescribed value: a
-//! vertical leg turns it to the direction of the leg that follows. Where the direction jumps, at an exact stop, the
-//! axis turns at rest, the shorter way; half a turn goes towards 0, so that strokes to and fro do not wind the axis up.
+//! Where the path has no direction in plan view, during lifting or lowering the pen, the angle is free: a vertical leg
+//! turns it to the direction of the next leg. Where the direction jumps, at an exact stop, the axis turns at rest by
+//! the shorter way; a half turn goes towards 0, so that strokes to and fro do not wind the axis up.
 //!
-//! Between two points of the grid the angle is a quadratic function of arc length, so that the axis' acceleration has
-//! its largest values at the points and the scan's rows there are exact bounds. The intervals come in pairs: the angle
-//! is the path's at the ends of a pair, and the slope in its middle is what leads from the one to the other.
+//! Between two points of the grid the angle is a quadratic function of arc length, so the axis's acceleration has its
+//! largest values at the points and the scan's rows there are exact bounds. The intervals come in pairs: at both ends
+//! of a pair the angle is the path's, and the slope in its middle connects the two.
 
 use super::limits::Limits;
 use super::shaping::{Change, Piece};
 use crate::robot::vector::{Vector, length, root, scale};
 use core::f64::consts::{PI, TAU};
 
-/// Smallest horizontal part of a unit tangent that has a direction seen from above.
+/// Smallest horizontal part of a unit tangent that has a direction in plan view.
 const HORIZONTAL_MIN: f64 = 0.1;
-/// Distance from half a turn within which both ways count as equally long, rad.
+/// Distance from a half turn within which both ways count as equally long, rad.
 const HALF_TURN_RAD: f64 = 1.0e-6;
-/// Difference of angles that is none, rad.
+/// Difference of angles that counts as zero, rad.
 pub(crate) const NONE_RAD: f64 = 1.0e-9;
 
-/// Direction of a unit tangent seen from above, rad; none where it is vertical.
+/// Direction of a unit tangent in plan view, rad; `None` if the tangent is vertical.
 pub(crate) fn direction(tangent: &Vector) -> Option<f64> {
     let [x, y, _] = *tangent;
     (x * x + y * y >= HORIZONTAL_MIN * HORIZONTAL_MIN).then(|| libm::atan2(y, x))
 }
 
-/// Turn from an angle to a direction, the shorter way, rad; half a turn goes towards the angle 0.
+/// Turn from an angle to a direction by the shorter way, rad; a half turn goes towards the angle 0.
 pub(crate) fn turn_to(angle: f64, direction: f64) -> f64 {
     let difference = direction - angle;
     let turn = difference - TAU * libm::round(difference / TAU);
@@ -40,31 +40,31 @@ pub(crate) fn turn_to(angle: f64, direction: f64) -> f64 {
     }
 }
 
-/// Change of the direction with arc length, rad/mm, for a unit tangent and a curvature vector.
+/// Derivative of the direction with respect to arc length, rad/mm, for a unit tangent and a curvature vector.
 fn slope(tangent: &Vector, bend: &Vector) -> f64 {
     let across = tangent[0] * bend[1] - tangent[1] * bend[0];
     across / (tangent[0] * tangent[0] + tangent[1] * tangent[1])
 }
 
-/// Where a path winds the axis to, leg by leg. The shaped path turns at a vertex as its legs do, so [`Course`] comes to
-/// the same angle at the end of each leg.
+/// Angle of the fourth axis after each leg of a path. The shaped path turns at a vertex by the angle between its legs,
+/// so [`Course`] has this angle at the end of each leg too.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Winding {
     angle: f64,
 }
 
 impl Winding {
-    /// From an angle, rad.
+    /// Starts at an angle, rad.
     pub(crate) fn new(angle: f64) -> Self {
         Self { angle }
     }
 
-    /// The axis' angle, rad.
+    /// The axis's angle, rad.
     pub(crate) fn angle_rad(&self) -> f64 {
         self.angle
     }
 
-    /// After a leg.
+    /// The state after a leg.
     pub(crate) fn over(self, leg: &Vector) -> Self {
         let whole = length(leg);
         let tangent = scale(leg, if whole > 0.0 { 1.0 / whole } else { 0.0 });
@@ -75,23 +75,23 @@ impl Winding {
     }
 }
 
-/// The axis' angle along one interval of the grid.
+/// The axis's angle along one interval of the grid.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Turning {
     /// Slope at the end of the interval, rad/mm.
     pub(crate) end_slope: f64,
-    /// Change of the slope with arc length, rad/mm2.
+    /// Derivative of the slope with respect to arc length, rad/mm2.
     pub(crate) change: f64,
 }
 
-/// Makes the axis' angle for one interval of the grid after the other.
+/// Computes the axis's angle, one interval of the grid after the other.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Course {
-    /// The axis follows the path.
+    /// Whether the axis follows the path.
     pub(crate) follows: bool,
     /// Angle at the end of the grid, rad.
     pub(crate) angle: f64,
-    /// Angle where the present piece began.
+    /// Angle at the beginning of the present piece.
     piece_angle: f64,
     /// Angle and slope at the end of the present pair of intervals.
     pair_angle: f64,
@@ -109,7 +109,7 @@ impl Course {
         }
     }
 
-    /// Intervals of a piece: pairs where the axis follows the path.
+    /// Number of intervals of a piece; an even number where the axis follows the path.
     pub(crate) fn intervals(&self, piece: &Piece) -> u16 {
         let intervals = piece.intervals.max(1);
         if self.follows {
@@ -119,7 +119,7 @@ impl Course {
         }
     }
 
-    /// Turns at rest to where a piece begins.
+    /// Turns at rest to the direction in which a piece begins.
     pub(crate) fn depart(&mut self, piece: &Piece) {
         if let Some(direction) = direction(&piece.curve.frame(0.0).tangent).filter(|_| self.follows) {
             let turn = turn_to(self.angle, direction);
@@ -129,7 +129,7 @@ impl Course {
         }
     }
 
-    /// Goes on over interval `index` of a piece's, from a point of the grid with the slope `start_slope`.
+    /// Advances over interval `index` of a piece, from a point of the grid with the slope `start_slope`.
     pub(crate) fn advance(&mut self, piece: &Piece, index: u16, start_slope: f64) -> Turning {
         let intervals = f64::from(self.intervals(piece));
         let at = |index: u16| (f64::from(index) / intervals).min(1.0);
@@ -165,7 +165,7 @@ impl Course {
         }
     }
 
-    /// Angle and slope that the axis is to have at a parameter of a piece.
+    /// Angle and slope of the axis at a parameter of a piece.
     fn at(&self, piece: &Piece, parameter: f64) -> (f64, f64) {
         let frame = piece.curve.frame(parameter);
         if let Change::Turn(target) = piece.change {
@@ -185,7 +185,7 @@ impl Course {
     }
 }
 
-/// A pause at an exact stop: the axis turns, then the pen dwells.
+/// A pause at an exact stop: the axis turns, then the pen waits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pause {
     from: f64,
@@ -198,7 +198,7 @@ pub(crate) struct Pause {
 }
 
 impl Pause {
-    /// From one angle to another, rad, then `dwell_s`.
+    /// A turn from one angle to another, rad, then a wait of `dwell_s`.
     pub(crate) fn new(limits: &Limits, from: f64, to: f64, dwell_s: f64) -> Self {
         let turn = to - from;
         let acceleration = limits.turn_acceleration;
@@ -221,17 +221,17 @@ impl Pause {
         }
     }
 
-    /// Whether there is anything to wait for.
+    /// Whether the pause is empty.
     pub(crate) fn is_none(&self) -> bool {
         self.turn_s + self.dwell_s <= 0.0
     }
 
-    /// Ends it after the turn.
+    /// Ends the pause after the turn.
     pub(crate) fn cut(&mut self) {
         self.dwell_s = 0.0;
     }
 
-    /// Lets time pass; returns what is left of it.
+    /// Advances the pause by a time; returns the time left over.
     pub(crate) fn run(&mut self, time_s: f64) -> f64 {
         self.elapsed_s += time_s;
         (self.elapsed_s - self.turn_s - self.dwell_s).max(0.0)
@@ -241,7 +241,7 @@ impl Pause {
         self.elapsed_s >= self.turn_s + self.dwell_s
     }
 
-    /// The axis' angle, rad.
+    /// The axis's angle, rad.
     pub(crate) fn angle(&self) -> f64 {
         let left_s = self.turn_s - self.elapsed_s;
         if left_s <= 0.0 {

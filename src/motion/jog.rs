@@ -1,9 +1,9 @@
-//! Jogging: a velocity that is followed while it is repeated, and never out of the work area.
+//! Jogging: follows a velocity while the command is repeated, and never leaves the work area.
 //!
-//! The velocity approaches the wanted one with a bounded acceleration. Before each millisecond the point where the
-//! motion would come to rest is checked; when that lies outside the work area, the motion slows down instead, unless the
-//! robot is outside already and the way to that point leads inwards. When the command is not repeated within the dead-man
-//! time, the wanted velocity is zero. A direction that leads nowhere is refused when the jog begins.
+//! The velocity approaches the wanted one with a bounded acceleration. Before each millisecond the point at which the
+//! motion would come to rest is checked. If that point lies outside the work area the motion slows down instead, unless
+//! the robot is outside already and moves inwards. When the command is not repeated within the dead-man time, the
+//! wanted velocity becomes zero. A jog whose direction is blocked is refused at its begin.
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
@@ -14,23 +14,23 @@ use crate::robot::{Outside, WorkArea};
 
 /// Fastest jog, mm/s.
 const SPEED_MAX_MM_S: f64 = 250.0;
-/// Part of the limits that a jog uses, which leaves room for the curvature of the joints' motion.
+/// Part of the limits that a jog uses; the rest is for the curvature of the joints' motion.
 const LIMIT_PART: f64 = 0.25;
-/// Acceleration of a jog at most, mm/s2.
+/// Largest acceleration of a jog, mm/s2.
 const ACCELERATION_MAX_MM_S2: f64 = 2_000.0;
-/// Room kept beyond the point of rest, in braking distances.
+/// Margin kept beyond the point of rest, in braking distances.
 const BRAKING_ROOM: f64 = 1.25;
-/// Room kept beyond the point of rest, mm.
+/// Margin kept beyond the point of rest, mm.
 const ROOM_MM: f64 = 0.5;
-/// Way that has to be free for a jog to begin, mm: more than the room that a jog keeps from a border.
+/// Distance that has to be free for a jog to begin, mm: more than the margin that a jog keeps from a border.
 const START_MM: f64 = 0.75;
-/// Slowest jog, mm/s: below that a velocity has no direction worth checking.
+/// Slowest jog, mm/s: a slower velocity counts as zero.
 const SPEED_MIN_MM_S: f64 = 1.0e-3;
 
-/// Checks that a jog with a velocity from a point leads anywhere.
+/// Checks that a jog with a velocity from a point is not blocked.
 ///
 /// # Errors
-/// Why the way is barred.
+/// The limit that blocks the jog.
 pub(crate) fn check(area: &WorkArea, point: &Vector, velocity_mm_s: &Vector) -> Result<(), Outside> {
     let speed = length(velocity_mm_s);
     if speed < SPEED_MIN_MM_S {
@@ -40,7 +40,7 @@ pub(crate) fn check(area: &WorkArea, point: &Vector, velocity_mm_s: &Vector) -> 
     area.check_step(&(*point).into(), &ahead.into())
 }
 
-/// A jog under way.
+/// A jog in progress.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Jog {
     point: Vector,
@@ -69,7 +69,7 @@ impl Jog {
         self.silent_ms = 0;
     }
 
-    /// Lets a millisecond pass; returns the place and whether the jog rests.
+    /// Advances by one millisecond; returns the position and whether the jog is at rest.
     pub(crate) fn next_millisecond(
         &mut self,
         area: &WorkArea,
@@ -112,7 +112,7 @@ impl Jog {
         (sample, self.velocity == [0.0; 3] && self.wanted == [0.0; 3])
     }
 
-    /// Speed and acceleration that the joints allow here in every direction.
+    /// Speed and acceleration that the joints allow at this position in every direction.
     fn bounds(&self, area: &WorkArea, limits: &Limits) -> (f64, f64) {
         let mut speed = SPEED_MAX_MM_S * SPEED_MAX_MM_S;
         let mut acceleration = ACCELERATION_MAX_MM_S2.min(LIMIT_PART * limits.acceleration);

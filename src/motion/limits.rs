@@ -1,8 +1,8 @@
 //! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the platform's.
 //!
-//! The platform's acceleration is a circle in the plane of path acceleration and centripetal acceleration. What the
-//! scan may use lies a little under the configured limits, because they hold exactly only at the points of the grid and
-//! in the middle of its curved intervals.
+//! The platform's acceleration is bounded by a circle in the plane of path acceleration and centripetal acceleration.
+//! The scan uses slightly less than the configured limits, because its bounds are exact only at the points of the grid
+//! and in the middle of its curved intervals.
 
 use super::scan::Row;
 use crate::config::Motion;
@@ -20,23 +20,23 @@ const PEN_PART: f64 = 0.985;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     joint_speed_squared: [f64; ARMS],
-    /// rad/s2.
+    /// Acceleration of the joints, rad/s2.
     pub(crate) joint_acceleration: [f64; ARMS],
-    /// Of the platform, mm/s2.
+    /// Acceleration of the platform, mm/s2.
     pub(crate) acceleration: f64,
     drawing_squared: f64,
     travel_squared: f64,
-    /// Of the fourth axis, rad2/s2 and rad/s2.
+    /// Squared speed and acceleration of the fourth axis, rad2/s2 and rad/s2.
     pub(crate) turn_speed_squared: f64,
     pub(crate) turn_acceleration: f64,
-    /// The pen's vertical limits are tighter than those of all motion.
+    /// Whether the pen's vertical limits are tighter than the limits of all motion.
     pub(crate) pen_limited: bool,
     pub(crate) pen_speed_squared: f64,
     pub(crate) pen_acceleration: f64,
 }
 
 impl Limits {
-    /// Nothing may move.
+    /// Limits that allow no motion.
     pub(crate) const NONE: Self = Self {
         joint_speed_squared: [0.0; ARMS],
         joint_acceleration: [0.0; ARMS],
@@ -91,7 +91,7 @@ impl Limits {
             if slope_squared * cap > *speed_squared {
                 cap = speed_squared / slope_squared;
             }
-            // Where the slope vanishes the bend alone bounds the speed.
+            // Where the slope vanishes only the bend bounds the speed.
             if bend.abs() * cap > *acceleration && slope_squared < SLOPE_SMALL * SLOPE_SMALL {
                 cap = acceleration / bend.abs();
             }
@@ -102,7 +102,7 @@ impl Limits {
         cap
     }
 
-    /// Lowers a cap for the fourth axis: the largest slope of the two ends of an interval bounds the speed all along.
+    /// Lowers a cap for the fourth axis: the larger slope of the two ends bounds the speed on the whole interval.
     pub(crate) fn cap_turning(&self, cap: f64, slopes: [f64; 2], change: f64) -> f64 {
         let [start, end] = slopes.map(f64::abs);
         let (slope, change) = (start.max(end), change.abs());
@@ -110,7 +110,7 @@ impl Limits {
         if slope * slope * cap > self.turn_speed_squared {
             cap = self.turn_speed_squared / (slope * slope);
         }
-        // Where the coefficient of the path acceleration vanishes the change alone bounds the speed.
+        // Where the coefficient of the path acceleration vanishes only the change bounds the speed.
         let vanishing = start.min((3.0 * slopes[1] - 2.0 * slopes[0]).abs());
         if change * cap > self.turn_acceleration && vanishing < SLOPE_SMALL {
             cap = self.turn_acceleration / change;
@@ -132,13 +132,13 @@ impl Limits {
     }
 }
 
-/// A limit of 0 is none.
+/// Replaces a limit of 0, which means unlimited.
 fn or_none(limit: f64) -> f64 {
     if limit > 0.0 { limit } else { LIMIT_NONE }
 }
 
-/// A limit that no motion reaches, mm/s and mm/s2.
+/// Limit that no motion reaches, mm/s and mm/s2.
 const LIMIT_NONE: f64 = 1.0e9;
 
-/// Slope under which a joint's acceleration does not depend on the path acceleration in effect, rad/mm.
+/// Slope below which the path acceleration has no effect on a joint's acceleration, rad/mm.
 const SLOPE_SMALL: f64 = 1.0e-9;

@@ -1,8 +1,8 @@
 //! The micro-interpolator: from path speeds to twelve joint references a period.
 //!
-//! Every millisecond the path is followed for a millisecond (stretches of constant path acceleration between the
-//! speeds at the grid's points), the point is turned into arm angles, and a moving average over a whole number of
-//! milliseconds bounds the jerk. Averaging keeps every bound on speed and acceleration, because an average of values
+//! Every millisecond the interpolator advances along the path (in stretches of constant path acceleration between the
+//! speeds at the grid's points), converts the point into arm angles, and averages over a whole number of milliseconds,
+//! which bounds the jerk. The moving average keeps every bound on speed and acceleration, because an average of values
 //! inside a convex limit is inside it.
 //!
 //! Invariant: velocities are the exact differences of the averaged positions. The sums are integers, so they do not
@@ -15,18 +15,18 @@ use crate::robot::{ARMS, AXES, Delta, JointAngles};
 
 /// Longest moving average, ms; the bound of `motion.jerk_window_ms`.
 pub(crate) const WINDOW_MAX: usize = 32;
-/// Parts of a radian that the sums count in: 2^40.
+/// Units per radian in which the sums count: 2^40.
 const PARTS_PER_RAD: f64 = 1_099_511_627_776.0;
 /// One millisecond, s.
 pub(crate) const TICK_S: f64 = 1.0e-3;
-/// Rounding of a difference of squared speeds, as a part of them, with ample room.
+/// Bound on the relative rounding error of a difference of squared speeds.
 const ROUNDED: f64 = 1.0e-12;
-/// Largest angle that is represented, rad.
+/// Largest angle that can be represented, rad.
 const ANGLE_MAX_RAD: f64 = 10_000.0;
 
 const _: () = assert!(ANGLE_MAX_RAD * PARTS_PER_RAD * (WINDOW_MAX as f64) < i64::MAX as f64);
 
-/// A point of the path and what it belongs to.
+/// A point of the path with its attributes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct PathSample {
     pub(crate) point: Vector,
@@ -56,7 +56,7 @@ pub(crate) struct Stretch {
 }
 
 impl Stretch {
-    /// Over `length_mm`, between two squared speeds.
+    /// Motion over `length_mm` between two squared speeds.
     pub(crate) fn new(start_mm: f64, length_mm: f64, start_squared: f64, end_squared: f64) -> Self {
         let (speed, end_speed) = (root(start_squared), root(end_squared));
         Self {
@@ -70,10 +70,10 @@ impl Stretch {
         }
     }
 
-    /// Over `length_mm`, with an acceleration, mm/s2.
+    /// Motion over `length_mm` with an acceleration, mm/s2.
     pub(crate) fn to(start_mm: f64, length_mm: f64, start_squared: f64, acceleration: f64) -> Self {
         let end_squared = start_squared + 2.0 * length_mm * acceleration;
-        // Less than the rounding of what it is the difference of cannot be told from rest.
+        // A result below the rounding error of the difference counts as rest.
         let rests = end_squared <= ROUNDED * start_squared;
         Self::new(
             start_mm,
@@ -83,7 +83,7 @@ impl Stretch {
         )
     }
 
-    /// This motion cut off after `time_s`.
+    /// This motion, ended after `time_s` if it is longer.
     pub(crate) fn within(self, time_s: f64) -> Self {
         if self.duration_s <= time_s {
             return self;
@@ -100,17 +100,17 @@ impl Stretch {
         }
     }
 
-    /// How long it takes, s.
+    /// Duration, s.
     pub(crate) fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
-    /// Whether it takes a finite time.
+    /// Whether the duration is finite.
     pub(crate) fn valid(&self) -> bool {
         self.duration_s.is_finite() && self.duration_s >= 0.0 && self.length_mm >= 0.0
     }
 
-    /// Lets time pass; returns what is left of it when the end is reached.
+    /// Advances by a time; returns the time left over when the end is reached.
     pub(crate) fn run(&mut self, time_s: f64) -> f64 {
         let left_s = self.duration_s - self.elapsed_s;
         if time_s >= left_s {
@@ -126,7 +126,7 @@ impl Stretch {
         self.elapsed_s >= self.duration_s
     }
 
-    /// Squared speed now, mm2/s2.
+    /// Present squared speed, mm2/s2.
     pub(crate) fn squared(&self) -> f64 {
         let speed = (self.speed + self.acceleration * self.elapsed_s).max(0.0);
         speed * speed
@@ -136,12 +136,12 @@ impl Stretch {
         self.end_squared
     }
 
-    /// mm/s2.
+    /// Acceleration, mm/s2.
     pub(crate) fn acceleration(&self) -> f64 {
         self.acceleration
     }
 
-    /// Place on the path, mm from where the stretches are counted.
+    /// Position on the path, mm from the origin of the stretches.
     pub(crate) fn offset_mm(&self) -> f64 {
         if self.complete() {
             return self.start_mm + self.length_mm;
@@ -151,26 +151,26 @@ impl Stretch {
     }
 }
 
-/// What the interpolator follows: asked once a millisecond for the place a millisecond later.
+/// Source of the motion: asked once a millisecond for the position a millisecond later.
 pub(crate) trait Profile {
     fn next_millisecond(&mut self) -> PathSample;
 }
 
-/// Averages a window of joint angles and makes references of them.
+/// Averages a window of joint angles and turns them into references.
 #[derive(Clone, Debug)]
 pub(crate) struct MicroInterpolator {
     delta: Delta,
     window: [([i64; AXES], Label); WINDOW_MAX],
-    /// Angles that are averaged beside the newest.
+    /// Number of averaged angles beside the newest.
     beside: usize,
     newest: usize,
     sums: [i64; AXES],
-    /// Milliseconds until the average rests if the angles do.
+    /// Milliseconds until the average is at rest once the angles are.
     settling_ms: usize,
 }
 
 impl MicroInterpolator {
-    /// Interpolator without an average, for no robot; see [`MicroInterpolator::configure`].
+    /// An interpolator without a moving average or a robot; see [`MicroInterpolator::configure`].
     pub(crate) const fn new() -> Self {
         Self {
             delta: Delta::NONE,
@@ -182,14 +182,14 @@ impl MicroInterpolator {
         }
     }
 
-    /// Takes a robot and a moving average over `window_ms`; 0 and 1 switch it off. Rests until placed.
+    /// Sets the robot and a moving average over `window_ms`; 0 and 1 switch the average off. At rest until placed.
     pub(crate) fn configure(&mut self, delta: Delta, window_ms: u16) {
         self.delta = delta;
         self.beside = usize::from(window_ms).clamp(1, WINDOW_MAX) - 1;
         self.settling_ms = 0;
     }
 
-    /// Angles that are averaged.
+    /// Number of averaged angles.
     fn length(&self) -> usize {
         self.beside + 1
     }
@@ -199,7 +199,7 @@ impl MicroInterpolator {
         if self.length() > 1 { self.length() as u16 } else { 0 }
     }
 
-    /// Rests at a pose.
+    /// Places the interpolator at rest at a pose.
     pub(crate) fn place(&mut self, pose: &JointAngles) {
         let parts = pose.0.map(to_parts);
         self.window = [(parts, Label::NONE); WINDOW_MAX];
@@ -207,12 +207,12 @@ impl MicroInterpolator {
         self.settling_ms = 0;
     }
 
-    /// Whether the references rest.
+    /// Whether the references are at rest.
     pub(crate) fn settled(&self) -> bool {
         self.settling_ms == 0
     }
 
-    /// A period at the pose given last.
+    /// A period at rest at the last pose.
     pub(crate) fn rest(&self) -> [Reference; PERIOD_MS] {
         let (parts, label) = self.window[self.newest];
         [Reference {
@@ -251,7 +251,7 @@ impl MicroInterpolator {
         };
         self.newest = (self.newest + 1) % WINDOW_MAX;
         let oldest = self.window[slot(self.newest, self.length())].0;
-        // A window as long as the ring leaves its place to the newest.
+        // A window as long as the ring overwrites its oldest entry with the newest.
         self.window[self.newest] = (parts, label);
         let per_part = 1.0 / (PARTS_PER_RAD * self.length() as f64);
         let mut reference = Reference::default();
@@ -261,7 +261,7 @@ impl MicroInterpolator {
             reference.position_rad[axis] = self.sums[axis] as f64 * per_part;
             reference.velocity_rad_s[axis] = change as f64 * (per_part / TICK_S);
         }
-        // The average lags by half its length; so do the labels.
+        // The average lags by half its length; labels lag by the same amount.
         let label = self.window[slot(self.newest, self.length() / 2)].1;
         reference.stroke = label.stroke;
         reference.pen = label.pen;

@@ -1,9 +1,9 @@
-//! From a list of coordinates to 1 ms references.
+//! Motion planning: from a list of coordinates to 1 ms references.
 //!
-//! One module a stage: admission refuses what cannot be executed, shaping makes the polyline smooth within a
-//! tolerance, the plan divides it into a grid and scans it for the largest speeds that keep every limit and end at
-//! rest, the micro-interpolator makes 1 ms joint references of it, and the trajectory joins them in one step every
-//! 12 ms.
+//! Each stage is a module. Admission refuses paths that cannot be executed. Shaping smooths the polyline within a
+//! tolerance. The plan divides it into a grid and scans the grid for the largest speeds that keep every limit and end
+//! at rest. The micro-interpolator turns these into 1 ms joint references. The trajectory runs all of them in one step
+//! every 12 ms.
 
 mod admission;
 mod averaging;
@@ -33,7 +33,7 @@ pub use trajectory::{QUEUE_VERTICES, Trajectory};
 use crate::robot::{AXES, Outside, Position};
 use serde::{Deserialize, Serialize};
 
-/// Period of the trajectory stage, ms: references that one step gives.
+/// Period of the trajectory stage, ms: the number of references from one step.
 pub const PERIOD_MS: usize = 12;
 
 /// Whether the pen touches the paper.
@@ -49,9 +49,9 @@ pub enum Pen {
 /// A vertex of a path: a three-dimensional polyline in the robot's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// Where.
+    /// Position of the vertex.
     pub position: Position,
-    /// Whether the leg that leads here is drawn.
+    /// Whether the pen draws on the way to this vertex.
     pub pen: Pen,
     /// Index of the stroke.
     pub stroke: u32,
@@ -66,7 +66,7 @@ pub struct Reference {
     pub velocity_rad_s: [f64; AXES],
     /// Stroke being executed.
     pub stroke: u32,
-    /// Pen as the path has it.
+    /// Pen state on the path.
     pub pen: Pen,
     /// Vertices of the path fully executed.
     pub vertex: u32,
@@ -86,7 +86,7 @@ pub struct Refusal {
 pub enum RefusalReason {
     /// A coordinate is not a finite number.
     NotFinite,
-    /// The vertex lies where the one before it lies.
+    /// The vertex coincides with the one before it.
     Repeated {
         /// Distance between them, mm.
         distance_mm: f64,
@@ -97,30 +97,30 @@ pub enum RefusalReason {
     Leg {
         /// The first checked point of the leg that is outside.
         at: Position,
-        /// Why it is.
+        /// Why the point is outside.
         outside: Outside,
     },
-    /// The fourth axis follows the path, and the leg to the vertex turns it out of its range.
+    /// The leg to the vertex turns a fourth axis that follows the path out of its range.
     Wound {
-        /// The angle, rad.
+        /// Angle after the leg, rad.
         angle_rad: f64,
-        /// Lowest, rad.
+        /// Lowest allowed angle, rad.
         low_rad: f64,
-        /// Highest, rad.
+        /// Highest allowed angle, rad.
         high_rad: f64,
     },
 }
 
-/// What the trajectory can be told.
+/// A command to the trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionCommand {
     /// Begin to execute the path that has been pushed.
     Start,
-    /// Decelerate on the path, lift the pen, keep the state.
+    /// Decelerate on the path, lift the pen and wait; the path can be resumed.
     Hold,
     /// Go on with a held path.
     Resume,
-    /// Decelerate on the path, lift the pen, drop the rest.
+    /// Decelerate on the path, lift the pen, discard the rest.
     Cancel,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),
@@ -130,48 +130,48 @@ pub enum MotionCommand {
     Jog([f64; 3]),
     /// End a jog.
     JogStop,
-    /// Lift or lower the pen where it stands.
+    /// Lift or lower the pen at the present position.
     Pen(Pen),
 }
 
-/// What the trajectory stage is doing.
+/// State of the trajectory stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MotionState {
-    /// At rest, no path under way.
+    /// At rest without a path.
     #[default]
     Idle,
-    /// On the path.
+    /// Moving along the path.
     Running,
-    /// Waiting for path data, at rest on the path, with the pen lifted after a dwell.
+    /// At rest on the path, waiting for path data; the pen is lifted after a dwell.
     Starved,
-    /// On the way to a hold.
+    /// Decelerating to a hold.
     Holding,
     /// Held: at rest, the pen lifted.
     Held,
-    /// On the way back to the path.
+    /// Returning to the path.
     Resuming,
-    /// On the way to a rest that ends the path or a motion.
+    /// Decelerating to a rest that ends the path or a motion.
     Stopping,
-    /// In a single move.
+    /// Executing a single move.
     Moving,
     /// Jogging.
     Jogging,
 }
 
-/// Why a command or a vertex was not taken; nothing has changed.
+/// Why a command or a vertex was refused. A refusal changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionRefusal {
-    /// The command does not fit what the stage is doing.
+    /// The command is not allowed in this state.
     State(MotionState),
     /// A path is waiting; it has to be started or cancelled first.
     PathPending,
-    /// There is no pose to begin from.
+    /// There is no pose to start from.
     NotPlaced,
     /// The queue of vertices is full.
     Full,
     /// An override outside 10 to 200 percent.
     Override {
-        /// What was asked for.
+        /// The percentage asked for.
         percent: u8,
     },
     /// The target cannot be reached.

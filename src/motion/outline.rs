@@ -1,7 +1,7 @@
-//! The shaped path alone: what the planner will follow, without speeds.
+//! The shaped path alone, without speeds: the curve that the planner follows.
 //!
-//! Tools compare the planner with others on the same curve, so they need the curve itself. It comes from the shaping
-//! that the trajectory stage uses, leg by leg, in bounded memory.
+//! Tools that compare the planner with others need the curve itself. The curve comes from the trajectory stage's
+//! shaping, leg by leg, in bounded memory.
 
 use super::averaging::tolerances;
 use super::ring::Ring;
@@ -12,7 +12,7 @@ use crate::robot::vector::{Vector, length};
 use crate::robot::{Delta, GeometryError, JointRows};
 use heapless::Vec;
 
-/// Shapes a path and hands out its sections.
+/// Shapes a path and returns its sections.
 #[derive(Clone, Debug)]
 pub struct Outline {
     delta: Delta,
@@ -29,22 +29,22 @@ pub struct Section {
     piece: Piece,
 }
 
-/// The path at one place.
+/// Geometry of the path at one parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {
-    /// Where, mm.
+    /// Position, mm.
     pub point: Vector,
-    /// Derivatives of the arm angles by the arc length.
+    /// Derivatives of the arm angles with respect to arc length.
     pub joints: JointRows,
     /// Curvature, 1/mm.
     pub curvature: f64,
 }
 
 impl Outline {
-    /// Shapes within the tolerances of a configuration, from a vertex at rest.
+    /// Starts shaping within the tolerances of a configuration, from a vertex at rest.
     ///
     /// # Errors
-    /// A geometry that is no delta robot.
+    /// The dimensions do not form a valid delta robot.
     pub fn new(config: &Config, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
         shaper.configure(tolerances(config), &config.motion);
@@ -60,7 +60,8 @@ impl Outline {
         Ok(outline)
     }
 
-    /// Appends a vertex, which must differ from the one before it; `false` when sections have to be taken first.
+    /// Appends a vertex, which must differ from the one before it; returns `false` when sections have to be taken
+    /// first.
     pub fn push(&mut self, vertex: &Vertex) -> bool {
         if self.queue.room() == 0 {
             return false;
@@ -70,7 +71,7 @@ impl Outline {
         true
     }
 
-    /// No more vertices come.
+    /// Marks the end of the path.
     pub fn finish(&mut self) {
         self.finished = true;
     }
@@ -97,22 +98,22 @@ impl Outline {
 }
 
 impl Section {
-    /// Intervals that the planner's grid divides it into, evenly in the parameter.
+    /// Number of intervals of the planner's grid on this section, evenly spaced in the parameter.
     pub fn intervals(&self) -> u16 {
         self.piece.intervals.max(1)
     }
 
-    /// Whether the path rests at its end.
+    /// Whether the path is at rest at the end of this section.
     pub fn stops(&self) -> bool {
         self.piece.stop_after
     }
 
-    /// Whether any part of it is drawn.
+    /// Whether any part of the section is drawn.
     pub fn is_drawn(&self) -> bool {
         self.piece.entry.pen == Pen::Down || self.piece.exit.pen == Pen::Down
     }
 
-    /// The path at a parameter.
+    /// Geometry of the path at a parameter.
     pub fn station(&self, parameter: f64) -> Station {
         let frame = self.piece.curve.frame(parameter);
         Station {

@@ -1,13 +1,14 @@
-//! The look-ahead plan: pieces of the path, the grid over them, the speeds of its points, and the place on it.
+//! The look-ahead plan: pieces of the path, the grid over them, the speeds at its points, and the present position on
+//! it.
 //!
-//! Pieces are divided into a grid as there is room; the last point of the grid is always a point of rest. After the
-//! grid has grown, [`Plan::look_back`] raises the speeds from the new end towards the present place until nothing
-//! changes. A raised speed stays reachable from the old ones, so the plan ends at rest after every single step of it,
-//! and a path that stops growing is a stop on the path with all limits kept.
+//! Pieces are divided into a grid as room permits; the last point of the grid is always a point of rest. After the grid
+//! has grown, [`Plan::look_back`] raises the speeds from the new end towards the present position until nothing
+//! changes. A raised speed stays reachable from the old ones, so the plan ends at rest after every single step; a path
+//! that stops growing becomes a stop on the path within all limits.
 //!
-//! Between two points of the grid the path acceleration is constant; it is chosen when the first of them is reached, and
-//! anew when a stretch has lasted [`STRETCH_MAX_S`], the pace changes, or another speed is asked for. A squared speed
-//! below [`REST_SQUARED`] is rest.
+//! Between two points of the grid the path acceleration is constant. The plan chooses it when the first point is
+//! reached, and again when a stretch has lasted [`STRETCH_MAX_S`], the pace changes, or another speed is requested. A
+//! squared speed below [`REST_SQUARED`] counts as rest.
 
 use super::Pen;
 use super::grid::{ARRIVED_MM, GridPoint, Span};
@@ -24,74 +25,74 @@ use crate::robot::vector::length;
 
 /// Points of the grid: the look-ahead.
 pub(crate) const POINTS: usize = 256;
-/// Pieces that the grid lies on or that wait for it.
+/// Pieces on which the grid lies or which wait for it.
 pub(crate) const PIECES: usize = 128;
-/// Intervals that the grid grows by in one period at most.
+/// Most intervals by which the grid grows in one period.
 pub(crate) const GROWTH: usize = 64;
-/// Most intervals that the grid grows by in one period while a change of speed is pending: that pass looks back over
-/// the whole grid.
+/// Most intervals by which the grid grows in one period while a change of speed is pending, because the look-back then
+/// covers the whole grid.
 const GROWTH_RESCALING: usize = 16;
-/// Change of a squared speed that counts as none, relative.
+/// Relative change of a squared speed that counts as none.
 const UNCHANGED: f64 = 1.0e-12;
-/// Squared speed that cannot be told from rest, mm2/s2: a tenth of a nanometre a second. Even where the fourth axis turns
-/// by half a turn within 10 nm of the path, that is a thousandth of its slowest motion.
+/// Squared speed that counts as rest, mm2/s2: a tenth of a nanometre a second. Even where the fourth axis makes a half
+/// turn within 10 nm of the path, that is a thousandth of its slowest motion.
 const REST_SQUARED: f64 = 1.0e-20;
-/// What is added to the curvature in the middle of an interval, as a part of how far its second difference bulges: the
+/// Addition to the curvature in the middle of an interval, as a part of the bulge of its second difference: the
 /// centripetal acceleration may be largest between the middle and an end.
 const BULGE_PART: f64 = 0.25;
-/// What is added too, as a part of how steeply the curvature changes over the interval and of how far it bulges either way,
-/// where half of the interval takes longer than [`SMOOTHED_S`]: the speed grows while the curvature falls, so that the
-/// centripetal acceleration is largest between the middle and an end. On the paths of `checks/slow.rs` the 1 ms references
-/// exceed the limit by 2.9 % without it and stay 0.009 % under it with it.
+/// Further addition to the curvature, as a part of the change of the curvature over the interval and of its bulge
+/// either way, where half of the interval takes longer than [`SMOOTHED_S`]: the speed grows while the curvature falls,
+/// so the centripetal acceleration is largest between the middle and an end. On the paths of `checks/slow.rs` the 1 ms
+/// references exceed the limit by 2.9 % without this addition and stay 0.009 % under it with it.
 const STEEP_PART: f64 = 0.25;
-/// Time in which a peak of the acceleration does not show in the differences of 1 ms references, s.
+/// Duration of a peak of the acceleration that does not show in the differences of 1 ms references, s.
 const SMOOTHED_S: f64 = 0.5e-3;
-/// Points that begin the grid or continue it from a stop, beside the next interval's end.
+/// Points needed to begin the grid or to continue it from a stop, beside the end of the next interval.
 const STOP_POINTS: usize = 2;
 
 const _: () = assert!(GROWTH < POINTS && PIECES_PER_LEG < PIECES);
 
-/// How the motion goes on at the next point of the grid.
+/// How the motion continues at the next point of the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Pace {
     /// As fast as allowed.
     Go,
-    /// To rest, as soon as allowed.
+    /// To rest as soon as the limits allow.
     Brake,
 }
 
-/// The plan and the place on it.
+/// The plan and the present position on it.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     delta: Delta,
     limits: Limits,
     pieces: Ring<Piece, PIECES>,
     points: Ring<GridPoint, POINTS>,
-    /// Next interval of the next piece for the grid.
+    /// Next piece for the grid, and its next interval.
     next_piece: u32,
     next_interval: u16,
     course: Course,
     dwell_s: f64,
-    /// Points from here on have been appended since the last look back.
+    /// Points from here on have been appended since the last look-back.
     settled: u32,
-    /// Speed asked for and speed planned for, as factors of the path's.
+    /// Speed requested and speed planned for, as factors of the path's speed.
     wanted: f64,
     planned: f64,
-    /// Point of the grid at or behind the present place, and how far behind it is.
+    /// Last point of the grid at or before the present position, and the distance since that point.
     place: u32,
     offset_mm: f64,
     squared: f64,
     stretch: Option<Stretch>,
-    /// Acceleration of the last stretch, where that ended within the present interval.
+    /// Acceleration of the last stretch, if it ended within the present interval.
     under_way: Option<f64>,
-    /// What the present stretch was chosen for.
+    /// Pace for which the present stretch was chosen.
     pace: Pace,
     pause: Option<Pause>,
     rest: PathSample,
 }
 
 impl Plan {
-    /// An empty plan; nothing may move before [`Plan::reconfigure`].
+    /// An empty plan; it allows no motion before [`Plan::reconfigure`].
     pub(crate) const fn new() -> Self {
         Self {
             delta: Delta::NONE,
@@ -116,7 +117,7 @@ impl Plan {
         }
     }
 
-    /// Plans for another robot or with other limits from now on, at the speed of the path; drops what was pushed.
+    /// Sets robot and limits, resets the speed to that of the path, and discards what was pushed.
     pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits, motion: &Motion) {
         self.delta = delta;
         self.limits = limits;
@@ -126,7 +127,7 @@ impl Plan {
         self.rest_at(PathSample::NONE);
     }
 
-    /// Drops everything and rests at a place.
+    /// Discards everything and rests at a position.
     pub(crate) fn rest_at(&mut self, place: PathSample) {
         self.pieces.clear();
         self.points.clear();
@@ -153,7 +154,7 @@ impl Plan {
         self.pieces.push(piece)
     }
 
-    /// Scales the path speed from here on, factor of the configured speed.
+    /// Scales the path speed from the present position on, as a factor of the configured speed.
     pub(crate) fn scale_speed(&mut self, factor: f64) {
         if factor != self.wanted {
             self.cut();
@@ -161,7 +162,7 @@ impl Plan {
         self.wanted = factor;
     }
 
-    /// Ends the present stretch where the motion is: the acceleration is chosen anew.
+    /// Ends the present stretch at the present position; the acceleration is chosen again.
     fn cut(&mut self) {
         if let Some(stretch) = self.stretch.take() {
             self.offset_mm = stretch.offset_mm();
@@ -170,24 +171,24 @@ impl Plan {
         }
     }
 
-    /// Whether the motion rests.
+    /// Whether the motion is at rest.
     pub(crate) fn resting(&self) -> bool {
         self.stretch.is_none() && self.pause.is_none() && self.squared <= 0.0
     }
 
-    /// Whether the motion pauses at a stop.
+    /// Whether the motion is in a pause at a stop.
     pub(crate) fn pauses(&self) -> bool {
         self.pause.is_some()
     }
 
-    /// Whether the motion rests at the end of all that has been pushed.
+    /// Whether the motion is at rest at the end of everything that was pushed.
     pub(crate) fn exhausted(&self) -> bool {
         self.resting() && self.points.length() <= 1 && self.next_piece == self.pieces.end()
     }
 
-    /// Whether motion is possible from the present place at rest.
+    /// Whether motion can start from rest at the present position.
     pub(crate) fn can_go(&self) -> bool {
-        // A point of arrival lies where the motion departs from.
+        // The points of arrival and departure coincide.
         let arrived = |point: &GridPoint| point.stop && point.span.length_mm <= 0.0;
         let from = self
             .place
@@ -198,7 +199,7 @@ impl Plan {
         }
     }
 
-    /// Grows the grid over the pieces by at most [`GROWTH`] intervals; returns by how many.
+    /// Extends the grid over the pieces by at most [`GROWTH`] intervals; returns by how many.
     pub(crate) fn grow(&mut self) -> usize {
         let most = if self.wanted == self.planned {
             GROWTH
@@ -275,7 +276,7 @@ impl Plan {
         }
     }
 
-    /// Begins the grid, or goes on with it from a stop, where a pause may be needed.
+    /// Begins the grid, or continues it from a stop, where a pause may be needed.
     fn depart(&mut self, piece: &Piece, nominal: f64) {
         let mut start = self.point_at(piece, 0.0, nominal, true);
         let arrival = self.course.angle;
@@ -310,7 +311,7 @@ impl Plan {
         }
     }
 
-    /// What holds in the middle of a curve's part, for its parameter there, the curvature at both ends, and its length.
+    /// Limits in the middle of a part of a curve, from its parameter there, the curvature at both ends, and its length.
     fn middle(&self, piece: &Piece, parameter: f64, ends: [f64; 2], length_mm: f64, lifts: bool) -> Middle {
         let mut row = self.row_at(piece, parameter);
         let [before, after] = ends;
@@ -344,7 +345,7 @@ impl Plan {
         }
     }
 
-    /// Raises the speeds from the end towards the present place. Returns how many points were computed.
+    /// Raises the speeds from the end towards the present position. Returns how many points were computed.
     pub(crate) fn look_back(&mut self) -> usize {
         let all = self.take_over_speed();
         let end = self.points.end();
@@ -375,7 +376,7 @@ impl Plan {
         computed
     }
 
-    /// Plans for the speed asked for, if the motion is slow enough for it; returns whether the plan changes.
+    /// Changes to the requested speed if the motion is slow enough for it; returns whether the plan changes.
     fn take_over_speed(&mut self) -> bool {
         if self.wanted == self.planned {
             return false;
@@ -393,7 +394,7 @@ impl Plan {
         true
     }
 
-    /// Lets `dt_s` pass and gives the place at its end.
+    /// Advances by `dt_s` and returns the new position.
     pub(crate) fn advance(&mut self, dt_s: f64, pace: Pace) -> PathSample {
         if pace != self.pace {
             self.cut();
@@ -437,7 +438,7 @@ impl Plan {
         self.sample()
     }
 
-    /// Goes over to the next point where the interval's end is reached.
+    /// Moves to the next point where the end of the interval is reached.
     fn arrive(&mut self) {
         let Some(point) = self.points.get(self.place) else {
             return;
@@ -464,7 +465,8 @@ impl Plan {
         self.under_way = None;
     }
 
-    /// Chooses the acceleration from the present place to the next point; `false` where the motion rests.
+    /// Chooses the acceleration from the present position to the next point; returns `false` where the motion is at
+    /// rest.
     fn begin(&mut self, pace: Pace) -> bool {
         let next_number = self.place.wrapping_add(1);
         let (Some(here), Some(next)) = (self.points.get(self.place), self.points.get(next_number)) else {
@@ -492,7 +494,7 @@ impl Plan {
         let stretch = match pace {
             Pace::Brake if x <= 0.0 => return false,
             Pace::Brake => braking(&interval, self.offset_mm, x, self.under_way),
-            // Nothing is known of what follows.
+            // The continuation of the path is not known yet.
             Pace::Go if x <= 0.0 && next.reach <= 0.0 && ends => return false,
             Pace::Go => {
                 let cap = here.cap.min(next.cap).min(here.nominal * self.planned * self.planned);
@@ -509,7 +511,7 @@ impl Plan {
         true
     }
 
-    /// Limits at the present place on the interval that begins at a point.
+    /// Limits at the present position, on the interval that begins at a point.
     fn row_here(&self, here: &GridPoint) -> Row {
         let row = match self.pieces.get(here.span.piece) {
             Some(piece) if self.offset_mm > 0.0 => self.row_at(piece, here.span.parameter_at(piece, self.offset_mm)),
@@ -521,7 +523,7 @@ impl Plan {
         }
     }
 
-    /// What holds in the middle of what is left of an interval, where the interval's own middle is passed.
+    /// Limits in the middle of the rest of an interval whose own middle has been passed.
     fn middle_of_rest(&self, here: &GridPoint, start: &Row, end: &Row, left_mm: f64) -> Option<(Middle, f64)> {
         let piece = self.pieces.get(here.span.piece)?;
         let ahead_mm = 0.5 * left_mm;
@@ -531,7 +533,7 @@ impl Plan {
         Some((middle, ahead_mm))
     }
 
-    /// The pause between arriving at a stop and departing from it, where there is one.
+    /// The pause between arriving at a stop and departing from it, if any.
     fn pause_between(&self, arrival: &GridPoint, departure: &GridPoint) -> Option<Pause> {
         let (from, to) = (arrival.span.heading, departure.span.heading);
         let waits = arrival.stop && arrival.span.length_mm <= 0.0;
@@ -551,7 +553,7 @@ impl Plan {
         self.pieces.forget_before(piece);
     }
 
-    /// The present place.
+    /// The present position.
     pub(crate) fn sample(&self) -> PathSample {
         let Some(point) = self.points.get(self.place) else {
             return self.rest;
@@ -572,7 +574,7 @@ impl Plan {
     }
 }
 
-/// A squared speed, or 0 where it cannot be told from rest.
+/// A squared speed, or 0 where it counts as rest.
 fn moving(squared: f64) -> f64 {
     if squared < REST_SQUARED { 0.0 } else { squared }
 }

@@ -1,7 +1,8 @@
-//! Watchdog of the motion: what has to move and does not is noticed, whatever the cause.
+//! Motion watchdog: detects a motion that should progress and does not, whatever the cause.
 //!
-//! Progress is a vertex executed, a micrometre of the path or a ten-thousandth of a radian of the fourth axis. The slowest
-//! motion that any configuration allows makes 0.1 mm a second on a line, and turns by 0.01 rad a second in a corner.
+//! Progress is a vertex executed, a micrometre of the path or a ten-thousandth of a radian of the fourth axis. The
+//! slowest motion that any configuration allows moves by 0.1 mm a second on a line, and turns by 0.01 rad a second in a
+//! corner.
 
 use super::PERIOD_MS;
 use super::micro_interpolator::PathSample;
@@ -9,15 +10,15 @@ use crate::robot::vector::{length, subtract};
 
 /// Longest time without progress, ms.
 pub(super) const STALL_MS: u32 = 2_000;
-/// Way that is progress, mm: the resolution of the link.
+/// Distance that counts as progress, mm: the resolution of the link.
 const WAY_MM: f64 = 1.0e-3;
-/// Turn of the fourth axis that is progress, rad.
+/// Turn of the fourth axis that counts as progress, rad.
 const TURN_RAD: f64 = 1.0e-4;
 
-/// Watches one motion after the other.
+/// Watches each motion for progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Watch {
-    /// Where the last progress was made.
+    /// Position of the last progress.
     mark: PathSample,
     still_ms: u32,
 }
@@ -31,7 +32,7 @@ impl Watch {
         }
     }
 
-    /// Takes a period's end; `moves` says whether there has to be progress.
+    /// Takes the state at the end of a period; `moves` says whether progress is required.
     pub(super) fn step(&mut self, here: &PathSample, moves: bool) {
         let mark = &self.mark;
         let progress = here.label.vertex != mark.label.vertex
@@ -45,7 +46,7 @@ impl Watch {
         }
     }
 
-    /// For how long there has been no progress, ms; 0 while that is no longer than [`STALL_MS`].
+    /// Time without progress, ms; 0 up to [`STALL_MS`].
     pub(super) fn stalled_ms(&self) -> u32 {
         if self.still_ms > STALL_MS { self.still_ms } else { 0 }
     }

@@ -1,4 +1,4 @@
-//! A queue of fixed capacity whose items keep their number while others come and go.
+//! A queue of fixed capacity whose items keep their number while others are pushed and popped.
 //!
 //! Numbers wrap at 2^32; the capacity is a power of two, so that a number's place survives the wrap.
 
@@ -16,7 +16,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
         N as u32
     };
 
-    /// An empty ring; `filler` fills the places that are not in use.
+    /// An empty ring; `filler` fills the unused places.
     pub(crate) const fn new(filler: T) -> Self {
         Self {
             items: [filler; N],
@@ -43,7 +43,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
         (Self::CAPACITY - self.length) as usize
     }
 
-    /// The item of a number, if it is still there.
+    /// The item with a number, if the ring still holds it.
     pub(crate) fn get(&self, number: u32) -> Option<&T> {
         if number.wrapping_sub(self.first) < self.length {
             self.items.get(number as usize % N)
@@ -64,7 +64,7 @@ impl<T: Copy, const N: usize> Ring<T, N> {
         self.get_mut(self.end().wrapping_sub(1))
     }
 
-    /// Appends an item; `false`, and no change, where there is no room.
+    /// Appends an item; returns `false` and changes nothing if there is no room.
     pub(crate) fn push(&mut self, item: T) -> bool {
         if self.room() == 0 {
             return false;

@@ -1,20 +1,20 @@
-//! The scan: how fast each point of the grid may be passed, so that all limits hold and the path can end at rest.
+//! The scan: the largest speed at each point of the grid at which all limits hold and the path can end at rest.
 //!
-//! With x the squared path speed and u the path acceleration, every limit is a row a u + b x <= c, and an interval
-//! of length l leads from x to x + 2 l u. Backwards from a point at rest, the largest x of each point is the largest
-//! for which some u obeys the rows at both ends of the interval, on a curve those in its middle too, and leads to a
-//! speed from which the rest can be reached (after Pham and Pham, "A new approach to time-optimal path
+//! With x the squared path speed and u the path acceleration, every limit is a row a u + b x <= c, and an interval of
+//! length l leads from x to x + 2 l u. The scan runs backwards from a point at rest. The largest x of each point is the
+//! largest for which some u obeys the rows at both ends of the interval (on a curve those in its middle too) and leads
+//! to a speed from which rest can be reached (after Pham and Pham, "A new approach to time-optimal path
 //! parameterization based on reachability analysis"). The width of the range of u is a concave function of x made of
-//! straight stretches, where the Cartesian acceleration counts of arcs as well; Newton's method from the right finds
-//! its zero without passing it: exactly on a stretch, with quadratic convergence on an arc.
+//! straight stretches, and of arcs where the Cartesian acceleration counts. Newton's method from the right finds its
+//! zero without passing it: exactly on a stretch, with quadratic convergence on an arc.
 //!
-//! Invariant: x = 0, u = 0 obeys every row; so whatever x a point may have, less is allowed too.
+//! Invariant: x = 0, u = 0 obeys every row; so below every allowed x of a point all smaller x are allowed too.
 
 use super::limits::Limits;
 use crate::robot::vector::root;
 use crate::robot::{ARMS, JointRows};
 
-/// Newton steps at most; more are not needed, and if they were, the result is a safe bound.
+/// Most Newton steps. More are not needed; if they were, the result would still be a safe bound.
 const NEWTON_STEPS: usize = 16;
 /// Relative steps to the inside when rounding keeps Newton's method outside; the last ones are never needed.
 const HAIRS: [f64; 5] = [1.0e-12, 1.0e-10, 1.0e-8, 1.0e-4, 0.5];
@@ -22,25 +22,25 @@ const HAIRS: [f64; 5] = [1.0e-12, 1.0e-10, 1.0e-8, 1.0e-4, 0.5];
 const ROUNDING: f64 = 1.0e-13;
 /// Coefficients of u smaller than this count as zero.
 const COEFFICIENT_SMALL: f64 = 1.0e-15;
-/// Half chords of the circle of accelerations shorter than this part of its radius are taken a little shorter, so that
-/// their change with the speed stays finite where the circle ends.
+/// Half chords of the circle of accelerations that are shorter than this part of its radius are shortened a little, so
+/// that their change with the speed stays finite where the circle ends.
 const CHORD_SMALL: f64 = 1.0e-4;
 
 /// Limits at one point of the grid, in terms of the path.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Row {
     pub(crate) joints: JointRows,
-    /// 1/mm.
+    /// Curvature, 1/mm.
     pub(crate) curvature: f64,
     /// Slope of the fourth axis, rad/mm.
     pub(crate) turn: f64,
-    /// Vertical part of the tangent, and its change with arc length, 1/mm.
+    /// Vertical part of the tangent, and its derivative with respect to arc length, 1/mm.
     pub(crate) rise: f64,
     pub(crate) rise_change: f64,
 }
 
 impl Row {
-    /// Nothing moves.
+    /// A row that allows no motion.
     pub(crate) const NONE: Self = Self {
         joints: JointRows::NONE,
         curvature: 0.0,
@@ -50,7 +50,7 @@ impl Row {
     };
 }
 
-/// Accelerations that an interval allows at one speed, mm/s2.
+/// Range of accelerations that an interval allows at one speed, mm/s2.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Range {
     pub(crate) low: f64,
@@ -120,7 +120,7 @@ impl Range {
         }
     }
 
-    /// High less low, where rounding does not make an exact meeting of both a negative width.
+    /// High minus low; rounding does not make it negative where both meet exactly.
     fn width(&self) -> f64 {
         self.high - self.low + ROUNDING * (self.high.abs() + self.low.abs())
     }
@@ -134,29 +134,29 @@ pub(crate) struct Interval<'a> {
     pub(crate) end: &'a Row,
     pub(crate) length_mm: f64,
     pub(crate) end_squared: f64,
-    /// Change of the fourth axis' slope all along the interval, rad/mm2.
+    /// Change of the fourth axis's slope on the whole interval, rad/mm2.
     pub(crate) turn_change: f64,
-    /// The pen's vertical limits hold.
+    /// Whether the pen's vertical limits apply.
     pub(crate) lifts: bool,
-    /// What holds in the middle of a curve, and how far ahead that is, mm.
+    /// Limits in the middle of a curve, and the distance to that middle, mm.
     pub(crate) middle: Option<(Middle, f64)>,
 }
 
-/// Limits in the middle of an interval: on a curve they can be tighter there than at both ends.
+/// Limits in the middle of an interval; on a curve they can be tighter there than at both ends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Middle {
     pub(crate) joints: JointRows,
-    /// 1/mm.
+    /// Curvature, 1/mm.
     pub(crate) curvature: f64,
     /// Largest squared speed, mm2/s2.
     pub(crate) cap: f64,
-    /// Vertical part of the tangent, and its change with arc length, 1/mm.
+    /// Vertical part of the tangent, and its derivative with respect to arc length, 1/mm.
     pub(crate) rise: f64,
     pub(crate) rise_change: f64,
 }
 
 impl Middle {
-    /// Nothing moves.
+    /// A middle that allows no motion.
     pub(crate) const NONE: Self = Self {
         joints: JointRows::NONE,
         curvature: 0.0,
@@ -172,8 +172,8 @@ impl Interval<'_> {
         self.turn_change != 0.0 || self.start.turn != 0.0
     }
 
-    /// Accelerations allowed when the interval is entered with the squared speed `x`; empty (low above high) when x
-    /// is too large.
+    /// Accelerations allowed when the motion enters the interval with the squared speed `x`; empty (low above high)
+    /// when `x` is too large.
     pub(crate) fn range(&self, x: f64) -> Range {
         let double = 2.0 * self.length_mm;
         let inverse = 1.0 / double;
@@ -222,7 +222,7 @@ impl Interval<'_> {
         range
     }
 
-    /// Largest squared speed up to `cap` with which the interval may be entered.
+    /// Largest squared speed, up to `cap`, at which the motion may enter the interval.
     pub(crate) fn entry_max(&self, cap: f64) -> f64 {
         let mut x = cap;
         for _ in 0..NEWTON_STEPS {
@@ -238,7 +238,7 @@ impl Interval<'_> {
             }
             x = next.max(0.0);
         }
-        // Rounding can leave the width a hair under zero.
+        // Rounding can make the width slightly negative.
         for hair in HAIRS {
             let below = x * (1.0 - hair);
             if self.range(below).width() >= 0.0 {
@@ -249,7 +249,7 @@ impl Interval<'_> {
     }
 
     /// Strongest deceleration that the limits allow at `x` when the motion may come to rest inside the interval;
-    /// negative or 0. The speed falls from `x` to 0 while the coefficients go from the start's to the end's.
+    /// negative or 0. The speed falls from `x` to 0 while the coefficients change from the start's to the end's.
     pub(crate) fn braking(&self, x: f64) -> f64 {
         let limits = self.limits;
         let mut range = Range {
