@@ -1,28 +1,28 @@
-//! What a board watches beside the bus: its inputs, its Ethernet port, its tasks' lives, its lamps.
+//! Board functions beside the bus: inputs, Ethernet port, task supervision, lamps.
 //!
-//! A board's folder reads pins and registers; what they mean is decided here, so that it is the same on every board and is
-//! tried on the host in virtual time.
+//! A board's folder reads pins and registers. The logic is here, so that it is shared by all boards and tested on the
+//! host in virtual time.
 //!
-//! Invariant: nothing here waits, locks or can panic; a critical task may call all of it.
+//! Invariant: no function here waits, locks or panics; a critical task may call all of them.
 
 use crate::application::{Fault, Mode, StopSource};
 use heapless::String;
 use serde::{Deserialize, Serialize};
 
-/// How long the emergency-stop input has to be open before it counts, ms: longer than the pulses that a wire beside a motor's
-/// picks up.
+/// How long the emergency-stop input has to be open before it counts as open, ms: longer than the pulses that a wire
+/// next to a motor's cable picks up.
 pub const STOP_OPEN_MS: u8 = 3;
-/// How long it has to be closed again before it counts as released, ms: contacts bounce.
+/// How long the emergency-stop input has to be closed before it counts as released, ms: contacts bounce.
 pub const STOP_CLOSED_MS: u8 = 100;
-/// Bytes of text that are kept of what ended a run.
+/// Bytes of text kept about the cause of a run's end.
 pub const CAUSE_BYTES_MAX: usize = 120;
-/// Releases of the trajectory task, 12 ms each, that it may owe before it counts as dead.
+/// Releases of the trajectory task, 12 ms each, that may be overdue before the task counts as dead.
 pub const TRAJECTORIES_DUE_MAX: u32 = 8;
 
-/// The Ethernet port, as its PHY says.
+/// State of the Ethernet port as reported by its PHY.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PortState {
-    /// The board has no PHY to ask; the port counts as up.
+    /// The board has no PHY; the port counts as up.
     #[default]
     Unknown,
     /// No PHY answers.
@@ -34,23 +34,23 @@ pub enum PortState {
 }
 
 impl PortState {
-    /// Whether no frame can get through.
+    /// Whether the port certainly carries no frames.
     pub const fn is_down(self) -> bool {
         matches!(self, Self::NoPhy | Self::Down)
     }
 }
 
-/// What keeps the drives in quick stop as long as it lasts, whatever is acknowledged.
+/// A condition that keeps the drives in quick stop while it lasts; an acknowledgement does not clear it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Interlock {
     /// The emergency-stop input is open.
     EmergencyStop,
-    /// The board runs on a clock that is not exact enough.
+    /// The board runs on a clock that is not precise enough.
     Clock,
 }
 
 impl Interlock {
-    /// The fault that it is.
+    /// The fault for this condition.
     pub const fn fault(self) -> Fault {
         match self {
             Self::EmergencyStop => Fault::EmergencyStop(StopSource::Input),
@@ -58,7 +58,7 @@ impl Interlock {
         }
     }
 
-    /// What follows from the board's inputs: the first that holds.
+    /// The first interlock that the board's inputs require, if any.
     pub const fn of(stopped: bool, substitute_clock: bool) -> Option<Self> {
         match (stopped, substitute_clock) {
             (true, _) => Some(Self::EmergencyStop),
@@ -68,7 +68,7 @@ impl Interlock {
     }
 }
 
-/// The emergency-stop input: normally closed, so that a broken wire stops.
+/// The emergency-stop input: normally closed, so that a broken wire causes a stop.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct EmergencyStopInput {
     open: bool,
@@ -76,7 +76,7 @@ pub struct EmergencyStopInput {
 }
 
 impl EmergencyStopInput {
-    /// An input that was closed until now.
+    /// An input that has been closed so far.
     pub const fn new() -> Self {
         Self {
             open: false,
@@ -84,7 +84,7 @@ impl EmergencyStopInput {
         }
     }
 
-    /// One millisecond: takes what the pin shows and gives whether the input is open.
+    /// Advances by one millisecond: takes the state of the pin and returns whether the input counts as open.
     pub fn step(&mut self, shows_open: bool) -> bool {
         let longest_ms = if self.open { STOP_CLOSED_MS } else { STOP_OPEN_MS };
         self.differs_ms = if shows_open == self.open {
@@ -99,27 +99,29 @@ impl EmergencyStopInput {
     }
 }
 
-/// Whether the independent watchdog may be fed: the sample asks, so it lives, and the trajectory task owes few releases.
+/// Whether the independent watchdog may be fed: few releases of the trajectory task are overdue. The sample calls this
+/// function, so the sample is alive.
 pub const fn may_feed(trajectories_due: u32) -> bool {
     trajectories_due <= TRAJECTORIES_DUE_MAX
 }
 
-/// Three lamps.
+/// State of the three lamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lamps {
-    /// What the controller is doing.
+    /// Operating state of the controller.
     pub green: bool,
-    /// The Ethernet port.
+    /// State of the Ethernet port.
     pub yellow: bool,
     /// Faults.
     pub red: bool,
 }
 
 impl Lamps {
-    /// What they show in a mode: `ms` is any millisecond counter.
+    /// The lamps in a mode; `ms` is any millisecond counter.
     ///
-    /// Green flashes once a second without an operational bus, blinks slowly with it, is on when the robot is enabled and
-    /// at rest, and blinks fast in motion. Yellow is on with a link. Red is on with a fault and blinks on the way there.
+    /// Green flashes once a second without an operational bus, blinks slowly with it, is on when the robot is enabled
+    /// and at rest, and blinks fast in motion. Yellow is on with a link. Red is on in a fault and blinks while a fault
+    /// is being handled.
     pub const fn show(mode: Mode, port: PortState, ms: u32) -> Self {
         let flash = ms % 1_000 < 100;
         let slow = ms % 1_000 < 500;
@@ -140,31 +142,31 @@ impl Lamps {
     }
 }
 
-/// How the run before this one ended.
+/// How the previous run ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RunEnd {
-    /// The supply was switched off, or nothing is known.
+    /// The supply was switched off, or the cause is not known.
     #[default]
     PowerOff,
     /// The reset button or a debug probe.
     Reset,
-    /// The watchdog: a task that has to run did not.
+    /// The watchdog: a required task did not run.
     Watchdog,
-    /// The firmware gave up, with this cause.
+    /// The firmware panicked, with this message.
     Panic(String<CAUSE_BYTES_MAX>),
 }
 
-/// What is known of the run before this one.
+/// What is known of the previous run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PreviousRun {
     /// How it ended.
     pub end: RunEnd,
-    /// The last fault that was latched in it.
+    /// The last fault latched in that run.
     pub fault: Option<Fault>,
 }
 
 impl PreviousRun {
-    /// The end of a run that a panic ended; what does not fit of the cause is cut.
+    /// The end of a run that panicked; a message that is too long is cut.
     pub fn panicked(cause: &str) -> RunEnd {
         let mut text = String::new();
         for letter in cause.chars() {
@@ -176,12 +178,12 @@ impl PreviousRun {
     }
 }
 
-/// What a board tells the link task every millisecond.
+/// State of the board, passed to the link task every millisecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardState {
     /// The Ethernet port.
     pub port: PortState,
-    /// Frames that the Ethernet controller dropped or could not send, and errors of its DMA, since the start.
+    /// Frames that the Ethernet controller dropped or could not send, plus errors of its DMA, since start-up.
     pub ethernet_errors: u32,
 }
 

@@ -1,10 +1,10 @@
-//! How control reaches the world: triggers, groups, and velocity or torque outputs.
+//! Interfaces between control and hardware: triggers, groups, and velocity or torque outputs.
 //!
 //! The names are those of the paper: an [`IoTrigger`] moves all values between memory and wire at one moment, an
-//! [`IoGroup`] holds the inputs and outputs that belong together, and an axis is a [`VelocityIo`] or a [`TorqueIo`].
-//! Control code written against these traits runs over any bus, or over none.
+//! [`IoGroup`] holds inputs and outputs that belong together, and an axis is a [`VelocityIo`] or a [`TorqueIo`].
+//! Control code written against these traits runs over any bus, or without a bus.
 //!
-//! Invariant: reading and writing values only touches memory; only a trigger touches the wire.
+//! Invariant: reading and writing values only accesses memory; only a trigger accesses the wire.
 
 use crate::drives::cia402::{DriveTarget, StatusWord};
 use crate::ethercat::cyclic::{Arrival, Exchange};
@@ -25,7 +25,7 @@ pub struct AxisInput {
     pub status: StatusWord,
 }
 
-/// What moves an axis.
+/// Demand for an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Demand {
     /// Velocity at the joint, rad/s.
@@ -41,21 +41,22 @@ impl Default for Demand {
     }
 }
 
-/// What an axis is told in one cycle.
+/// Command to an axis for one cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisCommand {
-    /// Where the drive is to be led.
+    /// Target state of the drive.
     pub target: DriveTarget,
-    /// What moves it; used while the drive is in operation and is to stay there, if its mode takes this kind of demand.
+    /// Demand; used while the drive is in operation and its target is operation, if its mode takes this kind of demand.
     pub demand: Demand,
 }
 
 /// Moves all values between memory and wire at one moment.
 pub trait IoTrigger {
-    /// Starts the cycle and gives the frame that fetches all inputs.
+    /// Starts the cycle and returns the frame that fetches all inputs.
     fn trigger_input(&mut self) -> &[u8];
 
-    /// Gives the frame that carries all outputs; empty when there are none, or when they go with the next inputs.
+    /// Returns the frame that carries all outputs; empty when there are no outputs, or when they are sent with the next
+    /// inputs.
     fn trigger_output(&mut self) -> &[u8];
 
     /// Takes a frame from the wire.
@@ -91,24 +92,24 @@ pub trait IoGroup {
         self.len() == 0
     }
 
-    /// A member; `None` beyond the last one.
+    /// The member with an index; `None` beyond the last one.
     fn io(&mut self, member: usize) -> Option<Self::Io<'_>>;
 }
 
 /// An axis that is commanded by velocity.
 pub trait VelocityIo {
-    /// This cycle's input; `None` when none came.
+    /// This cycle's input; `None` when none arrived.
     fn input(&self) -> Option<AxisInput>;
 
-    /// Sets where the drive is to be led, and the velocity at the joint in rad/s.
+    /// Sets the target state of the drive and the velocity at the joint, rad/s.
     fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64);
 }
 
 /// An axis that is commanded by torque.
 pub trait TorqueIo {
-    /// This cycle's input; `None` when none came.
+    /// This cycle's input; `None` when none arrived.
     fn input(&self) -> Option<AxisInput>;
 
-    /// Sets where the drive is to be led, and the torque at the joint in newton metres.
+    /// Sets the target state of the drive and the torque at the joint, N m.
     fn set_torque(&mut self, target: DriveTarget, torque_nm: f64);
 }

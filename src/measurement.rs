@@ -1,12 +1,12 @@
-//! How long things take, always on: histograms with fixed bins that the host reads.
+//! Execution times and delays, always recorded: histograms with fixed bins that the host reads.
 //!
-//! A board's tasks stamp their beginning and their end with a counter that runs free and hand the differences to
-//! [`Measurements`]; the link task reads them out in pieces. Values are counts of that counter, whose rate the board
-//! declares once, so that nothing is divided in a critical task. A bin is found with a shift and a mask, and recording
-//! is a handful of loads and stores: no lock, no loop, no read-modify-write instruction.
+//! A board's tasks take time stamps at their beginning and end from a free-running counter and pass the differences to
+//! [`Measurements`]; the link task reads them in pieces. Values are counts of that counter. The board declares its rate
+//! once, so no critical task divides. A bin is found with a shift and a mask, and recording is a handful of loads and
+//! stores: no lock, no loop, no read-modify-write instruction.
 //!
-//! Invariants: each histogram has one writing priority, and whoever reads or resets runs below it, so that a recording is
-//! never interrupted by a reader; every value falls into exactly one bin, and the largest and the smallest are kept
+//! Invariants: each histogram has one writing priority, and its reader runs at a lower one, so that a recording is
+//! never interrupted by a reader; every value falls into exactly one bin; the largest and the smallest value are kept
 //! exactly.
 
 use crate::control::sampler::OUTPUT_LATE_NS;
@@ -14,7 +14,7 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Values below this have a bin of their own.
+/// Each value below this has its own bin.
 const EXACT: u32 = 16;
 /// Bins in an octave above [`EXACT`]: a bin is at most an eighth of its lower bound wide.
 const BINS_PER_OCTAVE: usize = 8;
@@ -47,7 +47,7 @@ pub const fn bin_of(value: u32) -> usize {
     if bin < BINS { bin } else { BINS - 1 }
 }
 
-/// Smallest value of a bin; of the bin behind the last one, the end of the last.
+/// Smallest value of a bin; for the index after the last bin, the end of the last bin.
 pub const fn lower_bound(bin: usize) -> u32 {
     if bin < EXACT as usize {
         return bin as u32;
@@ -62,7 +62,7 @@ pub const fn lower_bound(bin: usize) -> u32 {
     (1 << octave) + (within << (octave - BIN_BITS))
 }
 
-/// What is measured.
+/// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Quantity {
@@ -70,11 +70,11 @@ pub enum Quantity {
     ReleaseDelay,
     /// From one run of `sample` to the next.
     Period,
-    /// From the nominal release to the input telegram with the MAC.
+    /// From the nominal release until the MAC has the input telegram.
     SendDelay,
-    /// From the input telegram with the MAC to the release of the task that takes its reply.
+    /// From the moment the MAC has the input telegram to the release of the task that takes its reply.
     RoundTrip,
-    /// From the nominal release to the reply served: the output telegram is with the MAC.
+    /// From the nominal release until the reply is served and the MAC has the output telegram.
     TotalDelay,
     /// Execution of `sample`.
     Sample,
@@ -84,16 +84,16 @@ pub enum Quantity {
     BusDeadline,
     /// Execution of all critical tasks between two releases.
     CriticalPath,
-    /// Time in which the core did not sleep between two releases.
+    /// Time between two releases in which the core did not sleep.
     Awake,
     /// Execution of the trajectory task without the tasks that preempted it.
     Trajectory,
-    /// How far behind its deadline an output telegram was with the MAC, of those that were late.
+    /// Delay of a late output telegram behind its deadline, until the MAC has it.
     Lateness,
 }
 
 impl Quantity {
-    /// All of them, in the order of their numbers.
+    /// All quantities in the order of their numbers.
     pub const ALL: [Self; 12] = [
         Self::ReleaseDelay,
         Self::Period,
@@ -112,12 +112,12 @@ impl Quantity {
 
 const QUANTITIES: usize = Quantity::ALL.len();
 
-/// Values of one quantity.
+/// Histogram of one quantity.
 #[derive(Debug)]
 pub struct Histogram {
     bins: [AtomicU32; BINS],
     largest: AtomicU32,
-    /// The smallest value's complement: an empty histogram is all zero, and a static one takes no flash memory.
+    /// Complement of the smallest value: an empty histogram is all zero, and a static one takes no flash memory.
     smallest_complement: AtomicU32,
     sum_low: AtomicU32,
     sum_high: AtomicU32,
@@ -141,7 +141,7 @@ impl Histogram {
         }
     }
 
-    /// Counts `value`; for the histogram's one writer.
+    /// Counts `value`; to be called only by the histogram's writer.
     pub fn record(&self, value: u32) {
         if let Some(bin) = self.bins.get(bin_of(value)) {
             bin.store(bin.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
@@ -188,12 +188,12 @@ impl Histogram {
         sum
     }
 
-    /// Values counted.
+    /// Number of values counted.
     pub fn count(&self) -> u64 {
         self.bins.iter().map(|bin| u64::from(bin.load(Ordering::Relaxed))).sum()
     }
 
-    /// Bins that are not empty from bin `first` on, as many as fit; and the bin with which to go on.
+    /// Bins that are not empty from bin `first` on, as many as fit; and the bin with which to continue.
     fn piece(&self, first: u8) -> (Vec<(u8, u32), BINS_PER_PIECE>, Option<u8>) {
         let mut counts = Vec::new();
         for (number, bin) in (0..=u8::MAX).zip(&self.bins).skip(usize::from(first)) {
@@ -205,7 +205,7 @@ impl Histogram {
         (counts, None)
     }
 
-    /// Forgets everything. A value that is recorded meanwhile may be kept in part.
+    /// Resets the histogram. A value recorded meanwhile may be kept in part.
     fn reset(&self) {
         for bin in &self.bins {
             bin.store(0, Ordering::Relaxed);
@@ -217,43 +217,43 @@ impl Histogram {
     }
 }
 
-/// What the host asks of the measurements.
+/// Request of the host to the measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MeasurementRequest {
     /// A piece of a histogram.
     Read {
-        /// Which.
+        /// The quantity.
         quantity: Quantity,
-        /// First bin that is wanted.
+        /// First bin wanted.
         first: u8,
     },
-    /// Forget all values.
+    /// Reset all histograms.
     Reset,
-    /// Load the firmware with these of [`disturbance`]'s bits, for measurements on a board that offers it.
+    /// Apply these artificial loads, bits of [`disturbance`], for measurements on a board that offers it.
     Disturb {
-        /// Their sum; 0 ends all of them.
+        /// Sum of the bits; 0 ends all loads.
         bits: u8,
     },
 }
 
-/// What a board that offers it can load itself with, as bits of [`MeasurementRequest::Disturb`].
+/// Artificial loads that a board may offer, as bits of [`MeasurementRequest::Disturb`].
 pub mod disturbance {
-    /// Bytes on the serial link in both directions, as many as the line carries.
+    /// Traffic on the serial link in both directions, at the full rate of the line.
     pub const SERIAL: u8 = 1 << 0;
-    /// As many log lines as the log's ring takes.
+    /// Log lines at the rate that the log's ring can take.
     pub const LOG: u8 = 1 << 1;
     /// Foreign frames on the cable, timed to meet the release of `sample`.
     pub const NETWORK: u8 = 1 << 2;
-    /// The emergency-stop input shows an open contact.
+    /// The emergency-stop input reads as open.
     pub const EMERGENCY_STOP: u8 = 1 << 3;
-    /// The clock's source has failed: the board runs on its substitute.
+    /// The clock source reads as failed: the board runs on its substitute.
     pub const CLOCK: u8 = 1 << 4;
 }
 
 /// A piece of a histogram.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HistogramPiece {
-    /// Of which quantity.
+    /// The quantity.
     pub quantity: Quantity,
     /// Counts in a second.
     pub counts_per_s: u32,
@@ -273,29 +273,29 @@ pub struct HistogramPiece {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum MeasurementAnswer {
-    /// To [`MeasurementRequest::Read`].
+    /// Answer to [`MeasurementRequest::Read`].
     Piece(HistogramPiece),
     /// The request was carried out.
     Done,
-    /// This board does not offer that.
+    /// This board does not offer the function.
     NotOffered,
 }
 
-/// All that is measured.
+/// Histograms of all quantities.
 #[derive(Debug, Default)]
 pub struct Measurements {
     histograms: [Histogram; QUANTITIES],
     counts_per_s: AtomicU32,
     /// Counts from a release to the deadline of its output telegram; 0 until the board has declared its counter's rate.
     deadline_counts: AtomicU32,
-    /// Counts that critical tasks have run for, wrapping.
+    /// Run time of the critical tasks, counts, wrapping.
     critical_counts: AtomicU32,
     offers_disturbance: AtomicBool,
     disturbance: AtomicU8,
 }
 
 impl Measurements {
-    /// Nothing measured.
+    /// Empty measurements.
     pub const fn new() -> Self {
         Self {
             histograms: [const { Histogram::new() }; QUANTITIES],
@@ -319,7 +319,7 @@ impl Measurements {
         self.offers_disturbance.store(true, Ordering::Relaxed);
     }
 
-    /// What the board is to load itself with: a sum of [`disturbance`]'s bits.
+    /// Artificial loads to apply now: a sum of [`disturbance`]'s bits.
     pub fn disturbance(&self) -> u8 {
         self.disturbance.load(Ordering::Relaxed)
     }
@@ -327,21 +327,22 @@ impl Measurements {
     /// The histogram of a quantity.
     pub fn histogram(&self, quantity: Quantity) -> &Histogram {
         let [first, ..] = &self.histograms;
-        // Every quantity has its histogram: there are as many as quantities.
+        // There are as many histograms as quantities.
         self.histograms.get(quantity as usize).unwrap_or(first)
     }
 
-    /// Counts a value, counts of the board's counter; for the quantity's one writer.
+    /// Records a value, counts of the board's counter; to be called only by the quantity's writer.
     pub fn record(&self, quantity: Quantity, counts: u32) {
         self.histogram(quantity).record(counts);
     }
 
-    /// Counts that critical tasks have run for since the start, wrapping: what a task below them subtracts.
+    /// Run time of the critical tasks since start-up, counts, wrapping; a task below them subtracts it from its own
+    /// time.
     pub fn critical_counts(&self) -> u32 {
         self.critical_counts.load(Ordering::Relaxed)
     }
 
-    /// Does what the host asks for.
+    /// Carries out a request of the host.
     pub fn answer(&self, request: MeasurementRequest) -> MeasurementAnswer {
         match request {
             MeasurementRequest::Read { quantity, first } => {
@@ -374,14 +375,14 @@ impl Measurements {
     }
 }
 
-/// One run of a critical task, in counts of the board's counter.
+/// One run of a critical task, counts of the board's counter.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
     /// Reading at the first instruction.
     pub began_at: u32,
     /// Reading at the end.
     pub ended_at: u32,
-    /// Counts within it that are no work of the firmware: an emulator's lockstep.
+    /// Counts within the run that are not work of the firmware: an emulator's lockstep.
     pub excluded: u32,
 }
 
@@ -391,7 +392,7 @@ impl Run {
     }
 }
 
-/// The critical tasks' stamps of the present period; owned by them together.
+/// Time stamps of the critical tasks in the present period; shared by these tasks.
 #[derive(Debug)]
 pub struct CycleWatch<'a> {
     measurements: &'a Measurements,
@@ -400,12 +401,12 @@ pub struct CycleWatch<'a> {
     sample_began_at: Option<u32>,
     slept_counts: u32,
     critical: u32,
-    /// When the input telegram was with the MAC, until its reply or the deadline.
+    /// Time at which the MAC had the input telegram; `None` after its reply or the deadline.
     sent_at: Option<u32>,
 }
 
 impl<'a> CycleWatch<'a> {
-    /// A watch that has seen no period.
+    /// A watch before the first period.
     pub const fn new(measurements: &'a Measurements) -> Self {
         Self {
             measurements,
@@ -417,8 +418,8 @@ impl<'a> CycleWatch<'a> {
         }
     }
 
-    /// A run of `sample`, `delay` counts behind its nominal release; `slept_counts` is how long the core has slept since
-    /// the start, wrapping.
+    /// Records a run of `sample` that began `delay` counts after its nominal release; `slept_counts` is how long the
+    /// core has slept since start-up, wrapping.
     pub fn sample(&mut self, run: Run, delay: u32, slept_counts: u32) {
         let measurements = self.measurements;
         let slept = slept_counts.wrapping_sub(self.slept_counts);
@@ -436,7 +437,7 @@ impl<'a> CycleWatch<'a> {
         self.ran(Quantity::Sample, run);
     }
 
-    /// A run of `bus_frame`; `served` when it took the input reply and sent the output telegram.
+    /// Records a run of `bus_frame`; `served` if it took the input reply and sent the output telegram.
     pub fn bus_frame(&mut self, run: Run, served: bool) {
         if served && let Some(sent_at) = self.sent_at.take() {
             let measurements = self.measurements;
@@ -446,7 +447,7 @@ impl<'a> CycleWatch<'a> {
         self.ran(Quantity::BusFrame, run);
     }
 
-    /// A run of `bus_deadline`; `served` when it sent the output telegram in the reply's place.
+    /// Records a run of `bus_deadline`; `served` if it sent the output telegram because the reply was missing.
     pub fn bus_deadline(&mut self, run: Run, served: bool) {
         if served && self.sent_at.take().is_some() {
             self.sent_outputs(run);
@@ -454,7 +455,7 @@ impl<'a> CycleWatch<'a> {
         self.ran(Quantity::BusDeadline, run);
     }
 
-    /// The output telegram is with the MAC.
+    /// Records that the MAC has the output telegram.
     fn sent_outputs(&self, run: Run) {
         let measurements = self.measurements;
         let total = run.ended_at.wrapping_sub(self.released_at);
@@ -467,7 +468,7 @@ impl<'a> CycleWatch<'a> {
         }
     }
 
-    /// A run in a critical task that is no work of the loop, but holds back everything below.
+    /// Records a run at critical priority that does not belong to the control loop but delays all lower tasks.
     pub fn preempted(&mut self, run: Run) {
         let whole = run.ended_at.wrapping_sub(run.began_at);
         let total = self.measurements.critical_counts().wrapping_add(whole);

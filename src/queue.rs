@@ -1,16 +1,16 @@
-//! The ends of lock-free queues, as the critical tasks may use them.
+//! Operations on lock-free queues for the critical tasks.
 //!
-//! Two things heapless leaves open are closed here. `Consumer::peek` compares the ends of the queue with relaxed loads, so
-//! alone it does not order the producer's write of the entry before the consumer's look at it; `dequeue` does. And the ends
-//! do not know the queue's length when they are compiled: the remainder by it keeps the panic for a division by zero in
-//! the code, unless the length is known to be another number.
+//! Two gaps of heapless are closed here. `Consumer::peek` compares the ends of the queue with relaxed loads, so by
+//! itself it does not order the producer's write of the entry before the consumer's read; `dequeue` does. And the ends
+//! do not know the queue's length at compile time: the remainder keeps the panic for a division by zero in the code,
+//! unless the length is known not to be zero.
 //!
-//! Invariants: what is looked at has been written completely; nothing here panics.
+//! Invariants: an entry is only read after it has been written completely; no function here panics.
 
 use core::sync::atomic::{Ordering, fence};
 use heapless::spsc::{Consumer, Producer};
 
-/// More entries than any queue has; an impossible queue of no length would seem longer.
+/// More entries than any queue has; excludes a length of zero, which would wrap to more.
 const CAPACITY_MAX: usize = 1 << 20;
 
 /// The entry at the front, which stays in the queue; `None` when the queue is empty.
@@ -32,7 +32,7 @@ pub(crate) fn take<T>(queue: &mut Consumer<'_, T>) -> Option<T> {
     queue.dequeue()
 }
 
-/// Lets the entry at the front go, if there is one.
+/// Removes the entry at the front, if there is one.
 #[inline]
 pub(crate) fn drop_front<T: Copy>(queue: &mut Consumer<'_, T>) {
     if queue.capacity() <= CAPACITY_MAX {
@@ -40,13 +40,13 @@ pub(crate) fn drop_front<T: Copy>(queue: &mut Consumer<'_, T>) {
     }
 }
 
-/// Whether so many entries can be appended.
+/// Whether this many entries can be appended.
 pub(crate) fn has_room_for<T>(queue: &Producer<'_, T>, entries: usize) -> bool {
     let capacity = queue.capacity();
     capacity <= CAPACITY_MAX && queue.len().saturating_add(entries) <= capacity
 }
 
-/// Appends a copy of an entry, which is copied once, into its place in the queue; false when the queue is full.
+/// Appends an entry, copying it once into its place in the queue; false when the queue is full.
 #[inline]
 pub(crate) fn put_copy<T: Copy>(queue: &mut Producer<'_, T>, entry: &T) -> bool {
     queue.capacity() <= CAPACITY_MAX && queue.ready() && queue.enqueue(*entry).is_ok()
@@ -54,7 +54,7 @@ pub(crate) fn put_copy<T: Copy>(queue: &mut Producer<'_, T>, entry: &T) -> bool 
 
 /// Appends an entry.
 ///
-/// Never inlined: cold callers would share one copy of `enqueue`, which then does not know that the length is not zero.
+/// Never inlined: cold callers share one copy of `enqueue`, which then does not know that the length is not zero.
 ///
 /// # Errors
 /// The entry, when the queue is full.

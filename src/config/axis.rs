@@ -1,23 +1,23 @@
-//! One axis: what its drive is told, where it is at its mark, how it is controlled and supervised.
+//! Configuration of one axis: drive scaling, reference mark, controllers and supervision.
 
 use serde::{Deserialize, Serialize};
 
-/// How an axis is commanded.
+/// Command mode of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AxisMode {
     /// The drive closes the velocity loop.
     #[default]
     Velocity,
-    /// The firmware closes the velocity loop, the drive follows a torque.
+    /// The firmware closes the velocity loop; the drive follows a torque.
     Torque,
 }
 
-/// One axis: its drive's scaling, its reference, its controllers and its supervision.
+/// Configuration of one axis: drive scaling, reference mark, controllers and supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Axis {
-    /// What the drive is told: a velocity or a torque.
+    /// Whether the drive is commanded by velocity or by torque.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
     pub gear: f64,
@@ -27,28 +27,29 @@ pub struct Axis {
     pub digits_per_rpm: f64,
     /// Joint angle at the synchronisation mark, radians.
     pub sync_angle_rad: f64,
-    /// What the single-turn resolver shows at the synchronisation mark, increments.
+    /// Resolver position at the synchronisation mark, increments.
     pub sync_increments: u32,
     /// Feedback gain Kfb, 1/s.
     pub feedback_gain_per_s: f64,
     /// Feed-forward gain Kff.
     pub feed_forward_gain: f64,
-    /// How far the velocity feed-forward is read ahead, ms.
+    /// Lead of the velocity feed-forward, ms.
     pub feed_forward_lead_ms: f64,
     /// Age of the measured position when the controller sees it, ms.
     pub measurement_age_ms: f64,
-    /// Following error that ends in a fault, radians.
+    /// Following error above which a fault is raised, radians.
     pub following_error_max_rad: f64,
-    /// Difference between the motion that was commanded and the one that was measured that ends in a fault, radians; the
-    /// drive's lag is taken out.
+    /// Difference between commanded and measured motion above which a fault is raised, radians; the drive's lag is
+    /// taken out.
     pub feedback_deviation_max_rad: f64,
-    /// Mean acceleration of the measured position beyond which it is noise, rad/s2; more than the motor can do.
+    /// Mean acceleration of the measured position above which the position counts as noise, rad/s2; more than the motor
+    /// can do.
     pub feedback_acceleration_max_rad_s2: f64,
     /// Largest velocity command, rad/s at the joint.
     pub output_max_rad_s: f64,
     /// Quick-stop deceleration at the joint, rad/s2.
     pub quick_stop_rad_s2: f64,
-    /// Torque of the motor for a current, N m/A.
+    /// Torque constant of the motor, N m/A.
     pub torque_constant_nm_a: f64,
     /// Peak current of the drive, A.
     pub peak_current_a: f64,
@@ -56,13 +57,13 @@ pub struct Axis {
     pub rated_torque_nm: f64,
     /// Largest torque command, N m at the joint.
     pub torque_max_nm: f64,
-    /// Inertia of motor and load, kg m2 at the joint; what the torque feed-forward is made from.
+    /// Inertia of motor and load, kg m2 at the joint; used by the torque feed-forward.
     pub inertia_kg_m2: f64,
-    /// How far the torque feed-forward is read ahead, ms.
+    /// Lead of the torque feed-forward, ms.
     pub torque_lead_ms: f64,
     /// Gain of the velocity controller in torque mode, N m for 1 rad/s at the joint.
     pub velocity_gain_nm_s: f64,
-    /// Integral gain of the velocity controller for its gain, 1/s.
+    /// Integral gain of the velocity controller relative to its gain, 1/s.
     pub velocity_integral_per_s: f64,
     /// Time constant of the low-pass on the velocity controller's error, ms; 0 switches it off.
     pub velocity_filter_ms: f64,

@@ -1,22 +1,23 @@
-//! Hard bounds: the table of every value with the lowest and the highest that any configuration may hold.
+//! Hard bounds: a table with the lowest and highest value that any configuration may hold.
 //!
-//! A bound that depends on another value states a relation between the two. A refusal names the value by its row.
+//! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
 use super::{Axis, Config, Transport};
 use crate::robot::AXES;
 use serde::{Deserialize, Serialize};
 
-/// Names a value of the configuration: an index into the table of bounds, and the axis where there are several.
+/// Identifies a value of the configuration: a row of the table of bounds, and the axis if there is one value for each
+/// axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Field {
     /// Row of the table of bounds.
     pub row: u8,
-    /// Which axis, from 0, for values of [`Axis`].
+    /// Axis, from 0, for values of [`Axis`].
     pub axis: Option<u8>,
 }
 
 impl Field {
-    /// The value's name as it stands in `etherpen.toml`.
+    /// The value's name as used in `etherpen.toml`.
     pub fn name(&self) -> &'static str {
         let config = Config::default();
         let scalars = config.scalars();
@@ -32,9 +33,9 @@ impl Field {
 /// A value that was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ConfigError {
-    /// Which value.
+    /// The refused value's name.
     pub field: Field,
-    /// What it is.
+    /// The refused value.
     pub value: f64,
     /// The lowest value allowed.
     pub low: f64,
@@ -45,8 +46,8 @@ pub struct ConfigError {
 /// Longest motion without a measurement that any configuration may allow, ms: half a motor turn takes 10 ms.
 const BLIND_MAX_MS: f64 = 8.0;
 
-/// Longest time that a quick stop may take from the fastest an axis may turn, ms. The brakes close after
-/// `application::STANDSTILL_MAX_MS`, whether the axes stand or not.
+/// Longest time that a quick stop may take from an axis's highest speed, ms. The brakes close after
+/// `application::STANDSTILL_MAX_MS`, whether the axes are at rest or not.
 pub const QUICK_STOP_MAX_MS: u32 = 950;
 
 struct Bound {
@@ -61,8 +62,9 @@ const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
 }
 
 impl Axis {
-    /// Weakest quick stop that ends in [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The fastest that the axis may
-    /// turn is its limit and what the controller adds until the following error is a fault, at most the output limit.
+    /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
+    /// of the axis is its speed limit plus the correction that the controller adds before the following error becomes a
+    /// fault, at most the output limit.
     fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64) -> f64 {
         let added = self.feedback_gain_per_s * self.following_error_max_rad;
         let fastest = (joint_speed_rad_s + added).min(self.output_max_rad_s);
@@ -135,7 +137,8 @@ impl Axis {
 }
 
 impl Config {
-    /// Every value but the axes' with its hard bounds. Bounds that depend on another value state a relation.
+    /// Hard bounds of every value that does not belong to an axis. A bound that depends on another value expresses a
+    /// relation.
     fn scalars(&self) -> [Bound; 45] {
         let (geometry, area, paper, motion, bus) =
             (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
@@ -270,7 +273,7 @@ impl Config {
             bound(
                 "bus.segment",
                 f64::from(u32::from(bus.segment)),
-                // UDP needs a peer; addresses from 224.0.0.0 on are no hosts'.
+                // UDP needs a peer; addresses from 224.0.0.0 on do not belong to hosts.
                 f64::from(u8::from(bus.transport == Transport::Udp)),
                 f64::from(0xDFFF_FFFF_u32),
             ),

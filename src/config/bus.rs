@@ -1,4 +1,4 @@
-//! The bus: what is expected on it, how patient the master is, and how EtherCAT travels.
+//! Configuration of the bus: the expected drives, time limits, and the transport of EtherCAT.
 
 use crate::ethercat::cyclic::ExchangeKind;
 use crate::network::NetworkSettings;
@@ -8,11 +8,11 @@ use core::net::Ipv4Addr;
 use heapless::String;
 use serde::{Deserialize, Serialize};
 
-/// How EtherCAT travels.
+/// Transport of EtherCAT.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Transport {
-    /// In Ethernet frames of its own type.
+    /// In Ethernet frames with EtherCAT's own EtherType.
     #[default]
     Raw,
     /// In UDP.
@@ -26,10 +26,10 @@ const ADDRESS_TEXT_MAX: usize = 18;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String<ADDRESS_TEXT_MAX>", into = "String<ADDRESS_TEXT_MAX>")]
 pub enum HostAddress {
-    /// A server gives it.
+    /// A DHCP server assigns the address.
     #[default]
     Dhcp,
-    /// It is this one.
+    /// This address.
     Fixed {
         /// The address.
         address: Ipv4Addr,
@@ -38,7 +38,7 @@ pub enum HostAddress {
     },
 }
 
-/// A text that is no [`HostAddress`].
+/// The text is not a valid [`HostAddress`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressError;
 
@@ -70,7 +70,7 @@ impl TryFrom<String<ADDRESS_TEXT_MAX>> for HostAddress {
 impl From<HostAddress> for String<ADDRESS_TEXT_MAX> {
     fn from(address: HostAddress) -> Self {
         let mut text = Self::new();
-        // The longest address has as many bytes as there is room for.
+        // The capacity holds the longest address.
         let _ = match address {
             HostAddress::Dhcp => text.write_str("dhcp"),
             HostAddress::Fixed { address, prefix } => write!(text, "{address}/{prefix}"),
@@ -79,35 +79,35 @@ impl From<HostAddress> for String<ADDRESS_TEXT_MAX> {
     }
 }
 
-/// The bus: what is expected on it and how patient the master is.
+/// Configuration of the bus: expected drives and time limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Bus {
-    /// Number of drives expected, in chain order, one for each axis.
+    /// Number of drives expected, in chain order; one for each axis.
     pub drives: u8,
-    /// Inputs and outputs apart, in the same cycle, or together, outputs one cycle later.
+    /// Separate telegrams for inputs and outputs within a cycle, or one telegram for both with outputs one cycle later.
     pub exchange: ExchangeKind,
     /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
     pub watchdog_ms: u16,
-    /// Longest motion without a valid measurement, ms.
+    /// Longest time in motion without a valid measurement, ms.
     pub blind_max_ms: u16,
-    /// Late cycles within a second that make a fault.
+    /// Late cycles within a second above which a fault is raised.
     pub late_max_per_s: u16,
-    /// Silence of the host while drawing that leads to Holding, ms.
+    /// Silence of the host after which a drawing is held, ms.
     pub host_silence_ms: u16,
     /// Longest pause between dead-man messages of a jog, ms.
     pub dead_man_ms: u16,
     /// Whether the slaves' distributed clocks are set up and the sample's timer follows them.
     pub clocks: bool,
-    /// When SYNC0 of drives that use it comes after the frame of the input telegram has passed the reference clock, us.
+    /// Time of SYNC0 after the input telegram's frame has passed the reference clock, us, for drives that use SYNC0.
     pub sync_shift_us: u16,
-    /// Phase error of the sample against the bus clock that ends in a fault, us.
+    /// Phase error of the sample relative to the bus clock above which a fault is raised, us.
     pub clock_error_max_us: u16,
-    /// How EtherCAT travels.
+    /// Transport of EtherCAT.
     pub transport: Transport,
-    /// The own address, for UDP.
+    /// The controller's own address, for UDP.
     pub address: HostAddress,
-    /// Where packets for other networks go with an address that no server gave; 0.0.0.0 for nowhere.
+    /// Gateway for a fixed address; 0.0.0.0 for none.
     pub gateway: Ipv4Addr,
     /// The segment's address, for UDP; 0.0.0.0 for none.
     pub segment: Ipv4Addr,
@@ -116,7 +116,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// What the IP stack is to do; `None` when the bus needs none.
+    /// Settings for the IP stack; `None` when the bus does not need it.
     pub fn network(&self) -> Option<NetworkSettings> {
         (self.transport == Transport::Udp).then_some(NetworkSettings {
             address: self.address,
@@ -139,7 +139,7 @@ impl Default for Bus {
             late_max_per_s: 10,
             host_silence_ms: 500,
             dead_man_ms: 100,
-            // Drives that ignore SYNC0 keep a time of their own: following the clock of one of them gains nothing.
+            // Drives that ignore SYNC0 keep their own time; following the clock of one of them has no benefit.
             clocks: false,
             sync_shift_us: 500,
             clock_error_max_us: 50,

@@ -1,7 +1,8 @@
 //! Configuration: every number the controller needs, checked against hard bounds before it is used.
 //!
-//! The host reads it from `etherpen.toml` and sends it at connect; the firmware checks every value, answers with a
-//! hash, refuses to enable without one, and keeps running on it when the host goes.
+//! The host reads the configuration from `etherpen.toml` and sends it when it connects. The firmware checks every
+//! value, answers with a hash, refuses to enable without a configuration, and keeps running on it when the host
+//! disconnects.
 
 mod axis;
 mod bounds;
@@ -32,12 +33,13 @@ pub struct Geometry {
     pub arm_range_rad: [f64; 2],
     /// Margin kept from both ends of the arm range, radians.
     pub arm_margin_rad: f64,
-    /// Lowest and highest angle of the fourth axis, radians; it has no end stop, its cables and its counter have.
+    /// Lowest and highest angle of the fourth axis, radians. The axis has no end stop; its cables and its turn counter
+    /// limit it.
     pub turn_range_rad: [f64; 2],
 }
 
 impl Default for Geometry {
-    /// The IRB 340, from public descriptions of the robot, which differ from each other by 2 %: measure your own.
+    /// The IRB 340, from public descriptions of the robot. They differ from each other by 2 %: measure your own robot.
     fn default() -> Self {
         Self {
             base_radius_mm: 200.0,
@@ -74,7 +76,7 @@ impl Default for WorkArea {
     }
 }
 
-/// Where the paper lies and how the pen meets it.
+/// Position of the paper, and heights of the pen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Paper {
@@ -86,7 +88,7 @@ pub struct Paper {
     pub pen_down_z_mm: f64,
     /// How far the pen is lifted between strokes, mm.
     pub pen_lift_mm: f64,
-    /// How far below the height at which the pen draws the platform may go, mm.
+    /// How far below its drawing height the platform may go, mm.
     pub pressing_depth_mm: f64,
 }
 
@@ -102,14 +104,14 @@ impl Default for Paper {
     }
 }
 
-/// What the fourth axis does on a path.
+/// Mode of the fourth axis on a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Orientation {
-    /// It keeps its angle.
+    /// The axis keeps its angle.
     #[default]
     Constant,
-    /// It follows the direction of the path, seen from above.
+    /// The axis follows the direction of the path in plan view.
     Path,
 }
 
@@ -123,13 +125,13 @@ pub struct Motion {
     pub travel_speed_mm_s: f64,
     /// Cartesian acceleration, mm/s2.
     pub acceleration_mm_s2: f64,
-    /// Vertical speed where the pen is lifted or lowered, mm/s; 0: the limits of all motion are enough.
+    /// Vertical speed while the pen is lifted or lowered, mm/s; 0 applies only the limits of all motion.
     pub pen_speed_mm_s: f64,
-    /// Vertical acceleration where the pen is lifted or lowered, mm/s2; 0: the limits of all motion are enough.
+    /// Vertical acceleration while the pen is lifted or lowered, mm/s2; 0 applies only the limits of all motion.
     pub pen_acceleration_mm_s2: f64,
-    /// Time at rest where the pen meets the paper and where it leaves it, ms; without it there is no stop.
+    /// Time at rest where the pen meets the paper and where it leaves it, ms; 0 means no stop.
     pub pen_dwell_ms: u16,
-    /// What the fourth axis does on a path.
+    /// Mode of the fourth axis on a path.
     pub orientation: Orientation,
     /// Joint speed, rad/s, per axis.
     pub joint_speed_rad_s: [f64; AXES],
@@ -182,8 +184,9 @@ pub struct Config {
     pub bus: Bus,
 }
 
-/// Arm angle at the synchronisation marks of the default configuration, radians: the platform hangs in the work area's
-/// upper part. The mark that public descriptions give, -0.78191 rad, lies outside the arm range they give.
+/// Arm angle at the synchronisation marks of the default configuration, radians: at these angles the platform is in the
+/// upper part of the work area. The mark in public descriptions, -0.78191 rad, lies outside the arm range that they
+/// give.
 const ARM_SYNC_ANGLE_RAD: f64 = 0.3;
 
 impl Default for Config {
@@ -212,7 +215,7 @@ impl Default for Config {
 /// Longest encoded configuration, bytes.
 pub const CONFIG_BYTES_MAX: usize = 1280;
 impl Config {
-    /// Hash of the configuration as it travels: FNV-1a, 64 bits, over its postcard encoding.
+    /// Hash of the configuration's postcard encoding: FNV-1a, 64 bits.
     ///
     /// `None` when the encoding is longer than [`CONFIG_BYTES_MAX`].
     pub fn hash(&self) -> Option<u64> {

@@ -1,15 +1,15 @@
-//! The Kollmorgen AKD servo drive in velocity.
+//! The Kollmorgen AKD servo drive in velocity mode.
 //!
-//! Its SII is known from a real drive (`tests/data/ethercat`): mailboxes of 1024 bytes, fixed process data objects of
-//! the same numbers as the AX2000's with other contents, AssignActivate 0x0300. It has no fixed object with a torque
-//! demand, so it is driven by velocity only.
+//! Its SII is known from a real drive (`tests/data/ethercat`): mailboxes of 1024 bytes, fixed process data objects with
+//! the AX2000's numbers but other contents, AssignActivate 0x0300. It has no fixed object with a torque demand, so it
+//! is driven by velocity only.
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, Entry, ModeDescription, POSITION_INTERNAL, PdoChoice, Recognition,
     STATUS_WORD, Windows, generic,
 };
 
-/// The description for the master.
+/// Description of the drive for the master.
 pub static AKD: DriveDescription = DriveDescription {
     name: "Kollmorgen AKD",
     recognition: Recognition::Product {

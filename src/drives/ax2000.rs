@@ -16,7 +16,7 @@ pub const PEAK_CURRENT_DIGITS: f64 = 3_280.0;
 const SPEED_DEMAND: Object = Object::new(0x606B, 0);
 const CURRENT_DEMAND: Object = Object::new(0x6074, 0);
 
-/// The description for the master.
+/// Description of the drive for the master.
 pub static AX2000: DriveDescription = DriveDescription {
     name: "AX2000-B110",
     recognition: Recognition::Product {

@@ -1,23 +1,23 @@
-//! The power state machine of CiA 402 drives: from status word and wish to control word.
+//! The power state machine of CiA 402 drives: from status word and target to control word.
 //!
-//! The state is decoded with the masks 0x4F and 0x6F of the profile's table. [`step`] is pure: it gives the control word
-//! that leads one state further towards the target, every millisecond anew.
+//! The state is decoded with the masks 0x4F and 0x6F of the profile's table. [`step`] is pure: every millisecond it
+//! returns the control word that leads one state further towards the target.
 //!
 //! Invariants: a drive in quick stop is never enabled on the way: it has to be switched off first; a fault is reset only
 //! on request, by the 0 to 1 edge of bit 7 between [`DriveTarget::Off`] and [`DriveTarget::FaultReset`].
 
 use serde::{Deserialize, Serialize};
 
-/// The drive's report (object 0x6041).
+/// Status word of the drive (object 0x6041).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StatusWord(pub u16);
 
-/// The command to the drive (object 0x6040).
+/// Control word to the drive (object 0x6040).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ControlWord(pub u16);
 
 impl ControlWord {
-    /// Takes the power away at once.
+    /// Switches the power off at once.
     pub const DISABLE_VOLTAGE: Self = Self(0x0000);
     /// Brakes with the quick-stop ramp.
     pub const QUICK_STOP: Self = Self(0x0002);
@@ -36,11 +36,11 @@ impl ControlWord {
 pub enum DriveState {
     /// Starting up; also any pattern without meaning.
     NotReadyToSwitchOn,
-    /// Without power, and not to be switched on yet.
+    /// Without power; not ready for power yet.
     SwitchOnDisabled,
-    /// Power may come.
+    /// Power may be switched on.
     ReadyToSwitchOn,
-    /// Power is there, the motor is free.
+    /// Power is on, the motor is free.
     SwitchedOn,
     /// The motor follows the set-points.
     OperationEnabled,
@@ -53,13 +53,13 @@ pub enum DriveState {
 }
 
 impl StatusWord {
-    /// The state that the word tells.
+    /// The state given by the word.
     #[inline]
     pub const fn state(self) -> DriveState {
         STATES[(self.0 & 0x0F | self.0 >> 1 & 0x30) as usize]
     }
 
-    /// The state by the profile's table.
+    /// The state according to the profile's table.
     const fn decoded(self) -> DriveState {
         match (self.0 & 0x4F, self.0 & 0x6F) {
             (0x40, _) => DriveState::SwitchOnDisabled,
@@ -73,12 +73,12 @@ impl StatusWord {
         }
     }
 
-    /// Bit 4: the power stage has its supply.
+    /// Bit 4: the power stage is supplied.
     pub const fn voltage_enabled(self) -> bool {
         self.0 & 1 << 4 != 0
     }
 
-    /// Bit 7: the drive warns.
+    /// Bit 7: the drive reports a warning.
     pub const fn warning(self) -> bool {
         self.0 & 1 << 7 != 0
     }
@@ -94,13 +94,13 @@ impl StatusWord {
         )
     }
 
-    /// Whether the drive is in fault or on the way there.
+    /// Whether the drive is in fault or reacting to a fault.
     pub const fn is_fault(self) -> bool {
         matches!(self.state(), DriveState::Fault | DriveState::FaultReactionActive)
     }
 }
 
-/// The state for each pattern of the six bits that tell it: bits 0 to 3, 5 and 6 of the status word.
+/// The state for each pattern of the six state bits: bits 0 to 3, 5 and 6 of the status word.
 const STATES: [DriveState; 64] = {
     let mut states = [DriveState::NotReadyToSwitchOn; 64];
     let mut pattern = 0;
@@ -111,7 +111,7 @@ const STATES: [DriveState; 64] = {
     states
 };
 
-/// Where a drive is to be led.
+/// Target state of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DriveTarget {
     /// Without power.
@@ -130,7 +130,7 @@ pub const fn step(status: StatusWord, target: DriveTarget) -> ControlWord {
     step_from(status.state(), target)
 }
 
-/// As [`step`], from a state that has been decoded.
+/// The control word of [`step`] for a decoded state.
 pub const fn step_from(state: DriveState, target: DriveTarget) -> ControlWord {
     use DriveState as S;
     use DriveTarget as T;
@@ -264,7 +264,7 @@ mod tests {
         for target in [DriveTarget::Off, DriveTarget::Enabled, DriveTarget::QuickStop] {
             assert_eq!(lead(DriveState::Fault, target), DriveState::Fault);
         }
-        // Bit 7 is never left set, so that the next reset has its edge.
+        // Bit 7 is never left set, so the next reset has a rising edge.
         for state in ALL {
             assert_eq!(step(word(state), DriveTarget::Off).0 & 0x80, 0);
         }

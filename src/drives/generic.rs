@@ -1,9 +1,9 @@
 //! Any servo drive of CiA 402 in cyclic synchronous velocity and cyclic synchronous torque.
 //!
-//! It stands for every product that has no description of its own and says in object 0x1000 that it is a servo drive of
-//! profile 402. The first process data object of each direction gets the entries below; a drive that keeps its objects
-//! as they are is used as long as they hold what is needed. Objects, modes and units: CiA 402; a torque digit is a
-//! thousandth of the motor's rated torque, velocity digits are as configured.
+//! Used for every product that has no description of its own and reports in object 0x1000 that it is a servo drive of
+//! profile 402. The entries below are mapped into the first process data object of each direction. A drive that keeps
+//! its own mapping is used if the mapping contains the required objects. Objects, modes and units: CiA 402; a torque
+//! digit is a thousandth of the motor's rated torque, velocity digits are as configured.
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, Entry, ModeDescription, POSITION, PdoChoice,
@@ -28,7 +28,7 @@ const QUICK_STOP_RAMP_THEN_OFF: u32 = 2;
 /// Digits of rated torque.
 const RATED_TORQUE_DIGITS: f64 = 1_000.0;
 
-/// The description for the master.
+/// Description of the drive for the master.
 pub static GENERIC: DriveDescription = DriveDescription {
     name: "CiA 402 servo drive",
     recognition: Recognition::DeviceType(DEVICE_TYPE_SERVO),
@@ -61,7 +61,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
     settings,
 };
 
-/// Quick stop and period; the profile leaves all of these objects but the ramp to the maker.
+/// Quick stop and period; in the profile all of these objects but the ramp are optional.
 pub(super) fn settings(axis: &Axis) -> Option<Settings> {
     let quick_stop = quick_stop_increments_s2(axis)?;
     let list = [

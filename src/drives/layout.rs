@@ -1,11 +1,11 @@
-//! Where a drive's values lie in its process data.
+//! Layout of a drive's values in its process data.
 //!
-//! A [`LayoutBuilder`] is told the mapped objects in their order, from whatever source, and gives a [`ProcessLayout`]:
-//! the byte offset of each value that a drive is told or reports. With it the critical task loads and stores at known
-//! offsets and looks at nothing else.
+//! A [`LayoutBuilder`] takes the mapped objects in their order, from any source, and makes a [`ProcessLayout`]: the
+//! byte offset of each value of the drive's outputs and inputs. The critical task loads and stores at these offsets and
+//! needs nothing else.
 //!
-//! Invariants: a layout exists only if everything its mode needs is mapped, whole bytes at whole bytes, and both
-//! directions fit [`PROCESS_BYTES_MAX`]; reading and writing never leave the bytes given.
+//! Invariants: a layout exists only if everything that its mode needs is mapped, with whole bytes at whole bytes, and
+//! both directions fit [`PROCESS_BYTES_MAX`]; reading and writing never leave the bytes given.
 
 use super::cia402::StatusWord;
 use super::{
@@ -18,7 +18,7 @@ use crate::ethercat::error::BusError;
 use crate::ethercat::wire::coe::Object;
 use crate::ethercat::wire::{read_u8, read_u16, read_u32};
 
-/// Offset of a value that is not mapped; no process data reach it.
+/// Offset of a value that is not mapped; beyond any process data.
 const ABSENT: u8 = u8::MAX;
 
 const _: () = assert!(PROCESS_BYTES_MAX < ABSENT as usize);
@@ -28,9 +28,9 @@ const _: () = assert!(PROCESS_BYTES_MAX < ABSENT as usize);
 pub struct ProcessLayout {
     /// The kind of demand.
     pub mode: AxisMode,
-    /// Bytes of outputs.
+    /// Length of the outputs, bytes.
     pub output_length: u8,
-    /// Bytes of inputs.
+    /// Length of the inputs, bytes.
     pub input_length: u8,
     operation_mode: i8,
     control: u8,
@@ -43,7 +43,7 @@ pub struct ProcessLayout {
 }
 
 impl ProcessLayout {
-    /// Takes inputs apart; `None` when there are too few bytes.
+    /// Decodes inputs; `None` when there are too few bytes.
     #[inline]
     pub fn decode(&self, inputs: &[u8]) -> Option<DriveInput> {
         if inputs.len() < usize::from(self.input_length) {
@@ -57,7 +57,7 @@ impl ProcessLayout {
         })
     }
 
-    /// Writes outputs; what does not fit is left out.
+    /// Encodes outputs; a value that does not fit is left out.
     #[inline]
     pub fn encode(&self, output: &DriveOutput, outputs: &mut [u8]) {
         write(outputs, self.control, output.control.0.to_le_bytes());
@@ -77,7 +77,7 @@ impl ProcessLayout {
     }
 }
 
-/// Writes a value of known length, a single store; nothing where it does not fit.
+/// Writes a value of known length in a single store; writes nothing if it does not fit.
 #[inline(always)]
 fn write<const LENGTH: usize>(outputs: &mut [u8], offset: u8, value: [u8; LENGTH]) {
     if let Some(place) = outputs.get_mut(offset.into()..).and_then(<[u8]>::first_chunk_mut) {
@@ -85,7 +85,7 @@ fn write<const LENGTH: usize>(outputs: &mut [u8], offset: u8, value: [u8; LENGTH
     }
 }
 
-/// One value that is looked for.
+/// One value to find.
 #[derive(Clone, Copy, Debug)]
 struct Wanted {
     object: Object,
@@ -102,7 +102,7 @@ impl Wanted {
         }
     }
 
-    /// Takes an entry that begins at bit `at`, if it is the one.
+    /// Takes an entry that begins at bit `at`, if it is the wanted one.
     fn take(&mut self, entry: Entry, at: u16) -> Result<(), BusError> {
         if entry.object != self.object || self.offset != ABSENT {
             return Ok(());
@@ -116,7 +116,7 @@ impl Wanted {
                 bit: at,
             });
         }
-        // An offset beyond the longest process data is refused by their length.
+        // An offset beyond the longest process data is refused because of their length.
         self.offset = u8::try_from(at / 8).unwrap_or(ABSENT);
         Ok(())
     }
@@ -147,7 +147,7 @@ pub struct LayoutBuilder {
     input_bits: u16,
     /// Control word, demand, mode, target position.
     outputs: [Wanted; 4],
-    /// Status word, position, its stand-in, mode in effect.
+    /// Status word, position, its substitute, mode in effect.
     inputs: [Wanted; 4],
 }
 
@@ -178,18 +178,18 @@ impl LayoutBuilder {
         }
     }
 
-    /// The next entry of the outputs.
+    /// Takes the next entry of the outputs.
     ///
     /// # Errors
-    /// [`BusError::Mapping`] for a value with another length than it must have, [`BusError::Alignment`] for one that
-    /// does not begin with a byte.
+    /// [`BusError::Mapping`] for a value whose length is wrong, [`BusError::Alignment`] for one that does not begin
+    /// with a byte.
     pub fn output(&mut self, entry: Entry) -> Result<(), BusError> {
         let at = self.output_bits;
         self.output_bits = at.saturating_add(entry.bits.into());
         self.outputs.iter_mut().try_for_each(|wanted| wanted.take(entry, at))
     }
 
-    /// The next entry of the inputs.
+    /// Takes the next entry of the inputs.
     ///
     /// # Errors
     /// As [`Self::output`].
@@ -199,7 +199,7 @@ impl LayoutBuilder {
         self.inputs.iter_mut().try_for_each(|wanted| wanted.take(entry, at))
     }
 
-    /// The layout, when all entries have been told.
+    /// Makes the layout after all entries.
     ///
     /// # Errors
     /// [`BusError::ProcessLength`] when a direction is longer than [`PROCESS_BYTES_MAX`], [`BusError::Mapping`] when a

@@ -1,12 +1,12 @@
-//! The servo drives this controller knows.
+//! Descriptions of the supported servo drives.
 //!
-//! Adding a drive type takes one file and one line. The file lies in this folder, declared below, and holds one
-//! [`DriveDescription`]: how the drive is recognised, the modes it has and for each the process data objects to be
-//! assigned or written, what a digit of its demand is worth, and what is set before it is used. The line stands in
-//! [`DRIVES`](crate::ethercat::factory::DRIVES). Everything else is common: the process data are found wherever the
+//! Adding a drive type takes one file and one line. The file is in this folder, is declared below, and contains one
+//! [`DriveDescription`]: how the drive is recognised, its modes and for each the process data objects to be assigned or
+//! written, the value of a digit of its demand, and the settings to write before use. The line is in
+//! [`DRIVES`](crate::ethercat::factory::DRIVES). Everything else is shared: the process data are found wherever the
 //! drive maps them ([`layout`]), and the state machine is that of CiA 402 ([`cia402`]). [`generic`] is the example.
 //!
-//! Invariant: a description is data and pure functions; it never touches the bus.
+//! Invariant: a description is data and pure functions; it never accesses the bus.
 
 pub mod akd;
 pub mod ax2000;
@@ -20,7 +20,7 @@ use cia402::{ControlWord, StatusWord};
 use core::f64::consts::TAU;
 use heapless::Vec;
 
-/// Most settings that a drive gets before it is used.
+/// Most settings written to a drive before use.
 pub const SETTINGS_MAX: usize = 8;
 /// Control word, 16 bits.
 pub const CONTROL_WORD: Object = Object::new(0x6040, 0);
@@ -30,40 +30,41 @@ pub const STATUS_WORD: Object = Object::new(0x6041, 0);
 pub const OPERATION_MODE: Object = Object::new(0x6060, 0);
 /// Mode of operation in effect, 8 bits.
 pub const OPERATION_MODE_DISPLAY: Object = Object::new(0x6061, 0);
-/// Position in the drive's own increments, 32 bits; some drives give it instead of [`POSITION`].
+/// Position in the drive's own increments, 32 bits; some drives report it instead of [`POSITION`].
 pub const POSITION_INTERNAL: Object = Object::new(0x6063, 0);
 /// Position, 32 bits.
 pub const POSITION: Object = Object::new(0x6064, 0);
-/// Torque or current as it is, 16 bits.
+/// Actual torque or current, 16 bits.
 pub const TORQUE: Object = Object::new(0x6077, 0);
 /// Target position, 32 bits.
 pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
 /// Quick-stop deceleration, 32 bits.
 pub const QUICK_STOP_DECELERATION: Object = Object::new(0x6085, 0);
 
-/// What a drive reports each cycle.
+/// Values that a drive reports each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DriveInput {
     /// Position in increments, wrapping.
     pub position: i32,
     /// CiA 402 status word.
     pub status: StatusWord,
-    /// Whether the mode in effect is the one that was set; true where the drive does not report it each cycle.
+    /// Whether the mode in effect is the one that was set; true if the drive does not report the mode each cycle.
     pub mode_in_effect: bool,
 }
 
-/// What a drive is told each cycle.
+/// Values sent to a drive each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DriveOutput {
-    /// Velocity or torque demand, whichever the mode takes, in the drive's digits; limited to the object's range.
+    /// Velocity or torque demand, depending on the mode, in the drive's digits; limited to the object's range.
     pub demand_digits: i32,
-    /// Position where the drive is; it becomes the target position of drives that map one, so that no mode jumps.
+    /// Present position of the drive. Drives that map a target position get it as target, so that no mode change causes
+    /// a jump.
     pub position: i32,
     /// CiA 402 control word.
     pub control: ControlWord,
 }
 
-/// One object to be written before a drive is used.
+/// One object to write before a drive is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Setting {
     /// The object.
@@ -72,9 +73,9 @@ pub struct Setting {
     pub value: u32,
     /// Bytes of the object, 1 to 4.
     pub length: u8,
-    /// The object that has to show the same value afterwards.
+    /// The object that has to read back as this value afterwards, if any.
     pub verify: Option<Object>,
-    /// Whether a drive that refuses the object is used all the same.
+    /// Whether the drive may refuse the object.
     pub optional: bool,
 }
 
@@ -130,12 +131,12 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// An object with its length.
+    /// An entry for an object and its length in bits.
     pub const fn new(object: Object, bits: u8) -> Self {
         Self { object, bits }
     }
 
-    /// The entry that a mapping object (0x16xx, 0x1Axx) or its value describes: index, sub-index and bits (CiA 301).
+    /// The entry described by the value of a mapping object (0x16xx, 0x1Axx): index, sub-index and bits (CiA 301).
     pub const fn from_mapping(value: u32) -> Self {
         Self::new(Object::new((value >> 16) as u16, (value >> 8) as u8), value as u8)
     }
@@ -146,19 +147,19 @@ impl Entry {
     }
 }
 
-/// A process data object to be used in one direction.
+/// The process data object of one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PdoChoice {
-    /// Its index, from 0x1600 for outputs and from 0x1A00 for inputs.
+    /// Its index: from 0x1600 for outputs, from 0x1A00 for inputs.
     pub pdo: u16,
-    /// What it holds, or is to hold.
+    /// Its entries, fixed or to be written.
     pub entries: &'static [Entry],
-    /// Whether the entries have to be written; otherwise the drive has them by itself.
+    /// Whether the entries have to be written; otherwise they are fixed in the drive.
     pub written: bool,
 }
 
 impl PdoChoice {
-    /// An object whose content the drive gives.
+    /// A process data object whose entries are fixed in the drive.
     pub const fn fixed(pdo: u16, entries: &'static [Entry]) -> Self {
         Self {
             pdo,
@@ -167,7 +168,7 @@ impl PdoChoice {
         }
     }
 
-    /// An object whose content is written.
+    /// A process data object whose entries are written.
     pub const fn written(pdo: u16, entries: &'static [Entry]) -> Self {
         Self {
             pdo,
@@ -177,7 +178,7 @@ impl PdoChoice {
     }
 }
 
-/// One way of driving.
+/// Description of one mode of a drive.
 #[derive(Clone, Copy, Debug)]
 pub struct ModeDescription {
     /// Value of the mode of operation (0x6060).
@@ -188,18 +189,18 @@ pub struct ModeDescription {
     pub outputs: PdoChoice,
     /// Inputs to be assigned.
     pub inputs: PdoChoice,
-    /// What a digit of the demand is.
+    /// Unit of a digit of the demand.
     pub digits: Digits,
 }
 
-/// What a digit of a demand is.
+/// Unit of a digit of a demand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Digits {
-    /// Part of a velocity, as the configuration says.
+    /// Part of a velocity, as configured.
     Velocity,
-    /// Part of the drive's peak current, which counts this many digits.
+    /// Part of the drive's peak current; the value is the number of digits at peak current.
     PeakCurrent(f64),
-    /// Part of the motor's rated torque, which counts this many digits.
+    /// Part of the motor's rated torque; the value is the number of digits at rated torque.
     RatedTorque(f64),
 }
 
@@ -214,7 +215,7 @@ impl Digits {
     }
 }
 
-/// How a drive is recognised.
+/// How a drive type is recognised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recognition {
     /// By vendor and product in its SII.
@@ -228,7 +229,7 @@ pub enum Recognition {
     DeviceType(u32),
 }
 
-/// Where the process data lie in the slave's memory, if its SII does not tell.
+/// Addresses of the process data in the slave's memory, used if its SII has none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Windows {
     /// Start of the outputs: sync manager 2.
@@ -237,10 +238,10 @@ pub struct Windows {
     pub inputs: u16,
 }
 
-/// How the drive uses the distributed clocks, if its SII does not tell.
+/// Use of the distributed clocks, if the SII does not describe it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clocks {
-    /// AssignActivate: what is written to the registers 0x0980 (low byte) and 0x0981 (high byte).
+    /// AssignActivate: the value of registers 0x0980 (low byte) and 0x0981 (high byte).
     pub assign_activate: u16,
 }
 
@@ -250,38 +251,38 @@ impl Clocks {
         assign_activate: 0x0300,
     };
 
-    /// Whether it needs SYNC0.
+    /// Whether the drive needs SYNC0.
     pub const fn uses_sync0(&self) -> bool {
         self.assign_activate & 0x0200 != 0
     }
 
-    /// Whether it needs SYNC1.
+    /// Whether the drive needs SYNC1.
     pub const fn uses_sync1(&self) -> bool {
         self.assign_activate & 0x0400 != 0
     }
 }
 
-/// Everything the master has to know about a drive type.
+/// Description of a drive type for the master.
 #[derive(Debug)]
 pub struct DriveDescription {
-    /// Name for people; no two types have the same.
+    /// Name for messages; unique for each type.
     pub name: &'static str,
-    /// How it is recognised.
+    /// How the drive type is recognised.
     pub recognition: Recognition,
-    /// How it is driven by velocity, if it can be.
+    /// Velocity mode, if the drive has one.
     pub velocity: Option<ModeDescription>,
-    /// How it is driven by torque, if it can be.
+    /// Torque mode, if the drive has one.
     pub torque: Option<ModeDescription>,
-    /// Where its process data lie.
+    /// Addresses of the process data if the SII has none.
     pub windows: Windows,
-    /// How it uses the distributed clocks.
+    /// Use of the distributed clocks if the SII does not describe it.
     pub clocks: Clocks,
     /// Settings for an axis, written in PREOP; `None` when a value does not fit the drive's object.
     pub settings: fn(&Axis) -> Option<Settings>,
 }
 
 impl DriveDescription {
-    /// How it is driven in a mode; `None` when it cannot be.
+    /// Description of a mode; `None` when the drive does not have it.
     pub const fn mode(&self, mode: AxisMode) -> Option<&ModeDescription> {
         match mode {
             AxisMode::Velocity => self.velocity.as_ref(),
@@ -301,7 +302,7 @@ impl Eq for DriveDescription {}
 /// A drive type.
 pub type DriveKind = &'static DriveDescription;
 
-/// Quick-stop deceleration as object 0x6085 takes it: position increments per second squared at the motor.
+/// Quick-stop deceleration in the units of object 0x6085: position increments per second squared at the motor.
 ///
 /// `None` when it does not fit 32 bits or is below 1.
 pub fn quick_stop_increments_s2(axis: &Axis) -> Option<u32> {

@@ -43,19 +43,20 @@ const LONG_BLEND_INTERVALS: u16 = 18;
 const SHARP_BLEND_INTERVALS: u16 = 20;
 /// Cosine of the turn from which it is sharp: 95 degrees.
 const SHARP_TURN_COSINE: f64 = -0.087_155_742_747_658_17;
-/// Trim from which a blend is long, mm.
+/// Smallest trim of a long blend, mm.
 const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
 /// Intervals of a span whose legs are uneven.
 const UNEVEN_SPAN_INTERVALS: u16 = 5;
-/// Deflection of the curve's direction over a span, as a part of its length, up to which fewer intervals do.
+/// Largest deflection of the curve's direction over a span, as a part of its length, for which fewer intervals are
+/// enough.
 const SPAN_GENTLE: f64 = 0.1;
-/// Ratio of the longest to the shortest leg of a span's control polygon up to which it is even.
+/// Largest ratio of the longest to the shortest leg of a span's control polygon that counts as even.
 const SPAN_EVEN: f64 = 1.5;
-/// Intervals of a line at least; even, so that a move from rest to rest can change from speeding up to slowing down in
+/// Least intervals of a line; even, so that a move from rest to rest can change from accelerating to decelerating in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
-/// What a curve's intervals are divided into where the pen's vertical limits hold: these are often small beside the
+/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small beside the
 /// acceleration along the path, whose vertical part changes between two points.
 const LIFT_REFINEMENT: u16 = 2;
 /// Length of an interval on a line, mm.
@@ -81,7 +82,7 @@ impl Node {
     };
 }
 
-/// What a moment of the path belongs to.
+/// Attributes of a point of the path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Label {
     pub(crate) stroke: u32,
@@ -97,14 +98,14 @@ impl Label {
     };
 }
 
-/// What changes on the way over a piece.
+/// A change of attributes on a piece.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) enum Change {
     #[default]
     None,
-    /// The fourth axis, where it follows the path, turns to this direction, rad: a vertical line has none.
+    /// The fourth axis, if it follows the path, turns to this direction, rad, on a vertical line, which has none.
     Turn(f64),
-    /// The labels, at this parameter: there a vertex is reached.
+    /// The labels change at this parameter, where a vertex is reached.
     Labels(f64),
 }
 
@@ -112,17 +113,17 @@ pub(crate) enum Change {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Piece {
     pub(crate) curve: Curve,
-    /// Intervals that the grid divides it into, evenly in the parameter.
+    /// Number of intervals of the grid on this piece, evenly spaced in the parameter.
     pub(crate) intervals: u16,
-    /// Label at its beginning.
+    /// Label at the beginning.
     pub(crate) entry: Label,
-    /// Label at its end.
+    /// Label at the end.
     pub(crate) exit: Label,
-    /// Vertices executed at its end.
+    /// Vertices executed at the end.
     pub(crate) vertex_after: u32,
-    /// The path rests at its end.
+    /// Whether the path is at rest at the end.
     pub(crate) stop_after: bool,
-    /// The pen dwells there.
+    /// Whether the pen dwells at the end.
     pub(crate) dwell_after: bool,
     pub(crate) change: Change,
 }
@@ -149,13 +150,13 @@ impl Piece {
         }
     }
 
-    /// Whether the pen may be lifted or lowered on it.
+    /// Whether the pen may be lifted or lowered on this piece.
     pub(crate) fn lifts(&self) -> bool {
         !(self.entry.pen == Pen::Down && self.exit.pen == Pen::Down)
     }
 }
 
-/// Tolerances of the shape, with the moving average's share taken off, mm.
+/// Tolerances for shaping, less the share of the moving average, mm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tolerances {
     pub(crate) drawing_mm: f64,
@@ -175,12 +176,12 @@ enum Passage {
     Smooth,
 }
 
-/// The start of the leg that is shaped next.
+/// Start of the next leg to be shaped.
 #[derive(Clone, Copy, Debug)]
 enum Start {
     /// On the leg, this far from its first vertex, mm.
     Straight { trim: f64 },
-    /// In a run of the spline: its control point before the vertex, and the vertices executed on the leg that led there.
+    /// In a run of the spline: the control point before the vertex, and the vertices executed on the leg before it.
     Spline { before: Vector, passed: u32 },
 }
 
@@ -188,16 +189,16 @@ enum Start {
 #[derive(Clone, Debug)]
 pub(crate) struct Shaper {
     tolerances: Tolerances,
-    /// The pen dwells where it meets the paper and where it leaves it.
+    /// Whether the pen dwells where it meets the paper and where it leaves the paper.
     dwells: bool,
-    /// The pen has vertical limits of its own.
+    /// Whether the pen has vertical limits of its own.
     pen_limited: bool,
     node: Node,
     start: Start,
 }
 
 impl Shaper {
-    /// Shapes with a tolerance of 0 until told otherwise.
+    /// A shaper with a tolerance of 0.
     pub(crate) const fn new() -> Self {
         Self {
             tolerances: Tolerances {
@@ -217,23 +218,23 @@ impl Shaper {
         self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;
     }
 
-    /// Begins anew from a point at rest.
+    /// Restarts from a point at rest.
     pub(crate) fn place(&mut self, node: Node) {
         self.node = node;
         self.start = Start::Straight { trim: 0.0 };
     }
 
-    /// The vertex that the next leg begins at.
+    /// The vertex at which the next leg begins.
     pub(crate) fn node(&self) -> &Node {
         &self.node
     }
 
-    /// Notes that vertices which lie where the next leg begins were merged into it.
+    /// Counts vertices that were merged into the one at which the next leg begins because they coincide with it.
     pub(crate) fn merge(&mut self, count: u32) {
         self.node.count = count;
     }
 
-    /// Shapes the next leg if enough of the path is known, and takes its end from the queue.
+    /// Shapes the next leg if enough of the path is known, and removes its end from the queue.
     pub(crate) fn next_leg(
         &mut self,
         queue: &mut Ring<Node, QUEUE>,
@@ -298,8 +299,9 @@ impl Shaper {
             self.tolerances.travel_mm
         };
         let (short, long) = (length_in.min(length_out), length_in.max(length_out));
-        // A sixth of the second difference is how far the spline passes from the vertex: across the leg at most the longer
-        // leg's sine of it, across the spline's own direction, that from vertex to vertex beside it, twice both legs' product.
+        // The spline passes the vertex at a sixth of the second difference: across the leg at most the longer leg's
+        // sine of the turn; across the spline's own direction, which is that from vertex to vertex, twice the product
+        // of both legs.
         let chord = length(&add(&incoming, &outgoing));
         if node.pen == after.pen
             && cosine > SPLINE_TURN_COSINE
@@ -425,7 +427,7 @@ impl Shaper {
             _ => None,
         };
         for piece in [first, second, third].into_iter().flatten() {
-            // The capacity is that of the three.
+            // The capacity covers all three.
             let _ = pieces.push(piece);
         }
         if self.pen_limited {
@@ -463,8 +465,8 @@ fn piece(curve: Curve, intervals: u16, label: Label) -> Piece {
     }
 }
 
-/// The spline's way past a control point, from the one before to the one after, where the knot between its spans lies before
-/// the place at which it passes the point; none where it lies behind.
+/// The spline's chord past a control point, from the point before to the point after, if the knot between its spans
+/// comes before the place at which the spline passes the point; `None` if it comes after.
 fn late(before: &Vector, point: &Vector, after: &Vector) -> Option<Vector> {
     let onward = subtract(after, before);
     let second = subtract(&add(before, after), &scale(point, 2.0));

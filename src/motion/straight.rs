@@ -1,8 +1,9 @@
-//! A straight move from rest to rest, beside the path: lifting and lowering the pen, and moves to a position.
+//! A straight move from rest to rest that does not belong to a path: lifting and lowering the pen, and moves to a
+//! position.
 //!
-//! One speed and one acceleration hold for the whole line. They are chosen so that half of each joint's acceleration
-//! covers the path's acceleration and half its curvature in joint space, at every checked point of the line. That is
-//! slower than the plan's scan, needs no look-ahead, and can be stopped at any time.
+//! One speed and one acceleration apply to the whole line. They are chosen so that half of each joint's acceleration
+//! limit covers the acceleration along the line and the other half its curvature in joint space, at every checked
+//! point. That is slower than the plan's scan, but needs no look-ahead and can be stopped at any time.
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
@@ -13,12 +14,12 @@ use crate::robot::vector::{Vector, add_scaled, length, root, scale, subtract};
 
 /// Points of the line at which the limits are evaluated.
 const CHECKS: u32 = 33;
-/// Part of a joint's acceleration for the path's acceleration; the rest is for the curvature.
+/// Part of a joint's acceleration limit for the acceleration along the line; the rest is for the curvature.
 const SHARE: f64 = 0.5;
-/// Moves shorter than this are none, mm.
+/// Moves shorter than this are ignored, mm.
 const LENGTH_MIN_MM: f64 = 1.0e-6;
 
-/// A straight move under way.
+/// A straight move in progress.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Straight {
     from: Vector,
@@ -28,14 +29,14 @@ pub(crate) struct Straight {
     speed: f64,
     acceleration: f64,
     elapsed_s: f64,
-    /// Where braking began, how fast the move was then, and for how long it has braked.
+    /// Position at which braking began, the speed there, and the time since then.
     braking: Option<(f64, f64, f64)>,
-    /// Label on the way.
+    /// Label during the move.
     pub(crate) label: Label,
 }
 
 impl Straight {
-    /// Move from a place to `to`; the fourth axis keeps its angle.
+    /// A move from the present position to `to`; the fourth axis keeps its angle.
     pub(crate) fn new(delta: &Delta, limits: &Limits, here: &PathSample, to: &Vector, label: Label) -> Self {
         let from = &here.point;
         let line = subtract(to, from);
@@ -97,7 +98,7 @@ impl Straight {
         }
     }
 
-    /// Place and speed at a time of the undisturbed move.
+    /// Position and speed at a time of the undisturbed move.
     fn state(&self, time_s: f64) -> (f64, f64) {
         let ramp_s = if self.speed > 0.0 {
             self.speed / self.acceleration
@@ -119,7 +120,7 @@ impl Straight {
         }
     }
 
-    /// Ends the move as soon as its acceleration allows.
+    /// Ends the move as soon as its acceleration limit allows.
     pub(crate) fn brake(&mut self) {
         if self.braking.is_none() {
             let (place, speed) = self.state(self.elapsed_s);
@@ -127,7 +128,7 @@ impl Straight {
         }
     }
 
-    /// Lets a millisecond pass; returns the place and whether the move has ended.
+    /// Advances by one millisecond; returns the position and whether the move has ended.
     pub(crate) fn next_millisecond(&mut self) -> (PathSample, bool) {
         let (place, done) = match self.braking.as_mut() {
             None => {

@@ -1,8 +1,8 @@
 //! The trajectory task: every 12 ms it plans and fills the ring with the next references.
 //!
 //! Released by every twelfth sample, below the critical tasks. It keeps at least one whole period of references ahead
-//! of the sampler, so that a release that runs up to its deadline costs nothing; every committed plan ends at rest,
-//! so that a release that never comes ends at rest too.
+//! of the sampler, so a release may take up to its deadline. Every committed plan ends at rest, so the robot comes to
+//! rest if a release never comes.
 
 use super::{MotionCommand, MotionState, PERIOD_MS, Trajectory, Vertex};
 use crate::config::Config;
@@ -10,11 +10,11 @@ use crate::control::sampler::Queued;
 use crate::robot::JointAngles;
 use heapless::spsc::{Consumer, Producer};
 
-/// What the trajectory task is asked for.
+/// An order to the trajectory task.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // a handful, in static memory
 pub enum MotionOrder {
-    /// Use this configuration; what was planned is dropped.
+    /// Use this configuration; discards everything planned.
     Configure(Config),
     /// Start at rest from this pose; the references carry the epoch.
     Place {
@@ -23,41 +23,41 @@ pub enum MotionOrder {
         /// Number of this start.
         epoch: u8,
     },
-    /// A path begins: forget what is left of another one.
+    /// Begin a path; discards the rest of an earlier one.
     BeginPath,
-    /// Drop the path; the drives are stopping by themselves.
+    /// Discard the path; the drives are stopping by themselves.
     Abandon,
     /// A command to the trajectory.
     Command(MotionCommand),
 }
 
-/// An item of the path on its way to the trajectory task.
+/// An item of the path for the trajectory task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PathItem {
-    /// A vertex that was admitted.
+    /// An admitted vertex.
     Vertex(Vertex),
-    /// No more vertices come.
+    /// End of the path.
     End,
 }
 
-/// Where the trajectory stands.
+/// State of the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MotionReport {
     /// At rest with nothing left to do.
     pub idle: bool,
-    /// Standing on a held path.
+    /// At rest on a held path.
     pub held: bool,
     /// Vertices of the path fully executed.
     pub executed: u32,
     /// Whether the path was executed to its end.
     pub finished: bool,
-    /// For how long a motion that has to go on has made no progress, ms; 0 where there is none that stalls.
+    /// How long a motion that should go on has made no progress, ms; 0 if none has stalled.
     pub stalled_ms: u16,
     /// Times the path ran out of data.
     pub starvations: u32,
-    /// Releases that found the ring empty: the release before came too late.
+    /// Releases that found the ring empty: the previous release was too late.
     pub overruns: u32,
-    /// Orders taken so far; a report answers to the orders it counts.
+    /// Number of orders taken so far; a report reflects the orders that it counts.
     pub orders: u32,
 }
 
@@ -65,11 +65,11 @@ pub struct MotionReport {
 enum PathPhase {
     /// There is no path.
     None,
-    /// Vertices are being gathered; nothing moves yet.
+    /// Collecting vertices; at rest.
     Gathering,
     /// The path is being executed and more vertices may come.
     Running,
-    /// All vertices have come.
+    /// All vertices have arrived.
     Complete,
     /// The path was executed to its end.
     Finished,

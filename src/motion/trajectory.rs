@@ -1,11 +1,11 @@
-//! The 12 ms trajectory stage: takes vertices and commands, gives a period's references.
+//! The 12 ms trajectory stage: takes vertices and commands, returns the references of a period.
 //!
-//! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over what has been shaped. Everything
-//! that is not the path itself (lifting and lowering the pen, moves, jogs) is a motion of its own, from rest to rest.
-//! When path data stop coming the motion ends at rest on the path, which counts as an underrun if it had begun.
+//! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over the shaped path. Everything beside
+//! the path (lifting and lowering the pen, moves, jogs) is a separate motion from rest to rest. When path data stop
+//! arriving the motion ends at rest on the path; that counts as an underrun if the motion had begun.
 //!
-//! Invariants: [`Trajectory::step`] always gives twelve valid references and does a bounded amount of work; whatever
-//! is commanded, the motion goes from one rest to the next within the limits.
+//! Invariants: [`Trajectory::step`] always returns twelve valid references and does a bounded amount of work; every
+//! command leads from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
 use super::averaging::{averaging, tolerances};
@@ -22,14 +22,14 @@ use crate::config::Config;
 use crate::robot::vector::{Vector, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
 
-/// Vertices that wait for the shaping at most.
+/// Most vertices queued for shaping.
 pub const QUEUE_VERTICES: usize = QUEUE;
-/// Part of the lift under which a pen on its way counts as down.
+/// Part of the lift below which a moving pen counts as down.
 const NEAR_PAPER: f64 = 0.5;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
-/// What follows when a motion has come to rest on the path.
+/// What follows after the motion has come to rest on the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Then {
     Held,
@@ -37,7 +37,7 @@ enum Then {
     Starved,
 }
 
-/// What moves the robot now.
+/// The present motion.
 #[derive(Clone, Copy, Debug)]
 enum Activity {
     Rest,
@@ -58,7 +58,7 @@ pub struct Trajectory {
     pose: Option<JointAngles>,
 }
 
-/// Everything but the averaging.
+/// The trajectory stage without the averaging.
 #[derive(Clone, Debug)]
 struct Motion {
     area: WorkArea,
@@ -73,11 +73,11 @@ struct Motion {
     activity: Activity,
     here: PathSample,
     finished: bool,
-    /// A vertex of the present path has come.
+    /// Whether a vertex of the present path has arrived.
     joined: bool,
     /// Vertices pushed since the path began.
     pushed: u32,
-    /// Whether the path has moved since it was started.
+    /// Whether the motion on the path has begun since its start.
     begun: bool,
     starving_ms: usize,
     underruns: u32,
@@ -86,8 +86,8 @@ struct Motion {
 }
 
 impl Trajectory {
-    /// Stage without a configuration, for a static: it rests, and refuses commands. All of its bits are zero, so that it takes
-    /// no flash memory.
+    /// A stage without a configuration, for a static: it is at rest and refuses commands. All of its bits are zero, so
+    /// it takes no flash memory.
     pub const fn unconfigured() -> Self {
         Self {
             motion: Motion {
@@ -116,21 +116,21 @@ impl Trajectory {
         }
     }
 
-    /// Stage with the limits of a configuration; it has no pose yet. About 64 KiB pass over the stack; a board keeps
+    /// A stage with the limits of a configuration and without a pose. About 64 KiB pass over the stack; a board keeps
     /// an [`Trajectory::unconfigured`] stage in a static instead.
     ///
     /// # Errors
-    /// A geometry that is no delta robot.
+    /// The dimensions do not form a valid delta robot.
     pub fn new(config: &Config) -> Result<Self, GeometryError> {
         let mut trajectory = Self::unconfigured();
         trajectory.reconfigure(config)?;
         Ok(trajectory)
     }
 
-    /// Takes over a configuration in place; forgets the path, and the pose until it is placed again.
+    /// Takes a configuration in place. Discards the path, and the pose until the stage is placed again.
     ///
     /// # Errors
-    /// A geometry that is no delta robot; then nothing has changed.
+    /// The dimensions do not form a valid delta robot; nothing has changed.
     pub fn reconfigure(&mut self, config: &Config) -> Result<(), GeometryError> {
         let area = WorkArea::new(config)?;
         let limits = Limits::new(&config.motion);
@@ -155,10 +155,10 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Takes the measured pose, at rest, as the place to begin from; forgets any path.
+    /// Takes the measured pose, at rest, as the start; discards any path.
     ///
-    /// Returns whether the pose is one of the robot's; without one, references stay where they are and commands are
-    /// refused.
+    /// Returns whether the robot can have this pose. Without a valid pose, references stay where they are and commands
+    /// are refused.
     pub fn place(&mut self, pose: JointAngles) -> bool {
         self.pose = None;
         self.motion.drop_path();
@@ -181,21 +181,21 @@ impl Trajectory {
         true
     }
 
-    /// Vertices that can be pushed now.
+    /// Number of vertices that can be pushed now.
     pub fn free(&self) -> usize {
         self.motion.queue.room()
     }
 
-    /// Appends a vertex to the path. One that repeats the last one is merged with it.
+    /// Appends a vertex to the path. A vertex that coincides with the last one is merged with it.
     ///
     /// # Errors
-    /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex outside the work area; its leg is the
-    /// business of [`super::Admission`].
+    /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex outside the work area. Its leg is checked by
+    /// [`super::Admission`].
     pub fn push(&mut self, vertex: Vertex) -> Result<(), MotionRefusal> {
         self.motion.push(&vertex)
     }
 
-    /// No more vertices come for now: the path may end at the last one.
+    /// Marks the end of the path for now: the path may end at the last vertex.
     pub fn finish(&mut self) {
         self.motion.finished = true;
     }
@@ -212,7 +212,7 @@ impl Trajectory {
         self.motion.command(command, state)
     }
 
-    /// References of the next 12 ms.
+    /// The references of the next 12 ms.
     pub fn step(&mut self) -> [Reference; PERIOD_MS] {
         if self.pose.is_none() {
             return self.interpolator.rest();
@@ -224,7 +224,7 @@ impl Trajectory {
         references
     }
 
-    /// What the stage is doing.
+    /// State of the stage.
     pub fn state(&self) -> MotionState {
         match &self.motion.activity {
             Activity::Rest if self.interpolator.settled() => MotionState::Idle,
@@ -250,29 +250,29 @@ impl Trajectory {
         self.motion.here.label.vertex
     }
 
-    /// Where the path is at the end of the last period, before averaging.
+    /// Position on the path at the end of the last period, before averaging.
     pub fn position(&self) -> Position {
         self.motion.here.point.into()
     }
 
-    /// Times that path data did not come in time, since the start of the program.
+    /// Times that path data did not arrive in time, since the firmware started.
     pub fn underruns(&self) -> u32 {
         self.motion.underruns
     }
 
-    /// For how long a motion that has to go on has made no progress, ms; 0 up to two seconds. A planner that stalls is an
-    /// error of the firmware: the path has to be dropped.
+    /// How long a motion that should go on has made no progress, ms; 0 up to two seconds. A planner that stalls is an
+    /// error of the firmware: the path has to be discarded.
     pub fn stalled_ms(&self) -> u32 {
         self.motion.watch.stalled_ms()
     }
 
-    /// Length of the moving average in force, ms: the configured one, shortened where it would take more than its part
-    /// of the tolerance; 0 where there is none.
+    /// Effective length of the moving average, ms: the configured length, shortened if it would use more than its part
+    /// of the tolerance; 0 without an average.
     pub fn jerk_window_ms(&self) -> u16 {
         self.interpolator.window_ms()
     }
 
-    /// Points of the grid that the last step computed: new ones, and ones whose speed was computed anew.
+    /// Points of the grid that the last step computed: new ones, and ones whose speed was recomputed.
     pub fn work(&self) -> u32 {
         self.motion.work
     }
@@ -316,8 +316,8 @@ impl Motion {
         Ok(())
     }
 
-    /// Whether the motion has to make progress now: it neither rests, waits for path data, pauses at a stop, nor follows
-    /// an operator's hand.
+    /// Whether progress is required now: the motion is not at rest, does not wait for path data, does not pause at a
+    /// stop and is not a jog.
     fn has_to_move(&self) -> bool {
         match self.activity {
             Activity::Rest | Activity::Parked { .. } | Activity::Jog(_) => false,
@@ -331,9 +331,9 @@ impl Motion {
         self.queue.length() == 0 && self.plan.exhausted()
     }
 
-    /// Shapes what has come, grows the grid, looks back, and notices starvation.
+    /// Shapes the vertices that have arrived, grows the grid, looks back, and detects starvation.
     fn feed(&mut self) {
-        // Every leg is an interval of the grid at least, so more would wait for the grid.
+        // Every leg adds an interval to the grid at least, so more legs would only wait for the grid.
         for _ in 0..GROWTH {
             if !self.plan.has_room() {
                 break;
@@ -442,7 +442,7 @@ impl Motion {
         Straight::new(self.area.delta(), &self.limits, &self.here, to, label)
     }
 
-    /// Ends what moves; `None` where there is nothing to end.
+    /// Ends the present motion; `None` where there is nothing to end.
     fn stop(&mut self, then: Then) -> Option<()> {
         match &mut self.activity {
             Activity::Rest if then == Then::Held => return None,
@@ -469,7 +469,7 @@ impl Motion {
     fn resume(&mut self) -> Option<()> {
         match &mut self.activity {
             Activity::Brake(Then::Held) => self.activity = Activity::Path,
-            // The lift is completed; then the path goes on as after starvation.
+            // The lift is completed; then the path continues as after starvation.
             Activity::Lift(_, then @ Then::Held) => *then = Then::Starved,
             Activity::Parked { starved: false, lifted } => {
                 let lifted = *lifted;
@@ -481,7 +481,7 @@ impl Motion {
         Some(())
     }
 
-    /// Forgets the path and rests where the motion is; only called at rest.
+    /// Discards the path and stays at the present position; only called at rest.
     fn drop_path(&mut self) {
         self.queue.clear();
         self.finished = false;
@@ -490,7 +490,7 @@ impl Motion {
         self.settle();
     }
 
-    /// Lets the next path begin where the motion rests.
+    /// Lets the next path begin at the present position at rest.
     fn settle(&mut self) {
         self.joined = false;
         self.plan.rest_at(self.here);
@@ -501,7 +501,7 @@ impl Motion {
         });
     }
 
-    /// From a rest on the path: the pen goes up if it is down.
+    /// Leaves the path from a rest: lifts the pen if it is down.
     fn leave_path(&mut self, then: Then) {
         let mut above = self.here.point;
         let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;

@@ -1,17 +1,17 @@
 //! Addresses for EtherCAT in UDP: an IP stack beside the critical tasks.
 //!
-//! The exchange of the critical tasks builds and opens its UDP packets by itself; what it cannot know are the addresses.
-//! Those come from here: [`NetworkTask`] runs an embassy-net stack (ARP, DHCP, ICMP echo) in a low-priority task, and tells
-//! the critical side the headers to use ([`UdpRepr`]) as soon as address and next hop are known, and that they are gone.
-//! The way in and out of the one Ethernet port leads through the critical side: frames that are not EtherCAT's come
-//! through a ring of [`Frame`]s, and what the stack wants to send waits in another until nothing of the cycle is left to
-//! send, at most one frame a millisecond.
+//! The critical tasks' exchange builds and parses its UDP packets by itself, but it needs the addresses. This module
+//! provides them: [`NetworkTask`] runs an embassy-net stack (ARP, DHCP, ICMP echo) in a low-priority task, and passes
+//! the critical side the headers to use ([`UdpRepr`]) as soon as address and next hop are known, and a notice when they
+//! become invalid. All frames pass the one Ethernet port through the critical side: frames that are not EtherCAT come
+//! through a ring of [`Frame`]s; frames from the stack wait in another ring until the cycle has nothing left to send,
+//! at most one frame a millisecond.
 //!
-//! The stack resolves the segment's address by itself: it is given a datagram for the segment, and the headers that it
-//! puts in front of it are the ones that are wanted. That datagram never leaves.
+//! The stack resolves the segment's address by itself: it gets a datagram for the segment, and the headers that it puts
+//! before the datagram are the ones to use. That datagram is never sent.
 //!
-//! Invariants: foreign traffic never delays the cyclic part and never needs more than the rings' memory; what does not
-//! fit is dropped and counted; the stack lives inside the task that runs it.
+//! Invariants: foreign traffic never delays the cyclic part and never needs more than the rings' memory; frames that do
+//! not fit are dropped and counted; the stack is owned by the task that runs it.
 
 mod port;
 mod task;
@@ -25,9 +25,9 @@ use core::net::Ipv4Addr;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
 
-/// Longest IP packet, bytes: what every host has to accept (RFC 791), and as long as DHCP's messages.
+/// Longest IP packet, bytes: the length that every host has to accept (RFC 791), which also suffices for DHCP.
 pub const PACKET_BYTES_MAX: usize = 576;
-/// Longest frame for or from the stack, bytes, without check sequence.
+/// Longest frame to or from the stack, bytes, without check sequence.
 pub const FRAME_BYTES_MAX: usize = 14 + PACKET_BYTES_MAX;
 /// Places for frames to the stack; one stays empty.
 const RECEIVED_PLACES: usize = 5;
@@ -37,18 +37,18 @@ const SENT_PLACES: usize = 3;
 /// A frame without check sequence.
 pub type Frame = Vec<u8, FRAME_BYTES_MAX>;
 
-/// What the stack is to do.
+/// Settings of the IP stack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NetworkSettings {
-    /// The own address.
+    /// The controller's own address.
     pub address: HostAddress,
-    /// Where packets for other networks go, if anywhere; DHCP brings its own.
+    /// Gateway for a fixed address, if any; DHCP provides its own.
     pub gateway: Option<Ipv4Addr>,
     /// The segment's address.
     pub segment: Ipv4Addr,
 }
 
-/// All rings between critical side, stack and link; they live in static memory.
+/// All rings between critical side, stack and link; in static memory.
 #[derive(Debug, Default)]
 pub struct NetworkQueues {
     received: Queue<Frame, RECEIVED_PLACES>,
@@ -65,7 +65,7 @@ pub struct NetworkEnd<'a> {
     dropped: u32,
 }
 
-/// The end of who knows the configuration: `None` for a bus that needs no addresses.
+/// Sends the settings to the stack: `None` for a bus that needs no addresses.
 pub type SettingsEnd<'a> = Producer<'a, Option<NetworkSettings>>;
 
 impl NetworkQueues {
@@ -79,7 +79,7 @@ impl NetworkQueues {
         }
     }
 
-    /// The ends: for the critical side, for the task of the stack, and for who knows the configuration.
+    /// Splits into the ends for the critical side, for the task of the stack, and for the owner of the configuration.
     pub fn split(&mut self) -> (NetworkEnd<'_>, NetworkTask<'_>, SettingsEnd<'_>) {
         let (received_in, received) = self.received.split();
         let (sent_in, sent) = self.sent.split();
@@ -100,7 +100,7 @@ impl NetworkQueues {
 }
 
 impl NetworkEnd<'_> {
-    /// Gives a received frame to the stack unless it is EtherCAT's; false if it is.
+    /// Passes a received frame to the stack; returns false if the frame is EtherCAT.
     pub fn offer(&mut self, frame: &[u8]) -> bool {
         if is_ethercat(frame) {
             return false;
@@ -115,7 +115,7 @@ impl NetworkEnd<'_> {
         true
     }
 
-    /// Hands the next frame of the stack to `send`.
+    /// Passes the next frame of the stack to `send`.
     pub fn send_next(&mut self, send: impl FnOnce(&[u8])) {
         if let Some(frame) = queue::front(&self.sent) {
             send(frame);
@@ -123,25 +123,25 @@ impl NetworkEnd<'_> {
         }
     }
 
-    /// Whether there is news about the headers to use.
+    /// Whether the headers to use have changed.
     #[inline]
     pub fn has_path_news(&self) -> bool {
         self.paths.ready()
     }
 
-    /// News about the headers to use: the inner `None` when there are none any more.
+    /// The change of the headers to use, if any; the inner `None` when there are none any more.
     pub fn next_path(&mut self) -> Option<Option<UdpRepr>> {
         queue::take(&mut self.paths)
     }
 
-    /// Frames for the stack that were too long or found no room.
+    /// Number of frames for the stack that were too long or found no room.
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 }
 
-/// Whether a frame is EtherCAT's: its own type, or UDP to or from its port. Only packets without options are looked into;
-/// the exchange refuses others.
+/// Whether a frame is EtherCAT: by its own EtherType, or in UDP to or from EtherCAT's port. Packets with IP options do
+/// not count; the exchange refuses them.
 fn is_ethercat(frame: &[u8]) -> bool {
     let be = |offset: usize| u16::from(read_u8(frame, offset)) << 8 | u16::from(read_u8(frame, offset + 1));
     match be(12) {

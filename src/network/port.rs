@@ -1,6 +1,6 @@
-//! The stack's network interface: two rings, and a net for the datagram that tells the path.
+//! The stack's network interface: two rings, and a filter that catches the datagram with the path.
 //!
-//! Invariant: a datagram for EtherCAT's port never leaves; its headers are kept.
+//! Invariant: a datagram to EtherCAT's port is never sent; its headers are kept.
 
 use super::{FRAME_BYTES_MAX, Frame};
 use crate::ethercat::wire::{MacAddress, UdpRepr};
@@ -34,7 +34,7 @@ pub(super) struct ToSend<'t, 'q> {
 impl embassy_net_driver::TxToken for ToSend<'_, '_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, fill: F) -> R {
         let mut frame = Frame::new();
-        // The stack keeps to the frame length that the port states.
+        // The stack respects the frame length that the port states.
         let _ = frame.resize(length.min(FRAME_BYTES_MAX), 0);
         let result = fill(&mut frame);
         match UdpRepr::parse(&frame) {

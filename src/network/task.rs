@@ -1,6 +1,6 @@
-//! The task that runs the stack: address, next hop, and what the critical side is told of both.
+//! The task that runs the stack: determines address and next hop and passes both to the critical side.
 //!
-//! Like the supervisor it registers no waker that matters: it is polled once a millisecond.
+//! Like the supervisor it uses no waker: it is polled once a millisecond.
 //!
 //! Invariant: the critical side has a path only while the stack has an address and has resolved the next hop within the
 //! last [`PATH_LIFE_MS`].
@@ -20,14 +20,14 @@ use heapless::spsc::{Consumer, Producer};
 
 /// Time between two datagrams that ask the stack for the path, ms.
 pub const PROBE_PERIOD_MS: u32 = 250;
-/// How long a path holds without an answer, ms: some repetitions of ARP, which come once a second.
+/// How long a path stays valid without an answer, ms: several repetitions of ARP, which come once a second.
 pub const PATH_LIFE_MS: u32 = 5_000;
 /// Sockets of the stack: DHCP's and the one for the segment.
 const SOCKETS: usize = 2;
-/// Content of the datagram that never leaves: an EtherCAT header without datagrams.
+/// Content of the datagram that is never sent: an EtherCAT header without datagrams.
 const PROBE: [u8; 2] = [0x00, 0x10];
 
-/// The task's body.
+/// Body of the network task.
 pub struct NetworkTask<'a> {
     received: Consumer<'a, Frame>,
     sent: Producer<'a, Frame>,
@@ -54,12 +54,12 @@ impl<'a> NetworkTask<'a> {
         }
     }
 
-    /// The port's own Ethernet address, to which answers come; before [`Self::run`].
+    /// Sets the port's own Ethernet address; call it before [`Self::run`].
     pub fn set_hardware_address(&mut self, address: MacAddress) {
         self.address = address;
     }
 
-    /// The task's whole life; to be polled once a millisecond.
+    /// Runs the task for ever; to be polled once a millisecond.
     pub async fn run(&mut self) -> ! {
         let mut settings = None;
         loop {
@@ -70,7 +70,7 @@ impl<'a> NetworkTask<'a> {
         }
     }
 
-    /// Without a stack until there are settings for one; frames that wait for it are thrown away.
+    /// Waits without a stack for settings that need one; discards frames meanwhile.
     async fn idle(&mut self) -> Option<NetworkSettings> {
         poll_fn(|_| {
             while self.received.dequeue().is_some() {}
@@ -83,7 +83,7 @@ impl<'a> NetworkTask<'a> {
         .await
     }
 
-    /// Runs a stack until there are other settings.
+    /// Runs a stack until the settings change.
     async fn serve(&mut self, settings: NetworkSettings) -> Option<NetworkSettings> {
         let path = Cell::new(None);
         let seed = self.address.iter().fold(0, |seed, byte| seed << 8 | u64::from(*byte));
@@ -113,7 +113,7 @@ impl<'a> NetworkTask<'a> {
             let mut context = Context::from_waker(Waker::noop());
             if probe_ms == 0 {
                 probe_ms = PROBE_PERIOD_MS;
-                // Refused while the last one still waits for its next hop.
+                // Refused while the last probe still waits for its next hop.
                 let _ = socket.poll_send_to(&PROBE, (settings.segment, UDP_PORT), &mut context);
             }
             probe_ms -= 1;
@@ -143,14 +143,14 @@ impl<'a> NetworkTask<'a> {
     }
 }
 
-/// What the critical side knows.
+/// State that the critical side knows.
 struct News<'n, 'a> {
     paths: &'n mut Producer<'a, Option<UdpRepr>>,
     told: &'n mut Option<UdpRepr>,
 }
 
 impl News<'_, '_> {
-    /// Tells what is not known yet; a full queue is tried again in the next millisecond.
+    /// Reports a changed path; if the queue is full, tries again in the next millisecond.
     fn tell(&mut self, path: Option<UdpRepr>) {
         if path != *self.told && self.paths.enqueue(path).is_ok() {
             *self.told = path;

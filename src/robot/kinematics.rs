@@ -1,6 +1,6 @@
 //! Kinematics of the delta robot: positions, joint angles and their derivatives.
 //!
-//! Each arm is solved in its own vertical plane, where the shoulder is the origin: u outwards, w upwards, y across. The
+//! Each arm is solved in its own vertical plane with the shoulder as the origin: u outwards, w upwards, y across. The
 //! elbow is where the upper arm's circle meets the forearm's sphere. The derivatives along a path need no trigonometry.
 //! Forward kinematics intersects three spheres in a frame built from their centres, so equal heights are no special
 //! case.
@@ -12,12 +12,12 @@ use super::{ARMS, JointAngles, Position};
 use crate::config::Geometry;
 use serde::{Deserialize, Serialize};
 
-/// Smallest D/A that inverse kinematics answers: below it the derivatives have no value.
+/// Smallest D/A that inverse kinematics accepts: below it the derivatives are undefined.
 pub const RATIO_SINGULAR: f64 = 1.0e-6;
-/// Smallest difference between the azimuths of two arms, as the sine of it.
+/// Smallest sine of the angle between the azimuths of two arms.
 const AZIMUTH_SINE_MIN: f64 = 0.1;
 
-/// A geometry that is no delta robot.
+/// Why dimensions do not form a valid delta robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum GeometryError {
     /// A value is not a finite number.
@@ -29,7 +29,7 @@ pub enum GeometryError {
         /// Forearm, mm.
         forearm_mm: f64,
     },
-    /// Two arms lie in the same or in opposite directions.
+    /// The azimuths of two arms are equal or opposite.
     Azimuths {
         /// The first of the two, degrees.
         first_deg: f64,
@@ -45,7 +45,7 @@ pub enum GeometryError {
     },
 }
 
-/// A position or pose without a solution.
+/// Why a position or pose has no solution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum KinematicsError {
     /// An input is not a finite number.
@@ -54,10 +54,10 @@ pub enum KinematicsError {
     Unreachable {
         /// Arm, from 0.
         arm: u8,
-        /// D squared over A squared; negative, the more so the farther the position.
+        /// D squared over A squared; negative, and more negative the farther the position.
         ratio_squared: f64,
     },
-    /// Upper arm and forearm are in line: the angle has no derivative.
+    /// Upper arm and forearm are in line: the angle's derivative is undefined.
     Singular {
         /// Arm, from 0.
         arm: u8,
@@ -75,7 +75,7 @@ pub enum KinematicsError {
         /// Highest angle, rad.
         high_rad: f64,
     },
-    /// Forward: with these angles the forearms do not meet in one platform.
+    /// Forward kinematics: with these angles the forearms do not meet in one platform.
     Apart,
 }
 
@@ -89,25 +89,25 @@ pub struct JointRows {
 }
 
 impl JointRows {
-    /// Joints that do not move.
+    /// Rows of joints at rest.
     pub(crate) const NONE: Self = Self {
         slope: [0.0; ARMS],
         bend: [0.0; ARMS],
     };
 }
 
-/// How far a position is from the singularities.
+/// Distance of a position from the singularities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditioning {
     /// Smallest D/A of the arms and which arm has it.
     pub ratio: (u8, f64),
     /// Absolute determinant of the forearms' unit vectors.
     pub determinant: f64,
-    /// How much a millimetre in any direction can change them here.
+    /// Largest change of the angles, ratio and determinant by a displacement of one millimetre here.
     pub change: Change,
 }
 
-/// Upper bounds of what a displacement of one millimetre changes, for displacements small against the arms.
+/// Upper bounds of the changes caused by a displacement of one millimetre, for displacements small against the arms.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Change {
     /// Of any arm's angle, rad/mm.
@@ -118,7 +118,7 @@ pub struct Change {
     pub determinant: f64,
 }
 
-/// A delta robot of known shape.
+/// A delta robot of known geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Delta {
     azimuths: [(f64, f64); ARMS],
@@ -128,8 +128,8 @@ pub struct Delta {
     range_rad: [f64; 2],
 }
 
-/// A range of angles less than a turn, for comparisons without trigonometry: what lies within half its width of its
-/// middle.
+/// A range of angles less than a full turn, for comparisons without trigonometry: an angle is inside if it is within
+/// half the width of the middle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct AngleRange {
     /// Cosine and sine of the middle.
@@ -138,13 +138,13 @@ pub(super) struct AngleRange {
 }
 
 impl AngleRange {
-    /// Fills the place of a range that is not known yet.
+    /// Placeholder for a range that is not known yet.
     pub(super) const NONE: Self = Self {
         middle: (0.0, 0.0),
         cosine_half: 0.0,
     };
 
-    /// From `low_rad` to `high_rad`.
+    /// The range from `low_rad` to `high_rad`.
     pub(super) fn new([low_rad, high_rad]: [f64; 2]) -> Self {
         let middle = 0.5 * (low_rad + high_rad);
         Self {
@@ -158,7 +158,7 @@ impl AngleRange {
     }
 }
 
-/// One arm solved for a position, in the arm's plane.
+/// Solution of one arm for a position, in the arm's plane.
 #[derive(Clone, Copy)]
 struct ArmPose {
     cosine: f64,
@@ -170,7 +170,7 @@ struct ArmPose {
 }
 
 impl Delta {
-    /// No robot: fills the place of one that is not configured yet.
+    /// Placeholder for a robot that is not configured yet.
     pub(crate) const NONE: Self = Self {
         azimuths: [(0.0, 0.0); ARMS],
         offset_mm: 0.0,
@@ -179,10 +179,10 @@ impl Delta {
         range_rad: [0.0; 2],
     };
 
-    /// Takes over the geometry.
+    /// Makes a robot from its dimensions.
     ///
     /// # Errors
-    /// What makes the geometry no delta robot, see [`GeometryError`].
+    /// Why the dimensions do not form a valid delta robot, see [`GeometryError`].
     pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
         let lengths = [
             geometry.base_radius_mm,
@@ -247,7 +247,7 @@ impl Delta {
     /// Arm angles for a position, rad.
     ///
     /// # Errors
-    /// The first arm that cannot take the position and why.
+    /// The first arm that cannot reach the position, with the reason.
     pub fn inverse(&self, position: &Position) -> Result<[f64; ARMS], KinematicsError> {
         let point = Vector::from(*position);
         if !point.iter().all(|value| value.is_finite()) {
@@ -279,7 +279,7 @@ impl Delta {
         Ok(angles)
     }
 
-    /// Arm angles without any check, for points that have been admitted: the nearest real pose where there is none.
+    /// Arm angles without checks, for admitted points; the nearest real pose if there is no solution.
     pub fn angles(&self, point: &Vector) -> [f64; ARMS] {
         self.azimuths.map(|azimuth| {
             let pose = self.arm_pose(azimuth, point);
@@ -287,8 +287,8 @@ impl Delta {
         })
     }
 
-    /// Derivatives of the arm angles where the path's position is `point`, its unit tangent `tangent` and its
-    /// curvature vector `bend` (1/mm). Finite wherever [`Delta::inverse`] has an answer.
+    /// Derivatives of the arm angles along a path through `point` with the unit tangent `tangent` and the curvature
+    /// vector `bend` (1/mm). Finite wherever [`Delta::inverse`] has a solution.
     pub fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
         let mut rows = JointRows::default();
         for ((azimuth, slope), second) in self.azimuths.iter().zip(&mut rows.slope).zip(&mut rows.bend) {
@@ -309,7 +309,7 @@ impl Delta {
         rows
     }
 
-    /// Distance from the singularities at a position; the ratio is negative where an arm does not reach.
+    /// Distance from the singularities at a position; the ratio is negative where an arm does not reach the position.
     pub fn conditioning(&self, position: &Position) -> Conditioning {
         let point = Vector::from(*position);
         let poses = self.azimuths.map(|azimuth| self.arm_pose(azimuth, &point));
@@ -343,8 +343,8 @@ impl Delta {
         }
     }
 
-    /// Whether every arm's angle is in a range and the singularities are as far away as asked for: a fifth of the work
-    /// of [`Delta::inverse`] and [`Delta::conditioning`], which say why not.
+    /// Whether every arm's angle is in a range and the singularities are at least the required distance away. Costs a
+    /// fifth of [`Delta::inverse`] and [`Delta::conditioning`], which also give the reason.
     pub(super) fn clears(&self, point: &Vector, range: &AngleRange, ratio_min: f64, determinant_min: f64) -> bool {
         let mut forearms = [[0.0; 3]; ARMS];
         for ((cosine, sine), forearm) in self.azimuths.iter().zip(&mut forearms) {
@@ -384,7 +384,8 @@ impl Delta {
         }
     }
 
-    /// Position of the platform for joint angles; any angles are taken, the fourth axis does not move the position.
+    /// Position of the platform for joint angles. Any angles are accepted; the fourth axis does not affect the
+    /// position.
     ///
     /// # Errors
     /// [`KinematicsError::NotFinite`], or [`KinematicsError::Apart`] where the forearms do not meet.

@@ -1,4 +1,4 @@
-//! The robot's shape: geometry, kinematics, limits and the space it may use.
+//! The robot: geometry, kinematics, limits and work area.
 //!
 //! Lengths are millimetres, angles radians. The base (shoulder) plane is z = 0, z points up, the platform works at
 //! z < 0, and a positive arm angle turns the upper arm below the horizontal.
@@ -17,7 +17,7 @@ pub const AXES: usize = 4;
 /// Number of parallel arms.
 pub const ARMS: usize = 3;
 
-/// A point of the platform's centre in the robot's frame, millimetres.
+/// Position of the platform's centre in the robot's frame, millimetres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Position {
     /// Towards arm 1's azimuth, mm.

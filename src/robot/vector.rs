@@ -1,8 +1,8 @@
 //! Three-vectors and square roots for the planner, without a heap or a software library call.
 //!
-//! `f64::sqrt` is not stable in `core` and a portable square root is a software routine on the microcontroller. Two
-//! multiplications and one subtraction a Newton step on the reciprocal root cost less, need no instruction of the
-//! target, and give the same bits on the host and on the Cortex-M7.
+//! `f64::sqrt` is not stable in `core`, and a portable square root is a software routine on the microcontroller. A
+//! Newton step on the reciprocal root takes only multiplications and one subtraction. It costs less, needs no
+//! instruction of the target, and gives identical bits on the host and on the Cortex-M7.
 
 use super::Position;
 
@@ -14,8 +14,8 @@ const RECIPROCAL_ROOT_SEED: u64 = 0x5fe6_eb50_c7b5_37a9;
 /// Newton steps on the reciprocal root: 3.5e-2, 1.8e-3, 4.7e-6, 3.3e-11, then rounding.
 const RECIPROCAL_ROOT_STEPS: usize = 4;
 
-/// 1/sqrt(x) for a normal positive `x`, within 2 units in the last place; anything else gives no meaningful value but
-/// neither traps nor loops.
+/// 1/sqrt(x) for a normal positive `x`, within 2 units in the last place; any other input gives no meaningful value,
+/// but no trap and no endless loop.
 pub fn reciprocal_root(x: f64) -> f64 {
     let mut root = f64::from_bits(RECIPROCAL_ROOT_SEED.wrapping_sub(x.to_bits() >> 1));
     let half = 0.5 * x;
@@ -25,7 +25,7 @@ pub fn reciprocal_root(x: f64) -> f64 {
     root
 }
 
-/// Square root within one unit in the last place; 0 for what is not a positive number.
+/// Square root within one unit in the last place; 0 for any input that is not a positive number.
 pub fn root(x: f64) -> f64 {
     if !(x >= f64::MIN_POSITIVE && x.is_finite()) {
         return 0.0;
@@ -45,7 +45,7 @@ pub fn subtract(a: &Vector, b: &Vector) -> Vector {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// Product with a number.
+/// Product of a vector and a number.
 pub fn scale(a: &Vector, factor: f64) -> Vector {
     [a[0] * factor, a[1] * factor, a[2] * factor]
 }

@@ -1,11 +1,12 @@
-//! The space a robot may use, and the reasons why a position is outside it.
+//! The work area: the space that a robot may use, and the reasons why a position is outside it.
 //!
 //! A position is inside when it lies in the cylinder and not too far below the plane of the paper, every arm keeps its
-//! margin from the ends of its range, and the robot is far enough from both kinds of singularity. The checks need one
-//! inverse kinematics each. The cylinder ends at the table, a plane as well.
+//! margin from the ends of its range, and the robot is far enough from both kinds of singularity. Each check needs one
+//! inverse kinematics. The cylinder ends at the table, which is a plane too.
 //!
-//! Cylinder and planes are convex; what the arms allow is not. So that a curve near checked points is inside too, they
-//! are checked with room around them: with what a step of that length can change at most.
+//! Cylinder and planes are convex; the limits of the arms are not. Checked points therefore keep a margin to the arms'
+//! limits: the largest change that a displacement of that length can cause. This keeps a curve near checked points
+//! inside too.
 
 use super::kinematics::{AngleRange, Conditioning, Delta, GeometryError, KinematicsError};
 use super::vector::Vector;
@@ -18,12 +19,12 @@ pub const RATIO_MIN: f64 = 0.35;
 /// Smallest absolute determinant of the forearms' unit vectors.
 pub const DETERMINANT_MIN: f64 = 0.2;
 
-/// What the bounds of a change are multiplied with, because they grow on the way.
+/// Factor on the bounds of a change, because these bounds grow along the displacement.
 const ROOM_FACTOR: f64 = 1.1;
 
 /// Borders of the work area: radius, two heights, paper, both ends of each arm's range, two singularities.
 const BORDERS: usize = 4 + 2 * ARMS + 2;
-/// Change of a distance to a border that is none, mm or rad.
+/// Change of a distance to a border that counts as none, mm or rad.
 const CHANGE_NONE: f64 = 1.0e-9;
 
 const _: () = assert!(RATIO_MIN > super::kinematics::RATIO_SINGULAR);
@@ -47,7 +48,7 @@ pub enum Outside {
         /// Highest, mm.
         high_mm: f64,
     },
-    /// No pose, or one outside the arm range.
+    /// The position has no pose, or a pose outside the arm range.
     Kinematics(KinematicsError),
     /// An arm is nearer to the end of its range than the margin.
     Margin {
@@ -60,7 +61,7 @@ pub enum Outside {
         /// Highest angle with margin, rad.
         high_rad: f64,
     },
-    /// An arm is too near to being in line with its forearm.
+    /// An arm is too close to being in line with its forearm.
     Stretched {
         /// Arm, from 0.
         arm: u8,
@@ -69,7 +70,7 @@ pub enum Outside {
         /// The limit.
         limit: f64,
     },
-    /// The forearms are too near to lying in a plane.
+    /// The forearms are too close to lying in one plane.
     Flat {
         /// Absolute determinant of their unit vectors.
         determinant: f64,
@@ -85,7 +86,7 @@ pub enum Outside {
     },
 }
 
-/// The space the platform may use, with the robot it belongs to.
+/// The space that the platform may use, with the robot that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkArea {
     delta: Delta,
@@ -96,7 +97,7 @@ pub struct WorkArea {
 }
 
 impl WorkArea {
-    /// No space at all: fills the place of a work area that is not configured yet.
+    /// Placeholder for a work area that is not configured yet; contains no position.
     pub(crate) const NONE: Self = Self {
         delta: Delta::NONE,
         cylinder: Cylinder {
@@ -112,7 +113,7 @@ impl WorkArea {
     /// The work area of a configuration.
     ///
     /// # Errors
-    /// A geometry that is no delta robot, or a range that its margins use up.
+    /// The dimensions do not form a valid delta robot, or the margins leave no range.
     pub fn new(config: &Config) -> Result<Self, GeometryError> {
         let [low, high] = config.geometry.arm_range_rad;
         let margin = config.geometry.arm_margin_rad;
@@ -135,7 +136,7 @@ impl WorkArea {
         &self.delta
     }
 
-    /// Whether a position is inside; [`WorkArea::check`] says why not.
+    /// Whether a position is inside; [`WorkArea::check`] gives the reason if not.
     pub fn contains(&self, position: &Position) -> bool {
         let Position { x_mm, y_mm, z_mm } = *position;
         let Cylinder {
@@ -151,7 +152,7 @@ impl WorkArea {
                 .clears(&Vector::from(*position), &self.range, RATIO_MIN, DETERMINANT_MIN)
     }
 
-    /// Checks a position and gives its arm angles, rad.
+    /// Checks a position and returns its arm angles, rad.
     ///
     /// # Errors
     /// The first reason why the position is outside.
@@ -159,7 +160,7 @@ impl WorkArea {
         self.check_around(position, 0.0)
     }
 
-    /// How far a position is beyond each border, mm, rad, or a ratio's own unit; not positive where it is inside.
+    /// Distance of a position beyond each border, mm, rad, or a ratio's own unit; zero or negative inside.
     fn beyond(&self, position: &Position) -> [f64; BORDERS] {
         let Position { x_mm, y_mm, z_mm } = *position;
         let Conditioning {
@@ -185,8 +186,8 @@ impl WorkArea {
         ]
     }
 
-    /// Checks a step of the way from a position, which may be outside: from there it may lead inwards, and nowhere else.
-    /// It leads inwards when it comes nearer to a border that the position is beyond, and gets beyond none any further.
+    /// Checks a step from a position that may be outside; from outside a step may only lead inwards. A step leads
+    /// inwards when it gets nearer to a border that the position is beyond, and no farther beyond any border.
     ///
     /// # Errors
     /// The first reason why the end of the step is outside.
@@ -196,7 +197,7 @@ impl WorkArea {
             return Err(outside);
         }
         let (before, after) = (self.beyond(from), self.beyond(to));
-        // What is not a number stays nowhere.
+        // A NaN is never inside.
         let stays = |(before, after): (&f64, &f64)| *after <= before.max(0.0) + CHANGE_NONE;
         let nearer = |(before, after): (&f64, &f64)| *before > 0.0 && *after < *before - CHANGE_NONE;
         let stays_within = before.iter().zip(&after).all(stays);
@@ -204,11 +205,11 @@ impl WorkArea {
         if enters && stays_within { Ok(()) } else { Err(outside) }
     }
 
-    /// Checks a position like [`Self::check`], and also that what the arms allow holds `room_mm` around the position;
-    /// meant for a room of a few millimetres at most.
+    /// Checks a position like [`Self::check`], with a margin of `room_mm` to the limits of the arms; meant for a few
+    /// millimetres at most.
     ///
     /// # Errors
-    /// The first reason why the position is outside; limits are given with the room taken off.
+    /// The first reason why the position is outside; the reported limits have the margin taken off.
     pub fn check_around(&self, position: &Position, room_mm: f64) -> Result<[f64; ARMS], Outside> {
         let Cylinder {
             radius_mm: limit_mm,
