@@ -1,10 +1,10 @@
-//! Requests of the slow side that ride in the cyclic frames' spare room.
+//! Acyclic requests: datagrams of the slow side in the free space of the cyclic frames.
 //!
-//! The slow side never touches the network: it queues a [`Request`] and the critical side's
+//! The slow side never accesses the network. It queues a [`Request`], and the critical side's
 //! [`Exchange`](super::cyclic::Exchange) puts it behind the cyclic datagrams of its next input telegram. There are two
-//! lanes: short requests for registers, of which several share a frame, and messages as long as a mailbox, of which a
-//! frame carries one at most. Every request gets exactly one [`Reply`], in the order of its lane, at the latest one
-//! cycle after it was sent; when the frame was lost the reply says so.
+//! lanes: short requests for registers, several of which share a frame, and messages as long as a mailbox, at most one
+//! in a frame. Every request gets exactly one [`Reply`], in the order of its lane, at most one cycle after it was sent;
+//! the reply also reports a lost frame.
 //!
 //! Invariant: a pending future of this module is polled again every millisecond; no waker is ever registered. Time is
 //! counted in polls.
@@ -16,11 +16,11 @@ use core::task::Poll;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
 
-/// Most data of a request for registers, bytes: four FMMUs, or eight sync managers.
+/// Longest data of a register request, bytes: four FMMUs, or eight sync managers.
 pub const REGISTER_BYTES_MAX: usize = 64;
-/// Most requests for registers in one frame, and on the way at a time.
+/// Most register requests in one frame, and most in flight.
 pub const IN_FLIGHT_MAX: usize = 8;
-/// How often a datagram that cannot do harm is repeated after loss or a wrong working counter.
+/// Most repetitions of a harmless datagram after a loss or a wrong working counter.
 pub const TRIES_MAX: u8 = 8;
 /// Most requests of one [`AcyclicPort::insist_all`].
 pub const INSIST_MAX: usize = 32;
@@ -28,14 +28,14 @@ pub const INSIST_MAX: usize = 32;
 /// Data of an acyclic datagram.
 pub type Bytes<const LENGTH: usize = REGISTER_BYTES_MAX> = Vec<u8, LENGTH>;
 
-/// One datagram to be sent as soon as there is room.
+/// One datagram to be sent as soon as the frame has room.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Request<const LENGTH: usize = REGISTER_BYTES_MAX> {
-    /// What is asked.
+    /// The datagram's command.
     pub command: Command,
-    /// Whom and where.
+    /// Slave and register.
     pub address: Address,
-    /// What is written, or zeros to be replaced by what is read.
+    /// Data to write, or zeros to be replaced by the data read.
     pub data: Bytes<LENGTH>,
 }
 
@@ -59,17 +59,17 @@ impl<const LENGTH: usize> Request<LENGTH> {
     }
 }
 
-/// What became of a request's frame.
+/// Result of a request's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// It came back.
+    /// The frame came back.
     Processed {
-        /// How many reads and writes the slaves counted.
+        /// Working counter: the reads and writes that the slaves counted.
         working_counter: u16,
     },
-    /// It did not come back within its cycle; whether slaves saw it is unknown.
+    /// The frame did not come back within its cycle; slaves may or may not have seen it.
     Lost,
-    /// It was not sent: the cyclic datagrams leave less room than it needs.
+    /// The datagram was not sent: the cyclic datagrams leave too little room.
     NoRoom {
         /// Longest data that would fit, bytes.
         room: u16,
@@ -81,7 +81,7 @@ pub enum Outcome {
 pub struct Reply<const LENGTH: usize = REGISTER_BYTES_MAX> {
     /// The datagram's data when it came back; empty otherwise.
     pub data: Bytes<LENGTH>,
-    /// What became of it.
+    /// Result of the request.
     pub outcome: Outcome,
 }
 
@@ -95,7 +95,7 @@ impl<const LENGTH: usize> Reply<LENGTH> {
     }
 }
 
-/// The slow side's end of one lane, and how many replies it still has to expect.
+/// The slow side's end of one lane, with the number of replies still expected.
 pub(super) struct Lane<'a, const LENGTH: usize> {
     pub(super) requests: Producer<'a, Request<LENGTH>>,
     pub(super) replies: Consumer<'a, Reply<LENGTH>>,
@@ -118,8 +118,8 @@ impl<'a, const LENGTH: usize> Lane<'a, LENGTH> {
         sent
     }
 
-    /// Takes the next reply, except those of which `later` are owed to requests behind it: they belong to a caller that
-    /// went away.
+    /// Takes the next reply and leaves `later` replies for the requests behind it. Replies owed to a caller that went
+    /// away are skipped.
     fn take(&mut self, later: usize) -> Option<Reply<LENGTH>> {
         while let Some(reply) = self.replies.dequeue() {
             let abandoned = self.owed > later;
@@ -132,7 +132,7 @@ impl<'a, const LENGTH: usize> Lane<'a, LENGTH> {
     }
 }
 
-/// The slow side's access to the slaves' registers and mailboxes, and its clock.
+/// The slow side's access to the slaves' registers and mailboxes, and its time base.
 pub struct AcyclicPort<'a, const MESSAGE: usize> {
     pub(super) registers: Lane<'a, REGISTER_BYTES_MAX>,
     pub(super) messages: Lane<'a, MESSAGE>,
@@ -149,12 +149,12 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         }
     }
 
-    /// Milliseconds that this side has waited so far, wrapping.
+    /// Milliseconds that this side has waited in total, wrapping.
     pub const fn now_ms(&self) -> u32 {
         self.polls
     }
 
-    /// Lets `duration_ms` polls pass.
+    /// Waits for `duration_ms` polls.
     pub async fn wait_ms(&mut self, duration_ms: u32) {
         let mut left = duration_ms;
         poll_fn(|_| {
@@ -172,7 +172,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         Poll::Pending
     }
 
-    /// Sends one datagram and waits for what becomes of it.
+    /// Sends one datagram and waits for its reply.
     pub async fn transact(&mut self, request: &Request) -> Reply {
         let mut sent = false;
         poll_fn(|_| {
@@ -186,8 +186,8 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         .await
     }
 
-    /// Sends one datagram that may be as long as a mailbox, and waits for what becomes of it. `build` is called when
-    /// there is room for it.
+    /// Sends one datagram that may be as long as a mailbox, and waits for its reply. `build` is called when there is
+    /// room for it.
     pub async fn transact_message(&mut self, build: impl Fn() -> Request<MESSAGE>) -> Reply<MESSAGE> {
         let mut sent = false;
         poll_fn(|_| {
@@ -201,9 +201,9 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         .await
     }
 
-    /// Sends several datagrams in as few frames as possible, and hands each one's reply to `take`, in order.
+    /// Sends several datagrams in as few frames as possible, and passes each reply to `take`, in order.
     ///
-    /// None of them may depend on another one's reply; the slaves execute them in order unless a frame gets lost.
+    /// No datagram may depend on the reply to another; the slaves execute them in order unless a frame is lost.
     pub async fn transact_all<'r>(&mut self, requests: impl Iterator<Item = &'r Request>, mut take: impl FnMut(Reply)) {
         let mut requests = requests.peekable();
         let (mut sent, mut received) = (0_usize, 0);
@@ -248,7 +248,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     }
 
     /// Sends several datagrams in as few frames as possible, each until it comes back with the working counter
-    /// `expected`, and hands each one's number and data to `take`. Requests beyond [`INSIST_MAX`] are not sent.
+    /// `expected`, and passes each one's number and data to `take`. Requests beyond [`INSIST_MAX`] are not sent.
     ///
     /// Only for datagrams that may be executed more than once and in any order.
     ///
@@ -309,7 +309,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         Ok(super::wire::read_u16(&bytes, 0))
     }
 
-    /// Writes one slave's memory; `data` beyond [`REGISTER_BYTES_MAX`] are cut off.
+    /// Writes one slave's memory; `data` beyond [`REGISTER_BYTES_MAX`] bytes are cut off.
     ///
     /// # Errors
     /// As [`Self::insist`].
@@ -318,7 +318,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         self.insist(&request, 1).await.map(|_| ())
     }
 
-    /// Writes the same register of all slaves and gives how many took it.
+    /// Writes one register of all slaves; returns how many slaves executed it.
     ///
     /// # Errors
     /// As [`Self::answered`].
@@ -327,7 +327,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         self.answered(&request).await.map(|(_, slaves)| slaves)
     }
 
-    /// Reads the same register of all slaves: the values OR-ed together, and how many slaves gave one.
+    /// Reads one register of all slaves; returns the values OR-ed together and how many slaves answered.
     ///
     /// # Errors
     /// As [`Self::answered`].
@@ -337,7 +337,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         Ok((super::wire::read_u16(&bytes, 0), slaves))
     }
 
-    /// Sends `request` until it comes back, with whatever working counter.
+    /// Sends `request` until it comes back, with any working counter.
     ///
     /// # Errors
     /// [`BusError::Lost`] after [`TRIES_MAX`] tries, or [`BusError::NoRoom`].
@@ -354,7 +354,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     }
 }
 
-/// Whether a request was executed as often as expected.
+/// Checks whether a request was executed as often as expected.
 fn verdict(reply: &Reply, request: &Request, expected: u16) -> Result<(), BusError> {
     match reply.outcome {
         Outcome::Processed { working_counter } if working_counter == expected => Ok(()),

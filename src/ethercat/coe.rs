@@ -1,13 +1,13 @@
-//! Reading and writing a slave's objects by SDO, and asking for what there is.
+//! SDO client: reads and writes a slave's objects and queries its object dictionary.
 //!
-//! Values of up to four bytes travel in one message, longer ones in one message as far as it reaches and then in
-//! segments, whose toggle bit alternates. Complete access transfers all sub-indices of an object at once; sub-index 0
-//! then takes 16 bits. Protocol: CiA 301, in the mailbox of IEC 61158-6-12.
+//! Values of up to four bytes travel in one message. Longer values fill one message and continue in segments, whose
+//! toggle bit alternates. Complete access transfers all sub-indices of an object at once; sub-index 0 then takes 16
+//! bits. Protocol: CiA 301, in the mailbox of IEC 61158-6-12.
 //!
-//! Every answer is checked against its request. An answer for another object is left over from earlier and is passed
-//! over; one that breaks the transfer ends it with an abort to the slave, so that both sides know.
+//! Every answer is checked against its request. An answer for another object belongs to an earlier request and is
+//! skipped; an answer that violates the transfer ends it with an abort to the slave, so that both sides know.
 //!
-//! Invariant: an abort of the slave reaches the caller with object and code; no transfer is longer than its buffer.
+//! Invariant: an abort by the slave reaches the caller with object and code; no transfer is longer than its buffer.
 
 use super::acyclic::{AcyclicPort, Bytes};
 use super::error::BusError;
@@ -26,7 +26,7 @@ const EXPEDITED_MAX: usize = 4;
 
 /// Device type (CiA 301), which every slave with a dictionary has.
 pub const DEVICE_TYPE: Object = Object::new(0x1000, 0);
-/// How long a slave is given to answer to a counter that it may have had last, ms. A slower one is asked twice.
+/// Time for a slave to answer to a counter that may equal its last one, ms. A slower slave is asked twice.
 const JOIN_WAIT_MS: u32 = 100;
 
 const ABORT_TOGGLE: u32 = 0x0503_0000;
@@ -46,14 +46,14 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         Self { port, mailbox }
     }
 
-    /// Makes the mailbox of a slave usable that someone else may have talked to.
+    /// Makes the mailbox usable after another master may have used it.
     ///
-    /// The slave takes a message with the counter of the last one it got for a repetition and stays silent, and which
-    /// counter that was cannot be read. So it is asked for its device type, which it may well be asked twice: of two
-    /// counters one at least differs from the last.
+    /// A slave treats a message with the counter of its last message as a repetition and does not answer; that counter
+    /// cannot be read. The slave is therefore asked for its device type with two counters, one of which at least
+    /// differs from the last. Asking twice is harmless.
     ///
     /// # Errors
-    /// Those of the mailbox, but for a mailbox error, which is an answer too.
+    /// Errors of the mailbox, except a mailbox error, which is an answer too.
     pub async fn join(&mut self) -> Result<(), BusError> {
         let request = Sdo::Upload {
             object: DEVICE_TYPE,
@@ -90,12 +90,12 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         Ok(value)
     }
 
-    /// Reads an object into `buffer` and gives its length in bytes; with `complete` all its sub-indices from the
+    /// Reads an object into `buffer` and returns its length in bytes; with `complete` all its sub-indices from the
     /// object's (0 or 1) on.
     ///
     /// # Errors
-    /// [`BusError::SdoAbort`]; [`BusError::SdoAnswer`], [`BusError::SdoToggle`] or [`BusError::SdoLength`] for an answer
-    /// that does not fit the transfer, which is then aborted; or those of the mailbox.
+    /// [`BusError::SdoAbort`]; [`BusError::SdoAnswer`], [`BusError::SdoToggle`] or [`BusError::SdoLength`] for an
+    /// answer that does not fit the transfer, which is then aborted; or errors of the mailbox.
     pub async fn upload_into(&mut self, object: Object, complete: bool, buffer: &mut [u8]) -> Result<usize, BusError> {
         let answer = self.ask(object, &Sdo::Upload { object, complete }).await?;
         let (size, here) = match Sdo::parse_response(&answer) {
@@ -127,7 +127,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     async fn upload_segments(&mut self, object: Object, value: &mut [u8], filled: usize) -> Result<(), BusError> {
         let mut filled = filled;
         let mut toggle = false;
-        // Each turn adds a byte at least, or is the last.
+        // Each iteration adds a byte at least, or is the last.
         for _ in 0..=value.len() {
             let answer = self.ask(object, &Sdo::UploadSegment { toggle }).await?;
             let (actual, last, data) = match Sdo::parse_response(&answer) {
@@ -192,7 +192,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     ///
     /// # Errors
     /// [`BusError::SdoAbort`]; [`BusError::SdoAnswer`] or [`BusError::SdoToggle`] for an answer that does not fit the
-    /// transfer, which is then aborted; [`BusError::Range`] beyond 4 GiB; or those of the mailbox.
+    /// transfer, which is then aborted; [`BusError::Range`] beyond 4 GiB; or errors of the mailbox.
     pub async fn download(&mut self, object: Object, complete: bool, data: &[u8]) -> Result<(), BusError> {
         let Ok(size) = u32::try_from(data.len()) else {
             return Err(BusError::Range { object });
@@ -245,7 +245,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         Ok(())
     }
 
-    /// Sends a request and gives the answer that belongs to it; an abort becomes an error.
+    /// Sends a request and returns its answer; an abort becomes an error.
     async fn ask(&mut self, object: Object, request: &Sdo<'_>) -> Result<Bytes<MESSAGE>, BusError> {
         let emit = |data: &mut [u8]| {
             // The data are as long as the request says.
@@ -263,23 +263,23 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         }
     }
 
-    /// Aborts a transfer that the slave has broken, and gives the reason.
+    /// Aborts a transfer that the slave has violated; returns the reason.
     async fn give_up<T>(&mut self, object: Object, code: u32, error: BusError) -> Result<T, BusError> {
         let abort = Sdo::Abort { object, code };
         let emit = |data: &mut [u8]| {
             let _ = abort.emit(data);
         };
-        // The reason counts, not whether the slave could be told.
+        // The reason is returned whether or not the slave received the abort.
         let _ = self.mailbox.send(self.port, Protocol::Coe, abort.len(), emit).await;
         Err(error)
     }
 
-    /// Hands the indices of a list to `take` and gives how many there were. For [`ObjectList::Lengths`] it is the
+    /// Passes the indices of a list to `take` and returns how many there were. [`ObjectList::Lengths`] gives the
     /// lengths of the five lists instead.
     ///
     /// # Errors
     /// [`BusError::SdoAbort`] when the slave refuses, [`BusError::SdoAnswer`] for an answer that is no such list, or
-    /// those of the mailbox. The object of both is 0:0.
+    /// errors of the mailbox. The object of both is 0:0.
     pub async fn list(&mut self, list: ObjectList, mut take: impl FnMut(u16)) -> Result<usize, BusError> {
         const NUMBER_LEN: usize = 2;
         let object = Object::new(0, 0);
@@ -313,10 +313,10 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         Err(BusError::SdoAnswer { object })
     }
 
-    /// Asks for an object's description and hands it to `take`; a name that comes in several fragments is cut.
+    /// Asks for an object's description and passes it to `take`; a name in several fragments is cut.
     ///
     /// # Errors
-    /// [`BusError::SdoAbort`] when the slave refuses, or those of the mailbox.
+    /// [`BusError::SdoAbort`] when the slave refuses, or errors of the mailbox.
     pub async fn describe<R>(
         &mut self,
         index: u16,
@@ -335,7 +335,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         self.skip_fragments(object, described).await
     }
 
-    /// Asks for the description of one entry of an object and hands it to `take`; as [`Self::describe`].
+    /// Asks for the description of one entry of an object and passes it to `take`; a name in several fragments is cut.
     ///
     /// # Errors
     /// As [`Self::describe`].
@@ -360,7 +360,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
         self.skip_fragments(object, described).await
     }
 
-    /// Receives the fragments behind a first one, if there are any, without looking at them.
+    /// Receives the fragments behind a first one, if there are any, and ignores them.
     async fn skip_fragments<R>(
         &mut self,
         object: Object,
@@ -372,13 +372,14 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
                 break;
             }
             let answer = self.next_fragment(object).await?;
-            // Behind the two headers' first bytes, the operation's highest bit says whether it goes on.
+            // The highest bit of the operation, in the first byte behind the two headers, tells whether more fragments
+            // follow.
             incomplete = InformationRepr::parse(&answer).is_ok_and(|repr| repr.incomplete);
         }
         Ok(result)
     }
 
-    /// Sends a question about the object dictionary and gives the first fragment of the answer.
+    /// Sends a query about the object dictionary and returns the first fragment of the answer.
     async fn inform(&mut self, object: Object, question: Information<'_>) -> Result<Bytes<MESSAGE>, BusError> {
         let request = InformationRepr::request(question);
         let emit = |data: &mut [u8]| {
@@ -405,7 +406,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     }
 }
 
-/// Makes an error of an answer by which the slave refuses.
+/// Converts a slave's refusal into an error.
 fn refusal<const MESSAGE: usize>(answer: Bytes<MESSAGE>, object: Object) -> Result<Bytes<MESSAGE>, BusError> {
     match InformationRepr::parse(&answer) {
         Ok(InformationRepr {
@@ -416,7 +417,7 @@ fn refusal<const MESSAGE: usize>(answer: Bytes<MESSAGE>, object: Object) -> Resu
     }
 }
 
-/// Whether a CoE message answers a question about the object dictionary; an answer to an earlier one does not.
+/// Whether a CoE message answers a query about the object dictionary; an answer to an earlier query does not.
 fn answers(data: &[u8], question: Information<'_>) -> bool {
     match (question, InformationRepr::parse(data).map(|repr| repr.body)) {
         (_, Ok(Information::Error { .. })) => true,
@@ -427,15 +428,15 @@ fn answers(data: &[u8], question: Information<'_>) -> bool {
     }
 }
 
-/// Whether a CoE message answers `request` for `object`, rightly or wrongly; one that is about another object is left
-/// over from an earlier request and does not.
+/// Whether a CoE message answers `request` for `object`, correctly or not; a message about another object answers an
+/// earlier request.
 fn belongs(data: &[u8], request: &Sdo<'_>, object: Object) -> bool {
     if !matches!(Service::parse(data), Ok(Service::SdoResponse | Service::SdoRequest)) {
         return false;
     }
     let segmented = matches!(request, Sdo::UploadSegment { .. } | Sdo::DownloadSegment { .. });
     match Sdo::parse_response(data) {
-        // Slaves that answer a segment by an abort copy its data to where the index should be.
+        // Slaves that answer a segment with an abort copy the segment's data to the place of the index.
         Ok(Sdo::Abort { object: theirs, .. }) => segmented || theirs.index == object.index,
         Ok(
             Sdo::UploadExpedited { object: theirs, .. }
@@ -460,8 +461,8 @@ fn length_error(object: Object, expected: usize, actual: usize) -> BusError {
     }
 }
 
-/// The value of sub-index 0 and those behind it, out of what complete access from sub-index 0 on has read; sub-index 0
-/// takes 16 bits there.
+/// Splits a value read by complete access from sub-index 0 on into the value of sub-index 0, which takes 16 bits there,
+/// and the values behind it.
 pub fn split_complete(value: &[u8]) -> Option<(u8, &[u8])> {
     let (&[count, _], rest) = value.split_first_chunk::<2>()?;
     Some((count, rest))
@@ -510,7 +511,7 @@ pub const fn abort_text(code: u32) -> &'static str {
     }
 }
 
-/// What to try on an SDO abort code.
+/// Suggested remedy for an SDO abort code.
 pub const fn abort_hint(code: u32) -> &'static str {
     match code {
         0x0503_0000 | 0x0504_0000 => "repeat; look for lost frames if it persists",

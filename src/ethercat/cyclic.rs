@@ -1,13 +1,13 @@
-//! The exchange of the critical task: process data out and in, once a millisecond.
+//! The exchange of the critical task: process data in both directions, once a millisecond.
 //!
 //! Each cycle starts with the input telegram: a datagram for each slave (LRD; LRW when inputs and outputs are exchanged
-//! together), the AL status of all, the reference clock's time, and requests of the slow side in the spare room. When
-//! inputs and outputs are exchanged apart, it ends with the output telegram: one LWR for each slave. Each slave's data
-//! travel in datagrams of their own, so one slave's failure costs the others nothing. Frames are built once for a plan;
-//! a cycle stamps an index, and outputs are written into the frame where they stand.
+//! together), the AL status of all slaves, the reference clock's time, and requests of the slow side in the free space.
+//! When inputs and outputs are exchanged apart, the cycle ends with the output telegram: one LWR for each slave. Each
+//! slave's data travel in separate datagrams, so a failed slave does not affect the data of the others. Frames are
+//! built once for a plan; each cycle stamps an index, and outputs are written directly into the frame.
 //!
-//! Invariants: bounded time, no allocation, no waiting; a reply is used at most once, only in its own cycle, and only if
-//! index, state, command, address and length of every datagram in it are those that were sent; everything else is
+//! Invariants: bounded time, no allocation, no waiting. A reply is used at most once, only in its own cycle, and only
+//! if index, state, command, address and length of every datagram in it equal what was sent; every other frame is
 //! dropped and counted by kind.
 
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
@@ -22,13 +22,13 @@ use crate::queue;
 use crate::robot::AXES;
 use heapless::spsc::{Consumer, Producer};
 
-/// Cycles in a row without a reply after which the bus counts as silent.
+/// Consecutive cycles without a reply after which the bus counts as silent.
 pub const SILENT_CYCLES: u8 = 10;
 
-/// Most acyclic datagrams of a frame while drives are in operation: the cycle is then as short as it can be.
+/// Most acyclic datagrams in a frame while drives are in operation, which keeps the cycle as short as possible.
 const IN_OPERATION_MAX: usize = 1;
 
-/// How many frames back an index still counts as late rather than foreign.
+/// Age in frames up to which an index still counts as late and not as foreign.
 const LATE_FRAMES: u8 = 64;
 
 /// The AL status of all slaves.
@@ -40,38 +40,38 @@ pub struct AlStatus {
     pub slaves: u16,
 }
 
-/// What the critical side tells the supervisor whenever it changes.
+/// Bus state that the critical side reports to the supervisor whenever it changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observation {
-    /// The last AL status; zeros when silent.
+    /// The last AL status; zeros when the bus is silent.
     pub al: AlStatus,
-    /// One bit for each slave whose process data came with the right working counter.
+    /// One bit for each slave whose process data had the expected working counter.
     pub answered: u32,
-    /// No reply at all for [`SILENT_CYCLES`] cycles.
+    /// Whether [`SILENT_CYCLES`] cycles passed without any reply.
     pub silent: bool,
 }
 
-/// What a received frame was.
+/// Kind of a received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
     /// This cycle's inputs.
     Input,
     /// The acknowledgement of this cycle's outputs.
     Output,
-    /// Nothing to be used; counted.
+    /// A frame that is not used; counted.
     Ignored(Ignored),
 }
 
-/// What the exchange has counted since it started.
+/// Counters of the exchange since start-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusCounters {
     /// Telegrams built.
     pub frames_sent: u32,
     /// Telegrams whose reply had not come when the next cycle began.
     pub frames_lost: u32,
-    /// Replies that came in a later cycle; each was counted as lost before.
+    /// Replies that came in a later cycle; each was also counted as lost.
     pub frames_late: u32,
-    /// Datagrams of watched slaves that came back with another working counter than expected.
+    /// Datagrams of watched slaves that came back with an unexpected working counter.
     pub working_counter_errors: u32,
     /// Dropped frames by kind; the index is [`Ignored`] as a number.
     pub ignored: [u32; IGNORED_KINDS],
@@ -86,21 +86,21 @@ impl BusCounters {
 
 /// The critical side's ends of the queues to the supervisor.
 pub struct ExchangeEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
-    /// Plans to be exchanged from the next cycle on.
+    /// Plans, each used from the next cycle on.
     pub plans: Consumer<'a, CyclicPlan<SLAVES>>,
     /// Requests for registers.
     pub requests: Consumer<'a, Request>,
-    /// Their replies.
+    /// Replies to the register requests.
     pub replies: Producer<'a, Reply>,
     /// Messages to and from mailboxes.
     pub messages: Consumer<'a, Request<MESSAGE>>,
-    /// Their replies.
+    /// Replies to the mailbox messages.
     pub message_replies: Producer<'a, Reply<MESSAGE>>,
-    /// What was seen on the bus.
+    /// Bus states for the supervisor.
     pub observations: Producer<'a, Observation>,
 }
 
-/// Where a slave's outputs stand in the frame that carries them, by the present plan.
+/// Place of a slave's outputs in the frame that carries them, valid for the present plan.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OutputPlace {
     start: u16,
@@ -126,7 +126,7 @@ pub struct Exchange<'a, const SLAVES: usize, const MESSAGE: usize> {
     al: Option<AlStatus>,
     clock_ns: Option<u64>,
     next_index: u8,
-    /// A request for registers went last: a message's turn.
+    /// Whether the next turn belongs to a message: the last acyclic datagram was a register request.
     message_is_next: bool,
     source_bit_seen: bool,
     silent_cycles: u8,
@@ -135,7 +135,7 @@ pub struct Exchange<'a, const SLAVES: usize, const MESSAGE: usize> {
 }
 
 impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE> {
-    /// An exchange without a plan, sending from `source`, in Ethernet frames of EtherCAT's own type.
+    /// An exchange without a plan that sends from `source`, in Ethernet frames with EtherCAT's own EtherType.
     pub fn new(end: ExchangeEnd<'a, SLAVES, MESSAGE>, source: MacAddress) -> Self {
         const { assert!(SLAVES <= 32, "the slaves that answered are reported in 32 bits") };
         let mut exchange = Self {
@@ -165,7 +165,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         exchange
     }
 
-    /// Wraps the telegrams in another envelope from the next one on; what is on the way is lost.
+    /// Sends the following telegrams in another envelope; frames in flight are lost.
     pub fn set_envelope(&mut self, envelope: Envelope) {
         if envelope != self.envelope {
             self.settle();
@@ -175,7 +175,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Starts a cycle: settles the last one, takes a new plan, and gives the input telegram to be sent.
+    /// Starts a cycle: settles the last one, takes a new plan, and returns the input telegram to send.
     pub fn input_telegram(&mut self) -> &[u8] {
         self.settle();
         while self.end.plans.ready() {
@@ -192,7 +192,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.first.send(index)
     }
 
-    /// Gives the output telegram with the present outputs; empty when no slave has outputs that are sent after control.
+    /// Returns the output telegram with the present outputs; empty when no slave has outputs that are sent after
+    /// control.
     pub fn output_telegram(&mut self) -> &[u8] {
         if self.second.is_empty() {
             return &[];
@@ -202,7 +203,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.second.send(index)
     }
 
-    /// Takes a received frame (without check sequence): uses it if it is this cycle's, drops it otherwise.
+    /// Takes a received frame (without check sequence): uses it if it belongs to this cycle, otherwise drops it.
     pub fn receive(&mut self, frame: &[u8]) -> Arrival {
         match self.accept(frame) {
             Ok(arrival) => arrival,
@@ -218,7 +219,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// This cycle's inputs of a slave (position in the chain); `None` unless they came with the right working counter.
+    /// This cycle's inputs of a slave (position in the chain); `None` unless they came with the expected working
+    /// counter.
     #[inline]
     pub fn input(&self, slave: usize) -> Option<&[u8]> {
         let length = usize::from(self.plan.slaves.get(slave)?.input_length);
@@ -228,7 +230,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.images.get(slave)?.as_flattened().get(..length)
     }
 
-    /// As [`Self::input`], in the room for the longest process data: what lies behind a slave's inputs has no meaning.
+    /// This cycle's inputs of a slave in a buffer of the longest length; bytes behind the slave's inputs have no
+    /// meaning. `None` as for [`Self::input`].
     #[inline]
     pub fn image(&self, slave: usize) -> Option<&[u8; PROCESS_BYTES_MAX]> {
         let image = self.images.get(slave)?;
@@ -236,19 +239,18 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         image.as_flattened().first_chunk().filter(|_| valid)
     }
 
-    /// The outputs of a slave (position in the chain) as the next telegram that carries them will take them; empty where
-    /// there are none.
+    /// The outputs of a slave (position in the chain) that the next telegram will carry; empty if the slave has none.
     #[inline]
     pub fn output(&mut self, slave: usize) -> &mut [u8] {
         self.output_at(self.output_place(slave))
     }
 
-    /// Where the outputs of a slave (position in the chain) are, until the next plan.
+    /// Place of the outputs of a slave (position in the chain), valid until the next plan.
     pub fn output_place(&self, slave: usize) -> OutputPlace {
         self.outputs.get(slave).copied().unwrap_or_default()
     }
 
-    /// The outputs at a place, as [`Self::output`].
+    /// The outputs at a place, as in [`Self::output`].
     #[inline]
     pub fn output_at(&mut self, place: OutputPlace) -> &mut [u8] {
         let telegram = match self.plan.exchange {
@@ -260,7 +262,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             .unwrap_or(&mut [])
     }
 
-    /// This cycle's AL status of the slaves in use, and the number of all slaves.
+    /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
     pub fn al_status(&self) -> Option<AlStatus> {
         self.al.map(|al| AlStatus {
             status: al.status & !self.plan.al_bits_ignored,
@@ -268,13 +270,13 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         })
     }
 
-    /// This cycle's time of the reference clock, ns, when all slaves that take part have got it; only the low 32 bits
-    /// where the clocks have no more.
+    /// This cycle's time of the reference clock, ns, if all participating slaves received it; only the low 32 bits if
+    /// the clocks are 32 bits wide.
     pub fn clock_ns(&self) -> Option<u64> {
         self.clock_ns
     }
 
-    /// What has been counted.
+    /// The counters.
     pub fn counters(&self) -> BusCounters {
         self.counters
     }
@@ -284,7 +286,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         &self.plan
     }
 
-    /// Number of the plan in force, wrapping: another one after every change.
+    /// Number of the plan in force, wrapping; changes with every plan.
     #[inline]
     pub fn plan_number(&self) -> u32 {
         self.plan_number
@@ -301,7 +303,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         index
     }
 
-    /// Ends a cycle: what has not come is lost, and the supervisor learns what changed.
+    /// Ends a cycle: missing replies count as lost, and the supervisor is informed of changes.
     fn settle(&mut self) {
         let mut lost = 0;
         if self.first.state == SlotState::Sent {
@@ -341,13 +343,13 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Builds the telegrams of a plan; outputs of shares that stay where they were and keep their role are kept.
+    /// Builds the telegrams of a plan; outputs are kept for slaves whose share and role are unchanged.
     fn adopt(&mut self, plan: CyclicPlan<SLAVES>) {
         let mut kept = [[0; PROCESS_BYTES_MAX]; SLAVES];
         for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
             let old = self.plan.slaves.get(number).copied().unwrap_or_default();
             let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
-            // Outputs that nobody writes any more go back to zero.
+            // Outputs that are no longer written return to zero.
             if same && old.role == new.role {
                 super::wire::write_bytes(kept, 0, self.output(number));
             }
@@ -393,8 +395,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Puts what the slow side asks for behind the cyclic datagrams: requests for registers, and one message. In operation
-    /// the two lanes take turns, so that neither waits for more than one datagram of the other.
+    /// Appends the slow side's datagrams behind the cyclic ones: register requests, and one message. In operation the
+    /// two lanes alternate, so that neither waits for more than one datagram of the other.
     #[cold]
     fn append_acyclic(&mut self) {
         let room = self.first.room();
@@ -412,7 +414,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         self.first.finish_acyclic(&self.envelope);
     }
 
-    /// Appends at most so many requests for registers, as long as they fit; gives how many.
+    /// Appends at most `most` register requests as room permits; returns how many.
     fn append_requests(&mut self, room: usize, most: usize) -> usize {
         let mut owed = 0;
         for _ in 0..most {
@@ -425,10 +427,10 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
             }
             if request.data.len() > room {
                 if owed > 0 {
-                    // Replies come in order: this one waits for those of the requests before it.
+                    // Replies come in order: this reply waits for those of the requests before it.
                     break;
                 }
-                // There is room, as was asked above.
+                // There is room; it was checked above.
                 let no_room = Outcome::NoRoom { room: room as u16 };
                 let _ = queue::put(&mut self.end.replies, Reply::without_data(no_room));
             } else if self
@@ -444,7 +446,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         owed
     }
 
-    /// Appends the message that waits, if there is one and it fits.
+    /// Appends the waiting message, if there is one and it fits.
     fn append_message(&mut self, room: usize) -> bool {
         let Some(message) = queue::front(&self.end.messages) else {
             return false;
@@ -498,7 +500,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// What a frame is whose index is not in use.
+    /// Kind of a frame whose index is not in use.
     #[cold]
     fn stranger(&self, index: u8) -> Ignored {
         let age = self.next_index.wrapping_sub(index);
@@ -520,13 +522,13 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         }
     }
 
-    /// Gives every acyclic request of the input telegram its reply.
+    /// Replies to every acyclic request of the input telegram.
     #[cold]
     fn answer_acyclic(&mut self, payload: &[u8]) {
         let (replies, message_replies) = (&mut self.end.replies, &mut self.end.message_replies);
         self.first.each_acyclic(payload, |place, data, working_counter| {
             let outcome = Outcome::Processed { working_counter };
-            // Room was kept when the request was taken.
+            // Room was reserved when the request was taken.
             if place.is_message {
                 let _ = queue::put(
                     message_replies,
@@ -547,10 +549,10 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, SLAVES, MESSAGE
         });
     }
 
-    /// Tells the slow side that the acyclic requests of the input telegram are lost.
+    /// Reports the acyclic requests of the input telegram to the slow side as lost.
     fn answer_lost(&mut self) {
         for place in &self.first.acyclic {
-            // Room was kept when the request was taken.
+            // Room was reserved when the request was taken.
             if place.is_message {
                 let _ = queue::put(&mut self.end.message_replies, Reply::without_data(Outcome::Lost));
             } else {

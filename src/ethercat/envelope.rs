@@ -1,8 +1,8 @@
-//! What is wrapped around the datagrams on their way to the segment.
+//! Envelopes: the headers around the datagrams.
 //!
-//! The headers are written once when a frame is built; sending only touches them when a frame's length has changed.
+//! The headers are written once when a frame is built; sending only changes them when the frame's length has changed.
 //!
-//! Invariant: opening a received frame reads nothing beyond its end and decides nothing but whose it is.
+//! Invariant: opening a received frame reads nothing beyond its end and only decides whose frame it is.
 
 use super::telegram::Ignored;
 use super::wire::{
@@ -13,15 +13,15 @@ use super::wire::{
 const LENGTH_MASK: u16 = 0x07FF;
 const TYPE_SHIFT: u16 = 12;
 
-/// How EtherCAT travels.
+/// Transport of EtherCAT.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Envelope {
-    /// In Ethernet frames of its own type.
+    /// In Ethernet frames with EtherCAT's own EtherType.
     #[default]
     Raw,
     /// In UDP, with these headers.
     Udp(UdpRepr),
-    /// Without any: EtherCAT header and datagrams, for transports that wrap them themselves, such as sockets.
+    /// Without further headers: EtherCAT header and datagrams only, for transports that add their own, such as sockets.
     Bare,
 }
 
@@ -44,7 +44,7 @@ impl Envelope {
         }
     }
 
-    /// Writes the headers, but for the lengths.
+    /// Writes the headers without the lengths.
     pub(super) fn emit(&self, frame: &mut [u8], source: MacAddress) {
         match self {
             Self::Raw => {
@@ -52,13 +52,13 @@ impl Envelope {
                 write_bytes(frame, 6, &source);
                 write_bytes(frame, 12, &ETHERTYPE.to_be_bytes());
             }
-            // Headers with lengths come when the frame is closed.
+            // Headers that contain lengths are written when the frame is closed.
             Self::Udp(_) | Self::Bare => {}
         }
     }
 
-    /// Writes the lengths of a frame whose datagrams end at `end`. Gives how many bytes are to be sent; those behind the
-    /// end have to be zero.
+    /// Writes the lengths of a frame whose datagrams end at `end`. Returns how many bytes to send; those behind `end`
+    /// have to be zero.
     pub(super) fn close(&self, frame: &mut [u8], end: usize) -> usize {
         let start = self.header_len();
         let length = end.saturating_sub(start) as u16 & LENGTH_MASK;
@@ -94,7 +94,7 @@ impl Envelope {
     }
 }
 
-/// Checks an Ethernet header. Gives what follows it, and whether the source is marked.
+/// Checks an Ethernet header. Returns its payload and whether the source is marked.
 #[inline]
 fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool), Ignored> {
     let content = frame
@@ -123,8 +123,8 @@ fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool)
     Ok((content, differs != 0))
 }
 
-/// Checks headers of Ethernet, IPv4 and UDP. Gives the UDP payload of an answer, or of an own packet that slave
-/// controllers have passed on as it was.
+/// Checks the headers of Ethernet, IPv4 and UDP. Returns the UDP payload of an answer, or of an own packet that slave
+/// controllers passed on unchanged.
 #[inline(never)]
 fn open_udp<'f>(frame: &'f [u8], own: &UdpRepr) -> Result<&'f [u8], Ignored> {
     let (found, payload) = UdpRepr::parse(frame).map_err(|error| match error {

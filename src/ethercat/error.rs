@@ -1,9 +1,8 @@
-//! Everything that can go wrong between the master and one slave.
+//! Errors of the bus as seen by the slow side.
 //!
-//! One flat enum for the slow side; the critical side counts instead
-//! ([`BusCounters`](super::cyclic::BusCounters)).
+//! One flat enum for the slow side; the critical side uses counters ([`BusCounters`](super::cyclic::BusCounters)).
 //!
-//! Invariant: every variant carries what was expected and what was found, or what was tried for how long.
+//! Invariant: every variant carries the expected and actual value, or what was tried for how long.
 
 use super::wire::coe::Object;
 use crate::board::PortState;
@@ -17,14 +16,14 @@ pub enum BusError {
         /// How often it was tried.
         tries: u8,
     },
-    /// Frames came back, but other slaves than expected executed the datagram.
+    /// Frames came back, but the expected slaves did not execute the datagram.
     WorkingCounter {
         /// Working counter expected.
         expected: u16,
         /// Working counter found.
         actual: u16,
     },
-    /// Another number of slaves than expected.
+    /// The number of slaves differs from the expected one.
     SlaveCount {
         /// Slaves expected.
         expected: u16,
@@ -38,7 +37,7 @@ pub enum BusError {
         /// Drives found.
         actual: u8,
     },
-    /// Another product at this place than before.
+    /// A slave was replaced by a different product.
     Identity {
         /// Product code expected.
         expected: u32,
@@ -62,29 +61,29 @@ pub enum BusError {
     },
     /// The SII stayed busy.
     SiiBusy {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u32,
     },
     /// The SII reports an error.
     Sii {
-        /// Its control and status register.
+        /// The SII's control and status register.
         status: u16,
     },
-    /// The slave has no mailbox, or a larger one than a datagram may carry.
+    /// The slave has no mailbox, or its mailbox is too long for a datagram.
     MailboxLength {
         /// Longest allowed, bytes.
         expected: u16,
         /// Length found, bytes.
         actual: u16,
     },
-    /// The slave did not take or give a mailbox in time.
+    /// The slave did not accept or send a mailbox message in time.
     MailboxTimeout {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u32,
     },
-    /// The slave answered by a mailbox error.
+    /// The slave answered with a mailbox error.
     Mailbox {
-        /// Its reason, see [`error_text`](super::wire::mailbox::error_text).
+        /// Reason, see [`error_text`](super::wire::mailbox::error_text).
         detail: u16,
     },
     /// The slave aborted an SDO transfer.
@@ -99,12 +98,12 @@ pub enum BusError {
         /// The object asked for.
         object: Object,
     },
-    /// The slave's toggle bit did not alternate: a segment was lost or came twice.
+    /// The slave's toggle bit did not alternate: a segment was lost or repeated.
     SdoToggle {
         /// The object.
         object: Object,
     },
-    /// An object has another length than expected.
+    /// An object's length differs from the expected one.
     SdoLength {
         /// The object.
         object: Object,
@@ -113,7 +112,7 @@ pub enum BusError {
         /// Bytes found.
         actual: u32,
     },
-    /// An object was written, but reads back differently.
+    /// An object reads back differently after it was written.
     ReadBack {
         /// The object.
         object: Object,
@@ -122,7 +121,7 @@ pub enum BusError {
         /// Value read.
         actual: u32,
     },
-    /// An object that the drive is to be used by is not in its process data, or has another length there.
+    /// A required object is missing in the drive's process data, or its length differs.
     Mapping {
         /// The object.
         object: Object,
@@ -131,14 +130,14 @@ pub enum BusError {
         /// Bits found; 0 when it is not mapped.
         actual: u8,
     },
-    /// An object in the process data does not begin with a byte.
+    /// An object in the process data does not begin at a byte boundary.
     Alignment {
         /// The object.
         object: Object,
-        /// The bit it begins with.
+        /// Its first bit.
         bit: u16,
     },
-    /// A slave has more process data in one direction than there is room for.
+    /// A slave has too much process data in one direction.
     ProcessLength {
         /// Most bytes allowed.
         expected: u16,
@@ -150,61 +149,61 @@ pub enum BusError {
         /// The object.
         object: Object,
     },
-    /// The slave refused a state or went to another one.
+    /// The slave refused a state or went to a different one.
     State {
-        /// AL state asked for.
+        /// AL state requested.
         expected: u8,
-        /// AL state there is, with the error flag.
+        /// Actual AL state with the error flag.
         actual: u8,
         /// AL status code, see [`al_code_text`](super::state::al_code_text).
         code: u16,
     },
     /// The slave did not reach a state in time.
     StateTimeout {
-        /// AL state asked for.
+        /// AL state requested.
         expected: u8,
-        /// AL state there is, with the error flag.
+        /// Actual AL state with the error flag.
         actual: u8,
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u32,
     },
-    /// More slaves than there is room for.
+    /// The chain has more slaves than the master supports.
     TooManySlaves {
-        /// Room.
+        /// Most slaves supported.
         expected: u16,
         /// Slaves found.
         actual: u16,
     },
-    /// The cyclic datagrams leave no room in the frame for one this long.
+    /// The cyclic datagrams leave too little room in the frame for this datagram.
     NoRoom {
-        /// Bytes of data to be sent.
+        /// Bytes of data to send.
         expected: u16,
         /// Longest data that would fit, bytes.
         actual: u16,
     },
-    /// The cyclic exchange did not take the plan or gets no inputs of this slave.
+    /// The cyclic exchange did not take the plan, or gets no inputs of this slave.
     NoInputs {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u32,
     },
     /// The Ethernet port has no link.
     NoLink {
-        /// What its PHY says.
+        /// State that its PHY reports.
         port: PortState,
     },
     /// A slave's clock does not follow the reference.
     ClockDifference {
         /// Largest difference allowed, ns.
         expected_ns: u32,
-        /// Difference there is, ns; positive when the slave is ahead.
+        /// Actual difference, ns; positive when the slave is ahead.
         actual_ns: i32,
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u32,
     },
 }
 
 impl BusError {
-    /// The slave's own number for it: AL status code or SDO abort code; 0 where there is none.
+    /// The slave's own code of the error: AL status code or SDO abort code; 0 if there is none.
     pub const fn code(&self) -> u32 {
         match self {
             Self::SdoAbort { code, .. } => *code,

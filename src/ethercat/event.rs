@@ -1,6 +1,6 @@
-//! What the application tells the supervisor, and what it hears from it.
+//! Commands to the supervisor and events from it.
 //!
-//! Invariant: every event stands for itself; losing one leaves the others true.
+//! Invariant: every event stands alone; if one is lost the others remain valid.
 
 use super::error::BusError;
 use super::state::AlReport;
@@ -11,7 +11,7 @@ use crate::board::PortState;
 use crate::config::{Axis, Bus};
 use crate::robot::AXES;
 
-/// What the bus is expected to be.
+/// Expected bus.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BusSetup {
     /// The bus.
@@ -24,13 +24,13 @@ pub struct BusSetup {
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time, in static memory
 pub enum BusCommand {
-    /// Bring the bus up from whatever state it is in.
+    /// Bring the bus up from any state.
     Start(BusSetup),
-    /// Bring lost slaves back; bring the bus up again if that has failed before.
+    /// Bring lost slaves back; if the last bring-up failed, bring the bus up again.
     Recover,
-    /// Take all slaves out of OP, after safe outputs, and leave the bus alone.
+    /// Send safe outputs, take all slaves out of OP, then leave the bus alone.
     Stop,
-    /// The Ethernet port's link came or went.
+    /// The Ethernet port's link state changed.
     Port(PortState),
 }
 
@@ -40,40 +40,40 @@ pub enum BusCommand {
 pub enum Step {
     /// Counting the slaves.
     Discover,
-    /// Bringing all to INIT.
+    /// Bringing all slaves to INIT.
     Reset,
-    /// Giving station addresses.
+    /// Assigning station addresses.
     Address,
     /// Reading identity and mailbox from the SII.
     Identify,
-    /// Finding a lost slave at its place.
+    /// Finding a lost slave in the chain.
     Locate,
-    /// To INIT.
+    /// Going to INIT.
     Init,
     /// Setting up the mailbox.
     Mailbox,
-    /// To PREOP.
+    /// Going to PREOP.
     PreOperational,
     /// Writing objects by CoE.
     Objects,
     /// Setting up sync managers, FMMUs and watchdogs.
     ProcessData,
-    /// To SAFEOP.
+    /// Going to SAFEOP.
     SafeOperational,
     /// Waiting for cyclic inputs.
     CyclicData,
-    /// To OP.
+    /// Going to OP.
     Operational,
     /// Setting up the distributed clocks.
     Clocks,
-    /// Other slaves changed while one was being brought up or repaired.
+    /// Another slave changed during a bring-up or a repair.
     Watch,
 }
 
-/// What the supervisor has to report.
+/// Event from the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusEvent {
-    /// That many slaves are in the chain.
+    /// The slaves in the chain were counted.
     Found {
         /// Number of slaves.
         slaves: u16,
@@ -82,9 +82,9 @@ pub enum BusEvent {
     Slave {
         /// Place in the chain, from 0.
         position: u8,
-        /// Who it is.
+        /// Identity.
         identity: Identity,
-        /// Name for people.
+        /// Name for display.
         name: &'static str,
         /// The axis it drives, if it is used.
         axis: Option<u8>,
@@ -93,7 +93,7 @@ pub enum BusEvent {
     },
     /// All drives are in OP.
     Operational,
-    /// A slave does not answer any more.
+    /// A slave no longer answers.
     SlaveLost {
         /// Place in the chain, from 0.
         position: u8,
@@ -116,32 +116,32 @@ pub enum BusEvent {
     Emergency {
         /// Place in the chain, from 0.
         position: u8,
-        /// What it says.
+        /// Content of the emergency.
         emergency: Emergency,
     },
-    /// A cable has damaged frames or lost its link.
+    /// A cable damages frames or has lost its link.
     CableErrors {
-        /// The slave at whose port it was counted: place in the chain, from 0.
+        /// The slave at whose port the errors were counted: place in the chain, from 0.
         position: u8,
         /// The port, 0 to 3.
         port: u8,
-        /// The slave at the other end; `None` is the master, or not known.
+        /// The slave at the other end; `None` if it is the master or not known.
         partner: Option<u8>,
-        /// How much the port's counters have grown.
+        /// Increase of the port's counters.
         count: u16,
     },
-    /// A slave's processor stood still for longer than its watchdog allows, while its controller went on answering.
+    /// A slave's processor stopped for longer than its watchdog allows, while its slave controller went on answering.
     ProcessorStopped {
         /// Place in the chain, from 0.
         position: u8,
-        /// Expiries that its watchdog has counted.
+        /// Expiries counted by its watchdog.
         expiries: u8,
     },
     /// Bring-up or repair failed.
     Refused {
-        /// The slave, if it is about one: place in the chain, from 0.
+        /// The slave concerned, if any: place in the chain, from 0.
         position: Option<u8>,
-        /// What was tried.
+        /// The step that failed.
         step: Step,
         /// Why it failed.
         error: BusError,
@@ -149,7 +149,7 @@ pub enum BusEvent {
 }
 
 impl BusEvent {
-    /// What the event means to the operating modes; `None` when nothing.
+    /// Bus condition for the operating modes; `None` if the event does not affect them.
     pub fn condition(&self) -> Option<BusCondition> {
         let refused = match *self {
             Self::Operational => return Some(BusCondition::Operational),

@@ -1,10 +1,10 @@
-//! From a slave's identity to what it is used as.
+//! Driver selection: from a slave's identity to its drive type.
 //!
-//! A product that no description knows is asked for its device type, if it speaks CoE; a servo drive of CiA 402 is used
-//! as the generic one. All others get no driver: they are reported with their identity, carry no process data and
-//! disturb nobody. A new drive type is a line in [`DRIVES`], see [`drives`](crate::drives).
+//! A slave with an unknown product is asked for its device type, if it supports CoE; a servo drive of CiA 402 is used
+//! as the generic type. All other slaves get no driver: they are reported with their identity, carry no process data
+//! and affect nothing else. A new drive type is a line in [`DRIVES`], see [`drives`](crate::drives).
 //!
-//! Invariant: vendor and product, or the device type, decide; revisions and serial numbers do not.
+//! Invariant: only vendor and product, or the device type, decide; revision and serial number do not.
 
 use super::wire::sii::{FixedPart, Identity, PROTOCOL_COE};
 use crate::drives::{DriveKind, Recognition, akd, ax2000, generic};
@@ -12,7 +12,7 @@ use crate::drives::{DriveKind, Recognition, akd, ax2000, generic};
 /// All drive types.
 pub static DRIVES: [DriveKind; 3] = [&ax2000::AX2000, &akd::AKD, &generic::GENERIC];
 
-/// The drive type of a product; `None` for those that no description names.
+/// The drive type of a product; `None` if no description has the product.
 pub fn drive_kind(identity: &Identity) -> Option<DriveKind> {
     let product = Recognition::Product {
         vendor: identity.vendor,
@@ -21,18 +21,18 @@ pub fn drive_kind(identity: &Identity) -> Option<DriveKind> {
     DRIVES.into_iter().find(|kind| kind.recognition == product)
 }
 
-/// The drive type of a device type (object 0x1000); `None` for everything that is not driven.
+/// The drive type of a device type (object 0x1000); `None` if it is not a drive.
 pub fn drive_kind_by_type(device_type: u32) -> Option<DriveKind> {
     let device_type = Recognition::DeviceType(device_type);
     DRIVES.into_iter().find(|kind| kind.recognition == device_type)
 }
 
-/// Whether a slave has to be asked for its device type to know what it is.
+/// Whether a slave has to be asked for its device type to select the driver.
 pub fn is_to_be_asked(fixed: &FixedPart) -> bool {
     drive_kind(&fixed.identity).is_none() && fixed.protocols & PROTOCOL_COE != 0
 }
 
-/// Name of a slave for people.
+/// Name of a slave for display.
 pub fn name(kind: Option<DriveKind>) -> &'static str {
     kind.map_or("unknown device", |kind| kind.name)
 }

@@ -1,13 +1,13 @@
-//! Messages to and from one slave through its mailbox.
+//! Mailbox communication with one slave.
 //!
-//! The master writes the whole window of sync manager 0 and reads the whole window of sync manager 1. Frames get lost
-//! on the way, and neither side may execute or miss a message because of that: an unanswered write is looked after
-//! before it is repeated with the same counter, and a lost answer is fetched again through the repeat bit of sync
-//! manager 1 (IEC 61158-4-12, mailbox).
+//! The master writes the whole window of sync manager 0 and reads the whole window of sync manager 1. Frames may be
+//! lost, and then neither side may execute a message twice or miss one. The master checks an unanswered write before it
+//! repeats the message with the same counter, and fetches a lost answer again through the repeat bit of sync manager 1
+//! (IEC 61158-4-12, mailbox).
 //!
-//! Emergencies may come at any time; they wait in [`Emergencies`] until somebody takes them.
+//! Emergencies may come at any time; they are kept in [`Emergencies`] until they are taken.
 //!
-//! Invariant: a request is handed to the slave's application once; waiting always ends.
+//! Invariant: a request is passed to the slave's application once; every wait ends.
 
 use super::acyclic::{AcyclicPort, Bytes, Outcome, Reply, Request, no_room, zeros};
 use super::error::BusError;
@@ -16,20 +16,20 @@ use super::wire::mailbox::{self, MAILBOX_HEADER_LEN, MailboxRepr, Protocol};
 use super::wire::sii::MailboxWindow;
 use super::wire::{Address, Command, read_u8, register};
 
-/// Longest wait for a slave to take or give a message, ms.
+/// Longest wait for a slave to accept or send a message, ms.
 pub const MAILBOX_TIMEOUT_MS: u32 = 1_000;
-/// Most emergencies that wait to be taken.
+/// Most emergencies kept.
 pub const EMERGENCIES_MAX: usize = 4;
-/// How long an answer is waited for when the fate of the request is unknown, ms.
+/// Longest wait for an answer when it is unknown whether the request arrived, ms.
 const UNKNOWN_FATE_MS: u32 = 20;
-/// How long an answer is waited for before the slave is asked for a repeat of its last message, ms.
+/// Wait for an answer after which the slave is asked to repeat its last message, ms.
 const REPEAT_AFTER_MS: u32 = 500;
-/// How long a repeat is waited for in that case, ms.
+/// Longest wait for that repetition, ms.
 const REPEAT_WAIT_MS: u32 = 100;
-/// Most messages thrown away before a request.
+/// Most messages discarded before a request.
 const DRAIN_MAX: usize = 8;
 
-/// The emergencies of one slave that nobody has taken yet, oldest first.
+/// Emergencies of one slave that were not taken yet, oldest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emergencies {
     places: [Emergency; EMERGENCIES_MAX],
@@ -39,7 +39,7 @@ pub struct Emergencies {
 }
 
 impl Emergencies {
-    /// Appends one; the oldest gives way when there is no place, and is counted.
+    /// Appends an emergency; if there is no room the oldest is dropped and counted.
     fn push(&mut self, emergency: Emergency) {
         if usize::from(self.count) == EMERGENCIES_MAX {
             self.pop();
@@ -52,7 +52,7 @@ impl Emergencies {
         }
     }
 
-    /// Takes the oldest.
+    /// Takes the oldest emergency.
     fn pop(&mut self) -> Option<Emergency> {
         self.count = self.count.checked_sub(1)?;
         let oldest = self.places.get(usize::from(self.first)).copied();
@@ -70,19 +70,19 @@ pub struct Mailbox {
     out: MailboxWindow,
     input: MailboxWindow,
     counter: u8,
-    /// Counter of the slave's last message, 0 if it does not count.
+    /// Counter of the slave's last message; 0 if the slave does not count.
     received: Option<u8>,
     unexpected: u16,
-    /// The last exchange ended with its answer: nothing from before can be taken for the next one.
+    /// Whether the last exchange ended with its answer: no stale message can be taken for the next one.
     settled: bool,
     emergencies: Emergencies,
 }
 
 impl Mailbox {
-    /// A mailbox with the windows of the slave's SII, over a port whose datagrams carry up to `MESSAGE` bytes.
+    /// A mailbox with the windows from the slave's SII, over a port whose datagrams carry up to `MESSAGE` bytes.
     ///
     /// # Errors
-    /// [`BusError::MailboxLength`] when there is none or a window is longer than one datagram may carry.
+    /// [`BusError::MailboxLength`] when there is no mailbox or a window is longer than one datagram may carry.
     pub fn new<const MESSAGE: usize>(station: u16, out: MailboxWindow, input: MailboxWindow) -> Result<Self, BusError> {
         for window in [out, input] {
             let length = usize::from(window.length);
@@ -106,22 +106,22 @@ impl Mailbox {
         usize::from(self.out.length).saturating_sub(MAILBOX_HEADER_LEN)
     }
 
-    /// The oldest emergency that nobody has taken; each is handed out once.
+    /// The oldest emergency that was not taken yet; each is returned once.
     pub fn take_emergency(&mut self) -> Option<Emergency> {
         self.emergencies.pop()
     }
 
-    /// How many emergencies gave way to younger ones.
+    /// Number of emergencies dropped in favour of newer ones.
     pub const fn emergencies_dropped(&self) -> u16 {
         self.emergencies.dropped
     }
 
-    /// How many messages came that nobody had asked for, besides emergencies.
+    /// Number of messages received without a request, besides emergencies.
     pub const fn unexpected(&self) -> u16 {
         self.unexpected
     }
 
-    /// Throws away what the slave still has to say from before; emergencies are kept.
+    /// Discards old messages of the slave; emergencies are kept.
     ///
     /// # Errors
     /// As [`AcyclicPort::insist`].
@@ -131,7 +131,7 @@ impl Mailbox {
                 break;
             }
             let message = self.fetch(port).await?;
-            // Whatever it is, nobody waits for it any more.
+            // Nothing waits for this message any more.
             if !matches!(self.dispatch(Protocol::Coe, &message), Ok(None)) {
                 self.unexpected = self.unexpected.saturating_add(1);
             }
@@ -139,10 +139,10 @@ impl Mailbox {
         Ok(())
     }
 
-    /// Sends a request and gives the service data of its answer; see [`Self::send`] and [`Self::receive`].
+    /// Sends a request and returns the service data of its answer; see [`Self::send`] and [`Self::receive`].
     ///
     /// # Errors
-    /// Those of both.
+    /// Errors of [`Self::send`] and [`Self::receive`].
     pub async fn exchange<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
@@ -161,8 +161,8 @@ impl Mailbox {
         Ok(answer)
     }
 
-    /// Waits for a message of `protocol` that `accept` recognises by its service data, which are given; messages of
-    /// other kinds that come in between are dispatched.
+    /// Waits for a message of `protocol` whose service data `accept` recognises, and returns these data; messages of
+    /// other kinds that arrive meanwhile are dispatched.
     ///
     /// # Errors
     /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], or as [`AcyclicPort::insist`].
@@ -192,7 +192,7 @@ impl Mailbox {
             if self.is_full(port, 1).await? {
                 let before = self.received;
                 let mut message = self.fetch(port).await?;
-                // A repeat may bring the message that came before the request.
+                // A repetition may bring the message that came before the request.
                 let is_stale = repeated && self.received == before;
                 let answer = if is_stale {
                     None
@@ -213,11 +213,11 @@ impl Mailbox {
             if waited_ms > limit_ms {
                 return Err(BusError::MailboxTimeout { waited_ms });
             }
-            // A message of a slave that does not count could not be told from the one before.
+            // If the slave does not count, a repeated message could not be told from a new one.
             if !repeated && waited_ms > REPEAT_AFTER_MS && self.received != Some(0) {
                 repeated = true;
                 match self.ask_again(port, REPEAT_WAIT_MS).await {
-                    // Nothing to be repeated: the answer may still come.
+                    // Nothing to repeat: the answer may still come.
                     Ok(()) | Err(BusError::MailboxTimeout { .. }) => {}
                     Err(error) => return Err(error),
                 }
@@ -236,7 +236,7 @@ impl Mailbox {
         Ok(read_u8(&byte, 0) & register::MAILBOX_FULL_BIT != 0)
     }
 
-    /// Sends `length` bytes of service data that `emit` writes, as soon as the slave has taken the message before.
+    /// Sends `length` bytes of service data written by `emit`, as soon as the slave has taken the previous message.
     ///
     /// # Errors
     /// [`BusError::MailboxTimeout`], [`BusError::MailboxLength`], [`BusError::NoRoom`], or as [`AcyclicPort::insist`].
@@ -278,7 +278,7 @@ impl Mailbox {
         loop {
             match port.transact_message(write).await.outcome {
                 Outcome::Processed { working_counter: 1 } => return Ok(()),
-                // Full: the slave has not taken the message before.
+                // Full: the slave has not taken the previous message.
                 Outcome::Processed { working_counter: 0 } => {}
                 Outcome::NoRoom { room } => return Err(no_room(self.out.length.into(), room)),
                 Outcome::Processed { .. } | Outcome::Lost => {
@@ -294,7 +294,7 @@ impl Mailbox {
         }
     }
 
-    /// Waits a moment for an answer to a request of unknown fate.
+    /// Waits briefly for the answer to a request that may not have arrived.
     async fn answer_comes<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<bool, BusError> {
         let started_ms = port.now_ms();
         while port.now_ms().wrapping_sub(started_ms) < UNKNOWN_FATE_MS {
@@ -363,8 +363,8 @@ impl Mailbox {
         }
     }
 
-    /// The service data of a message of `protocol`; `None` for messages of other kinds, of which emergencies are kept
-    /// and the others counted.
+    /// The service data of a message of `protocol`; `None` for other messages. Emergencies among them are kept, the
+    /// rest is counted.
     fn dispatch<'m>(&mut self, protocol: Protocol, message: &'m [u8]) -> Result<Option<&'m [u8]>, BusError> {
         let (header, data) = match (MailboxRepr::parse(message), mailbox::service_data(message)) {
             (Ok(header), Ok(data)) => (header, data),
@@ -373,7 +373,7 @@ impl Mailbox {
                 return Ok(None);
             }
         };
-        // A slave without a last message repeats an empty one, which is no error.
+        // A slave without a last message repeats an empty one; that is not an error.
         if header.protocol == Protocol::Error && !data.is_empty() {
             return Err(BusError::Mailbox {
                 detail: mailbox::ErrorReply::parse(data).map_or(0, |reply| reply.detail),
@@ -393,7 +393,7 @@ impl Mailbox {
     }
 }
 
-/// Leaves the `length` bytes of service data of a message.
+/// Reduces a message to its `length` bytes of service data.
 fn strip_header<const MESSAGE: usize>(message: &mut Bytes<MESSAGE>, length: usize) {
     let end = MAILBOX_HEADER_LEN + length;
     if end <= message.len() {

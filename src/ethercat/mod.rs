@@ -1,10 +1,11 @@
 //! EtherCAT master: finds, configures, exchanges with and repairs the slaves of one segment.
 //!
-//! Two sides share it. The critical side ([`cyclic::Exchange`] over [`transport`]) exchanges process data once a
-//! millisecond; the slow side ([`supervisor::Supervisor`]) is `async` code that is polled once a millisecond. They meet
-//! in the lock-free queues of [`BusQueues`], and nothing here allocates, blocks or panics, whatever the wire brings.
+//! The master has two sides. The critical side ([`cyclic::Exchange`] over [`transport`]) exchanges process data once a
+//! millisecond. The slow side ([`supervisor::Supervisor`]) is `async` code that is polled once a millisecond. They
+//! communicate through the lock-free queues of [`BusQueues`]. The master never allocates, blocks or panics, whatever
+//! arrives on the wire.
 //!
-//! Deliberately absent: cable redundancy, and every use of a waker. A pending future is polled again every millisecond.
+//! Not supported: cable redundancy. Wakers are not used: a pending future is polled again every millisecond.
 
 pub mod acyclic;
 #[cfg(test)]
@@ -47,13 +48,13 @@ use heapless::spsc::{Consumer, Producer, Queue};
 use service::{ServiceRequest, ServiceResult};
 use supervisor::SupervisorEnd;
 
-/// Room of a queue that holds `IN_FLIGHT_MAX` entries; one place of a queue stays empty.
+/// Size of a queue that holds `IN_FLIGHT_MAX` entries; one place of a queue stays empty.
 const ACYCLIC_PLACES: usize = IN_FLIGHT_MAX + 1;
 
-/// The queues between critical side, supervisor and application; they live in static memory.
+/// The queues between critical side, supervisor and application; in static memory.
 ///
-/// `SLAVES` is the most slaves on the bus, up to 32; `MESSAGE` the longest acyclic datagram in bytes, which is the
-/// longest mailbox window that can be used.
+/// `SLAVES` is the maximum number of slaves on the bus, up to 32; `MESSAGE` is the longest acyclic datagram in bytes,
+/// which is also the longest usable mailbox window.
 #[derive(Debug)]
 pub struct BusQueues<const SLAVES: usize, const MESSAGE: usize> {
     plans: Queue<CyclicPlan<SLAVES>, 3>,
@@ -72,11 +73,11 @@ pub struct BusQueues<const SLAVES: usize, const MESSAGE: usize> {
 pub struct ApplicationEnd<'a> {
     /// Orders to the supervisor.
     pub commands: Producer<'a, BusCommand>,
-    /// Its reports; to be taken at least every few milliseconds.
+    /// Events of the supervisor; take them at least every few milliseconds.
     pub events: Consumer<'a, BusEvent>,
-    /// Requests beside the robot's work; one at a time.
+    /// Service requests; one at a time.
     pub services: Producer<'a, ServiceRequest>,
-    /// Their answers, in order.
+    /// Answers to the service requests, in order.
     pub answers: Consumer<'a, ServiceResult>,
 }
 
@@ -97,7 +98,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> BusQueues<SLAVES, MESSAGE> {
         }
     }
 
-    /// The ends for the three sides.
+    /// Splits into the ends for the three sides.
     pub fn split(
         &mut self,
     ) -> (

@@ -1,9 +1,9 @@
-//! What is exchanged each cycle, and whether it fits.
+//! The cyclic plan: what is exchanged each cycle, and whether it fits into the frames.
 //!
-//! The supervisor makes a plan, asks [`CyclicPlan::check`] whether it can be exchanged, and hands it to the critical
-//! side, which builds its frames from it.
+//! The supervisor makes a plan, checks with [`CyclicPlan::check`] whether it can be exchanged, and passes it to the
+//! critical side, which builds its frames from it.
 //!
-//! Invariant: each slave's data travel in datagrams of their own, whatever the kind of exchange.
+//! Invariant: each slave's data travel in separate datagrams, in every kind of exchange.
 
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
 use crate::drives::DriveKind;
@@ -20,25 +20,25 @@ pub(super) const HEADERS_LEN_MAX: usize = 14 + 20 + 8 + 2;
 /// Bytes of the AL status register that are read each cycle.
 pub(super) const AL_STATUS_LEN: usize = 2;
 
-/// When inputs are read and outputs written.
+/// When inputs are read and outputs are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ExchangeKind {
-    /// Inputs at the start of the cycle, outputs of the same cycle after control.
+    /// Inputs at the start of the cycle, outputs after control in the same cycle.
     #[default]
     Split,
-    /// Both at the start of the cycle: the outputs are those of the cycle before.
+    /// Both at the start of the cycle; the outputs are those of the previous cycle.
     Combined,
 }
 
-/// Which axis a slave drives, and how.
+/// The axis that a slave drives, with drive type and layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DriveRole {
     /// Axis, from 0.
     pub axis: u8,
-    /// Its drive type.
+    /// Drive type.
     pub kind: DriveKind,
-    /// Where its values lie in its process data.
+    /// Layout of the values in the process data.
     pub layout: ProcessLayout,
 }
 
@@ -53,23 +53,23 @@ pub struct CyclicSlave {
     pub output_address: u32,
     /// Bytes of its outputs, at most [`PROCESS_BYTES_MAX`]; 0 for none.
     pub output_length: u16,
-    /// Whether a missing answer is an error; not while it is being configured or known to be lost.
+    /// Whether a missing answer is an error; false while the slave is being configured or known to be lost.
     pub watched: bool,
-    /// The axis it drives, if it is a drive that is used.
+    /// The axis that the slave drives, if it is a drive in use.
     pub role: Option<DriveRole>,
     /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
     /// off in between.
     pub generation: u8,
 }
 
-/// The slave whose clock all others follow: its time is read and written to those behind it in each cycle.
+/// The reference clock: its time is read in each cycle and written to the slaves behind it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReferenceClock {
     /// Its station address.
     pub station: u16,
-    /// How many slaves take part, itself included: the working counter expected.
+    /// Number of slaves that take part, including the reference: the expected working counter.
     pub slaves: u16,
-    /// Whether all of them have clocks of 64 bits; otherwise the low 32 bits travel.
+    /// Whether all participating clocks have 64 bits; otherwise the low 32 bits are sent.
     pub wide: bool,
 }
 
@@ -79,23 +79,23 @@ impl ReferenceClock {
     }
 }
 
-/// What is exchanged each cycle: the slaves in chain order.
+/// Plan of the cyclic exchange; slaves in chain order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CyclicPlan<const SLAVES: usize> {
     /// The slaves; those without process data have lengths of 0.
     pub slaves: Vec<CyclicSlave, SLAVES>,
-    /// When inputs are read and outputs written.
+    /// When inputs are read and outputs are written.
     pub exchange: ExchangeKind,
-    /// The clock to be spread, if there is one.
+    /// The reference clock, if there is one.
     pub clock: Option<ReferenceClock>,
-    /// Bits of the AL status that come from slaves which are not used.
+    /// AL status bits that come from slaves that are not in use.
     pub al_bits_ignored: u16,
 }
 
 /// Why a plan cannot be exchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlanError {
-    /// A slave has more process data in one direction than there is room for.
+    /// A slave has too much process data in one direction.
     ProcessData {
         /// Place in the chain, from 0.
         slave: u8,
@@ -110,10 +110,10 @@ pub enum PlanError {
         slave: u8,
         /// Longest stretch allowed, bytes.
         expected: u32,
-        /// Stretch planned, bytes.
+        /// Planned length, bytes.
         actual: u32,
     },
-    /// The cyclic datagrams and one acyclic datagram of the length asked for are too long for a frame.
+    /// The cyclic datagrams and an acyclic datagram of the requested length do not fit into a frame.
     Room {
         /// Bytes that a frame carries.
         expected: usize,
@@ -123,11 +123,12 @@ pub enum PlanError {
 }
 
 impl<const SLAVES: usize> CyclicPlan<SLAVES> {
-    /// Whether the plan can be exchanged, in any envelope, with room for an acyclic datagram of `message` bytes of data.
+    /// Checks that the plan can be exchanged in any envelope, with room for an acyclic datagram of `message` bytes of
+    /// data.
     ///
     /// # Errors
-    /// [`PlanError`]: the first reason found. Slaves without a valid share, and those beyond the end of the frame, are
-    /// not exchanged; acyclic datagrams that do not fit are answered by
+    /// The first [`PlanError`] found. Slaves without a valid share, and those beyond the end of the frame, are not
+    /// exchanged; acyclic datagrams that do not fit are answered by
     /// [`Outcome::NoRoom`](super::acyclic::Outcome::NoRoom).
     pub fn check(&self, message: usize) -> Result<(), PlanError> {
         for (number, slave) in (0..).zip(&self.slaves) {
@@ -149,7 +150,7 @@ impl<const SLAVES: usize> CyclicPlan<SLAVES> {
     }
 }
 
-/// One slave's datagram, and where its inputs and outputs lie in the data.
+/// One slave's datagram, and the places of its inputs and outputs in the data.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Window {
     pub(super) command: Command,
@@ -240,7 +241,7 @@ impl CyclicSlave {
         }
     }
 
-    /// The slave's datagram at the start of a cycle; `None` when it has none or its share is not valid.
+    /// The slave's datagram at the start of a cycle; `None` if it has none or its share is invalid.
     pub(super) fn first_window(&self, kind: ExchangeKind) -> Option<Window> {
         self.check(0, kind).ok()?;
         match kind {
@@ -251,7 +252,7 @@ impl CyclicSlave {
         }
     }
 
-    /// The slave's datagram after control; `None` when it has none or its share is not valid.
+    /// The slave's datagram after control; `None` if it has none or its share is invalid.
     pub(super) fn second_window(&self, kind: ExchangeKind) -> Option<Window> {
         self.check(0, kind).ok()?;
         match kind {

@@ -1,11 +1,11 @@
-//! What a person or a tool may ask of the bus beside the robot's work.
+//! Service requests: diagnosis and configuration of the bus by a person or a tool.
 //!
 //! On a computer, requests reach the supervisor through its queues; in the firmware they come over the link. The
 //! supervisor carries them out between its own duties, in the free space of the cyclic frames. Long values travel in
 //! pieces of [`PIECE_BYTES_MAX`]: the first piece (offset 0) fetches the value from the slave, further pieces come from
 //! the supervisor's memory.
 //!
-//! Invariant: every request gets exactly one answer; none of them disturbs the cyclic data of another slave.
+//! Invariant: every request gets exactly one answer; no request disturbs the cyclic data of another slave.
 
 use super::error::BusError;
 use super::state::{AlReport, AlState};
@@ -25,35 +25,35 @@ pub const NAME_BYTES_MAX: usize = 64;
 
 /// A part of a value.
 pub type Piece = Vec<u8, PIECE_BYTES_MAX>;
-/// A name for people; longer ones are cut off.
+/// A name for display; a longer one is cut off.
 pub type Name = String<NAME_BYTES_MAX>;
 
-/// A question or an order. Slaves are counted in chain order, from 0.
+/// A service request. Slaves are counted in chain order, from 0.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum ServiceRequest {
-    /// How many slaves there are and what the frames tell; answered by [`ServiceReply::Bus`].
+    /// Number of slaves and state of the frames; answered by [`ServiceReply::Bus`].
     Bus,
-    /// Who a slave is and how it is configured; answered by [`ServiceReply::Slave`].
+    /// Identity and configuration of a slave; answered by [`ServiceReply::Slave`].
     Slave {
-        /// Which.
+        /// The slave.
         slave: u8,
     },
     /// Bring a slave to a state, step by step; answered by [`ServiceReply::State`].
     ///
-    /// A slave that was brought below OP is left there until it is asked up again.
+    /// A slave that was brought below OP stays there until it is requested to go up again.
     SetState {
-        /// Which.
+        /// The slave.
         slave: u8,
-        /// Where to.
+        /// Target state.
         state: AlState,
     },
-    /// Read an object by SDO; answered by [`ServiceReply::Piece`]. Needs the mailbox: a slave in INIT is brought to
-    /// PREOP before.
+    /// Read an object by SDO; answered by [`ServiceReply::Piece`]. Needs the mailbox: a slave in INIT is first brought
+    /// to PREOP.
     Upload {
-        /// Which.
+        /// The slave.
         slave: u8,
-        /// The object; with `complete`, sub-index 0 or 1 to begin with.
+        /// The object; with `complete`, the first sub-index (0 or 1).
         object: Object,
         /// All sub-indices in one value (complete access).
         complete: bool,
@@ -63,69 +63,69 @@ pub enum ServiceRequest {
     /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes the
     /// value.
     Download {
-        /// Which.
+        /// The slave.
         slave: u8,
-        /// The object; with `complete`, sub-index 0 or 1 to begin with.
+        /// The object; with `complete`, the first sub-index (0 or 1).
         object: Object,
         /// All sub-indices in one value (complete access).
         complete: bool,
         /// Bytes of the whole value.
         total: u16,
-        /// Where this piece belongs; pieces come in order.
+        /// Offset of this piece; pieces come in order.
         offset: u16,
         /// The piece.
         piece: Piece,
     },
     /// The indices of a slave's object dictionary (SDO information); answered by [`ServiceReply::Objects`].
     Objects {
-        /// Which.
+        /// The slave.
         slave: u8,
         /// Number of the first index wanted, from 0.
         first: u16,
     },
     /// The description of an object (SDO information); answered by [`ServiceReply::Object`].
     DescribeObject {
-        /// Which.
+        /// The slave.
         slave: u8,
         /// Index of the object.
         index: u16,
     },
     /// The description of an entry of an object (SDO information); answered by [`ServiceReply::Entry`].
     DescribeEntry {
-        /// Which.
+        /// The slave.
         slave: u8,
         /// The entry.
         object: Object,
     },
     /// Read registers or memory of a slave controller; answered by [`ServiceReply::Piece`].
     Registers {
-        /// Which.
+        /// The slave.
         slave: u8,
         /// First register.
         address: u16,
-        /// Bytes, at most [`PIECE_BYTES_MAX`].
+        /// Length, bytes; at most [`PIECE_BYTES_MAX`].
         length: u16,
     },
     /// Read the slave information memory; answered by [`ServiceReply::Piece`], shorter where the memory ends.
     Information {
-        /// Which.
+        /// The slave.
         slave: u8,
         /// First word.
         word: u16,
-        /// Bytes, at most [`PIECE_BYTES_MAX`].
+        /// Length, bytes; at most [`PIECE_BYTES_MAX`].
         length: u16,
     },
     /// The error counters of a slave's ports; answered by [`ServiceReply::Errors`].
     Errors {
-        /// Which.
+        /// The slave.
         slave: u8,
     },
-    /// Sets the error counters of all slaves to 0; answered by [`ServiceReply::Done`].
+    /// Reset the error counters of all slaves; answered by [`ServiceReply::Done`].
     ClearErrors,
 }
 
 impl ServiceRequest {
-    /// The slave that it is about; `None` for those about the whole bus.
+    /// The slave that the request is about; `None` for requests about the whole bus.
     pub const fn slave(&self) -> Option<u8> {
         match *self {
             Self::Bus | Self::ClearErrors => None,
@@ -142,35 +142,35 @@ impl ServiceRequest {
         }
     }
 
-    /// Whether it changes anything on a slave.
+    /// Whether the request changes anything on a slave.
     pub const fn changes(&self) -> bool {
         matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors)
     }
 }
 
-/// The bus as a whole.
+/// State of the whole bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BusInfo {
     /// Slaves that the supervisor knows.
     pub slaves: u8,
-    /// Slaves that answered last.
+    /// Slaves that answered in the last cycle.
     pub answering: u16,
     /// The slaves' AL status registers, OR-ed together.
     pub al_status: u16,
-    /// Whether all used slaves were brought to OP.
+    /// Whether all slaves in use were brought to OP.
     pub operational: bool,
-    /// The slave whose clock is the reference, if clocks are distributed.
+    /// The slave with the reference clock, if clocks are distributed.
     pub reference_clock: Option<u8>,
 }
 
 /// One port of a slave controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortInfo {
-    /// A cable with a live partner.
+    /// Whether the port has a link to a partner.
     pub link: bool,
-    /// Frames are turned round here.
+    /// Whether the port's loop is closed.
     pub loop_closed: bool,
-    /// Frames come in here.
+    /// Whether the port receives frames.
     pub communicates: bool,
     /// The slave at the other end of the cable.
     pub partner: Option<u8>,
@@ -179,32 +179,32 @@ pub struct PortInfo {
 /// A slave's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockInfo {
-    /// 64-bit system time; else 32-bit.
+    /// Whether the system time has 64 bits; otherwise it has 32.
     pub is_64_bit: bool,
     /// Delay of the frames from the reference clock, ns.
     pub delay_ns: u32,
-    /// Difference to the reference clock as the slave measures it, ns; what is beyond 31 bits is cut off.
+    /// Difference to the reference clock as measured by the slave, ns; limited to 31 bits.
     pub difference_ns: i32,
 }
 
-/// One slave.
+/// Description of one slave.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SlaveInfo {
     /// Station address.
     pub station: u16,
     /// Configured alias from the SII.
     pub alias: u16,
-    /// Who it is.
+    /// Identity.
     pub identity: Identity,
-    /// Name from the SII, or else that of the driver; empty where there is neither.
+    /// Name from the SII, or else of the driver; empty if there is neither.
     pub name: Name,
-    /// Name of the driver; empty for devices that are not driven.
+    /// Name of the driver; empty for devices without a driver.
     pub driver: Name,
     /// The axis it drives, if it is used.
     pub axis: Option<u8>,
     /// AL state, error flag and code.
     pub report: AlReport,
-    /// CiA 402 status word, if it is a drive whose inputs come.
+    /// CiA 402 status word, if the slave is a drive whose inputs arrive.
     pub status_word: Option<u16>,
     /// Mailbox that the master writes.
     pub mailbox_out: MailboxWindow,
@@ -231,7 +231,7 @@ pub struct SlaveErrors {
     pub ports: [PortErrors; PORTS],
     /// The slave at the other end of each port's cable.
     pub partners: [Option<u8>; PORTS],
-    /// Errors of the processing unit: frames that were no EtherCAT.
+    /// Errors of the processing unit: frames that were not EtherCAT.
     pub processing_unit: u8,
     /// Errors of the slave's own processor interface.
     pub processor_interface: u8,
@@ -273,33 +273,33 @@ pub struct EntryInfo {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
 pub enum ServiceReply {
-    /// It was carried out.
+    /// The request was carried out.
     Done,
-    /// To [`ServiceRequest::Bus`].
+    /// Answer to [`ServiceRequest::Bus`].
     Bus(BusInfo),
-    /// To [`ServiceRequest::Slave`].
+    /// Answer to [`ServiceRequest::Slave`].
     Slave(SlaveInfo),
-    /// To [`ServiceRequest::SetState`]: the state there is.
+    /// Answer to [`ServiceRequest::SetState`]: the actual state.
     State(AlReport),
     /// A part of a value.
     Piece {
         /// Bytes of the whole value.
         total: u16,
-        /// The part that was asked for.
+        /// The requested part.
         piece: Piece,
     },
-    /// To [`ServiceRequest::Objects`].
+    /// Answer to [`ServiceRequest::Objects`].
     Objects {
-        /// How many there are.
+        /// Number of objects in total.
         total: u16,
-        /// From the first one asked for.
+        /// Indices from the first one requested.
         indices: Vec<u16, INDICES_MAX>,
     },
-    /// To [`ServiceRequest::DescribeObject`].
+    /// Answer to [`ServiceRequest::DescribeObject`].
     Object(ObjectInfo),
-    /// To [`ServiceRequest::DescribeEntry`].
+    /// Answer to [`ServiceRequest::DescribeEntry`].
     Entry(EntryInfo),
-    /// To [`ServiceRequest::Errors`].
+    /// Answer to [`ServiceRequest::Errors`].
     Errors(SlaveErrors),
 }
 
@@ -308,25 +308,25 @@ pub enum ServiceReply {
 pub enum ServiceError {
     /// There is no such slave.
     NoSlave {
-        /// Slaves there are.
+        /// Number of slaves.
         slaves: u8,
     },
-    /// The slave has no mailbox, or none that speaks CoE.
+    /// The slave has no mailbox, or does not support CoE.
     NoCoe,
-    /// Nothing of this kind can be changed in the present operating mode.
+    /// The request changes a slave and the present operating mode does not allow that.
     NotInMode(Mode),
-    /// Another request is being carried out, or the bus is being brought up or repaired.
+    /// Another request is in progress, or the bus is being brought up or repaired.
     Busy,
-    /// The bus changed meanwhile; to be asked again.
+    /// The bus changed meanwhile; repeat the request.
     Interrupted,
-    /// Pieces out of order, or a value longer than there is room for.
+    /// Pieces are out of order, or the value is too long.
     Piece {
-        /// Room for a value, bytes.
+        /// Longest value, bytes.
         room: u16,
     },
-    /// It failed on the bus.
+    /// The request failed on the bus.
     Bus(BusError),
 }
 
-/// What becomes of a request.
+/// Result of a service request.
 pub type ServiceResult = Result<ServiceReply, ServiceError>;

@@ -1,6 +1,6 @@
-//! What the master knows about one slave.
+//! The master's record of one slave.
 //!
-//! Invariant: plain data; the supervisor is the only one to change it.
+//! Invariant: plain data; only the supervisor changes it.
 
 use super::mailbox::Mailbox;
 use super::state::AlReport;
@@ -15,30 +15,30 @@ pub const STATION_BASE: u16 = 0x1001;
 /// Station address of a slave while it is being identified.
 pub const STATION_TEMPORARY: u16 = 0x1000;
 
-/// How a slave is doing, as far as it is used.
+/// Condition of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Condition {
-    /// Visible, not used.
+    /// Visible, not in use.
     #[default]
     Unused,
     /// Being configured.
     Configuring,
     /// In OP, exchanging process data.
     Operational,
-    /// Does not answer.
+    /// The slave does not answer.
     Lost,
-    /// Answers, but is not in OP.
+    /// The slave answers, but is not in OP.
     LeftOperational,
-    /// Brought below OP because someone asked for it, and left alone.
+    /// Brought below OP on request, and left there.
     Parked,
 }
 
 /// A slave's process data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessData {
-    /// Where outputs and inputs lie in its memory.
+    /// Addresses of outputs and inputs in the slave's memory.
     pub windows: Windows,
-    /// Where its values lie in them, and their lengths.
+    /// Layout of the values in outputs and inputs, and their lengths.
     pub layout: ProcessLayout,
 }
 
@@ -57,19 +57,19 @@ pub struct Slave {
     pub process_data: Option<ProcessData>,
     /// Its mailbox, once configured.
     pub mailbox: Mailbox,
-    /// How it is doing.
+    /// Condition of the slave.
     pub condition: Condition,
-    /// Its ports, as the DL status register told when it was last asked.
+    /// Link states of its ports: the last DL status register read.
     pub dl_status: u16,
-    /// Damaged frames and lost links of each port when they were last read.
+    /// Damaged frames and lost links of each port, as last read.
     pub port_errors: [u16; PORTS],
-    /// Expiries of its processor's watchdog when they were last read.
+    /// Expiries of its processor's watchdog, as last read.
     pub processor_stops: Option<u8>,
     /// Its last emergency since it was configured.
     pub emergency: Option<Emergency>,
-    /// Its AL status when it was last asked.
+    /// Its AL status, as last read.
     pub report: AlReport,
-    /// Number of its last configuration from INIT among all on this bus, wrapping.
+    /// Number of its last configuration from INIT, counted over all slaves of this bus, wrapping.
     pub generation: u8,
 }
 
@@ -79,7 +79,7 @@ impl Slave {
         STATION_BASE.wrapping_add(self.position)
     }
 
-    /// Who it is.
+    /// Identity of the slave.
     pub const fn identity(&self) -> Identity {
         self.fixed.identity
     }

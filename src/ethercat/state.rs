@@ -1,27 +1,27 @@
-//! The application layer's state machine: INIT, PREOP, SAFEOP, OP, and why a slave refuses.
+//! The application layer's state machine: INIT, PREOP, SAFEOP, OP, and the reasons for a refusal.
 //!
-//! Upwards only one step is asked for at a time. A slave's answer may be another state with the error flag set; the
-//! reason stands in the AL status code. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
+//! Upwards only one step is requested at a time. A slave may answer with another state and the error flag; the AL
+//! status code gives the reason. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
 //!
-//! Invariant: a change either ends in the state asked for, without error flag, or is an error with state and code.
+//! Invariant: a change either ends in the requested state without error flag, or is an error with state and code.
 
 use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
 use super::wire::{Address, Command, register};
 use serde::{Deserialize, Serialize};
 
-/// Longest wait for a state, ms, as the standard's usual time-outs.
+/// Longest wait for a state, ms: the standard's default time-out.
 pub const STATE_TIMEOUT_MS: u32 = 3_000;
 /// Longest wait for OP, ms.
 pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
-/// Longest wait for an error flag to go after it was acknowledged, ms.
+/// Longest wait for an error flag to clear after it was acknowledged, ms.
 pub const ACKNOWLEDGE_TIMEOUT_MS: u32 = 500;
 
 /// State of a slave's application layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum AlState {
-    /// No communication but registers.
+    /// Registers only.
     Init = 1,
     /// Mailbox.
     PreOperational = 2,
@@ -34,7 +34,7 @@ pub enum AlState {
 }
 
 impl AlState {
-    /// The state of an AL status register; the error flag is not looked at.
+    /// The state in an AL status register; the error flag is ignored.
     pub const fn from_status(status: u16) -> Option<Self> {
         Some(match status & register::AL_STATE_MASK {
             1 => Self::Init,
@@ -46,7 +46,7 @@ impl AlState {
         })
     }
 
-    /// Its usual name.
+    /// Common name of the state.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Init => "INIT",
@@ -71,7 +71,7 @@ impl AlReport {
     /// Bytes from the AL status register to the end of the code.
     pub const LEN: usize = 6;
 
-    /// Takes the registers from AL status on; missing bytes count as 0.
+    /// Parses the registers from AL status on; missing bytes count as 0.
     pub fn parse(bytes: &[u8]) -> Self {
         let status = super::wire::read_u16(bytes, 0);
         Self {
@@ -85,12 +85,12 @@ impl AlReport {
         self.status as u16 & register::AL_ERROR_BIT != 0
     }
 
-    /// The state without the flag.
+    /// The state without the error flag.
     pub const fn state(&self) -> Option<AlState> {
         AlState::from_status(self.status as u16)
     }
 
-    /// Whether the slave is in `state` and content.
+    /// Whether the slave is in `state` without an error.
     pub fn is(&self, state: AlState) -> bool {
         self.status == state as u8
     }
@@ -108,7 +108,7 @@ pub async fn report<const MESSAGE: usize>(
     Ok(AlReport::parse(&bytes))
 }
 
-/// Acknowledges a pending error: asks for the state there is, with the acknowledge bit.
+/// Acknowledges a pending error: requests the present state with the acknowledge bit.
 ///
 /// # Errors
 /// [`BusError::State`] when the flag stays, or as [`AcyclicPort::insist`].
@@ -139,12 +139,12 @@ pub async fn acknowledge<const MESSAGE: usize>(
     }
 }
 
-/// Asks a slave for `target` and waits until it is there. A pending error is acknowledged first.
+/// Requests `target` and waits until the slave has reached it. A pending error is acknowledged first.
 ///
 /// Upwards, `target` has to be the next state.
 ///
 /// # Errors
-/// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not get there, or as
+/// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state, or as
 /// [`AcyclicPort::insist`].
 pub async fn change<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
@@ -152,7 +152,7 @@ pub async fn change<const MESSAGE: usize>(
     target: AlState,
 ) -> Result<(), BusError> {
     let control = if target == AlState::Init {
-        // INIT clears what an acknowledgement alone does not.
+        // INIT clears errors that an acknowledgement alone does not clear.
         AlState::Init as u16 | register::AL_ERROR_BIT
     } else {
         acknowledge(port, station).await?;
@@ -258,7 +258,7 @@ pub const fn al_code_text(code: u16) -> &'static str {
     }
 }
 
-/// What to try on an AL status code.
+/// Suggested remedy for an AL status code.
 pub const fn al_code_hint(code: u16) -> &'static str {
     match code {
         0x0011 | 0x0012 => "go up one state at a time; power-cycle the slave if it persists",

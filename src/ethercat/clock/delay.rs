@@ -1,20 +1,20 @@
-//! Propagation delays of a chain with branches, from the times at which one frame passed the ports.
+//! Propagation delays in a chain with branches, from the times at which one frame passed the ports.
 //!
-//! A frame enters a slave at one port, is processed there, leaves through the next open port in the order 0, 3, 1, 2 and
-//! comes back through it, and so on until it leaves where it came in. Every port latches the slave's own 32-bit time, so
-//! the difference between two neighbouring ports is the round trip of what hangs between them. Way there and way back
-//! are taken as equal, as IEC 61158-4-12 (delay measurement) does.
+//! A frame enters a slave at one port, is processed there, leaves through the next open port in the order 0, 3, 1, 2
+//! and comes back through it, and so on until it leaves through the port where it entered. Every port latches the
+//! slave's own 32-bit time, so the difference between two neighbouring ports is the round trip through everything
+//! connected between them. Both directions are taken as equal, as in IEC 61158-4-12 (delay measurement).
 //!
-//! Invariant: whatever the times are, every slave gets a delay and no arithmetic overflows; times may wrap.
+//! Invariant: for any times every slave gets a delay and no arithmetic overflows; times may wrap.
 
 use crate::ethercat::topology::{self, CableEnd, PORT_ORDER, Parents};
 use crate::ethercat::wire::register::PORTS;
 use heapless::Vec;
 
-/// What one slave latched when the frame for the delay measurement passed.
+/// Times that one slave latched when the frame of the delay measurement passed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortTimes {
-    /// Whether the slave has distributed clocks; the times of the others are not looked at.
+    /// Whether the slave has distributed clocks; otherwise its times are ignored.
     pub has_clock: bool,
     /// Which ports are open: bit n for port n.
     pub open: u8,
@@ -27,13 +27,13 @@ impl PortTimes {
         self.open & 1 << port != 0
     }
 
-    /// The port through which the frame came in: the open one with the earliest time; port 0 without a clock.
+    /// The port at which the frame entered: the open one with the earliest time; port 0 without a clock.
     fn entry(&self) -> u8 {
         let mut entry = 0;
         if self.has_clock {
             let mut earliest: Option<u32> = None;
             for (port, time_ns) in (0..).zip(&self.received_ns) {
-                // Within half the range of the clock, the sign of the difference tells the order across a wrap.
+                // Within half the range of the clock, the sign of the difference gives the order across a wrap.
                 let is_earlier = earliest.is_none_or(|first| (time_ns.wrapping_sub(first) as i32) < 0);
                 if self.is_open(port) && is_earlier {
                     (entry, earliest) = (port, Some(*time_ns));
@@ -54,7 +54,7 @@ impl PortTimes {
             .collect()
     }
 
-    /// Time from the entry until the frame was back from everything behind `ports`' last one, ns.
+    /// Time from the entry until the frame was back from everything behind `port`, ns.
     fn since_entry_ns(&self, port: u8) -> u32 {
         let time_ns = |port: u8| self.received_ns.get(usize::from(port)).copied().unwrap_or(0);
         time_ns(port).wrapping_sub(time_ns(self.entry()))
@@ -86,7 +86,7 @@ pub fn propagation_delays_ns<const SLAVES: usize>(slaves: &[PortTimes]) -> Vec<u
     delays
 }
 
-/// The end of the cable to the nearest slave with a clock on the way to the master.
+/// The end of the cable at the nearest slave with a clock on the way to the master.
 fn measured_from<const SLAVES: usize>(
     slaves: &[PortTimes],
     parents: &Parents<SLAVES>,

@@ -1,16 +1,16 @@
-//! Distributed clocks: one time for all slaves, and a sample that keeps its phase to it.
+//! Distributed clocks: one time for all slaves, and a sample that keeps its phase to that time.
 //!
-//! The first slave with a clock is the reference: its time since power-up is the system time of the bus. Each other clock
-//! gets an offset and the delay of the cables before it, so that all agree at once; from then on a datagram (FRMW of the
-//! system time) carries the reference's time past all others in every cycle, and each slave's own control loop follows
-//! it. [`delay`] computes the delays, [`steering`] keeps the sample's timer in phase. Registers and their order: IEC
-//! 61158-4-12 (distributed clocks) and the slave controllers' public data sheets.
+//! The first slave with a clock is the reference: its time since power-up is the system time of the bus. Every other
+//! clock gets an offset and the delay of the cables before it, so that all clocks agree at once. From then on a
+//! datagram (FRMW of the system time) carries the reference's time to all others in every cycle, and each slave's own
+//! control loop follows it. [`delay`] computes the delays, [`steering`] keeps the sample's timer in phase. Registers
+//! and their order: IEC 61158-4-12 (distributed clocks) and the slave controllers' public data sheets.
 //!
-//! SYNC0 starts a configured time after the phase at which the frames pass the reference at present, so nobody has to
-//! jump when it starts.
+//! SYNC0 starts a configured time after the present phase of the frames at the reference, so nothing has to jump when
+//! it starts.
 //!
 //! Invariants: every step is bounded in frames; a slave without a clock is left alone; a slave that returns takes the
-//! time of the others and changes none of theirs.
+//! time of the others and does not change theirs.
 
 pub mod delay;
 pub mod steering;
@@ -23,13 +23,13 @@ use super::wire::{Address, Command, read_u32, read_u64};
 use delay::{PortTimes, propagation_delays_ns};
 use heapless::Vec;
 
-/// Frames that carry the reference's time past the others before anything relies on it (static drift compensation).
+/// Frames that distribute the reference's time before the clocks are used (static drift compensation).
 pub const SETTLING_FRAMES: u16 = 32;
-/// Largest difference of a slave's system time from the reference's before it goes to OP, ns.
+/// Largest difference between a slave's system time and the reference's before the slave goes to OP, ns.
 pub const DIFFERENCE_MAX_NS: u32 = 1_000;
-/// Longest wait for that, ms.
+/// Longest wait for the clocks to agree, ms.
 pub const DIFFERENCE_TIMEOUT_MS: u32 = 2_000;
-/// How far ahead SYNC0's first pulse lies when it is activated, ns: many cycles, also when frames are lost.
+/// Time from the activation of SYNC0 to its first pulse, ns: many cycles, so that lost frames do not matter.
 const START_AHEAD_NS: u64 = 100_000_000;
 /// Bytes from the first port's receive time to the end of the processing unit's.
 const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
@@ -49,37 +49,37 @@ pub enum Width {
 /// The clock of one slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SlaveClock {
-    /// How many bits its time has; `None` when it has no clock.
+    /// Width of its time; `None` if it has no clock.
     pub width: Option<Width>,
-    /// What the last measurement latched at its ports.
+    /// Port times latched by the last measurement.
     pub ports: PortTimes,
-    /// Its own time when the same frame passed its processing unit, ns.
+    /// The slave's own time when the frame of the measurement passed its processing unit, ns.
     pub local_ns: u64,
-    /// What its system time is ahead of its own, ns, wrapping.
+    /// System time minus the slave's own time, ns, wrapping.
     pub offset_ns: u64,
-    /// Delay of a frame from the reference, ns.
+    /// Delay of a frame from the reference to this slave, ns.
     pub delay_ns: u32,
-    /// Whether it took part in the last measurement.
+    /// Whether the slave took part in the last measurement.
     pub measured: bool,
 }
 
 /// The clocks of a bus, in chain order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusClocks<const SLAVES: usize> {
-    /// One entry a slave.
+    /// One entry for each slave.
     pub slaves: Vec<SlaveClock, SLAVES>,
     /// Phase of the frames at the reference, ns within the sample period.
     pub phase_ns: u32,
 }
 
 impl<const SLAVES: usize> BusClocks<SLAVES> {
-    /// The first slave with a clock: its place in the chain.
+    /// Place in the chain of the first slave with a clock.
     pub fn reference(&self) -> Option<usize> {
         self.slaves.iter().position(|slave| slave.width.is_some())
     }
 
-    /// What the critical side has to know to spread the reference's time; `stations` are the station addresses, and
-    /// `answers` tells which slaves are not lost.
+    /// Reference clock for the critical side, which distributes its time. `stations` are the station addresses;
+    /// `answers` returns false for slaves that are lost.
     pub fn reference_clock(&self, stations: &[u16], answers: impl Fn(usize) -> bool) -> Option<ReferenceClock> {
         let station = *stations.get(self.reference()?)?;
         let present = self
@@ -99,7 +99,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.slaves.get(position).is_some_and(|slave| slave.width.is_some())
     }
 
-    /// The offset that lets the slave at `position` agree with `source`, both measured by the same frame.
+    /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
     fn offset_ns(&self, position: usize, source: usize) -> Option<u64> {
         let (slave, source) = (self.slaves.get(position)?, self.slaves.get(source)?);
         let system_ns = source.local_ns.wrapping_add(source.offset_ns);
@@ -107,8 +107,8 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         Some(system_ns.wrapping_add(later_ns).wrapping_sub(slave.local_ns))
     }
 
-    /// When SYNC0 is to start: the first moment at least `START_AHEAD_NS` after `now_ns` that lies `shift_ns` behind
-    /// the phase of the frames.
+    /// Start time of SYNC0: the first moment at least `START_AHEAD_NS` after `now_ns` that is `shift_ns` after the
+    /// phase of the frames.
     pub fn start_time_ns(&self, now_ns: u64, shift_ns: u32) -> u64 {
         let earliest_ns = now_ns.wrapping_add(START_AHEAD_NS);
         let period_ns = u64::from(PERIOD_NS);
@@ -143,7 +143,7 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Lets one frame latch the times of all slaves, and computes the delays. Slaves that do not answer keep theirs.
+/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -158,7 +158,7 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
         slave.measured = false;
         let status = match port.read_u16(*station, register::DL_STATUS).await {
-            // Another one that is lost too: the frames pass its place.
+            // Another lost slave: the frames pass its place.
             Err(BusError::WorkingCounter { actual: 0, .. }) => continue,
             status => status?,
         };
@@ -196,7 +196,7 @@ fn open_ports(status: u16) -> u8 {
         .fold(0, |open, (number, port)| open | u8::from(port.is_open()) << number)
 }
 
-/// Lets all clocks agree: measures, writes offsets and delays, and sends the reference's time round until the control
+/// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
 /// loops have begun to follow. Does nothing on a bus without clocks.
 ///
 /// # Errors
@@ -224,7 +224,8 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Gives a slave that was switched off the bus' time again; the others keep theirs, also when it is the reference.
+/// Gives a slave that was switched off the bus's time again; the other slaves keep theirs, even if this slave is the
+/// reference.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -272,7 +273,7 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     port.write(station, register::DC_SPEED_START, &start).await
 }
 
-/// Sends the reference's time round [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
+/// Distributes the reference's time [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
 async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -290,7 +291,7 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
         let period_ns = i64::from(PERIOD_NS);
         let phase_ns = (time_ns % u64::from(PERIOD_NS)) as i64;
         let first_ns = *first_ns.get_or_insert(phase_ns);
-        // The difference is taken the short way round the period.
+        // Takes the difference by the shorter way round the period.
         sum_ns += (phase_ns - first_ns + period_ns / 2).rem_euclid(period_ns) - period_ns / 2;
         readings += 1;
         let mean_ns = first_ns + sum_ns / readings;
@@ -311,8 +312,8 @@ pub async fn difference_ns<const MESSAGE: usize>(
     Ok(register::time_difference_ns(read_u32(&bytes, 0)))
 }
 
-/// Waits until a slave's clock agrees with the reference to [`DIFFERENCE_MAX_NS`]; the time datagram has to ride in the
-/// cyclic frames meanwhile.
+/// Waits until a slave's clock agrees with the reference to within [`DIFFERENCE_MAX_NS`]; the cyclic frames have to
+/// carry the time datagram meanwhile.
 ///
 /// # Errors
 /// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::insist`].
@@ -339,8 +340,8 @@ pub async fn await_agreement<const MESSAGE: usize>(
 
 /// Starts SYNC0 of a slave in PREOP: period of the sample, `shift_ns` after the frames pass the reference.
 ///
-/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981. Gives
-/// the start time.
+/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981.
+/// Returns the start time.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].

@@ -1,22 +1,22 @@
-//! The sample's timer follows the bus clock.
+//! Clock steering: the sample's timer follows the bus clock.
 //!
-//! Once a millisecond the frame of the input telegram brings the system time at which it passed the reference clock. A PI
-//! loop lengthens or shortens the next period of the timer so that this time keeps its phase: the phase that the bus had
-//! when its clocks were set up, to which the slaves' SYNC0 was aligned. So no sample ever jumps, neither at the start nor
-//! after a repair.
+//! Every millisecond the frame of the input telegram returns the system time at which it passed the reference clock. A
+//! PI loop lengthens or shortens the next period of the timer so that this time keeps its phase: the phase that the bus
+//! had when its clocks were set up, to which the slaves' SYNC0 was aligned. No sample ever jumps, neither at the start
+//! nor after a repair.
 //!
-//! Invariants: a correction never exceeds [`CORRECTION_MAX_NS`]; a fault is told once the clock is missing for
-//! [`MISSING_CYCLES_MAX`] cycles or its phase is off by more than the limit after it was locked.
+//! Invariants: a correction never exceeds [`CORRECTION_MAX_NS`]; a fault is reported once the clock has been missing
+//! for [`MISSING_CYCLES_MAX`] cycles, or once its phase error exceeds the limit after it was locked.
 
 use crate::application::Fault;
 
 /// Largest change of one period of the timer, ns: 1000 ppm, far more than quartz crystals differ.
 pub const CORRECTION_MAX_NS: i32 = 1_000;
-/// Cycles in a row without a clock value after which the clock counts as lost.
+/// Consecutive cycles without a clock value after which the clock counts as lost.
 pub const MISSING_CYCLES_MAX: u8 = 10;
-/// Phase error below which the loop counts as locked after [`LOCK_CYCLES`] cycles, ns.
+/// Phase error below which the loop locks after [`LOCK_CYCLES`] cycles, ns.
 pub const LOCK_ERROR_NS: i32 = 5_000;
-/// Cycles in a row within [`LOCK_ERROR_NS`] that make a lock.
+/// Consecutive cycles within [`LOCK_ERROR_NS`] after which the loop is locked.
 pub const LOCK_CYCLES: u16 = 100;
 
 /// Proportional part: 1/2^n of the phase error a cycle. With the two cycles between measurement and effect the loop
@@ -36,16 +36,17 @@ const _: () = {
 /// The sample period, ns.
 const PERIOD_NS: u32 = crate::control::sampler::PERIOD_NS;
 
-/// What one millisecond brought.
+/// Clock input of one millisecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClockReading {
-    /// System time when the frame passed the reference clock, ns, its low 32 bits; `None` when it did not come back.
+    /// System time when the frame passed the reference clock, ns, low 32 bits; `None` when the frame did not come back.
     pub reference_ns: Option<u32>,
-    /// How long after the nominal release the sample began, ns: late samples do not move the timer.
+    /// Time from the nominal release to the beginning of the sample, ns: compensated, so a late sample does not move
+    /// the timer.
     pub elapsed_ns: u32,
 }
 
-/// The loop.
+/// PI loop from the bus clock to the sample's timer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClockSteering {
     /// Time expected in this cycle, low 32 bits.
@@ -57,7 +58,7 @@ pub struct ClockSteering {
 }
 
 impl ClockSteering {
-    /// A loop that takes the first time it sees as the phase to keep.
+    /// A loop that keeps the phase of the first time it receives.
     pub const fn new() -> Self {
         Self {
             expected_ns: None,
@@ -68,13 +69,13 @@ impl ClockSteering {
         }
     }
 
-    /// Forgets a fault: locks anew. Until then the sample is led back to its phase by the short way, at most half a period:
-    /// the slaves' SYNC0 keeps to that phase, whatever becomes of the time.
+    /// Clears a fault and locks again. Meanwhile the sample returns to its phase by the shorter way, at most half a
+    /// period: the slaves' SYNC0 keeps that phase, whatever happens to the time.
     pub fn begin_anew(&mut self) {
         (self.missing_cycles, self.locked_cycles) = (0, 0);
     }
 
-    /// Phase error of the last reading, ns: positive when the sample came too late.
+    /// Phase error of the last reading, ns: positive when the sample was late.
     pub const fn error_ns(&self) -> i32 {
         self.error_ns
     }
@@ -84,7 +85,8 @@ impl ClockSteering {
         self.locked_cycles >= LOCK_CYCLES
     }
 
-    /// One cycle: gives the correction of the timer's next period, ns, at most [`CORRECTION_MAX_NS`] either way.
+    /// Advances by one cycle; returns the correction of the timer's next period, ns, at most [`CORRECTION_MAX_NS`]
+    /// either way.
     pub fn step(&mut self, reading: ClockReading) -> i32 {
         let expected_ns = self.expected_ns.map(|expected| expected.wrapping_add(PERIOD_NS));
         let Some(reference_ns) = reading.reference_ns else {
@@ -111,14 +113,14 @@ impl ClockSteering {
         let sum = (self.integral + i64::from(error_ns)).clamp(-INTEGRAL_MAX, INTEGRAL_MAX);
         let limit_ns = i64::from(CORRECTION_MAX_NS);
         let wanted_ns = -(proportional_ns + (sum >> INTEGRAL_SHIFT));
-        // At the limit the sum stands still, so that it has nothing to unlearn.
+        // At the limit the sum is held, so there is no wind-up.
         if wanted_ns.abs() <= limit_ns {
             self.integral = sum;
         }
         wanted_ns.clamp(-limit_ns, limit_ns) as i32
     }
 
-    /// What is wrong with the clock: lost, or off its phase by more than `limit_ns` after it was locked.
+    /// The fault of the clock: lost, or out of phase by more than `limit_ns` after it was locked.
     pub fn fault(&self, limit_ns: u32) -> Option<Fault> {
         if self.missing_cycles >= MISSING_CYCLES_MAX {
             return Some(Fault::ClockLost {
@@ -133,7 +135,7 @@ impl ClockSteering {
         })
     }
 
-    /// The part of the correction that is kept while no time comes.
+    /// The part of the correction that is kept while no time arrives.
     fn integral_ns(&self) -> i32 {
         -(self.integral >> INTEGRAL_SHIFT) as i32
     }
@@ -146,11 +148,11 @@ fn same_phase(time_ns: u32, near_ns: u32) -> u32 {
     near_ns.wrapping_sub(phase_ns as u32)
 }
 
-/// Hands corrections in ns to a timer that only takes whole counts; what does not fit a count is kept for later.
+/// Converts corrections in ns to whole timer counts; the remainder is kept for the next correction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CountCorrection {
     counts_per_us: u32,
-    /// What is owed, ns times counts per microsecond.
+    /// Remainder, ns times counts per microsecond.
     rest: i32,
 }
 
@@ -163,7 +165,7 @@ impl CountCorrection {
         Self { counts_per_us, rest: 0 }
     }
 
-    /// Takes a correction and gives the whole counts by which the period is to be longer (negative: shorter).
+    /// Takes a correction; returns the whole counts by which the period has to be longer (negative: shorter).
     pub fn take(&mut self, correction_ns: i32) -> i32 {
         let correction_ns = correction_ns.clamp(-CORRECTION_MAX_NS, CORRECTION_MAX_NS);
         let owed = self.rest + correction_ns * self.counts_per_us.min(1_000) as i32;

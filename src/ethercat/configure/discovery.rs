@@ -1,9 +1,9 @@
-//! Finding slaves: how many there are, their addresses, INIT with nothing configured.
+//! Slave discovery: counts the slaves, assigns addresses, and resets them to INIT without any configuration.
 //!
 //! Positions count from 0 along the chain; a station address is given to a position and stays with the slave until it is
 //! switched off. Datagrams for several slaves share frames.
 //!
-//! Invariant: nothing here takes a slave out of INIT, and only [`reset_all`] takes one there.
+//! Invariant: no function here takes a slave out of INIT, and only [`reset_all`] takes a slave to INIT.
 
 use crate::ethercat::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use crate::ethercat::error::BusError;
@@ -17,9 +17,9 @@ use heapless::Vec;
 /// Sync managers and FMMUs that are cleared at the start.
 const CLEARED: usize = 4;
 
-/// Brings all slaves to INIT with nothing configured; error counters start at 0.
+/// Brings all slaves to INIT without any configuration; resets the error counters.
 ///
-/// A slave that does not go to INIT in time is left as it is; whoever wants to use it will find out.
+/// A slave that does not reach INIT in time is left as it is; the next step that uses it fails.
 ///
 /// # Errors
 /// [`BusError::Lost`].
@@ -44,7 +44,7 @@ pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>
     Ok(())
 }
 
-/// How many slaves answer.
+/// Number of slaves that answer.
 ///
 /// # Errors
 /// As [`AcyclicPort::broadcast_read_u16`].
@@ -53,7 +53,7 @@ pub async fn count<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) ->
     Ok(slaves)
 }
 
-/// Reads the station addresses of the first `count` slaves of the chain; 0 where there is none.
+/// Reads the station addresses of the first `count` slaves of the chain; 0 where no slave answers.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist_all`].
@@ -71,7 +71,7 @@ pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
         });
         let requests: Vec<Request, IN_FLIGHT_MAX> = requests.collect();
         let before = stations.len();
-        // What does not fit is not among the first slaves.
+        // Slaves that do not fit are not among the first.
         let _ = stations.resize(before + requests.len(), 0);
         port.insist_all(&requests, 1, |number, bytes| {
             if let Some(station) = stations.get_mut(before + number) {
@@ -83,7 +83,7 @@ pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
     Ok(())
 }
 
-/// Gives the slave at a place in the chain its station address.
+/// Assigns a station address to the slave at a place in the chain.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -95,7 +95,7 @@ pub async fn assign_station<const MESSAGE: usize>(
     port.insist(&assignment(position, station), 1).await.map(|_| ())
 }
 
-/// Gives the first `count` slaves of the chain their station addresses, from [`STATION_BASE`] on.
+/// Assigns station addresses to the first `count` slaves of the chain, from [`STATION_BASE`] on.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist_all`].
@@ -132,7 +132,7 @@ pub async fn mailbox_managers<const MESSAGE: usize>(
     write_managers(port, slave.station(), 0, &managers).await
 }
 
-/// Writes two sync managers that follow each other, in one datagram.
+/// Writes two consecutive sync managers in one datagram.
 pub(super) async fn write_managers<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -141,7 +141,7 @@ pub(super) async fn write_managers<const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     let mut registers = [0; 2 * SYNC_MANAGER_LEN];
     for (manager, bytes) in managers.iter().zip(registers.chunks_exact_mut(SYNC_MANAGER_LEN)) {
-        // Each part is as long as the structure.
+        // Each part has the length of the structure.
         let _ = manager.emit(bytes);
     }
     port.write(station, register::sync_manager(first), &registers).await

@@ -1,7 +1,7 @@
 //! Reading a slave's information memory (SII) through its registers.
 //!
-//! A command with a word address is written, the memory takes its time, and control, address and data are read back in
-//! one datagram, so that data never belong to another address. Several slaves are read side by side: one frame carries
+//! The master writes a command with a word address, waits for the memory, and reads control, address and data back in
+//! one datagram, so that data never belong to another address. Several slaves are read in parallel: one frame carries
 //! the commands, the next one the answers (IEC 61158-4-12, slave information interface).
 //!
 //! Invariant: every wait and every walk ends; the master takes the interface by force once and only reads.
@@ -15,34 +15,34 @@ use crate::ethercat::wire::{Address, Command, read_u8, read_u16, write_bytes};
 use core::ops::Range;
 use heapless::Vec;
 
-/// Longest wait for the SII to become free, ms: memories that the slave's own processor serves take their time, above all
+/// Longest wait for the SII to become free, ms: memories that the slave's own processor serves are slow, above all
 /// after power-up.
 pub const SII_TIMEOUT_MS: u32 = 1_000;
-/// How often a command that was not acknowledged is repeated.
+/// Most repetitions of a command that was not acknowledged.
 const SII_TRIES_MAX: u8 = 3;
-/// Slaves that are read side by side.
+/// Slaves that are read in parallel.
 pub const TOGETHER_MAX: usize = IN_FLIGHT_MAX;
-/// Most words of a walk through the categories, and with it most time.
+/// Most words of a walk through the categories; also bounds its duration.
 const WALK_WORDS_MAX: u16 = 1_024;
 
 /// Control, address and data of the interface in one datagram.
 const ANSWER_LEN: usize = 14;
 const ANSWER_ADDRESS: usize = (register::SII_ADDRESS - register::SII_CONTROL) as usize;
 const ANSWER_DATA: usize = (register::SII_DATA - register::SII_CONTROL) as usize;
-/// Most bytes of one reading.
+/// Longest result of one read access, bytes.
 const READING_MAX: usize = 8;
 
-/// What one reading gives: 4 or 8 bytes.
+/// Result of one read access: 4 or 8 bytes.
 pub(super) type Reading = Vec<u8, READING_MAX>;
-/// Something for each of the slaves that are read side by side.
+/// One item for each of the slaves that are read in parallel.
 type Each<T> = Vec<T, TOGETHER_MAX>;
 
-/// The parts of the fixed area that a master needs: first word and the word behind the last one.
+/// The parts of the fixed area that the master needs: first word, and the word behind the last.
 const WANTED: [(u16, u16); 2] = [
     (sii::WORD_VENDOR, sii::WORD_SERIAL + 2),
     (sii::WORD_MAILBOX_OUT, sii::WORD_PROTOCOLS + 1),
 ];
-/// Bytes up to the end of the last part, and what a reading may give beyond it.
+/// Bytes up to the end of the last part, plus the excess of one read access.
 const IMAGE_LEN: usize = 2 * sii::FIXED_PART_WORDS + READING_MAX;
 
 fn command(station: u16, word: u16) -> Request {
@@ -60,11 +60,11 @@ fn question(station: u16) -> Request {
     )
 }
 
-/// What an answer is to a command for `word`.
+/// How an interface responds to a command for `word`.
 enum Answer {
-    /// Not finished, or of another command.
+    /// Not finished, or the response to another command.
     Busy,
-    /// To be repeated.
+    /// The command has to be repeated.
     Refused(u16),
     Data(Reading),
 }
@@ -97,12 +97,12 @@ async fn take_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, sta
             Request::write(Command::Fpwr, address, &[value])
         });
         let requests: Each<Request> = requests.collect();
-        // Who does not answer will not be read either.
+        // A slave that does not answer will not be read either.
         let _ = port.insist_all(&requests, 1, |_, _| {}).await;
     }
 }
 
-/// Reads 4 or 8 bytes of each slave, from word `words[slave]` on; nothing of those for which that is `None`.
+/// Reads 4 or 8 bytes of each slave from word `words[slave]` on; nothing of slaves with `None`.
 async fn read_each<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     first_station: u16,
@@ -121,7 +121,7 @@ async fn read_each<const MESSAGE: usize>(
                 .filter_map(|(station, word)| Some((station, word?)))
         };
         let commands: Each<Request> = asked().map(|(station, word)| command(station, word)).collect();
-        // A command that did not arrive shows in its answer.
+        // The answer shows whether the command arrived.
         let _ = port.insist_all(&commands, 1, |_, _| {}).await;
         let numbers: Each<usize> = open
             .iter()
@@ -172,8 +172,8 @@ async fn read_each<const MESSAGE: usize>(
     results
 }
 
-/// Reads the fixed parts of some slaves' SII side by side: identity and mailboxes. Stations beyond [`TOGETHER_MAX`] are
-/// not read.
+/// Reads the fixed parts of several slaves' SII in parallel: identity and mailboxes. Stations beyond [`TOGETHER_MAX`]
+/// are not read.
 pub async fn fixed_parts<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: Range<u16>,
@@ -230,7 +230,7 @@ pub(super) async fn read_sii<const MESSAGE: usize>(
     reading.unwrap_or(Err(BusError::Sii { status: 0 }))
 }
 
-/// Fills `bytes` from a word of a slave's SII on; gives how many bytes there were before the memory ended.
+/// Fills `bytes` from a word of a slave's SII on; returns how many bytes there were before the memory ended.
 ///
 /// # Errors
 /// As [`fixed_part`], for the first reading.
@@ -278,7 +278,7 @@ pub async fn find_category<const MESSAGE: usize>(
     Ok(None)
 }
 
-/// What people want to know of a slave's SII.
+/// Alias and name of a slave, for display.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     /// Configured alias.
@@ -312,7 +312,7 @@ pub async fn summary<const MESSAGE: usize>(
     Ok(summary)
 }
 
-/// Reads a string of a slave's SII; empty for index 0 and for one that is not there.
+/// Reads a string of a slave's SII; empty for index 0 and for a missing string.
 async fn string<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -321,7 +321,7 @@ async fn string<const MESSAGE: usize>(
 ) -> Result<Name, BusError> {
     let mut name = Name::new();
     let mut count = 0;
-    // Number of the string that is being read, and how many of its bytes are to come.
+    // Number of the string being read, and how many of its bytes are still to come.
     let (mut number, mut left) = (0_u8, 0_u8);
     let words = category.words.min(WALK_WORDS_MAX);
     let mut at = 0;

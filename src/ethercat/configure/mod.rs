@@ -1,7 +1,7 @@
-//! Finding slaves and preparing them: addresses, SII, sync managers, FMMUs, watchdog, objects.
+//! Slave configuration: addresses, SII, sync managers, FMMUs, watchdog, objects.
 //!
-//! Each function is one step of the way from an unknown chain to a slave in SAFEOP. Most slaves need a step only once,
-//! but every step may be repeated, so that a repair uses the same code as the first bring-up.
+//! Each function is one step from an unknown chain to a slave in SAFEOP. Most slaves need each step only once, but
+//! every step may be repeated, so a repair uses the code of the first bring-up.
 //!
 //! Invariant: steps for one slave touch no other slave, except [`discovery::reset_all`].
 

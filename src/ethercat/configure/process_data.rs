@@ -1,12 +1,12 @@
-//! A drive's process data: which objects they hold, where these lie, and the managers that move them.
+//! Process data of a drive: objects, layout, and the sync managers and FMMUs that move them.
 //!
-//! What the drive type asks for is assigned and mapped; a drive that refuses keeps what it has. Then the lists are read
-//! back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
-//! entries), with the SII's lists and then the drive type's own where there is no such object, and everything is laid
-//! out as the drive really has it.
+//! The process data of the drive type are assigned and mapped; a drive that refuses keeps its own. Then the lists are
+//! read back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
+//! entries). Where such an object is missing, the SII's lists are used, or else those of the drive type. The layout
+//! follows the actual lists of the drive.
 //!
-//! Invariants: no refusal of an assignment or a mapping is an error, but a missing value is; a share of the image never
-//! exceeds [`PROCESS_BYTES_MAX`](crate::ethercat::cyclic::PROCESS_BYTES_MAX); a wrong mode is never left unnoticed.
+//! Invariants: a refused assignment or mapping is not an error, but a missing value is; a share of the image never
+//! exceeds [`PROCESS_BYTES_MAX`](crate::ethercat::cyclic::PROCESS_BYTES_MAX); a wrong mode is always detected.
 
 use super::{mailbox_managers, read_sii, write_managers};
 use crate::config::{Axis, AxisMode};
@@ -31,8 +31,8 @@ use crate::ethercat::wire::sii::{
 use crate::ethercat::wire::{Address, Command, read_u16, write_bytes};
 use heapless::Vec;
 
-/// Where the slaves' process data start in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
-/// its inputs right behind them, so that one datagram may carry both.
+/// Start of the slaves' process data in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
+/// directly behind them its inputs, so that one datagram may carry both.
 pub const LOGICAL_START: u32 = 0x0001_0000;
 
 /// Object that lists the process data objects of the outputs.
@@ -43,7 +43,7 @@ const ASSIGNMENT_INPUTS: u16 = 0x1C13;
 const PDOS_MAX: usize = 8;
 /// Most entries of one process data object.
 const ENTRIES_MAX: u8 = 32;
-/// How often a setting is read back until the drive shows it; one reading takes some milliseconds.
+/// Most read-backs of a setting until the drive shows the value; one read-back takes some milliseconds.
 const VERIFY_TRIES_MAX: u8 = 10;
 /// Watchdog units (100 us) in a millisecond.
 const WATCHDOG_UNITS_PER_MS: u16 = 10;
@@ -85,8 +85,8 @@ impl Direction {
     }
 }
 
-/// Asks a slave whose product no description knows what it is, and leaves it in INIT; `None` for everything that is not
-/// driven or does not answer.
+/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if it is not a drive
+/// or does not answer.
 pub async fn ask_device_type<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &Slave,
@@ -104,20 +104,20 @@ pub async fn ask_device_type<const MESSAGE: usize>(
             .ok(),
         Err(_) => None,
     };
-    // One that does not come back is found where it is used.
+    // A slave that does not return to INIT is detected when it is used.
     let _ = state::change(port, station, AlState::Init).await;
     factory::drive_kind_by_type(device_type?)
 }
 
-/// Chooses a drive's process data, sets its mode and its settings through CoE, in PREOP, and lays the process data out.
+/// Chooses a drive's process data, writes its mode and its settings through CoE, in PREOP, and makes the layout.
 ///
-/// `twin` are the process data of a slave of the same product and revision: where the drive takes the same choice, its
-/// lists are the same.
+/// `twin` are the process data of a slave with equal product and revision: if the drive accepts the choice that its
+/// twin accepted, it has the lists of its twin.
 ///
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the axis's mode or an object cannot take a value, [`BusError::Mapping`],
 /// [`BusError::Alignment`] or [`BusError::ProcessLength`] when its process data cannot be used, [`BusError::SdoAbort`],
-/// [`BusError::ReadBack`], or those of the mailbox.
+/// [`BusError::ReadBack`], or errors of the mailbox.
 pub async fn objects<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &mut Slave,
@@ -147,11 +147,11 @@ pub async fn objects<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Chooses the process data of a drive that no axis uses, in its first mode, and lays them out, in PREOP. Its mode and
-/// its settings stay as they are; what no description knows has no process data.
+/// Chooses the process data of a drive that no axis uses, in its first mode, and makes their layout, in PREOP. Mode and
+/// settings of the drive are not written; a slave without a description gets no process data.
 ///
 /// # Errors
-/// As [`objects`], but for those of mode and settings.
+/// As [`objects`], except errors of mode and settings.
 pub async fn unused_objects<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &mut Slave,
@@ -168,7 +168,7 @@ pub async fn unused_objects<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Lays a drive's process data out as it really has them.
+/// Makes the layout from the drive's actual process data.
 async fn lay_out<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &mut Slave,
@@ -205,7 +205,7 @@ async fn offer<const MESSAGE: usize>(
     }
 }
 
-/// Assigns a process data object, and writes its entries unless they are fixed; false when the drive refused anything.
+/// Assigns a process data object, and writes its entries unless they are fixed; false when the drive refused any of it.
 async fn choose<const MESSAGE: usize>(
     dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
     direction: Direction,
@@ -256,7 +256,7 @@ async fn apply<const MESSAGE: usize>(
     })
 }
 
-/// Hands the entries of one direction's process data to `take`, in their order.
+/// Passes the entries of one direction's process data to `take`, in their order.
 async fn read_lists<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &mut Slave,
@@ -268,7 +268,7 @@ async fn read_lists<const MESSAGE: usize>(
     let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
     let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
     let assigned = read_list(&mut dictionary, direction.assignment(), PDOS_MAX as u8, 2, |pdo| {
-        // The list is as long as there is room for.
+        // The list has room for as many.
         let _ = pdos.push(pdo as u16);
         Ok(())
     });
@@ -288,7 +288,7 @@ async fn read_lists<const MESSAGE: usize>(
             take(Entry::from_mapping(value))
         });
         let error = match entries.await {
-            // An object with unreadable entries that were not handed out yet.
+            // An object with unreadable entries, none of which was passed on yet.
             Err(error @ BusError::SdoAbort { object, .. }) if object.sub == 0 => error,
             other => {
                 other?;
@@ -307,10 +307,10 @@ async fn read_lists<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Reads an object whose sub-index 0 counts its values of `length` bytes, and hands them to `take`.
+/// Reads an object whose sub-index 0 counts its values of `length` bytes, and passes the values to `take`.
 ///
 /// # Errors
-/// [`BusError::SdoAbort`] with sub-index 0 when there is no such object; then nothing was handed out.
+/// [`BusError::SdoAbort`] with sub-index 0 when there is no such object; then no value was passed on.
 async fn read_list<const MESSAGE: usize>(
     dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
     index: u16,
@@ -329,7 +329,7 @@ async fn read_list<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Hands the entries of those process data objects in the SII that `chosen` picks to `take`; how many objects that were.
+/// Passes the entries of the SII's process data objects that `chosen` selects to `take`; returns the number of objects.
 async fn sii_entries<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -403,7 +403,7 @@ async fn find_category<const MESSAGE: usize>(
     Ok(None)
 }
 
-/// Where the process data lie according to the SII, or `otherwise`.
+/// Addresses of the process data according to the SII, or `otherwise`.
 async fn windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -429,8 +429,8 @@ async fn windows<const MESSAGE: usize>(
     Ok(windows)
 }
 
-/// A slave's share of the logical memory; without process data for slaves that are not configured yet, without a role
-/// for those that no axis uses: their outputs stay 0.
+/// A slave's share of the logical memory: empty for slaves that are not configured yet, without a role for slaves that
+/// no axis uses. Outputs without a role stay 0.
 pub fn cyclic_slave(slave: &Slave) -> CyclicSlave {
     let (Some(kind), Some(ProcessData { layout, .. })) = (slave.kind, slave.process_data) else {
         return CyclicSlave::default();
@@ -483,7 +483,7 @@ pub async fn process_data<const MESSAGE: usize>(
     ];
     let mut registers = [0; 2 * FMMU_LEN];
     for (mapping, bytes) in mappings.iter().zip(registers.chunks_exact_mut(FMMU_LEN)) {
-        // Each part is as long as the structure.
+        // Each part has the length of the structure.
         let _ = mapping.emit(bytes);
     }
     port.write(station, register::FMMU, &registers).await
