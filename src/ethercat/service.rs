@@ -183,7 +183,7 @@ pub struct ClockInfo {
     pub is_64_bit: bool,
     /// Delay of the frames from the reference clock, ns.
     pub delay_ns: u32,
-    /// Difference to the reference clock as measured by the slave, ns; limited to 31 bits.
+    /// Difference to the reference clock as measured by the slave, ns; bits beyond 31 are cut off.
     pub difference_ns: i32,
 }
 

@@ -1,10 +1,10 @@
-//! A frame that is built once and sent over and over, and the proof that a reply is the answer to its last sending.
+//! A prebuilt frame, and the check that a reply answers its last transmission.
 //!
-//! A frame is built for a plan; each sending stamps an index into its first datagram and, where the slow side has
-//! something to say, appends datagrams for one cycle. Outputs are written into the frame where they stand. A reply
-//! counts only if each of its datagrams still has the header that was sent.
+//! A frame is built for a plan. Each transmission stamps an index into the first datagram and, if the slow side has
+//! requests, appends datagrams for one cycle. Outputs are written directly into the frame. A reply counts only if each
+//! of its datagrams still has the header that was sent.
 //!
-//! Invariant: nothing in a reply decides where it is read; it is read where the frame that was sent has it.
+//! Invariant: a reply is read at the places given by the frame that was sent; no content of the reply influences these.
 
 use super::acyclic::IN_FLIGHT_MAX;
 use super::cyclic::AlStatus;
@@ -18,39 +18,39 @@ use heapless::Vec;
 
 /// Most acyclic datagrams in a frame: requests for registers and one message.
 const ACYCLIC_MAX: usize = IN_FLIGHT_MAX + 1;
-/// Bit of the length field that says that another datagram follows.
+/// Bit of the length field that announces another datagram.
 const MORE_BIT: u16 = 1 << 15;
-/// Bit of the length field that a slave sets in a frame that comes round again.
+/// Bit of the length field that a slave sets in a frame that passes a second time.
 const CIRCULATING_BIT: u16 = 1 << 14;
 
 /// The More bit in the first eight bytes of a header.
 const MORE_HEADER: u64 = (MORE_BIT as u64) << 48;
-/// The device half of the address there: slaves count it up in broadcasts.
+/// Device half of the address in the first eight bytes of a header: slaves increment it in broadcasts.
 const POSITION_HEADER: u64 = 0xFFFF_0000;
 
 /// Why a received frame was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Ignored {
-    /// Another protocol than EtherCAT, VLAN tags included.
+    /// A protocol other than EtherCAT, VLAN tags included.
     EtherType,
-    /// EtherCAT, but no datagrams.
+    /// EtherCAT, but without datagrams.
     FrameType,
-    /// Shorter than its own lengths say.
+    /// Shorter than its own lengths claim.
     Truncated,
-    /// Another sender's frame.
+    /// A frame of another sender.
     ForeignSource,
     /// An index that was not in use.
     ForeignIndex,
     /// The answer to a frame of an earlier cycle.
     Late,
-    /// An answer that had come already.
+    /// An answer that had arrived already.
     Duplicate,
     /// Command, address, length or chain differ from what was sent.
     Mismatch,
-    /// It went round the segment twice.
+    /// The frame passed the segment twice.
     Circulating,
-    /// An own frame that no slave has touched.
+    /// An own frame that no slave has processed.
     Reflection,
 }
 
@@ -76,7 +76,8 @@ pub(super) enum SlotState {
 /// One slave's datagram.
 #[derive(Clone, Copy, Debug)]
 struct Share {
-    /// The first eight bytes of its header, which come back unchanged; without the index of a frame's first datagram.
+    /// First eight bytes of the datagram's header, which come back unchanged; without the index in a frame's first
+    /// datagram.
     header: u64,
     /// The slave's bit in [`Taken::answered`].
     bit: u32,
@@ -88,51 +89,51 @@ struct Share {
     pieces: u8,
 }
 
-/// One acyclic datagram of the present sending.
+/// One acyclic datagram of the present transmission.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Acyclic {
     pub(super) length: u16,
     pub(super) is_message: bool,
 }
 
-/// Where a chain of datagrams has its last one and where it ends.
+/// Places of the last datagram of a chain and of its end.
 #[derive(Clone, Copy, Debug)]
 struct Chain {
     last: usize,
     end: usize,
 }
 
-/// What a reply brought.
+/// Content of a reply.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Taken {
-    /// One bit for each slave whose datagram has the working counter expected.
+    /// One bit for each slave whose datagram has the expected working counter.
     pub(super) answered: u32,
-    /// Datagrams of watched slaves that do not.
+    /// Number of datagrams of watched slaves with an unexpected working counter.
     pub(super) errors: u32,
     /// The slaves' AL status, if the frame asks for it.
     pub(super) al: Option<AlStatus>,
-    /// Time of the reference clock, ns, if the frame spreads it and all slaves took it.
+    /// Time of the reference clock, ns, if the frame distributes it and all slaves took it.
     pub(super) clock_ns: Option<u64>,
-    /// Whether any slave counted anything.
+    /// Whether any working counter is not 0.
     pub(super) touched: bool,
 }
 
-/// A frame's bytes, aligned so that they are copied by words.
+/// A frame's bytes, aligned so that they can be copied in words.
 #[derive(Debug)]
 #[repr(align(4))]
 struct Frame([u8; FRAME_LEN_MAX]);
 
-/// A prebuilt frame and the state of its last sending.
+/// A prebuilt frame and the state of its last transmission.
 #[derive(Debug)]
 pub(super) struct Telegram<const SLAVES: usize> {
     frame: Frame,
     start: usize,
     shares: Vec<Share, SLAVES>,
-    /// The header that asks for the AL status, as [`Share::header`], if it is asked for.
+    /// First eight bytes of the header that reads the AL status, like [`Share::header`], if the frame reads it.
     status: Option<u64>,
-    /// The header that spreads the clock's time.
+    /// First eight bytes of the header that distributes the clock's time.
     clock_header: u64,
-    /// Slaves of which a wrong working counter is an error: one bit for each.
+    /// Slaves whose wrong working counter is an error: one bit for each.
     watched: u32,
     clock: Option<ReferenceClock>,
     cyclic: Chain,
@@ -162,7 +163,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// Starts a frame anew: no datagrams behind the envelope's headers.
+    /// Resets the frame: no datagrams behind the envelope's headers.
     pub(super) fn clear(&mut self, envelope: &Envelope, source: MacAddress) {
         self.frame.0 = [0; FRAME_LEN_MAX];
         envelope.emit(&mut self.frame.0, source);
@@ -181,8 +182,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.state = SlotState::Idle;
     }
 
-    /// Adds a slave's datagram to a frame that is being built. Gives where its data start in the frame; `None` without
-    /// room.
+    /// Adds a slave's datagram to a frame that is being built. Returns the place of its data in the frame; `None` if
+    /// there is no room.
     pub(super) fn push_share(&mut self, slave: u8, watched: bool, window: &Window) -> Option<usize> {
         let mut share = Share {
             header: 0,
@@ -193,7 +194,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             slave,
             pieces: usize::from(window.input_length).div_ceil(PIECE_LEN) as u8,
         };
-        // Inputs are copied in pieces: the AL status behind the last ones makes sure that there are bytes to be copied.
+        // Inputs are copied in pieces; the AL status behind the last ones guarantees enough bytes to copy.
         let end = self.chain.end + 2 * DATAGRAM_OVERHEAD + usize::from(window.length) + AL_STATUS_LEN;
         if self.shares.is_full() || end > FRAME_LEN_MAX {
             return None;
@@ -204,7 +205,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             before.header |= MORE_HEADER;
         }
         self.watched |= if watched { share.bit } else { 0 };
-        // There is room, as was asked above.
+        // There is room; it was checked above.
         let _ = self.shares.push(share);
         Some(data)
     }
@@ -226,24 +227,25 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// The first eight bytes of the header in front of data.
+    /// First eight bytes of the header before `data`.
     fn header(&self, data: usize) -> u64 {
         let start = data - DATAGRAM_HEADER_LEN;
         u64::from(read_u32(&self.frame.0, start)) | u64::from(read_u32(&self.frame.0, start + 4)) << 32
     }
 
-    /// Ends building: what has been added is sent from now on.
+    /// Ends building: the added datagrams are sent from now on.
     pub(super) fn finish(&mut self, envelope: &Envelope) {
         self.cyclic = self.chain;
         self.close(envelope);
     }
 
-    /// Adds a datagram with zeroed data at the end of the chain. Gives where its data start in the frame.
+    /// Adds a datagram with zeroed data at the end of the chain. Returns the place of its data in the frame.
     fn push(&mut self, command: Command, address: Address, length: usize) -> Option<usize> {
         self.push_datagram(command, address, None, length)
     }
 
-    /// As [`Self::push`], with data of that length, or zeros.
+    /// Adds a datagram at the end of the chain with `length` bytes of zeroed or given data. Returns the place of its
+    /// data in the frame.
     fn push_datagram(
         &mut self,
         command: Command,
@@ -282,12 +284,12 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.length = envelope.close(&mut self.frame.0, self.chain.end);
     }
 
-    /// Longest data that an acyclic datagram may have beside the cyclic ones, bytes.
+    /// Longest data of an acyclic datagram beside the cyclic ones, bytes.
     pub(super) fn room(&self) -> usize {
         FRAME_LEN_MAX.saturating_sub(self.cyclic.end + DATAGRAM_OVERHEAD)
     }
 
-    /// Takes the acyclic datagrams off again.
+    /// Removes the acyclic datagrams.
     pub(super) fn drop_acyclic(&mut self, envelope: &Envelope) {
         self.acyclic.clear();
         self.set_more(self.cyclic.last, false);
@@ -299,7 +301,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.close(envelope);
     }
 
-    /// Appends an acyclic datagram for this sending; false without room.
+    /// Appends an acyclic datagram for this transmission; false if there is no room.
     pub(super) fn push_acyclic(&mut self, command: Command, address: Address, data: &[u8], is_message: bool) -> bool {
         let place = Acyclic {
             length: data.len() as u16,
@@ -311,7 +313,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         if self.push_datagram(command, address, Some(data), data.len()).is_none() {
             return false;
         }
-        // There is room, as was asked above.
+        // There is room; it was checked above.
         let _ = self.acyclic.push(place);
         true
     }
@@ -331,7 +333,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.cyclic.end == self.start
     }
 
-    /// Stamps the index and gives the frame to be sent.
+    /// Stamps the index and returns the frame to send.
     pub(super) fn send(&mut self, index: u8) -> &[u8] {
         if let Some(byte) = self.frame.0.get_mut(self.start + 1) {
             *byte = index;
@@ -346,7 +348,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.frame.0.get_mut(start..start + length)
     }
 
-    /// The time that is spread with the next sending, ns, until the reference clock puts its own there.
+    /// Sets the time of the next transmission's clock datagram, ns; the reference clock replaces it by its own.
     pub(super) fn set_clock(&mut self, time_ns: u64) {
         let Some(clock) = self.clock else { return };
         let data = self.frame.0.get_mut(self.cyclic.last + DATAGRAM_HEADER_LEN..);
@@ -359,9 +361,9 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// Takes a reply's datagrams apart: inputs go to `images`, everything else is given back.
+    /// Parses a reply: inputs go to `images`, everything else is returned.
     ///
-    /// What has been written to `images` counts only if the whole reply is what it should be.
+    /// The content of `images` is valid only if this function succeeds.
     ///
     /// # Errors
     /// [`Ignored::Mismatch`] or [`Ignored::Circulating`].
@@ -382,8 +384,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         Ok(taken)
     }
 
-    /// Takes the cyclic datagrams. Gives the bits in which headers differ from what was sent; `None` when the reply ends
-    /// before.
+    /// Parses the cyclic datagrams. Returns the bits in which headers differ from what was sent; `None` if the reply is
+    /// too short.
     #[inline]
     fn take_cyclic(&self, payload: &[u8], images: &mut [Image; SLAVES], taken: &mut Taken) -> Option<u64> {
         let (mut answered, mut differences) = (0, 0);
@@ -450,7 +452,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         })
     }
 
-    /// Whether any slave has counted anything in a reply.
+    /// Whether any working counter in a reply is not 0.
     #[cold]
     fn is_touched(&self, payload: &[u8]) -> bool {
         let mut walk = self.walk(payload, self.start);
@@ -458,7 +460,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         walk.counters != 0
     }
 
-    /// What is wrong with a reply whose headers differ from what was sent.
+    /// Why a reply whose headers differ from what was sent is rejected.
     #[cold]
     fn blame(&self, payload: &[u8]) -> Ignored {
         let mut walk = self.walk(payload, self.start);
@@ -471,7 +473,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// Hands out the acyclic datagrams of a reply that [`Self::take`] has found good: data and working counter.
+    /// Passes on the acyclic datagrams of a reply that [`Self::take`] has accepted: data and working counter.
     pub(super) fn each_acyclic(&self, payload: &[u8], mut take: impl FnMut(&Acyclic, &[u8], u16)) {
         let mut rest = payload.get(self.cyclic.end - self.start..).unwrap_or(&[]);
         for place in &self.acyclic {
@@ -484,7 +486,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// Goes through what was sent and what came back from a place in the frame on.
+    /// Walks what was sent and what came back from a place in the frame on.
     fn walk<'a>(&'a self, payload: &'a [u8], from: usize) -> Walk<'a> {
         Walk {
             sent: self.frame.0.get(from..self.chain.end).unwrap_or(&[]),
@@ -495,7 +497,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     }
 }
 
-/// Takes the next datagram off `rest`: the first eight bytes of its header, everything from its data on, and its working
+/// Takes the next datagram off `rest`: the first eight bytes of its header, all bytes from its data on, and its working
 /// counter.
 #[inline(always)]
 fn next<'a>(rest: &mut &'a [u8], length: usize) -> Option<(u64, &'a [u8], u16)> {
@@ -509,14 +511,14 @@ fn next<'a>(rest: &mut &'a [u8], length: usize) -> Option<(u64, &'a [u8], u16)> 
     ))
 }
 
-/// How many bits are set; apart, because it is rarely asked.
+/// Number of set bits; a separate function because it is rarely called.
 #[cold]
 #[inline(never)]
 fn count(bits: u32) -> u32 {
     bits.count_ones()
 }
 
-/// Goes through what was sent and what came back side by side, and collects where their headers differ.
+/// Walks what was sent and what came back in parallel, and collects the differences of their headers.
 struct Walk<'a> {
     sent: &'a [u8],
     received: &'a [u8],
@@ -525,8 +527,8 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// The next datagram's received bytes from its data on, and its working counter. Slaves count the device half of the
-    /// address where `counts_position`.
+    /// The next datagram's received bytes from its data on, and its working counter. If `counts_position`, slaves
+    /// increment the device half of the address.
     #[inline(always)]
     fn next(&mut self, length: usize, counts_position: bool) -> Option<(&'a [u8], u16)> {
         let mask = if counts_position { !POSITION_HEADER } else { u64::MAX };

@@ -1,10 +1,10 @@
-//! Which slave is at the other end of which cable.
+//! Topology: which slave is connected to which port.
 //!
-//! Frames pass the ports of a slave controller in the order 0, 3, 1, 2: they come in at the first one with a cable (port
-//! 0 as a rule), are processed, and leave through the others one after the other. So the order in which the slaves
-//! process frames and the ports in use give the whole tree (IEC 61158-4-12, DL status register).
+//! Frames pass the ports of a slave controller in the order 0, 3, 1, 2: they enter at the first one with a cable
+//! (usually port 0), are processed, and leave through the others in turn. The order in which the slaves process frames
+//! and the ports in use therefore give the whole tree (IEC 61158-4-12, DL status register).
 //!
-//! Invariant: partners are mutual; where the ports contradict the number of slaves, a port has no partner.
+//! Invariant: partners are mutual; a port that contradicts the number of slaves has no partner.
 
 use super::service::PortInfo;
 use super::wire::register::{DlStatus, PORTS, PortStatus};
@@ -22,13 +22,13 @@ pub struct CableEnd {
     pub port: u8,
 }
 
-/// Whether frames come and go at a port.
+/// Whether frames pass through a port.
 fn communicates(dl_status: u16, port: u8) -> bool {
     let ports = DlStatus::from_bits(dl_status).ports;
     ports.get(usize::from(port)).is_some_and(PortStatus::is_open)
 }
 
-/// The ports of a slave as its DL status tells, without partners.
+/// The ports of a slave according to its DL status, without partners.
 pub fn ports(dl_status: u16) -> [PortInfo; PORTS] {
     DlStatus::from_bits(dl_status).ports.map(|port| PortInfo {
         link: port.link,
@@ -38,12 +38,12 @@ pub fn ports(dl_status: u16) -> [PortInfo; PORTS] {
     })
 }
 
-/// Where frames come in: the first port in use.
+/// The port at which frames enter: the first port in use.
 pub fn entry(dl_status: u16) -> Option<u8> {
     PORT_ORDER.into_iter().find(|port| communicates(dl_status, *port))
 }
 
-/// Where frames go on to other slaves, in their order.
+/// The ports through which frames go on to other slaves, in their order.
 fn exits(dl_status: u16) -> impl Iterator<Item = u8> {
     let in_use = PORT_ORDER
         .into_iter()
@@ -51,21 +51,21 @@ fn exits(dl_status: u16) -> impl Iterator<Item = u8> {
     in_use.skip(1)
 }
 
-/// Where a slave hangs: the end of the cable that its entry port is plugged into; `None` is the master or unknown.
+/// The cable end to which each slave's entry port is connected; `None` for the master or if unknown.
 pub type Parents<const SLAVES: usize> = Vec<Option<CableEnd>, SLAVES>;
 
-/// The parent of each slave, out of the slaves' DL status registers in the order in which frames pass.
+/// The parent of each slave, from the slaves' DL status registers in the order in which frames pass.
 pub fn parents<const SLAVES: usize>(dl_status: &[u16]) -> Parents<SLAVES> {
     tree(dl_status.len(), |slave| {
         exits(dl_status.get(slave).copied().unwrap_or(0)).collect()
     })
 }
 
-/// The parent of each of `count` slaves in the order in which frames pass; `exits` gives the ports through which frames
-/// leave a slave for others, in their order.
+/// The parent of each of `count` slaves in the order in which frames pass; `exits` gives the ports of a slave through
+/// which frames leave to others, in their order.
 pub(super) fn tree<const SLAVES: usize>(count: usize, exits: impl Fn(usize) -> Vec<u8, PORTS>) -> Parents<SLAVES> {
     let mut parents = Parents::new();
-    // The slaves on the way back to the master, and how many of their exits have been followed.
+    // The slaves on the path back to the master, and how many of their exits have been followed.
     let mut way: Vec<(usize, usize), SLAVES> = Vec::new();
     for slave in 0..count.min(SLAVES) {
         let mut parent = None;

@@ -1,6 +1,6 @@
-//! From an unknown chain to slaves in OP, and back.
+//! Bring-up: from an unknown chain to slaves in OP, and shutdown.
 //!
-//! Each function is one guarded piece of work. Bring-up and repair use the same ones.
+//! Each function is one guarded step. Bring-up and repair share these steps.
 //!
 //! Invariant: only slaves with an axis leave INIT here; a slave goes up one state at a time.
 
@@ -21,11 +21,11 @@ use crate::robot::AXES;
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
-/// How long the number of slaves has to stay the same, ms.
+/// How long the number of slaves has to be stable, ms.
 const STABLE_MS: u32 = 10;
 /// Longest wait for the first inputs, ms.
 const INPUTS_TIMEOUT_MS: u32 = 1_000;
-/// How long outputs are sent before a drive is asked for OP, ms.
+/// How long outputs are sent before OP is requested for a drive, ms.
 const OUTPUTS_BEFORE_OPERATIONAL_MS: u32 = 10;
 /// Watchdog of slaves that no axis uses, ms: the slave controllers' default, as they move nothing.
 const UNUSED_WATCHDOG_MS: u16 = 100;
@@ -33,7 +33,7 @@ const UNUSED_WATCHDOG_MS: u16 = 100;
 const SAFE_OUTPUTS_MS: u32 = 3;
 
 impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
-    /// Counts, resets and identifies the slaves, and gives the drives their axes.
+    /// Counts, resets and identifies the slaves, and assigns the axes to the drives.
     pub(super) async fn find_all(&mut self) -> Result<(), Failure> {
         self.slaves.clear();
         self.clocks = BusClocks::default();
@@ -56,7 +56,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Lets the slaves' clocks agree and has the reference's time spread from then on.
+    /// Makes the slaves' clocks agree and has the reference's time distributed from then on.
     pub(super) async fn set_up_clocks(&mut self) -> Result<(), Failure> {
         self.clocks = BusClocks::default();
         if !self.setup.bus.clocks {
@@ -70,7 +70,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Waits until as many slaves as expected are there and their number stays the same.
+    /// Waits until as many slaves as expected are there and their number is stable.
     async fn discover(&mut self) -> Result<u16, BusError> {
         let expected = u16::from(self.setup.bus.drives);
         let (started_ms, mut found, mut since_ms) = (self.port.now_ms(), 0, self.port.now_ms());
@@ -100,8 +100,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(found)
     }
 
-    /// Gives all slaves their addresses and reads who they are. A slave whose SII cannot be read stays unknown; the
-    /// first such failure is handed back.
+    /// Assigns addresses to all slaves and reads their identities. A slave whose SII cannot be read stays unknown; the
+    /// first such failure is returned.
     pub(super) async fn identify_all(&mut self, found: u16) -> Result<Option<Failure>, Failure> {
         self.slaves.clear();
         self.ordered = usize::from(found);
@@ -138,7 +138,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(unread)
     }
 
-    /// Gives the drives their axes in chain order.
+    /// Assigns axes to the drives in chain order.
     fn give_axes(&mut self) -> Result<(), BusError> {
         let expected = self.setup.bus.drives.min(AXES as u8);
         let drives = self.slaves.iter_mut().filter(|slave| slave.kind.is_some());
@@ -153,7 +153,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Configures a used slave from INIT to SAFEOP; leaves others alone.
+    /// Configures a slave in use from INIT to SAFEOP; leaves other slaves alone.
     pub(super) async fn reach_safe_operational(&mut self, number: usize) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get_mut(number).filter(|slave| slave.axis.is_some()) else {
             return Ok(());
@@ -192,7 +192,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             .map_err(at(Step::PreOperational))
     }
 
-    /// Process data of another slave of the same product and revision.
+    /// Process data of another slave with equal product and revision.
     fn twin(&self, number: usize) -> Option<ProcessData> {
         let product = |slave: &Slave| {
             let identity = slave.identity();
@@ -240,8 +240,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             .map_err(at(Step::SafeOperational))
     }
 
-    /// Takes a used slave from SAFEOP to OP, once its inputs come and outputs have been sent for a while. The plan with
-    /// its process data has to be in force.
+    /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
+    /// with its process data has to be in force.
     pub(super) async fn reach_operational(&mut self, number: usize) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get(number).copied().filter(|slave| slave.axis.is_some()) else {
             return Ok(());
@@ -265,7 +265,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Waits until a slave answers to its logical addresses and outputs have been sent for a while.
+    /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.
     pub(super) async fn inputs_come(&mut self, slave: &Slave) -> Result<(), BusError> {
         let share = configure::cyclic_slave(slave);
         let started_ms = self.port.now_ms();
@@ -287,8 +287,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Takes all used slaves out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is left
-    /// to its own watchdog.
+    /// Takes all slaves in use out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is
+    /// left to its watchdog.
     pub(super) async fn shut_down(&mut self) {
         self.send_safe_plan().await;
         self.port.wait_ms(SAFE_OUTPUTS_MS).await;

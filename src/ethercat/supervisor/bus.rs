@@ -1,7 +1,7 @@
-//! The slaves as the supervisor knows them, and its ways to them.
+//! The supervisor's record of the slaves, and its access to them.
 //!
-//! Invariant: whatever changes a slave's condition sends the plan that follows from it; a slave that is being worked on
-//! may show any AL state without disturbing the critical side.
+//! Invariant: every change of a slave's condition sends the resulting plan; a slave on which work is in progress may
+//! show any AL state without disturbing the critical side.
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::BusClocks;
@@ -21,10 +21,10 @@ use heapless::spsc::Producer;
 
 /// Longest wait for the application to take an event, ms.
 const EVENT_TIMEOUT_MS: u32 = 50;
-/// Slaves that are looked at in one frame.
+/// Slaves inspected in one frame.
 pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
 
-/// The slaves, and the ways to them.
+/// The slaves, and the queues to reach them.
 pub(super) struct Bus<'a, const SLAVES: usize, const MESSAGE: usize> {
     pub(super) port: AcyclicPort<'a, MESSAGE>,
     plans: Producer<'a, CyclicPlan<SLAVES>>,
@@ -32,13 +32,13 @@ pub(super) struct Bus<'a, const SLAVES: usize, const MESSAGE: usize> {
     pub(super) setup: BusSetup,
     pub(super) slaves: Vec<Slave, SLAVES>,
     pub(super) clocks: BusClocks<SLAVES>,
-    /// How many of the slaves were in the chain when the bus was brought up, in its order.
+    /// How many of the slaves were in the chain when the bus was brought up; these keep its order.
     pub(super) ordered: usize,
     pub(super) generation: u8,
     worked_on: Option<usize>,
     pub(super) cable_next: usize,
     pub(super) events_dropped: u32,
-    /// A long value between two pieces of it.
+    /// A long value between two pieces of its transfer.
     pub(super) value: Vec<u8, MESSAGE>,
 }
 
@@ -80,7 +80,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         self.emit(BusEvent::Refused { position, step, error }).await;
     }
 
-    /// Reports a slave with its state as it is known.
+    /// Reports a slave with its last known state.
     pub(super) async fn introduce(&mut self, number: usize) {
         let Some(slave) = self.slaves.get(number) else { return };
         let identity = slave.identity();
@@ -113,11 +113,11 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         let mut requests: LookList<Request> = LookList::new();
         for slave in self.slaves.iter().skip(numbers.start).take(numbers.len().min(LOOK_MAX)) {
             let address = Address::station(slave.station(), register::AL_STATUS);
-            // Both lists have room for one look.
+            // Both lists have room for one frame's slaves.
             let _ = requests.push(Request::read(Command::Fprd, address, AlReport::LEN));
             let _ = reports.push(None);
         }
-        // Who does not answer has no report, whatever the reason.
+        // A slave that does not answer has no report, whatever the reason.
         let _ = self
             .port
             .insist_all(&requests, 1, |number, bytes| {
@@ -129,7 +129,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         reports
     }
 
-    /// The plan that follows from the slaves' conditions.
+    /// The plan that results from the slaves' conditions.
     fn plan(&self) -> CyclicPlan<SLAVES> {
         let worked_on = self.worked_on;
         let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
@@ -145,7 +145,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
             }
         });
         CyclicPlan {
-            // The bit of OP is the one that tells of the slaves in use.
+            // The OP bit is the one that concerns the slaves in use.
             al_bits_ignored: ignored.fold(0, |bits, slave| bits | slave) & !(AlState::Operational as u16),
             slaves: slaves.collect(),
             exchange: self.setup.bus.exchange,
@@ -153,7 +153,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         }
     }
 
-    /// Fails when the slaves' process data leave no room in a frame for the longest mailbox among them.
+    /// Fails if the slaves' process data leave no room in a frame for the longest mailbox among them.
     pub(super) fn check_plan(&self) -> Result<(), BusError> {
         let windows = self.slaves.iter().map(|slave| {
             let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
@@ -173,7 +173,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         })
     }
 
-    /// Sends the plan that follows from the slaves' conditions.
+    /// Sends the plan that results from the slaves' conditions.
     pub(super) async fn send_plan(&mut self) {
         let mut plan = self.plan();
         while let Err(back) = self.plans.enqueue(plan) {
@@ -201,7 +201,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         }
     }
 
-    /// The clock that is spread in each cycle, if the clocks were set up.
+    /// The reference clock whose time is distributed in each cycle, if the clocks were set up.
     fn reference_clock(&self) -> Option<ReferenceClock> {
         let answers = |position: usize| {
             let slave = self.slaves.get(position);
@@ -215,7 +215,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         self.slaves.iter().map(Slave::station).collect()
     }
 
-    /// Begins or ends work on a slave: whatever its state does meanwhile is no disturbance.
+    /// Begins or ends work on a slave; its state changes meanwhile do not count as a disturbance.
     pub(super) async fn work_on(&mut self, number: Option<usize>) {
         if let (Some(before), None) = (self.worked_on, number) {
             self.inspect(before..before + 1).await;
@@ -224,24 +224,24 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         self.send_plan().await;
     }
 
-    /// Whether a slave is being worked on.
+    /// Whether work on a slave is in progress.
     pub(super) const fn is_worked_on(&self) -> bool {
         self.worked_on.is_some()
     }
 
-    /// Slaves that should answer.
+    /// Number of slaves that should answer.
     pub(super) fn present(&self) -> u16 {
         let present = |slave: &&Slave| slave.condition != Condition::Lost;
         self.slaves.iter().filter(present).count() as u16
     }
 
-    /// Whether all used slaves are in OP.
+    /// Whether all slaves in use are in OP.
     pub(super) fn is_operational(&self) -> bool {
         let mut used = self.slaves.iter().filter(|slave| slave.axis.is_some());
         used.all(|slave| slave.condition == Condition::Operational)
     }
 
-    /// What the critical side should see; while a slave is worked on, everything but that slave.
+    /// What the critical side should see; a slave on which work is in progress is excluded.
     pub(super) fn expectation(&self, worked_on: Option<usize>) -> Expectation {
         let (mut status, mut answering) = (0, 0);
         for (number, slave) in self.slaves.iter().enumerate() {
@@ -265,7 +265,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         }
     }
 
-    /// Asks slaves for their state, and reports what has changed.
+    /// Queries slaves for their state, and reports changes.
     pub(super) async fn inspect(&mut self, numbers: Range<usize>) {
         let mut changed = false;
         let last = numbers.end.min(self.slaves.len());
@@ -280,7 +280,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Bus<'a, SLAVES, MESSAGE> {
         }
     }
 
-    /// Takes a slave's report or its silence; whether that is a change.
+    /// Takes a slave's report, or `None` if it does not answer; returns whether its condition changed.
     async fn judge(&mut self, number: usize, answer: Option<AlReport>) -> bool {
         let Some(slave) = self.slaves.get_mut(number) else {
             return false;

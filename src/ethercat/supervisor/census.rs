@@ -1,12 +1,12 @@
-//! Who has come: slaves that return and slaves that were not there before.
+//! Census: finds slaves that return and slaves that are new.
 //!
-//! A slave without an address that is where a missing one has to be, and is the same product, has returned. One that is
-//! in use waits for [`BusCommand::Recover`](super::BusCommand::Recover), and so does whoever stands in its place, because it
-//! cannot be read or is another product: given a number, it would be found by no repair. One that is not in use is known
-//! again at once. Every other one is an extra slave: it is identified, gets a number behind all others, wherever it was
-//! plugged in, and is never used.
+//! A slave without an address at the place of a missing one, and of its product, has returned. If the missing slave is
+//! in use, the returned one waits for [`BusCommand::Recover`](super::BusCommand::Recover). So does a slave at its place
+//! that cannot be read or is another product: with a number of its own, no repair would find it. A slave that is not in
+//! use is recognised at once. Every other slave is an extra one: it is identified, gets a number behind all others,
+//! wherever it was plugged in, and is never used.
 //!
-//! Invariant: nothing here changes a slave's state or gives it process data.
+//! Invariant: the census changes no slave's state and gives no slave process data.
 
 use super::super::configure::discovery;
 use super::super::error::BusError;
@@ -25,7 +25,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             if self.number_of(*station).is_some() {
                 continue;
             }
-            // Who cannot be read is an unknown device.
+            // A slave that cannot be read is an unknown device.
             let fixed = self.fixed_at(place).await.unwrap_or_default();
             let belongs_here = |slave: &Slave| {
                 let between = self.strangers_between(usize::from(slave.position), &places);
@@ -54,7 +54,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Knows a slave again that is not in use; one in use keeps waiting for its repair.
+    /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair.
     async fn greet(&mut self, number: usize, place: u16) -> Result<(), BusError> {
         let unused = self.slaves.get(number).filter(|slave| slave.axis.is_none());
         if let Some(station) = unused.map(Slave::station) {
@@ -64,7 +64,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Gives an extra slave a number behind all others; whether there was room for it.
+    /// Gives an extra slave a number behind all others; returns whether there was room.
     async fn admit(&mut self, place: u16, fixed: FixedPart) -> Result<bool, BusError> {
         let number = self.slaves.len();
         let slave = Slave {

@@ -1,10 +1,10 @@
-//! What comes in while the supervisor works: observations, commands, requests.
+//! Inputs of the supervisor while it works: observations, commands, requests.
 //!
-//! A piece of work on one slave may take seconds. [`Desk::guard`] polls it and looks at the bus between two polls: when
-//! another slave looks wrong for [`WORK_SUSPICION_MS`], or a command comes that makes the work pointless, the work is
-//! dropped. The acyclic port skips the replies that it leaves behind.
+//! Work on one slave may take seconds. [`Desk::guard`] polls it and checks the bus between two polls. If another slave
+//! looks wrong for [`WORK_SUSPICION_MS`], or a command arrives that makes the work pointless, the work is dropped. The
+//! acyclic port skips the replies that the dropped work leaves behind.
 //!
-//! Invariant: no work keeps a change of the bus or a command waiting for more than a few milliseconds.
+//! Invariant: no work delays a change of the bus or a command by more than a few milliseconds.
 
 use super::super::cyclic::Observation;
 use super::super::event::BusCommand;
@@ -26,21 +26,21 @@ pub(super) const WORK_SUSPICION_MS: u32 = 20;
 /// State and error flag of an AL status register.
 pub(super) const STATUS_MASK: u16 = register::AL_STATE_MASK | register::AL_ERROR_BIT;
 
-/// What the critical side should see.
+/// Bus state that the critical side should see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Expectation {
-    /// Slaves that answer; `None` when any number will do.
+    /// Number of slaves that answer; `None` for any number.
     pub(super) slaves: Option<u16>,
-    /// Bits of the AL status that have to be there.
+    /// Bits of the AL status that have to be set.
     pub(super) required: u16,
-    /// Bits that may be there.
+    /// Bits that may be set.
     pub(super) allowed: u16,
-    /// Slaves whose inputs have to come, one bit each.
+    /// Slaves whose inputs have to arrive, one bit each.
     pub(super) answering: u32,
 }
 
 impl Expectation {
-    /// Anything goes.
+    /// Any bus state.
     pub(super) const ANYTHING: Self = Self {
         slaves: None,
         required: 0,
@@ -48,7 +48,7 @@ impl Expectation {
         answering: 0,
     };
 
-    /// Whether what was seen is anything else.
+    /// Whether the observed state differs from the expected one.
     fn differs(&self, seen: &Observation) -> bool {
         let Some(slaves) = self.slaves else { return false };
         let status = seen.al.status & STATUS_MASK;
@@ -65,7 +65,7 @@ impl Expectation {
 pub(super) enum Interruption {
     /// Another slave looks wrong.
     Bus,
-    /// A command came.
+    /// A command arrived.
     Command,
 }
 
@@ -77,12 +77,12 @@ pub(super) struct Desk<'a> {
     pub(super) answers: Producer<'a, ServiceResult>,
     pub(super) seen: Option<Observation>,
     pub(super) suspicion_ms: u32,
-    /// The Ethernet port.
+    /// State of the Ethernet port.
     pub(super) port: PortState,
 }
 
 impl Desk<'_> {
-    /// Takes what the critical side has seen since; to be called once a millisecond.
+    /// Takes the critical side's new observations; call it once a millisecond.
     pub(super) fn observe(&mut self, expected: &Expectation) {
         while let Some(observation) = self.observations.dequeue() {
             self.seen = Some(observation);
@@ -95,28 +95,28 @@ impl Desk<'_> {
         };
     }
 
-    /// Takes what became of the port, so that no other command waits behind it, and lets a start pass a repair.
+    /// Takes changes of the port, so that no other command waits behind them, and lets a start overtake a repair.
     fn clear_the_way(&mut self) {
         while let Some(BusCommand::Port(port)) = front(&self.commands) {
             self.port = *port;
-            // It is the one that was just looked at.
+            // This is the command that was just checked.
             let _ = self.commands.dequeue();
         }
         if self.commands.len() > 1 && matches!(front(&self.commands), Some(BusCommand::Recover)) {
-            // What was asked for after a repair makes it pointless.
+            // A command after the repair makes the repair pointless.
             let _ = self.commands.dequeue();
         }
     }
 
-    /// Slaves that answered last.
+    /// Number of slaves that answered in the last cycle.
     pub(super) fn slaves(&self) -> u16 {
         self.seen.map_or(0, |seen| seen.al.slaves)
     }
 
-    /// Lets `work` go on as long as the bus is as `expected` and no command makes it pointless.
+    /// Runs `work` as long as the bus is as `expected` and no command makes the work pointless.
     ///
-    /// With `refuse`, as in bring-up and repair, requests that come meanwhile are answered by [`ServiceError::Busy`], and
-    /// the work ends when the port loses its link.
+    /// With `refuse`, as in bring-up and repair, requests that arrive meanwhile are answered by [`ServiceError::Busy`],
+    /// and the work ends when the port loses its link.
     pub(super) async fn guard<T>(
         &mut self,
         mut expected: Expectation,
@@ -129,7 +129,7 @@ impl Desk<'_> {
                 return Poll::Ready(Ok(value));
             }
             self.observe(&expected);
-            // An error flag that was there at the start may go; one that comes is somebody else's.
+            // An error flag that was set at the start may clear; a new one belongs to another slave.
             if self
                 .seen
                 .is_some_and(|seen| seen.al.status & register::AL_ERROR_BIT == 0)
@@ -138,7 +138,7 @@ impl Desk<'_> {
                 expected.allowed &= !register::AL_ERROR_BIT;
             }
             if refuse && self.answers.ready() && self.services.dequeue().is_some() {
-                // There is room, as was just asked.
+                // There is room; it was just checked.
                 let _ = self.answers.enqueue(Err(ServiceError::Busy));
             }
             if refuse && self.port.is_down() {

@@ -1,7 +1,7 @@
-//! Ports, cables and what the error counters tell of them.
+//! Cable diagnosis: ports, cables and error counters.
 //!
-//! A damaged frame is counted by the slave that received it first, at the port it came in by: the cable in that port is
-//! the bad one. The counters (0x0300 to 0x0313, IEC 61158-4-12) start at 0 when the bus is brought up.
+//! A damaged frame is counted by the first slave that receives it, at the port where it enters: the cable in that port
+//! is the bad one. The counters (0x0300 to 0x0313, IEC 61158-4-12) start at 0 when the bus is brought up.
 //!
 //! Invariant: one slave's counters are read at a time, and a cable is reported when its counters have grown.
 
@@ -26,10 +26,10 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             let mut requests: LookList<Request> = LookList::new();
             for slave in chunk.iter() {
                 let address = Address::station(slave.station(), register::DL_STATUS);
-                // The list has room for one chunk.
+                // The list has room for one frame's slaves.
                 let _ = requests.push(Request::read(Command::Fprd, address, 2));
             }
-            // The ports of a slave that does not answer stay as they were.
+            // The ports of a slave that does not answer keep their last state.
             let _ = port
                 .insist_all(&requests, 1, |number, bytes| {
                     if let Some(slave) = chunk.get_mut(number) {
@@ -66,7 +66,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let station = self.slaves.get(number).map_or(0, super::super::slave::Slave::station);
         let length = register::ERROR_COUNTERS_LEN;
         let bytes = self.port.read(station, register::RECEIVE_ERRORS, length).await?;
-        // As many bytes as were asked for came back.
+        // As many bytes as requested came back.
         let counters = ErrorCounters::parse(&bytes).unwrap_or_default();
         let watchdog = self.port.read(station, register::WATCHDOG_COUNTER, 1).await?;
         Ok(SlaveErrors {
@@ -78,14 +78,14 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         })
     }
 
-    /// Forgets what the cables' counters were.
+    /// Forgets the last counters of the cables.
     pub(super) fn forget_errors(&mut self) {
         for slave in &mut self.slaves {
             slave.port_errors = [0; PORTS];
         }
     }
 
-    /// Reads the next slave's counters and reports the cables whose errors have become more.
+    /// Reads the next slave's counters and reports the cables whose error counts have grown.
     pub(super) async fn look_at_cables(&mut self) {
         let number = self.cable_next % self.slaves.len().max(1);
         self.cable_next = number + 1;
@@ -119,8 +119,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Reads how often the watchdog of the processor of the slave whose cables were looked at last has expired, and reports
-    /// an expiry of a slave in OP: what it has shown since was old. Controllers without that watchdog count none.
+    /// Reads how often the processor watchdog of the last inspected slave has expired, and reports an expiry of a slave
+    /// in OP, because its process data were stale since. Controllers without that watchdog never count.
     pub(super) async fn look_at_processor(&mut self) {
         let number = self.cable_next.saturating_sub(1);
         let Some(slave) = self.slaves.get(number) else { return };
@@ -141,7 +141,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Fetches what the slave whose cables were looked at last has in its mailbox unasked, and reports its emergencies.
+    /// Fetches unsolicited messages from the mailbox of the last inspected slave, and reports its emergencies.
     pub(super) async fn look_at_mailbox(&mut self) {
         let number = self.cable_next.saturating_sub(1);
         let Some(slave) = self.slaves.get_mut(number) else {
@@ -150,7 +150,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         if slave.condition != Condition::Operational || slave.fixed.mailbox_in.length == 0 {
             return;
         }
-        // A slave that does not answer is noticed elsewhere.
+        // A slave that does not answer is detected elsewhere.
         let _ = slave.mailbox.drain(&mut self.port).await;
         while let Some(emergency) = self.take_emergency(number) {
             let position = number as u8;
@@ -158,7 +158,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// The next emergency of a slave, kept as its last one.
+    /// Takes the next emergency of a slave and stores it as the slave's last one.
     fn take_emergency(&mut self, number: usize) -> Option<Emergency> {
         let slave = self.slaves.get_mut(number)?;
         let emergency = slave.mailbox.take_emergency()?;

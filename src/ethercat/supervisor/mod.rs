@@ -1,13 +1,15 @@
-//! Brings the bus up, watches it, repairs it, and answers questions about it.
+//! The supervisor: brings the bus up, watches it, repairs it, and answers service requests.
 //!
-//! One `async` function runs for ever, polled once a millisecond at low priority. It configures the slaves of the chain,
-//! hands the critical side its plan, takes the drives to OP while cyclic data already run, and then looks for slaves
-//! that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a slave back
-//! while the others go on. Between all this it carries out requests ([`service`](super::service)), with or without a
-//! bus that was brought up. Every step's failure is reported with slave, step and reason.
+//! One `async` function runs for ever, polled once a millisecond at low priority. It configures the slaves of the
+//! chain, passes the critical side its plan, takes the drives to OP while cyclic data already run, and then watches for
+//! slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a slave
+//! back while the others continue. In between, the supervisor carries out service requests
+//! ([`service`](super::service)), even on a bus that was not brought up. Every failed step is reported with slave, step
+//! and reason.
 //!
-//! Invariants: nothing in use is repaired without a command; a slave is only taken back if it is the product that was
-//! there before; all waiting ends; whatever is being done to one slave, a change of another is noticed within 100 ms.
+//! Invariants: a slave in use is only repaired on command; a slave is only taken back if it is the product that was
+//! there before; every wait ends; while work on one slave is in progress, a change of another is detected within 100
+//! ms.
 
 mod bring_up;
 mod bus;
@@ -33,13 +35,13 @@ use desk::{Desk, Expectation, Interruption, SUSPICION_MS, WORK_SUSPICION_MS};
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
 
-/// Pause between two inspections of the same suspicion, ms.
+/// Pause between two inspections for one suspicion, ms.
 const INSPECTION_PAUSE_MS: u32 = 50;
-/// Period of the supervisor's own look at some slaves after the others, ms.
+/// Period of the supervisor's routine inspection of a few slaves in turn, ms.
 const LOOK_PERIOD_MS: u32 = 20;
 /// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
-/// How often a repair is begun again after another slave has interrupted it.
+/// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
 
 const _: () = {
@@ -55,19 +57,19 @@ const _: () = {
 
 /// The supervisor's ends of the queues.
 pub struct SupervisorEnd<'a, const SLAVES: usize, const MESSAGE: usize> {
-    /// Plans for the critical side.
+    /// Plans to the critical side.
     pub plans: Producer<'a, CyclicPlan<SLAVES>>,
     /// Acyclic requests and their replies.
     pub port: AcyclicPort<'a, MESSAGE>,
-    /// What the critical side sees.
+    /// Bus states from the critical side.
     pub observations: Consumer<'a, Observation>,
-    /// Orders of the application.
+    /// Commands of the application.
     pub commands: Consumer<'a, BusCommand>,
-    /// Reports to the application.
+    /// Events to the application.
     pub events: Producer<'a, BusEvent>,
-    /// Requests beside the robot's work.
+    /// Service requests.
     pub services: Consumer<'a, ServiceRequest>,
-    /// Their answers, one each, in order.
+    /// Answers to the service requests, one each, in order.
     pub answers: Producer<'a, ServiceResult>,
 }
 
@@ -97,14 +99,14 @@ impl Failure {
     }
 }
 
-/// How far the bus is.
+/// State of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Nothing was asked for, or the bus was stopped.
+    /// No bring-up was requested, or the bus was stopped.
     Stopped,
-    /// It was to be brought up, and that failed.
+    /// The bring-up failed.
     Failed,
-    /// All used slaves were brought to OP.
+    /// All slaves in use were brought to OP.
     Running,
 }
 
@@ -113,12 +115,12 @@ pub struct Supervisor<'a, const SLAVES: usize, const MESSAGE: usize> {
     bus: Bus<'a, SLAVES, MESSAGE>,
     desk: Desk<'a>,
     phase: Phase,
-    /// Slaves there were when the chain was last looked through.
+    /// Number of slaves at the last census.
     slaves_sorted: u16,
     inspected_ms: u32,
     looked_ms: u32,
     look_next: usize,
-    /// Whether the running bus' lost link was reported.
+    /// Whether the lost link of the running bus was reported.
     port_missed: bool,
 }
 
@@ -159,7 +161,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         self.bus.events_dropped
     }
 
-    /// The supervisor's whole life; to be polled once a millisecond.
+    /// Runs the supervisor for ever; to be polled once a millisecond.
     pub async fn run(&mut self) -> ! {
         loop {
             match (self.desk.commands.dequeue(), self.phase) {
@@ -193,7 +195,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
     async fn start(&mut self) {
         self.phase = Phase::Failed;
         if self.link_stays_away().await {
-            // A command that came meanwhile is carried out instead.
+            // A command that arrived meanwhile is carried out instead.
             if !self.desk.commands.ready() {
                 self.miss_link().await;
             }
@@ -220,8 +222,8 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         }
     }
 
-    /// Waits for the port's link, which takes its time when everything is switched on at once; ends early when another
-    /// command comes.
+    /// Waits for the port's link, which takes some seconds after a common power-up; returns early when another command
+    /// arrives. Returns whether the link is still missing.
     async fn link_stays_away(&mut self) -> bool {
         let began_ms = self.bus.port.now_ms();
         while self.desk.port.is_down()
@@ -276,7 +278,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         Ok(Ok(()))
     }
 
-    /// One millisecond of watching.
+    /// Watches the bus for one millisecond.
     async fn watch(&mut self) {
         self.bus.port.wait_ms(1).await;
         let expected = self.bus.expectation(None);
@@ -296,7 +298,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         }
     }
 
-    /// Asks all slaves for their state, and looks through the chain if their number has changed.
+    /// Queries all slaves for their state, and takes a census if their number has changed.
     async fn inspect_all(&mut self) {
         self.bus.inspect(0..SLAVES).await;
         let there = self.desk.slaves();
@@ -312,7 +314,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
                 ..expected
             };
             let work = pin!(bus.take_census());
-            // Interrupted, it is taken again at the next suspicion.
+            // After an interruption the inspection is repeated at the next suspicion.
             if desk.guard(expected, false, work).await.is_ok() {
                 self.slaves_sorted = there;
             }
@@ -322,7 +324,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         self.inspected_ms = self.bus.port.now_ms();
     }
 
-    /// Looks at some slaves' states, and at the error counters, the processor's watchdog and the mailbox of one of them.
+    /// Inspects the states of a few slaves, and error counters, processor watchdog and mailbox of one of them.
     async fn look(&mut self) {
         let slaves = self.bus.slaves.len().max(1);
         let first = self.look_next % slaves;
@@ -334,11 +336,11 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         let expected = self.bus.expectation(None);
         let Self { bus, desk, .. } = self;
         let work = pin!(bus.look_at_mailbox());
-        // Interrupted, the mailbox is looked at again in the next round.
+        // After an interruption the mailbox is read again in the next round.
         let _ = desk.guard(expected, false, work).await;
     }
 
-    /// Brings every used slave that is not in OP back there.
+    /// Brings every slave in use that is not in OP back to OP.
     async fn recover(&mut self) {
         self.inspect_all().await;
         for number in 0..self.bus.slaves.len() {
@@ -364,7 +366,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         }
     }
 
-    /// Repairs a slave; begins again when another one demands attention.
+    /// Repairs a slave; restarts when another slave needs attention.
     async fn repair_guarded(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
         for _ in 0..REPAIR_TRIES_MAX {
             let Self { bus, desk, .. } = self;
@@ -390,7 +392,7 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
         Ok(Err(Failure::of(number as u16, Step::Watch)(error)))
     }
 
-    /// Takes the slaves out of OP: outputs become safe, are sent, and only then do the states follow.
+    /// Takes the slaves out of OP: safe outputs are sent first, then the states follow.
     async fn stop(&mut self) {
         if self.phase == Phase::Running {
             self.bus.shut_down().await;
@@ -427,5 +429,5 @@ impl<'a, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, SLAVES, MESSA
     }
 }
 
-/// A list with a place for each slave of one look.
+/// A list with a place for each slave of one inspection.
 type LookList<T> = Vec<T, { bus::LOOK_MAX }>;

@@ -1,6 +1,6 @@
 //! Requests for a slave's object dictionary.
 //!
-//! Invariant: a value that was read stands in the supervisor's buffer as a whole, or the buffer is empty.
+//! Invariant: the supervisor's buffer holds a completely read value, or is empty.
 
 use super::super::coe::ObjectDictionary;
 use super::super::service::{
@@ -17,7 +17,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             port, slaves, value, ..
         } = self;
         let slave = slaves.get_mut(number).ok_or(ServiceError::Interrupted)?;
-        // The buffer is as long as it can be.
+        // The buffer has its greatest length.
         let _ = value.resize(MESSAGE, 0);
         let mut dictionary = ObjectDictionary::new(port, &mut slave.mailbox);
         let result = dictionary.upload_into(object, complete, value).await;
@@ -51,7 +51,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let mut total = 0_u16;
         let take = |index| {
             if total >= first {
-                // What finds no room is asked for next.
+                // Indices that find no room are requested next.
                 let _ = indices.push(index);
             }
             total = total.saturating_add(1);
@@ -91,7 +91,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
     }
 }
 
-/// A name up to its first byte that is not UTF-8 or NUL, cut off where there is no more room.
+/// A name up to its first byte that is not UTF-8 or NUL; cut off if it is too long.
 fn text(bytes: &[u8]) -> Name {
     let mut name = Name::new();
     for chunk in bytes.utf8_chunks().take(1) {

@@ -1,11 +1,11 @@
-//! Bringing one slave back into use while the others go on.
+//! Repair: brings one slave back into use while the others continue.
 //!
-//! A slave may still have its address and only have left OP; it may have been switched off and stand in INIT without an
-//! address, at its old place or, when something was plugged in or is still missing before it, at another one. The order
-//! of the slaves that kept their addresses tells between which of them it has to be.
+//! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
+//! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
+//! kept their addresses tells between which of them it belongs.
 //!
-//! Invariant: a slave is only taken back at its place in the order, if it is the same product, and if its serial number
-//! is not that of another slave of this bus.
+//! Invariant: a slave is only taken back at its place in the order, with the expected product, and with a serial number
+//! that does not belong to another slave of this bus.
 
 use super::super::clock;
 use super::super::configure::{discovery, information};
@@ -18,14 +18,14 @@ use super::Failure;
 use super::bus::Bus;
 use heapless::Vec;
 
-/// Most places of a chain that are looked through.
+/// Most places of a chain that are searched.
 pub(super) const PLACES_MAX: usize = 64;
 
-/// The station addresses along the chain, 0 where there is none.
+/// The station addresses along the chain; 0 where a slave has none.
 pub(super) type Places = Vec<u16, PLACES_MAX>;
 
 impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
-    /// Brings a used slave back to OP.
+    /// Brings a slave in use back to OP.
     pub(super) async fn repair(&mut self, number: usize) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get(number).copied() else {
             return Ok(());
@@ -42,7 +42,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             None => self.take_back(number, &places).await?,
         }
         if let Some(slave) = self.slaves.get_mut(number) {
-            // Whatever it shows, it goes through INIT.
+            // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
         let stations = self.stations();
@@ -68,13 +68,13 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(places)
     }
 
-    /// The number of the slave with a station address, if it is one of this bus.
+    /// The number of the slave with a station address, if it belongs to this bus.
     pub(super) fn number_of(&self, station: u16) -> Option<usize> {
         let number = usize::from(station.checked_sub(STATION_BASE)?);
         (number < self.slaves.len()).then_some(number)
     }
 
-    /// Finds a slave without an address, makes sure that it is the one, and gives it its address.
+    /// Finds a slave that lost its address, checks its identity, and assigns its address.
     async fn take_back(&mut self, number: usize, places: &Places) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get(number).copied() else {
             return Ok(());
@@ -82,7 +82,8 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let at = |step| Failure::of(slave.position, step);
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
-        // As many as are missing: the order tells. Otherwise only who they are.
+        // If as many strangers as missing slaves are found, the order identifies them; otherwise only their identity
+        // does.
         let by_order = (strangers.len() == missing.len())
             .then(|| missing.iter().position(|missing| usize::from(*missing) == number))
             .flatten();
@@ -116,7 +117,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         self.number_of(station).filter(|number| *number < self.ordered)
     }
 
-    /// Places without an address of ours between a slave's neighbours; anywhere for an extra one.
+    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
     pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
         let (mut first, mut last) = (0, places.len());
         if number < self.ordered {
@@ -137,7 +138,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
             .collect()
     }
 
-    /// Slaves that are not in the chain and belong between the same neighbours as this one.
+    /// Missing slaves that belong between the neighbours of this slave.
     fn missing_between(&self, number: usize, places: &Places) -> Vec<u8, PLACES_MAX> {
         let there = |number: &usize| places.contains(&STATION_BASE.wrapping_add(*number as u16));
         let first = (0..number).rev().find(there).map_or(0, |number| number + 1);
@@ -145,7 +146,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         (first..last).map(|number| number as u8).collect()
     }
 
-    /// Reads who stands at a place without an address; it keeps none.
+    /// Reads the fixed part of the slave at a place without an address; its address is removed afterwards.
     pub(super) async fn fixed_at(&mut self, place: u16) -> Result<FixedPart, BusError> {
         discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
         let fixed = information::fixed_part(&mut self.port, STATION_TEMPORARY).await;
@@ -154,7 +155,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         fixed
     }
 
-    /// Whether someone may take a slave's place.
+    /// Whether a slave with this identity may take a slave's place.
     pub(super) fn is_same(&self, slave: &Slave, identity: &Identity) -> Result<(), BusError> {
         let (old, new) = (slave.identity(), identity);
         if (old.vendor, old.product) != (new.vendor, new.product) {
@@ -177,7 +178,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// The short way back of a slave that only left OP: acknowledge and ask again.
+    /// Brings a slave back that only left OP: acknowledges the error and requests OP again.
     async fn resume(&mut self, number: usize) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get(number).copied() else {
             return Ok(());
@@ -197,7 +198,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Err(at(Step::Operational)(error))
     }
 
-    /// Whether the slave at a place stands between those that it stood between before.
+    /// Whether the slave at a place is between the neighbours that it had before.
     fn is_in_order(&self, places: &Places, place: usize, number: usize) -> Result<(), BusError> {
         let rank = |there: &u16| self.rank_of(*there);
         let mut before = places.iter().take(place).filter_map(rank);

@@ -1,9 +1,9 @@
-//! Carrying out what people and tools ask of the bus.
+//! Service requests: carries out requests of people and tools to the bus.
 //!
-//! With a bus that was not brought up, the slaves are found and identified first, whenever their number or their
-//! addresses are not those of the last time; nothing is configured. Values longer than a piece stay in one buffer.
+//! If the bus was not brought up, the slaves are first found and identified whenever their number or their addresses
+//! have changed; nothing is configured. Values longer than a piece stay in one buffer.
 //!
-//! Invariant: a request touches the slave it names and no other, except `ClearErrors`.
+//! Invariant: a request accesses the slave that it names and no other, except `ClearErrors`.
 
 use super::super::acyclic::REGISTER_BYTES_MAX;
 use super::super::coe::ObjectDictionary;
@@ -86,7 +86,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Makes sure that the slaves are known and have their addresses.
+    /// Makes sure that the slaves are identified and have their addresses.
     async fn know_all(&mut self) -> Result<(), ServiceError> {
         let places = self.places().await?;
         let same = places.len() == self.slaves.len();
@@ -186,7 +186,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         })
     }
 
-    /// Reads registers or memory, as much in a frame as goes.
+    /// Reads registers or memory, as much in a frame as fits.
     async fn registers(&mut self, station: u16, address: u16, length: u16) -> ServiceResult {
         let mut piece = Piece::new();
         let length = usize::from(length).min(PIECE_BYTES_MAX);
@@ -213,7 +213,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(ServiceReply::Piece { total, piece })
     }
 
-    /// Takes the pieces of a value; the last one begins the transfer.
+    /// Takes the pieces of a value; the last one starts the transfer.
     async fn download(&mut self, number: usize, request: &ServiceRequest) -> ServiceResult {
         let ServiceRequest::Download {
             object,

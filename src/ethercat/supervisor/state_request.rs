@@ -1,7 +1,7 @@
-//! Bringing one slave to a state because someone asked for it.
+//! State requests: brings one slave to a requested state.
 //!
-//! Invariant: up one state at a time, with everything that a state needs set up before; a slave in use that was brought
-//! below OP is left there until it is asked up again, or the bus is repaired or started anew.
+//! Invariant: up one state at a time, with all prerequisites of the state set up first; a slave in use that was brought
+//! below OP stays there until it is requested to go up again, or the bus is repaired or restarted.
 
 use super::super::coe::ObjectDictionary;
 use super::super::error::BusError;
@@ -32,7 +32,7 @@ const fn is_exchanging(state: AlState) -> bool {
 }
 
 impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
-    /// Brings a slave to a state, and tells which one it is in then.
+    /// Brings a slave to a state; returns the actual state.
     pub(super) async fn set_state(&mut self, number: usize, target: AlState) -> Result<AlReport, ServiceError> {
         self.work_on(Some(number)).await;
         let Some(slave) = self.slaves.get(number).copied() else {
@@ -41,7 +41,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         let station = slave.station();
         let before = match state::acknowledge(&mut self.port, station).await {
             Ok(report) => report,
-            // A flag that stays is cleared by INIT only.
+            // Only INIT clears a flag that stays set.
             Err(BusError::State { .. }) => AlReport::default(),
             Err(error) => return Err(error.into()),
         };
@@ -86,13 +86,13 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         }
     }
 
-    /// Goes up from a state, one after the other.
+    /// Goes up from a state, one state at a time.
     async fn climb(&mut self, number: usize, from: Option<AlState>, target: AlState) -> Result<(), ServiceError> {
         let Some(slave) = self.slaves.get_mut(number) else {
             return Err(ServiceError::Interrupted);
         };
         let station = slave.station();
-        // Another master's process data are not known.
+        // The process data of another master are not known.
         let from = match from {
             Some(AlState::SafeOperational) if slave.kind.is_some() && slave.process_data.is_none() => {
                 state::change(&mut self.port, station, AlState::PreOperational).await?;
@@ -129,7 +129,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Makes use of a mailbox that is set up already, maybe by someone else.
+    /// Makes a mailbox usable that is already set up, perhaps by another master.
     async fn ready_mailbox(&mut self, number: usize) -> Result<(), BusError> {
         let Some(slave) = self.slaves.get_mut(number) else {
             return Ok(());
@@ -145,7 +145,7 @@ impl<const SLAVES: usize, const MESSAGE: usize> Bus<'_, SLAVES, MESSAGE> {
         Ok(())
     }
 
-    /// Makes sure that a slave's CoE mailbox can be used: in INIT, it is brought to PREOP.
+    /// Makes sure that a slave's CoE mailbox can be used: a slave in INIT is brought to PREOP.
     pub(super) async fn open_mailbox(&mut self, number: usize) -> Result<(), ServiceError> {
         let Some(slave) = self.slaves.get(number).copied() else {
             return Err(ServiceError::Interrupted);

@@ -1,3 +1,3 @@
-//! Ways for EtherCAT frames to reach the segment.
+//! Transports that carry EtherCAT frames to the segment.
 
 pub mod raw;

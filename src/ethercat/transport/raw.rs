@@ -1,7 +1,7 @@
 //! EtherCAT directly in Ethernet frames, over any `embassy_net_driver::Driver`.
 //!
-//! Made for the critical tasks: the driver is asked with a waker that does nothing, so neither a lock nor a wake-up is
-//! taken here, and a frame is handed over or dropped at once.
+//! Made for the critical tasks: the driver gets a waker that does nothing, so no lock and no wake-up is needed, and a
+//! frame is passed on or dropped at once.
 //!
 //! Invariant: no call waits.
 
@@ -9,21 +9,21 @@ use crate::ethercat::wire::write_bytes;
 use core::task::{Context, Waker};
 use embassy_net_driver::{Driver, HardwareAddress, RxToken, TxToken};
 
-/// What became of a frame that was to be sent.
+/// Result of sending a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sending {
-    /// The driver has it.
+    /// The driver has accepted the frame.
     Sent {
-        /// Bytes of the frame.
+        /// Length of the frame, bytes.
         length: usize,
     },
     /// There was nothing to send.
     Nothing,
-    /// The driver has no room: the frame is lost.
+    /// The driver has no room; the frame is lost.
     Busy,
 }
 
-/// EtherCAT over a driver.
+/// EtherCAT over an Ethernet driver.
 #[derive(Debug)]
 pub struct RawTransport<D> {
     driver: D,
@@ -35,7 +35,7 @@ impl<D: Driver> RawTransport<D> {
         Self { driver }
     }
 
-    /// The driver's Ethernet address; a locally administered one for drivers that have none.
+    /// The driver's Ethernet address; a locally administered one if the driver has none.
     pub fn mac_address(&self) -> [u8; 6] {
         match self.driver.hardware_address() {
             HardwareAddress::Ethernet(address) => address,
@@ -43,12 +43,12 @@ impl<D: Driver> RawTransport<D> {
         }
     }
 
-    /// The driver, for its own functions.
+    /// The driver, for its other functions.
     pub fn driver_mut(&mut self) -> &mut D {
         &mut self.driver
     }
 
-    /// Hands `frame` to the driver; nothing if it is empty.
+    /// Passes `frame` to the driver; does nothing if it is empty.
     pub fn send(&mut self, frame: &[u8]) -> Sending {
         let length = frame.len();
         if frame.is_empty() {
@@ -63,7 +63,7 @@ impl<D: Driver> RawTransport<D> {
         }
     }
 
-    /// Hands the next received frame to `take`; `None` when there is none.
+    /// Passes the next received frame to `take`; `None` when there is none.
     pub fn receive<R>(&mut self, take: impl FnOnce(&[u8]) -> R) -> Option<R> {
         let (token, _) = self.driver.receive(&mut Context::from_waker(Waker::noop()))?;
         Some(token.consume(|frame| take(frame)))

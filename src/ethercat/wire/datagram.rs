@@ -1,10 +1,10 @@
-//! One datagram: a command to the slaves' memory and the counter of those that obeyed.
+//! One datagram: a command to the slaves' memory, and the working counter of its executions.
 //!
-//! A frame carries a chain of them. Every datagram says by its More bit whether another one follows, and every slave
-//! that executes the command adds to the working counter at its end (+1 for a read, +1 for a write, +2 for the write
-//! half of a combined command).
+//! A frame carries a chain of datagrams. Each datagram's More bit tells whether another one follows. Every slave that
+//! executes the command adds to the working counter at the datagram's end (+1 for a read, +1 for a write, +2 for the
+//! write half of a combined command).
 //!
-//! Invariant: a view or an iterator only hands out ranges that lie inside the bytes it was made from.
+//! Invariant: a view or an iterator only returns ranges inside the bytes that it was made from.
 
 use super::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
 use core::ops::Range;
@@ -24,7 +24,7 @@ const LENGTH_MASK: u16 = 0x07FF;
 const CIRCULATING_BIT: u16 = 1 << 14;
 const MORE_BIT: u16 = 1 << 15;
 
-/// What a datagram asks of the slaves (IEC 61158-4-12, service table).
+/// Command of a datagram (IEC 61158-4-12, service table).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Command {
@@ -33,15 +33,15 @@ pub enum Command {
     Nop = 0,
     /// Auto-increment physical read: by position in the chain.
     Aprd = 1,
-    /// Auto-increment physical write.
+    /// Auto-increment physical write: by position in the chain.
     Apwr = 2,
-    /// Auto-increment physical read and write.
+    /// Auto-increment physical read and write: by position in the chain.
     Aprw = 3,
     /// Configured address physical read: by station address.
     Fprd = 4,
-    /// Configured address physical write.
+    /// Configured address physical write: by station address.
     Fpwr = 5,
-    /// Configured address physical read and write.
+    /// Configured address physical read and write: by station address.
     Fprw = 6,
     /// Broadcast read: every slave's data are OR-ed together.
     Brd = 7,
@@ -55,14 +55,14 @@ pub enum Command {
     Lwr = 11,
     /// Logical memory read and write.
     Lrw = 12,
-    /// Read by position, write to all the others behind.
+    /// Read by position, write to all slaves behind.
     Armw = 13,
-    /// Read by station address, write to all the others.
+    /// Read by station address, write to all other slaves.
     Frmw = 14,
 }
 
 impl Command {
-    /// The command of a number on the wire.
+    /// The command with a number on the wire.
     ///
     /// # Errors
     /// [`Error::Command`] for a number above 14.
@@ -97,12 +97,12 @@ impl Command {
         !matches!(self, Self::Nop | Self::Aprd | Self::Fprd | Self::Brd | Self::Lrd)
     }
 
-    /// Whether the address names a place in the logical memory.
+    /// Whether the address is an address in the logical memory.
     pub const fn is_logical(self) -> bool {
         matches!(self, Self::Lrd | Self::Lwr | Self::Lrw)
     }
 
-    /// Whether each slave that the frame passes counts the device part of the address up by one.
+    /// Whether each slave that the frame passes increments the device part of the address.
     pub const fn counts_position(self) -> bool {
         matches!(
             self,
@@ -131,12 +131,12 @@ impl Address {
         Self::new(0, register)
     }
 
-    /// A place in the logical memory.
+    /// An address in the logical memory.
     pub const fn logical(address: u32) -> Self {
         Self(address)
     }
 
-    /// From the two halves as they are on the wire: device part first, register second.
+    /// An address from its two halves as on the wire: device part first, register second.
     pub const fn new(device: u16, register: u16) -> Self {
         Self(device as u32 | (register as u32) << 16)
     }
@@ -155,24 +155,24 @@ impl Address {
 /// A datagram's header in host form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DatagramRepr {
-    /// What is asked.
+    /// The command.
     pub command: Command,
-    /// The master's mark to recognise the answer; slaves leave it alone.
+    /// Index by which the master recognises the answer; slaves do not change it.
     pub index: u8,
-    /// Whom and where.
+    /// Slave and register.
     pub address: Address,
-    /// Bytes of data, at most 1486 in an Ethernet frame; 11 bits on the wire.
+    /// Length of the data, bytes: at most 1486 in an Ethernet frame; 11 bits on the wire.
     pub length: u16,
-    /// Set by a slave when a frame came round a second time: such a frame is void.
+    /// Set by a slave in a frame that passes a second time; such a frame is void.
     pub circulating: bool,
-    /// Another datagram follows.
+    /// Whether another datagram follows.
     pub more: bool,
     /// The slaves' event requests, OR-ed together.
     pub interrupt: u16,
 }
 
 impl DatagramRepr {
-    /// A request with nothing set by slaves.
+    /// The header of a request; the slaves' fields are 0.
     pub const fn request(command: Command, index: u8, address: Address, length: u16) -> Self {
         Self {
             command,
@@ -185,17 +185,17 @@ impl DatagramRepr {
         }
     }
 
-    /// Bytes of the whole datagram: header, data and working counter.
+    /// Length of the whole datagram, bytes: header, data and working counter.
     pub const fn len(&self) -> usize {
         DATAGRAM_OVERHEAD + self.length as usize
     }
 
-    /// Never: a datagram has a header at least.
+    /// Always false: a datagram has at least a header.
     pub const fn is_empty(&self) -> bool {
         false
     }
 
-    /// Reads a header.
+    /// Parses a header.
     ///
     /// # Errors
     /// [`Error::Command`] when the command is unknown.
@@ -237,7 +237,7 @@ impl DatagramRepr {
     }
 }
 
-/// A view of one datagram at the start of the bytes it was made from.
+/// A view of one datagram at the start of a buffer.
 #[derive(Clone, Copy, Debug)]
 pub struct Datagram<T> {
     buffer: T,
@@ -263,17 +263,17 @@ impl<T: AsRef<[u8]>> Datagram<T> {
         DATAGRAM_HEADER_LEN..DATAGRAM_HEADER_LEN + length
     }
 
-    /// The command's number as it is on the wire.
+    /// The command's number on the wire.
     pub fn command_number(&self) -> u8 {
         read_u8(self.buffer.as_ref(), COMMAND)
     }
 
-    /// The master's mark.
+    /// The master's index.
     pub fn index(&self) -> u8 {
         read_u8(self.buffer.as_ref(), INDEX)
     }
 
-    /// Whom and where.
+    /// Slave and register.
     pub fn address(&self) -> Address {
         Address(read_u32(self.buffer.as_ref(), ADDRESS))
     }
@@ -283,7 +283,7 @@ impl<T: AsRef<[u8]>> Datagram<T> {
         read_u16(self.buffer.as_ref(), LENGTH) & MORE_BIT != 0
     }
 
-    /// Whether the frame came round a second time.
+    /// Whether the frame passed a second time.
     pub fn circulating(&self) -> bool {
         read_u16(self.buffer.as_ref(), LENGTH) & CIRCULATING_BIT != 0
     }
@@ -293,12 +293,12 @@ impl<T: AsRef<[u8]>> Datagram<T> {
         self.buffer.as_ref().get(self.data_range()).unwrap_or(&[])
     }
 
-    /// How many reads and writes slaves have counted.
+    /// The working counter: reads and writes counted by the slaves.
     pub fn working_counter(&self) -> u16 {
         read_u16(self.buffer.as_ref(), self.data_range().end)
     }
 
-    /// Bytes of the whole datagram.
+    /// Length of the whole datagram, bytes.
     pub fn total_len(&self) -> usize {
         self.data_range().end + 2
     }
@@ -315,14 +315,14 @@ impl<T: AsRef<[u8]> + AsMut<[u8]>> Datagram<T> {
         write_bytes(self.buffer.as_mut(), INTERRUPT, &interrupt.to_le_bytes());
     }
 
-    /// Marks the frame as having come round a second time.
+    /// Marks the frame as passing a second time.
     pub fn set_circulating(&mut self, circulating: bool) {
         let rest = read_u16(self.buffer.as_ref(), LENGTH) & !CIRCULATING_BIT;
         let bit = if circulating { CIRCULATING_BIT } else { 0 };
         write_bytes(self.buffer.as_mut(), LENGTH, &(rest | bit).to_le_bytes());
     }
 
-    /// The data, to be changed.
+    /// The data, mutable.
     pub fn data_mut(&mut self) -> &mut [u8] {
         let range = self.data_range();
         self.buffer.as_mut().get_mut(range).unwrap_or(&mut [])
@@ -371,7 +371,7 @@ impl<'a> Datagrams<'a> {
         Ok(range)
     }
 
-    /// The range of the next datagram within the payload, for those who want to change it.
+    /// The range of the next datagram within the payload, for in-place changes.
     pub fn next_range(&mut self) -> Option<Result<Range<usize>, Error>> {
         if self.done { None } else { Some(self.walk()) }
     }

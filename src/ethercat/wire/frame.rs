@@ -1,10 +1,10 @@
 //! The envelope: Ethernet II with ethertype 0x88A4 and the two-byte EtherCAT header.
 //!
 //! [`FrameBuilder`] packs datagrams into a buffer one after the other and closes the frame; [`FrameView`] opens a
-//! received one. A slave controller sets [`SOURCE_BIT`] in the first source address byte of what it passes on, which
-//! tells replies from a frame that merely came back.
+//! received one. A slave controller sets [`SOURCE_BIT`] in the first byte of the source address of frames that it
+//! passes on. This distinguishes replies from a frame that came back unprocessed.
 //!
-//! Invariant: a frame that the builder closes has a consistent chain and is at least [`FRAME_LEN_MIN`] long.
+//! Invariant: a frame closed by the builder has a consistent chain and is at least [`FRAME_LEN_MIN`] bytes long.
 
 use super::{
     Address, Command, DATAGRAM_HEADER_LEN, DatagramRepr, Datagrams, Error, check_len, check_room, read_u16, write_bytes,
@@ -30,7 +30,7 @@ const TYPE_SHIFT: u16 = 12;
 /// Six bytes of an Ethernet address.
 pub type MacAddress = [u8; 6];
 
-/// What follows the EtherCAT header.
+/// Type of the content behind the EtherCAT header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum EtherCatType {
@@ -42,7 +42,7 @@ pub enum EtherCatType {
     Mailbox = 5,
 }
 
-/// A received frame with a whole EtherCAT header.
+/// A received frame with a complete EtherCAT header.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameView<'a> {
     frame: &'a [u8],
@@ -53,7 +53,7 @@ impl<'a> FrameView<'a> {
     /// Opens an Ethernet frame (without check sequence) that carries datagrams.
     ///
     /// # Errors
-    /// [`Error::Truncated`], [`Error::EtherType`] or [`Error::FrameType`]; VLAN tags count as another ethertype.
+    /// [`Error::Truncated`], [`Error::EtherType`] or [`Error::FrameType`]; a VLAN tag counts as another EtherType.
     pub fn new_checked(frame: &'a [u8]) -> Result<Self, Error> {
         check_len(frame, PAYLOAD_OFFSET)?;
         let ethertype = u16::from(EthernetFrame::new_unchecked(frame).ethertype());
@@ -75,7 +75,7 @@ impl<'a> FrameView<'a> {
         }
     }
 
-    /// The sender's address, as the slaves left it.
+    /// The source address, as the slaves left it.
     pub fn source(&self) -> MacAddress {
         EthernetFrame::new_unchecked(self.frame).src_addr().0
     }
@@ -117,7 +117,7 @@ impl<'a> FrameBuilder<'a> {
         })
     }
 
-    /// Bytes of data that one more datagram could carry, if any.
+    /// Longest data of one more datagram, bytes; `None` if none fits.
     pub fn room(&self) -> Option<usize> {
         self.frame
             .len()
@@ -125,7 +125,7 @@ impl<'a> FrameBuilder<'a> {
             .checked_sub(self.end + DATAGRAM_HEADER_LEN + 2)
     }
 
-    /// Adds a datagram with zeroed data and gives its data to be filled in.
+    /// Adds a datagram with zeroed data and returns its data to be filled in.
     ///
     /// # Errors
     /// [`Error::Room`] when it does not fit; the frame is then unchanged.
@@ -152,7 +152,7 @@ impl<'a> FrameBuilder<'a> {
         Ok(self.frame.get_mut(data..data + length).unwrap_or(&mut []))
     }
 
-    /// Closes the frame: writes the EtherCAT header and pads. Gives the frame's length in bytes.
+    /// Closes the frame: writes the EtherCAT header and pads. Returns the frame's length in bytes.
     pub fn finish(self) -> usize {
         let length = (self.end - PAYLOAD_OFFSET) as u16 & LENGTH_MASK;
         let header = length | (EtherCatType::Datagrams as u16) << TYPE_SHIFT;

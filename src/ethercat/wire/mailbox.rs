@@ -1,22 +1,22 @@
 //! The mailbox header: length, sender, priority, protocol and counter.
 //!
-//! A mailbox is a window in a slave's memory that is written or read as a whole; header and service data stand at its
+//! A mailbox is a window in a slave's memory that is written or read as a whole; header and service data are at its
 //! start. Layout: IEC 61158-6-12, mailbox.
 //!
-//! Invariant: a view only hands out the bytes that the header announces and that are there.
+//! Invariant: a view only returns bytes that the header announces and that exist.
 
 use super::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
 
 /// Bytes of the header.
 pub const MAILBOX_HEADER_LEN: usize = 6;
-/// Counters run from 1 to this and around; 0 means that none is used.
+/// Largest counter: counters run from 1 to this value and start again at 1; 0 means that no counter is used.
 pub const COUNTER_MAX: u8 = 7;
 
-/// What kind of message a mailbox holds.
+/// Protocol of a mailbox message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Protocol {
-    /// The slave could not make use of a mailbox.
+    /// The slave could not process a message.
     Error = 0,
     /// ADS over EtherCAT.
     Aoe = 1,
@@ -33,7 +33,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// The protocol of a number on the wire.
+    /// The protocol with a number on the wire.
     ///
     /// # Errors
     /// [`Error::Value`] for a number without meaning.
@@ -58,13 +58,13 @@ impl Protocol {
 pub struct MailboxRepr {
     /// Bytes of service data behind the header.
     pub length: u16,
-    /// Station address of the other side; 0 is the master.
+    /// Station address of the other side; 0 for the master.
     pub address: u16,
     /// Priority, 0 (lowest) to 3.
     pub priority: u8,
-    /// What the service data are.
+    /// Protocol of the service data.
     pub protocol: Protocol,
-    /// 1 to [`COUNTER_MAX`], or 0.
+    /// Counter, 1 to [`COUNTER_MAX`]; 0 if none is used.
     pub counter: u8,
 }
 
@@ -102,10 +102,10 @@ impl MailboxRepr {
     }
 }
 
-/// The service data behind a header, as long as the header says.
+/// The service data behind a header, with the length that the header announces.
 ///
 /// # Errors
-/// [`Error::Truncated`] when the mailbox is shorter than its header says.
+/// [`Error::Truncated`] when the mailbox is shorter than its header announces.
 pub fn service_data(bytes: &[u8]) -> Result<&[u8], Error> {
     check_len(bytes, MAILBOX_HEADER_LEN)?;
     let end = MAILBOX_HEADER_LEN + usize::from(read_u16(bytes, 0));
@@ -118,17 +118,17 @@ pub fn service_data(bytes: &[u8]) -> Result<&[u8], Error> {
 /// The service data of a [`Protocol::Error`] message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ErrorReply {
-    /// Why the slave could not make use of a mailbox, see [`error_text`].
+    /// Why the slave could not process a message, see [`error_text`].
     pub detail: u16,
 }
 
 impl ErrorReply {
     /// Bytes of the service data.
     pub const LEN: usize = 4;
-    /// The only kind of error reply there is.
+    /// The only defined kind of error reply.
     const KIND: u16 = 1;
 
-    /// Reads the service data; a kind other than 1 is read alike.
+    /// Parses the service data; a kind other than 1 is accepted too.
     ///
     /// # Errors
     /// [`Error::Truncated`].
@@ -167,7 +167,7 @@ pub const fn error_text(detail: u16) -> &'static str {
     }
 }
 
-/// The counter that follows `counter`: 1 to 7 and around.
+/// The counter after `counter`: 1 to 7, then 1 again.
 pub const fn next_counter(counter: u8) -> u8 {
     if counter >= COUNTER_MAX { 1 } else { counter + 1 }
 }

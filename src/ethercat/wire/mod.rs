@@ -1,6 +1,6 @@
-//! What travels on an EtherCAT segment, byte by byte.
+//! Wire formats of an EtherCAT segment.
 //!
-//! Each structure has a view over borrowed bytes, made by `new_checked` and never reading outside them, and a plain
+//! Each structure has a view over borrowed bytes, made by `new_checked`, which never reads outside them, and a plain
 //! `Repr` with `parse` and `emit`. Numbers are little-endian except those of the Ethernet header. The layouts follow
 //! IEC 61158-4-12 and IEC 61158-6-12 (type 12 fieldbus).
 //!
@@ -21,43 +21,43 @@ pub use frame::{
 };
 pub use udp::{UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr};
 
-/// Why bytes are not what they should be.
+/// Why bytes were rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// Fewer bytes than the structure or its own length field needs.
+    /// Fewer bytes than the structure, or its own length field, needs.
     Truncated {
         /// Bytes needed.
         expected: usize,
-        /// Bytes there.
+        /// Bytes present.
         actual: usize,
     },
-    /// The Ethernet frame carries another protocol than EtherCAT.
+    /// The Ethernet frame carries a protocol other than EtherCAT.
     EtherType {
         /// The ethertype found.
         actual: u16,
     },
-    /// The EtherCAT header announces something else than datagrams.
+    /// The EtherCAT header announces content other than datagrams.
     FrameType {
         /// The type found, 0 to 15.
         actual: u8,
     },
-    /// A command number that is none of EtherCAT's.
+    /// A command number that EtherCAT does not define.
     Command {
         /// The number found.
         actual: u8,
     },
-    /// The last datagram ends elsewhere than the EtherCAT header says.
+    /// The last datagram does not end where the EtherCAT header says.
     ChainLength {
         /// Bytes announced by the EtherCAT header.
         expected: usize,
         /// Bytes the datagrams take.
         actual: usize,
     },
-    /// The room for a structure is too small.
+    /// The buffer is too small for a structure.
     Room {
         /// Bytes needed.
         expected: usize,
-        /// Bytes there.
+        /// Bytes available.
         actual: usize,
     },
     /// An IPv4 header of another version or with options.
@@ -72,10 +72,10 @@ pub enum Error {
     },
     /// A fragment of an IPv4 packet.
     Fragment {
-        /// Where it belongs in the packet, bytes.
+        /// Offset of the fragment in the packet, bytes.
         actual: u16,
     },
-    /// The IPv4 packet carries another protocol than UDP.
+    /// The IPv4 packet carries a protocol other than UDP.
     IpProtocol {
         /// The protocol found.
         actual: u8,
@@ -85,7 +85,7 @@ pub enum Error {
         /// The destination port found.
         actual: u16,
     },
-    /// A field holds a value that has no meaning.
+    /// A field has an undefined value.
     Value {
         /// The value found.
         actual: u16,
@@ -113,12 +113,12 @@ pub(crate) fn read_u32(bytes: &[u8], offset: usize) -> u32 {
     }
 }
 
-/// Reads eight bytes, little-endian; missing ones are 0.
+/// Reads an unsigned little-endian 64-bit number; missing bytes are 0.
 pub(crate) fn read_u64(bytes: &[u8], offset: usize) -> u64 {
     u64::from(read_u32(bytes, offset)) | u64::from(read_u32(bytes, offset + 4)) << 32
 }
 
-/// Writes `value` at `offset`; nothing where it does not fit.
+/// Writes `value` at `offset`; writes nothing if it does not fit.
 #[inline]
 pub(crate) fn write_bytes(bytes: &mut [u8], offset: usize, value: &[u8]) {
     if let Some(target) = bytes.get_mut(offset..).and_then(|rest| rest.get_mut(..value.len())) {

@@ -1,9 +1,9 @@
-//! What a slave tells about its object dictionary: lists of indices, objects and their entries.
+//! SDO information: lists of indices, objects and their entries in a slave's dictionary.
 //!
-//! An answer may come in fragments, each with its own header; the header counts those that are left. Only the first
-//! fragment of a list starts with the list's number. Layout: IEC 61158-6-12, CoE (SDO information).
+//! An answer may come in fragments, each with its own header; the header counts the fragments that are left. Only the
+//! first fragment of a list starts with the list's number. Layout: IEC 61158-6-12, CoE (SDO information).
 //!
-//! Invariant: a parsed message borrows only bytes that are there.
+//! Invariant: a parsed message borrows only bytes of its input.
 
 use super::{COE_HEADER_LEN, Object, Service};
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
@@ -38,26 +38,26 @@ const ERROR: u8 = 7;
 const OBJECT_LEN: usize = 6;
 const ENTRY_LEN: usize = 10;
 
-/// Which objects a list holds.
+/// Kinds of object lists.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u16)]
 pub enum ObjectList {
-    /// No indices, but the lengths of the five lists.
+    /// No indices; the lengths of the five lists.
     Lengths = 0,
     /// All objects.
     #[default]
     All = 1,
-    /// Those that can be mapped to a PDO that the slave receives.
+    /// Objects that can be mapped to a PDO that the slave receives.
     MappableRx = 2,
-    /// Those that can be mapped to a PDO that the slave sends.
+    /// Objects that can be mapped to a PDO that the slave sends.
     MappableTx = 3,
-    /// Those to be kept when the device is replaced.
+    /// Objects to be kept when the device is replaced.
     Backup = 4,
-    /// Those to be written at the start.
+    /// Objects to be written at start-up.
     Settings = 5,
 }
 
-/// What an object is.
+/// Description of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ObjectDescription<'a> {
     /// Index.
@@ -72,20 +72,20 @@ pub struct ObjectDescription<'a> {
     pub name: &'a [u8],
 }
 
-/// What one entry of an object is.
+/// Description of one entry of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EntryDescription<'a> {
     /// Index and sub-index.
     pub object: Object,
-    /// What the values in front of the name are.
+    /// Which values precede the name.
     pub value_info: u8,
     /// Data type: index of the type area of CiA 301.
     pub data_type: u16,
     /// Bits of the value.
     pub bits: u16,
-    /// See the `ACCESS_` constants.
+    /// Access rights, see the `ACCESS_` constants.
     pub access: u16,
-    /// Unit, default, lowest and highest value, as far as [`Self::value_info`] says, then the name.
+    /// Unit, default, lowest and highest value, as far as [`Self::value_info`] announces them, then the name.
     pub data: &'a [u8],
 }
 
@@ -106,7 +106,7 @@ impl<'a> EntryDescription<'a> {
     }
 }
 
-/// A message without its headers.
+/// An SDO information message without its headers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Information<'a> {
     /// Request for a list.
@@ -116,7 +116,7 @@ pub enum Information<'a> {
     },
     /// A fragment of a list.
     List {
-        /// In the first fragment the list's number, then indices, 16 bits each.
+        /// Indices, 16 bits each; in the first fragment the list's number comes first.
         data: &'a [u8],
     },
     /// Request for an object's description.
@@ -130,26 +130,26 @@ pub enum Information<'a> {
     GetEntry {
         /// Index and sub-index.
         object: Object,
-        /// What is asked for, see [`EntryDescription::value_info`].
+        /// Values requested, see [`EntryDescription::value_info`].
         value_info: u8,
     },
     /// An entry's description.
     Entry(EntryDescription<'a>),
-    /// The slave refuses.
+    /// Refusal by the slave.
     Error {
-        /// Why, see the abort codes of CiA 301.
+        /// Reason, see the abort codes of CiA 301.
         code: u32,
     },
 }
 
-/// A message of the information service, one fragment.
+/// A message of the SDO information service, one fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InformationRepr<'a> {
-    /// Further fragments follow.
+    /// Whether further fragments follow.
     pub incomplete: bool,
-    /// How many.
+    /// Number of fragments that follow.
     pub fragments_left: u16,
-    /// What it says.
+    /// Content.
     pub body: Information<'a>,
 }
 
@@ -163,7 +163,7 @@ impl<'a> InformationRepr<'a> {
         }
     }
 
-    /// Reads a message (CoE header included).
+    /// Parses a message (CoE header included).
     ///
     /// # Errors
     /// [`Error::Truncated`] or [`Error::Value`] for another service or an unknown operation.
@@ -182,17 +182,17 @@ impl<'a> InformationRepr<'a> {
         })
     }
 
-    /// Bytes of the message with its headers.
+    /// Length of the message with its headers, bytes.
     pub fn len(&self) -> usize {
         INFORMATION_HEADER_LEN + self.body.len()
     }
 
-    /// Never: a message has a header at least.
+    /// Always false: a message has at least a header.
     pub const fn is_empty(&self) -> bool {
         false
     }
 
-    /// Writes the message with its headers and gives its length in bytes.
+    /// Writes the message with its headers and returns its length in bytes.
     ///
     /// # Errors
     /// [`Error::Room`].
@@ -278,7 +278,7 @@ impl<'a> Information<'a> {
         }
     }
 
-    /// Writes the message behind its headers; `data` is as long as it.
+    /// Writes the message behind its headers; `data` has its exact length.
     fn emit(&self, data: &mut [u8]) {
         match self {
             Self::GetList { list: number } | Self::GetObject { index: number } => {

@@ -1,11 +1,11 @@
 //! CANopen over EtherCAT: service data objects and emergencies inside a mailbox.
 //!
-//! The service data of a CoE mailbox start with a two-byte CoE header that names the service; what follows is a service
-//! data object ([`Sdo`]), information about the object dictionary ([`Information`]) or an [`Emergency`]. Layout:
-//! IEC 61158-6-12, CoE, and CiA 301 for the SDO command bytes. One structure serves both sides, so that a virtual slave
-//! can use it too.
+//! The service data of a CoE mailbox start with a two-byte CoE header that names the service. A service data object
+//! ([`Sdo`]), information about the object dictionary ([`Information`]) or an [`Emergency`] follows. Layout: IEC
+//! 61158-6-12, CoE, and CiA 301 for the SDO command bytes. One structure serves both sides, so that a virtual slave can
+//! use it too.
 //!
-//! Invariant: a parsed message borrows only bytes that are there.
+//! Invariant: a parsed message borrows only bytes of its input.
 
 mod information;
 mod sdo;
@@ -28,24 +28,24 @@ pub const COE_HEADER_LEN: usize = 2;
 pub enum Service {
     /// The slave reports an emergency.
     Emergency = 1,
-    /// The master asks for an SDO.
+    /// SDO request of the master.
     SdoRequest = 2,
-    /// The slave answers an SDO.
+    /// SDO response of the slave.
     SdoResponse = 3,
-    /// Process data by mailbox, slave to master.
+    /// Process data through the mailbox, slave to master.
     TxPdo = 4,
-    /// Process data by mailbox, master to slave.
+    /// Process data through the mailbox, master to slave.
     RxPdo = 5,
-    /// The master asks for process data by mailbox, slave to master.
+    /// Request of the master for process data through the mailbox, slave to master.
     TxPdoRequest = 6,
-    /// The slave asks for process data by mailbox, master to slave.
+    /// Request of the slave for process data through the mailbox, master to slave.
     RxPdoRequest = 7,
     /// Information about the object dictionary.
     SdoInformation = 8,
 }
 
 impl Service {
-    /// Reads the service out of the CoE header.
+    /// Parses the service in the CoE header.
     ///
     /// # Errors
     /// [`Error::Truncated`] or [`Error::Value`] for an unknown service.
@@ -92,15 +92,15 @@ pub struct Emergency {
     pub code: u16,
     /// Error register, object 0x1001.
     pub register: u8,
-    /// Five bytes of the manufacturer.
+    /// Manufacturer-specific data, five bytes.
     pub data: [u8; 5],
 }
 
 impl Emergency {
-    /// Bytes of the message with its CoE header.
+    /// Length of the message with its CoE header, bytes.
     pub const LEN: usize = COE_HEADER_LEN + 8;
 
-    /// Reads an emergency (CoE header included).
+    /// Parses an emergency (CoE header included).
     ///
     /// # Errors
     /// [`Error::Truncated`].

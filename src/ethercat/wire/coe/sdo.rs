@@ -1,10 +1,10 @@
 //! Service data objects: values read and written by object, in one message or in segments.
 //!
-//! A message has a command byte, the object's index and sub-index and four bytes of data or size; segments have the
-//! command byte alone. Complete access transfers all sub-indices at once: sub-index 0 then takes 16 bits, its upper byte
-//! being padding. Layout: IEC 61158-6-12, CoE, and CiA 301 for the command bytes.
+//! A message has a command byte, the object's index and sub-index and four bytes of data or size; segments have only
+//! the command byte. Complete access transfers all sub-indices at once: sub-index 0 then takes 16 bits, of which the
+//! upper byte is padding. Layout: IEC 61158-6-12, CoE, and CiA 301 for the command bytes.
 //!
-//! Invariant: a parsed message borrows only bytes that are there.
+//! Invariant: a parsed message borrows only bytes of its input.
 
 use super::{COE_HEADER_LEN, Object, Service};
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
@@ -13,7 +13,7 @@ use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, rea
 pub const SDO_LEN: usize = COE_HEADER_LEN + 8;
 /// Bytes of CoE header and the command byte of a segment.
 pub const SEGMENT_HEADER_LEN: usize = COE_HEADER_LEN + 1;
-/// Fewest bytes of data in a segment; shorter ones are padded and say how many bytes are void.
+/// Least data of a segment, bytes; shorter data are padded, and the command byte gives the number of unused bytes.
 pub const SEGMENT_DATA_MIN: usize = 7;
 
 /// An SDO message without its CoE header's service.
@@ -21,7 +21,7 @@ pub const SEGMENT_DATA_MIN: usize = 7;
 pub enum Sdo<'a> {
     /// Request to write at most four bytes.
     DownloadExpedited {
-        /// What is written.
+        /// The object to write.
         object: Object,
         /// All sub-indices from the object's on.
         complete: bool,
@@ -30,7 +30,7 @@ pub enum Sdo<'a> {
     },
     /// Request to write more; `data` are the first bytes, the rest follows in segments.
     DownloadNormal {
-        /// What is written.
+        /// The object to write.
         object: Object,
         /// All sub-indices from the object's on.
         complete: bool,
@@ -41,40 +41,40 @@ pub enum Sdo<'a> {
     },
     /// Answer to a download.
     DownloadDone {
-        /// What was written.
+        /// The object that was written.
         object: Object,
     },
     /// A further part of a download.
     DownloadSegment {
         /// Alternates, beginning with `false`.
         toggle: bool,
-        /// No more follow.
+        /// Whether this is the last part.
         last: bool,
         /// This part.
         data: &'a [u8],
     },
     /// Answer to a part of a download.
     DownloadSegmentDone {
-        /// That of the request.
+        /// Toggle bit of the request.
         toggle: bool,
     },
     /// Request to read.
     Upload {
-        /// What is to be read.
+        /// The object to read.
         object: Object,
         /// All sub-indices from the object's on.
         complete: bool,
     },
     /// Answer to an upload with at most four bytes.
     UploadExpedited {
-        /// What was read.
+        /// The object that was read.
         object: Object,
         /// The value, 1 to 4 bytes.
         data: &'a [u8],
     },
     /// Answer to an upload; the rest is fetched in segments when `size` is more than `data` holds.
     UploadNormal {
-        /// What was read.
+        /// The object that was read.
         object: Object,
         /// Bytes of the whole value.
         size: u32,
@@ -88,18 +88,18 @@ pub enum Sdo<'a> {
     },
     /// A further part of an upload.
     UploadSegmentData {
-        /// That of the request.
+        /// Toggle bit of the request.
         toggle: bool,
-        /// No more follow.
+        /// Whether this is the last part.
         last: bool,
         /// This part.
         data: &'a [u8],
     },
-    /// Either side gives up.
+    /// Abort of the transfer by either side.
     Abort {
-        /// What was to be transferred.
+        /// The object of the transfer.
         object: Object,
-        /// Why, see the abort codes of CiA 301.
+        /// Reason, see the abort codes of CiA 301.
         code: u32,
     },
 }
@@ -111,7 +111,7 @@ const TOGGLE_BIT: u8 = 1 << 4;
 const COMPLETE_BIT: u8 = 1 << 4;
 const LAST_BIT: u8 = 1;
 
-/// The data of an expedited transfer: as many of the four bytes as the command byte says.
+/// The data of an expedited transfer: as many of the four bytes as the command byte announces.
 fn expedited(bytes: &[u8], command: u8) -> &[u8] {
     let unused = if command & SIZE_BIT != 0 {
         usize::from(command >> 2 & 3)
@@ -121,7 +121,7 @@ fn expedited(bytes: &[u8], command: u8) -> &[u8] {
     bytes.get(6..SDO_LEN - unused).unwrap_or(&[])
 }
 
-/// The data of a segment: all that follow, or as many of seven as the command byte says.
+/// The data of a segment: all that follow, or as many of seven as the command byte announces.
 fn segment(bytes: &[u8], command: u8) -> &[u8] {
     let data = bytes.get(SEGMENT_HEADER_LEN..).unwrap_or(&[]);
     if data.len() > SEGMENT_DATA_MIN {
@@ -133,7 +133,7 @@ fn segment(bytes: &[u8], command: u8) -> &[u8] {
 }
 
 impl<'a> Sdo<'a> {
-    /// Reads a request of a master (CoE header included).
+    /// Parses a request of a master (CoE header included).
     ///
     /// # Errors
     /// [`Error::Truncated`] or [`Error::Value`] for an unknown command byte.
@@ -180,7 +180,7 @@ impl<'a> Sdo<'a> {
         })
     }
 
-    /// Reads an answer of a slave (CoE header included).
+    /// Parses a response of a slave (CoE header included).
     ///
     /// # Errors
     /// [`Error::Truncated`] or [`Error::Value`] for an unknown command byte.
@@ -224,7 +224,7 @@ impl<'a> Sdo<'a> {
         })
     }
 
-    /// Bytes of the message with its CoE header.
+    /// Length of the message with its CoE header, bytes.
     pub fn len(&self) -> usize {
         match self {
             Self::DownloadNormal { data, .. } | Self::UploadNormal { data, .. } => SDO_LEN + data.len(),
@@ -235,12 +235,12 @@ impl<'a> Sdo<'a> {
         }
     }
 
-    /// Never: a message has a header at least.
+    /// Always false: a message has at least a header.
     pub const fn is_empty(&self) -> bool {
         false
     }
 
-    /// Whether it is a slave's message; an abort counts as a master's here.
+    /// Whether the message comes from a slave; an abort counts as a master's message here.
     const fn is_response(&self) -> bool {
         matches!(
             self,
@@ -252,7 +252,7 @@ impl<'a> Sdo<'a> {
         )
     }
 
-    /// Whether it asks for complete access.
+    /// Whether the message requests complete access.
     const fn is_complete(&self) -> bool {
         matches!(
             self,
@@ -262,8 +262,8 @@ impl<'a> Sdo<'a> {
         )
     }
 
-    /// Writes the message with its CoE header; an abort as a request, which is what both sides use (CiA 301). Gives its
-    /// length in bytes.
+    /// Writes the message with its CoE header; an abort is written as a request, as both sides do (CiA 301). Returns
+    /// the length in bytes.
     ///
     /// # Errors
     /// [`Error::Room`], or [`Error::Value`] when expedited data are not 1 to 4 bytes.

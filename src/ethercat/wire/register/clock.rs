@@ -1,18 +1,19 @@
 //! Registers of the distributed clocks.
 //!
 //! A write to [`DC_RECEIVE_TIME`] makes every slave latch the local time at which the frame passes each of its ports;
-//! the differences give cable delays. The master writes offset and delay, and from then on a datagram that carries the
-//! reference clock's system time past all slaves steers their clocks (IEC 61158-4-12, distributed clocks). All times
+//! the differences give the cable delays. The master writes offset and delay. From then on a datagram that carries the
+//! reference clock's system time past all slaves adjusts their clocks (IEC 61158-4-12, distributed clocks). All times
 //! are in nanoseconds; controllers with 32-bit clocks leave the upper half of 64-bit registers at 0.
 //!
-//! Invariant: constants and plain field structures; who is reference and how delays are computed is for others.
+//! Invariant: constants and plain field structures; the choice of the reference and the delays are computed elsewhere.
 
 use super::port::PORTS;
 use crate::ethercat::wire::{Error, check_len, check_room, read_u32, write_bytes};
 
-/// First register of the distributed clocks: receive times of the four ports, 4 bytes each; a write latches all.
+/// First register of the distributed clocks: receive times of the four ports, 4 bytes each; a write latches all of
+/// them.
 pub const DC_RECEIVE_TIME: u16 = 0x0900;
-/// System time of the slave, 8 bytes; a write steers the clock towards the value written.
+/// System time of the slave, 8 bytes; a write adjusts the clock towards the value written.
 pub const DC_SYSTEM_TIME: u16 = 0x0910;
 /// Receive time at the processing unit, 8 bytes, in local time without offset.
 pub const DC_RECEIVE_TIME_UNIT: u16 = 0x0918;
@@ -20,7 +21,7 @@ pub const DC_RECEIVE_TIME_UNIT: u16 = 0x0918;
 pub const DC_OFFSET: u16 = 0x0920;
 /// Delay from the reference clock to this slave, 4 bytes.
 pub const DC_DELAY: u16 = 0x0928;
-/// Mean difference of local system time and received one, 4 bytes, see [`time_difference_ns`].
+/// Mean difference between local and received system time, 4 bytes, see [`time_difference_ns`].
 pub const DC_TIME_DIFFERENCE: u16 = 0x092C;
 /// Bandwidth of the control loop, 2 bytes; a write resets the loop's filters.
 pub const DC_SPEED_START: u16 = 0x0930;
@@ -30,12 +31,12 @@ pub const DC_SPEED_DIFFERENCE: u16 = 0x0932;
 pub const DC_DIFFERENCE_FILTER: u16 = 0x0934;
 /// Filter depth of the speed, 1 byte.
 pub const DC_SPEED_FILTER: u16 = 0x0935;
-/// Who controls the SYNC unit, 1 byte: bit 0 clear is the master. With [`DC_ACTIVATION`] behind it, it takes the SII's
-/// AssignActivate as one 16-bit write.
+/// Control of the SYNC unit, 1 byte: bit 0 clear means control by the master. Together with [`DC_ACTIVATION`] behind
+/// it, this register takes the SII's AssignActivate as one 16-bit write.
 pub const DC_CYCLIC_CONTROL: u16 = 0x0980;
 /// SYNC unit activation, 1 byte, see the `ACTIVATE_` constants.
 pub const DC_ACTIVATION: u16 = 0x0981;
-/// Length of SYNC pulses, 2 bytes, 10 ns; 0 waits for an acknowledge.
+/// Length of SYNC pulses, 2 bytes, in units of 10 ns; 0 waits for an acknowledge.
 pub const DC_PULSE_LENGTH: u16 = 0x0982;
 /// Activation status, 1 byte: bits 0 and 1 are set while a first SYNC0 or SYNC1 pulse is pending.
 pub const DC_ACTIVATION_STATUS: u16 = 0x0984;
@@ -52,11 +53,11 @@ pub const DC_SYNC0_CYCLE: u16 = 0x09A0;
 /// Time from SYNC0 to SYNC1, 4 bytes, ns.
 pub const DC_SYNC1_CYCLE: u16 = 0x09A4;
 
-/// [`DC_ACTIVATION`]: the SYNC unit runs.
+/// [`DC_ACTIVATION`]: the SYNC unit is enabled.
 pub const ACTIVATE_CYCLIC: u8 = 1 << 0;
-/// [`DC_ACTIVATION`]: SYNC0 pulses are made.
+/// [`DC_ACTIVATION`]: SYNC0 pulses are generated.
 pub const ACTIVATE_SYNC0: u8 = 1 << 1;
-/// [`DC_ACTIVATION`]: SYNC1 pulses are made.
+/// [`DC_ACTIVATION`]: SYNC1 pulses are generated.
 pub const ACTIVATE_SYNC1: u8 = 1 << 2;
 
 /// Value of [`DC_SPEED_START`] at power-up; writing it resets the filters without changing the bandwidth.
@@ -66,7 +67,7 @@ const SIGN_BIT: u32 = 1 << 31;
 
 /// The signed form of [`DC_TIME_DIFFERENCE`], ns: positive when the local clock is ahead of the reference.
 ///
-/// The register holds the magnitude and in bit 31 whether the local clock is behind.
+/// The register holds the magnitude; bit 31 is set if the local clock is behind.
 pub const fn time_difference_ns(register: u32) -> i32 {
     let magnitude = (register & !SIGN_BIT).cast_signed();
     if register & SIGN_BIT != 0 {
@@ -88,7 +89,7 @@ pub const fn time_difference_bits(difference_ns: i32) -> u32 {
 /// Local times at which the latching frame arrived at the ports, ns, wrapping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReceiveTimes {
-    /// Port by port; what a port without a link holds is void.
+    /// Time of each port; meaningless for a port without a link.
     pub ports_ns: [u32; PORTS],
 }
 

@@ -1,9 +1,9 @@
 //! Addresses and fields of an EtherCAT slave controller's registers.
 //!
-//! The map is that of IEC 61158-4-12 (data link layer management) as every slave controller's public data sheet repeats
-//! it. All addresses are byte addresses in the slave's own memory; process memory starts at [`PROCESS_MEMORY`].
+//! The map is that of IEC 61158-4-12 (data link layer management), which every slave controller's public data sheet
+//! repeats. All addresses are byte addresses in the slave's own memory; process memory starts at [`PROCESS_MEMORY`].
 //!
-//! Invariant: constants and plain field structures only; nothing here knows what a slave is used for.
+//! Invariant: only constants and plain field structures; independent of the use of a slave.
 
 mod clock;
 mod port;
@@ -37,13 +37,13 @@ pub const STATION_ALIAS: u16 = 0x0012;
 pub const DL_CONTROL: u16 = 0x0100;
 /// Data link status, 2 bytes: link and loop of each port, see [`DlStatus`].
 pub const DL_STATUS: u16 = 0x0110;
-/// AL control, 2 bytes: the state asked for, bit 4 acknowledges an error.
+/// AL control, 2 bytes: the state requested; bit 4 acknowledges an error.
 pub const AL_CONTROL: u16 = 0x0120;
-/// AL status, 2 bytes: the state there is, bit 4 tells of an error.
+/// AL status, 2 bytes: the actual state; bit 4 is the error flag.
 pub const AL_STATUS: u16 = 0x0130;
 /// AL status code, 2 bytes: why the last change failed.
 pub const AL_STATUS_CODE: u16 = 0x0134;
-/// PDI control, 1 byte: what the slave's own processor is connected by.
+/// PDI control, 1 byte: type of the interface to the slave's own processor.
 pub const PDI_CONTROL: u16 = 0x0140;
 /// Configuration of the slave controller, 1 byte.
 pub const CONTROLLER_CONFIG: u16 = 0x0141;
@@ -69,7 +69,7 @@ pub const PDI_ERRORS: u16 = 0x030D;
 pub const PDI_ERROR_CODE: u16 = 0x030E;
 /// Lost link counters, 1 byte a port.
 pub const LOST_LINKS: u16 = 0x0310;
-/// Bytes from [`RECEIVE_ERRORS`] to the end of [`LOST_LINKS`]; a write of any value clears the counters it meets.
+/// Bytes from [`RECEIVE_ERRORS`] to the end of [`LOST_LINKS`]; writing any value clears the counters written.
 pub const ERROR_COUNTERS_LEN: usize = 0x14;
 /// Watchdog divider, 2 bytes: 40 ns times (value + 2) is the unit of the watchdogs.
 pub const WATCHDOG_DIVIDER: u16 = 0x0400;
@@ -77,7 +77,7 @@ pub const WATCHDOG_DIVIDER: u16 = 0x0400;
 pub const WATCHDOG_PDI: u16 = 0x0410;
 /// Watchdog time of the sync managers, 2 bytes, in watchdog units; 0 is off.
 pub const WATCHDOG_SYNC_MANAGER: u16 = 0x0420;
-/// Watchdog status, 2 bytes: bit 0 is set while the sync managers' watchdog is content.
+/// Watchdog status, 2 bytes: bit 0 is set while the sync managers' watchdog has not expired.
 pub const WATCHDOG_STATUS: u16 = 0x0440;
 /// Watchdog expiry counter of the sync managers, 1 byte.
 pub const WATCHDOG_COUNTER: u16 = 0x0442;
@@ -85,7 +85,7 @@ pub const WATCHDOG_COUNTER: u16 = 0x0442;
 pub const WATCHDOG_COUNTER_PDI: u16 = 0x0443;
 /// SII configuration, 1 byte: bit 0 gives access to the PDI, bit 1 takes it by force.
 pub const SII_CONFIG: u16 = 0x0500;
-/// SII PDI access state, 1 byte: bit 0 tells that the PDI is at it.
+/// SII PDI access state, 1 byte: bit 0 is set while the PDI accesses the SII.
 pub const SII_PDI_ACCESS: u16 = 0x0501;
 /// SII control and status, 2 bytes.
 pub const SII_CONTROL: u16 = 0x0502;
@@ -100,22 +100,22 @@ pub const SYNC_MANAGER: u16 = 0x0800;
 /// Start of process memory.
 pub const PROCESS_MEMORY: u16 = 0x1000;
 
-/// [`FEATURES`]: there are distributed clocks.
+/// [`FEATURES`]: distributed clocks are supported.
 pub const FEATURE_CLOCKS: u16 = 1 << 2;
 /// [`FEATURES`]: the distributed clocks have 64 bits.
 pub const FEATURE_CLOCKS_64: u16 = 1 << 3;
 /// [`FEATURES`]: enhanced link detection by MII.
 pub const FEATURE_ENHANCED_LINK_MII: u16 = 1 << 6;
-/// [`FEATURES`]: damaged frames are counted as forwarded ones behind the first slave that notices.
+/// [`FEATURES`]: frames damaged before this slave are counted separately, as forwarded errors.
 pub const FEATURE_SEPARATE_ERRORS: u16 = 1 << 7;
 /// [`FEATURES`]: enhanced activation of the SYNC unit.
 pub const FEATURE_SYNC_ACTIVATION: u16 = 1 << 8;
-/// [`FEATURES`]: LRW does not work.
+/// [`FEATURES`]: LRW is not supported.
 pub const FEATURE_NO_LRW: u16 = 1 << 9;
-/// [`FEATURES`]: BRW, APRW and FPRW do not work.
+/// [`FEATURES`]: BRW, APRW and FPRW are not supported.
 pub const FEATURE_NO_READ_WRITE: u16 = 1 << 10;
 
-/// [`DL_CONTROL`]: makes the alias answer to station addressing.
+/// [`DL_CONTROL`]: the slave also answers to its alias as station address.
 pub const DL_CONTROL_ALIAS: u32 = 1 << 24;
 
 /// Error bit of [`AL_STATUS`], acknowledge bit of [`AL_CONTROL`].
@@ -123,24 +123,24 @@ pub const AL_ERROR_BIT: u16 = 1 << 4;
 /// State bits of [`AL_STATUS`] and [`AL_CONTROL`].
 pub const AL_STATE_MASK: u16 = 0x0F;
 
-/// Divider that makes the watchdog unit 100 microseconds: 40 ns times (2498 + 2).
+/// Divider for a watchdog unit of 100 microseconds: 40 ns times (2498 + 2).
 pub const WATCHDOG_DIVIDER_100_US: u16 = 2498;
 
 /// Value of [`SII_CONFIG`] that takes the SII from the PDI by force.
 pub const SII_FORCE: u8 = 1 << 1;
 /// [`SII_CONTROL`]: 8 bytes are read at a time instead of 4.
 pub const SII_READS_8_BYTES: u16 = 1 << 6;
-/// [`SII_CONTROL`]: asks for a read.
+/// [`SII_CONTROL`]: requests a read.
 pub const SII_READ: u16 = 1 << 8;
-/// [`SII_CONTROL`]: asks for a write.
+/// [`SII_CONTROL`]: requests a write.
 pub const SII_WRITE: u16 = 1 << 9;
-/// [`SII_CONTROL`]: asks for the registers to be loaded again.
+/// [`SII_CONTROL`]: requests a reload of the registers.
 pub const SII_RELOAD: u16 = 1 << 10;
-/// [`SII_CONTROL`]: allows the write that is asked for together with it.
+/// [`SII_CONTROL`]: enables the write requested together with it.
 pub const SII_WRITE_ENABLE: u16 = 1 << 0;
-/// [`SII_CONTROL`]: checksum of the configuration area is wrong.
+/// [`SII_CONTROL`]: the checksum of the configuration area is wrong.
 pub const SII_CHECKSUM_ERROR: u16 = 1 << 11;
-/// [`SII_CONTROL`]: the configuration area was not loaded yet.
+/// [`SII_CONTROL`]: the configuration area has not been loaded yet.
 pub const SII_LOADING: u16 = 1 << 12;
 /// [`SII_CONTROL`]: the memory did not acknowledge, or the command was invalid.
 pub const SII_ACKNOWLEDGE_ERROR: u16 = 1 << 13;
@@ -163,8 +163,8 @@ pub const SYNC_MANAGER_PDI_OFFSET: u16 = 7;
 pub const MAILBOX_FULL_BIT: u8 = 1 << 3;
 /// Sync manager activation: enabled.
 pub const SYNC_MANAGER_ENABLE: u8 = 1 << 0;
-/// Sync manager activation: toggled by the master to have the last mailbox read again; the slave answers by the same
-/// bit of the PDI control byte.
+/// Sync manager activation: toggled by the master to request the last mailbox again; the slave answers with the
+/// corresponding bit of the PDI control byte.
 pub const SYNC_MANAGER_REPEAT: u8 = 1 << 1;
 
 /// Sync manager control: mailbox that the master writes, with an event for the slave.
@@ -186,20 +186,20 @@ pub const fn fmmu(number: u8) -> u16 {
     FMMU + number as u16 * FMMU_LEN as u16
 }
 
-/// One sync manager: a guarded window into process memory.
+/// One sync manager: a guarded window in process memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SyncManagerRepr {
     /// First byte of the window.
     pub start: u16,
-    /// Bytes of the window.
+    /// Length of the window, bytes.
     pub length: u16,
     /// Mode, direction, events and watchdog; see the `CONTROL_` constants.
     pub control: u8,
-    /// What the slave controller reports; not written by a master.
+    /// Status from the slave controller; not written by a master.
     pub status: u8,
-    /// Whether and how it works; see [`SYNC_MANAGER_ENABLE`].
+    /// Activation; see [`SYNC_MANAGER_ENABLE`].
     pub activate: u8,
-    /// The slave's own side; not written by a master.
+    /// Control byte of the slave's own side; not written by a master.
     pub pdi_control: u8,
 }
 
@@ -238,7 +238,7 @@ impl SyncManagerRepr {
 pub struct FmmuRepr {
     /// First logical address.
     pub logical_start: u32,
-    /// Bytes of logical memory touched.
+    /// Bytes of logical memory covered.
     pub length: u16,
     /// First bit within the first logical byte, 0 to 7.
     pub logical_start_bit: u8,
@@ -246,13 +246,13 @@ pub struct FmmuRepr {
     pub logical_end_bit: u8,
     /// First byte in the slave's memory.
     pub physical_start: u16,
-    /// First bit within that byte, 0 to 7.
+    /// First bit within the first byte of the slave's memory, 0 to 7.
     pub physical_start_bit: u8,
-    /// Read commands are served.
+    /// Whether read commands are mapped.
     pub reads: bool,
-    /// Write commands are served.
+    /// Whether write commands are mapped.
     pub writes: bool,
-    /// The FMMU works at all.
+    /// Whether the FMMU is active.
     pub active: bool,
 }
 

@@ -1,15 +1,15 @@
-//! The four ports of a slave controller: what they are made of, whether they are linked, what went wrong on them.
+//! The four ports of a slave controller: medium, link state and error counters.
 //!
 //! A frame enters at port 0 and leaves through 3, 1 and 2 in this order, as far as they are open; a closed port loops
-//! it back inside (IEC 61158-4-12, data link layer). The error counters stop at 255.
+//! the frame back inside (IEC 61158-4-12, data link layer). The error counters stop at 255.
 //!
-//! Invariant: plain field structures; what a counter says about a cable is for others to judge.
+//! Invariant: plain field structures without any interpretation of the counters.
 
 use super::ERROR_COUNTERS_LEN;
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
 use serde::{Deserialize, Serialize};
 
-/// Ports of a slave controller.
+/// Number of ports of a slave controller.
 pub const PORTS: usize = 4;
 
 const PDI_OPERATIONAL_BIT: u16 = 1 << 0;
@@ -18,14 +18,14 @@ const ENHANCED_LINK_BIT: u16 = 1 << 2;
 const LINK_SHIFT: usize = 4;
 const LOOP_SHIFT: usize = 8;
 
-/// What a port is made of.
+/// Medium of a port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PortMedium {
-    /// Not there.
+    /// The port does not exist.
     #[default]
     Missing = 0,
-    /// There, but not configured by the SII.
+    /// The port exists, but the SII does not configure it.
     Unconfigured = 1,
     /// The bus between terminals.
     Ebus = 2,
@@ -33,7 +33,7 @@ pub enum PortMedium {
     Ethernet = 3,
 }
 
-/// The media of the four ports, out of [`PORT_DESCRIPTOR`](super::PORT_DESCRIPTOR).
+/// The media of the four ports, from [`PORT_DESCRIPTOR`](super::PORT_DESCRIPTOR).
 pub fn port_media(descriptor: u8) -> [PortMedium; PORTS] {
     core::array::from_fn(|port| match descriptor >> (2 * port) & 3 {
         0 => PortMedium::Missing,
@@ -43,24 +43,24 @@ pub fn port_media(descriptor: u8) -> [PortMedium; PORTS] {
     })
 }
 
-/// The register [`PORT_DESCRIPTOR`](super::PORT_DESCRIPTOR) of four media.
+/// The register [`PORT_DESCRIPTOR`](super::PORT_DESCRIPTOR) for four media.
 pub fn port_descriptor(media: [PortMedium; PORTS]) -> u8 {
     media.iter().rev().fold(0, |bits, medium| bits << 2 | *medium as u8)
 }
 
-/// How one port is doing.
+/// State of one port.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortStatus {
-    /// There is a physical link.
+    /// Whether there is a physical link.
     pub link: bool,
-    /// Frames are looped back inside instead of leaving.
+    /// Whether frames are looped back inside instead of leaving.
     pub loop_closed: bool,
-    /// Communication is established.
+    /// Whether communication is established.
     pub communication: bool,
 }
 
 impl PortStatus {
-    /// Whether frames go out there and come back.
+    /// Whether frames leave through the port and come back.
     pub const fn is_open(&self) -> bool {
         self.communication && !self.loop_closed
     }
@@ -69,18 +69,18 @@ impl PortStatus {
 /// The register [`DL_STATUS`](super::DL_STATUS) in host form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DlStatus {
-    /// The slave's own processor has loaded the SII and runs.
+    /// Whether the slave's own processor has loaded the SII and runs.
     pub pdi_operational: bool,
-    /// Its watchdog is content.
+    /// Whether its watchdog has not expired.
     pub pdi_watchdog: bool,
-    /// Enhanced link detection is on for one port at least.
+    /// Whether enhanced link detection is on for at least one port.
     pub enhanced_link_detection: bool,
     /// The ports.
     pub ports: [PortStatus; PORTS],
 }
 
 impl DlStatus {
-    /// Takes the register apart.
+    /// Decodes the register.
     pub fn from_bits(bits: u16) -> Self {
         let bit = |shift: usize| bits >> shift & 1 != 0;
         Self {
@@ -95,7 +95,7 @@ impl DlStatus {
         }
     }
 
-    /// Puts the register together.
+    /// Encodes the register.
     pub fn bits(&self) -> u16 {
         let flag = |set: bool, bit: u16| if set { bit } else { 0 };
         let ports = self.ports.iter().enumerate().fold(0, |bits, (port, status)| {
@@ -109,7 +109,7 @@ impl DlStatus {
             | flag(self.enhanced_link_detection, ENHANCED_LINK_BIT)
     }
 
-    /// How many ports frames go through; 1 is the end of a line, 2 its middle, more a branch.
+    /// Number of ports that frames pass; 1 at the end of a line, 2 in its middle, more at a branch.
     pub fn open_ports(&self) -> usize {
         self.ports.iter().filter(|port| port.is_open()).count()
     }
@@ -118,18 +118,18 @@ impl DlStatus {
 /// Error counters of one port; each stops at 255.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortErrors {
-    /// Frames with a wrong check sequence or length: damaged on the cable of this port or before it.
+    /// Frames with a wrong check sequence or length: damaged on the cable of this port or earlier.
     pub invalid_frames: u8,
-    /// Errors of the physical layer, within frames or between them: the cable or plug of this port.
+    /// Errors of the physical layer, within frames or between them, caused by the cable or plug of this port.
     pub receive_errors: u8,
-    /// Frames that an earlier slave has found damaged already.
+    /// Frames that an earlier slave had already found damaged.
     pub forwarded_errors: u8,
     /// How often the link was lost.
     pub lost_links: u8,
 }
 
 impl PortErrors {
-    /// Whether anything was counted.
+    /// Whether any counter is not 0.
     pub fn any(&self) -> bool {
         *self != Self::default()
     }
@@ -141,11 +141,11 @@ impl PortErrors {
 pub struct ErrorCounters {
     /// The ports.
     pub ports: [PortErrors; PORTS],
-    /// Frames that the processing unit could not make sense of.
+    /// Frames that the processing unit could not interpret.
     pub processing_errors: u8,
-    /// Errors of the slave's own processor at its interface.
+    /// Errors of the slave's own processor at the PDI.
     pub pdi_errors: u8,
-    /// The last of these errors, of the maker's numbering.
+    /// The last PDI error, vendor-specific code.
     pub pdi_error_code: u8,
 }
 

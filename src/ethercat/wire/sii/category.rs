@@ -1,10 +1,10 @@
-//! The chain of categories behind the fixed part, walked header by header.
+//! The chain of categories behind the fixed part, parsed header by header.
 //!
-//! [`CategoryWalker`] never touches memory: it says which word it wants to see and is told what stands there. A master
-//! reads the SII through registers, a few bytes at a time, and so fetches only the headers and the categories that it
-//! needs; [`Categories`] is the same walk over bytes that are there already.
+//! [`CategoryWalker`] does not access memory: it names the word that it needs next and takes its content. A master
+//! reads the SII through registers, a few bytes at a time, and thus fetches only the headers and the categories that it
+//! needs; [`Categories`] walks over bytes in memory.
 //!
-//! Invariant: every step moves forwards, and there are at most [`CATEGORIES_MAX`] of them.
+//! Invariant: every step moves forward, and there are at most [`CATEGORIES_MAX`] steps.
 
 use super::{CATEGORY_END, WORD_CATEGORIES};
 use crate::ethercat::wire::read_u16;
@@ -14,26 +14,26 @@ pub const CATEGORIES_MAX: u8 = 64;
 /// Words of a category's header: kind and length.
 pub const CATEGORY_HEADER_WORDS: u16 = 2;
 
-/// Type without meaning; with length 0 it is memory that was never written.
+/// Type without meaning; with length 0 it marks memory that was never written.
 const CATEGORY_NOP: u16 = 0;
-/// Types that a device may use for itself.
+/// Types reserved for device-specific use.
 const DEVICE_SPECIFIC: core::ops::RangeInclusive<u16> = 1..=9;
-/// Types from this one on are free for vendors.
+/// First of the vendor-specific types.
 const VENDOR_SPECIFIC_FIRST: u16 = 0x0800;
 
-/// Where a category lies.
+/// Place of a category.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CategoryHeader {
-    /// What it holds, see the `CATEGORY_` constants.
+    /// Type of the category, see the `CATEGORY_` constants.
     pub kind: u16,
     /// Word address of its first word of data.
     pub word: u16,
-    /// Words of data.
+    /// Length of the data, words.
     pub words: u16,
 }
 
 impl CategoryHeader {
-    /// Whether the device's maker alone knows what it means.
+    /// Whether the category is device-specific or vendor-specific.
     pub fn is_private(&self) -> bool {
         DEVICE_SPECIFIC.contains(&self.kind) || (VENDOR_SPECIFIC_FIRST..CATEGORY_END).contains(&self.kind)
     }
@@ -42,22 +42,22 @@ impl CategoryHeader {
 /// Why a chain ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChainEnd {
-    /// By its end mark, as it should; memory that was erased looks the same.
+    /// At its end mark; erased memory looks like an end mark too.
     Marked,
-    /// At memory that was never written: zeros.
+    /// At zeros: memory that was never written.
     Blank,
-    /// The memory ends where a header should stand.
+    /// The memory ends where a header is expected.
     Missing,
-    /// A category reaches past the memory's end; it and all behind it are void.
+    /// A category exceeds the memory; this category and all behind it are void.
     Outside {
-        /// Its header.
+        /// Header of that category.
         category: CategoryHeader,
     },
-    /// There are more than [`CATEGORIES_MAX`].
+    /// The chain has more than [`CATEGORIES_MAX`] categories.
     Endless,
 }
 
-/// Walks a chain of categories without touching memory.
+/// Walks a chain of categories without accessing memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CategoryWalker {
     word: u16,
@@ -82,7 +82,7 @@ impl CategoryWalker {
     }
 
     const fn check_room(&mut self) {
-        // The kind alone may be the last word, as an end mark has no length.
+        // The end mark has no length, so it may be the last word.
         if self.word >= self.words {
             self.end = Some(ChainEnd::Missing);
         }
@@ -96,17 +96,17 @@ impl CategoryWalker {
         }
     }
 
-    /// Why the chain has ended; `None` while it goes on.
+    /// Why the chain has ended; `None` before its end.
     pub const fn end(&self) -> Option<ChainEnd> {
         self.end
     }
 
-    /// How many device and vendor specific categories there were.
+    /// Number of device-specific and vendor-specific categories so far.
     pub const fn private_count(&self) -> u8 {
         self.private
     }
 
-    /// Takes the header that stands at [`Self::next_word`] and gives the category; `None` when the chain ends there.
+    /// Takes the header at [`Self::next_word`] and returns the category; `None` when the chain ends there.
     pub fn feed(&mut self, kind: u16, length_words: u16) -> Option<CategoryHeader> {
         if self.end.is_some() {
             return None;
@@ -135,7 +135,7 @@ impl CategoryWalker {
     }
 }
 
-/// The categories of an SII whose bytes are there, from word 0.
+/// The categories of an SII in memory, from word 0.
 #[derive(Clone, Debug)]
 pub struct Categories<'a> {
     image: &'a [u8],
@@ -143,7 +143,7 @@ pub struct Categories<'a> {
 }
 
 impl<'a> Categories<'a> {
-    /// Walks the categories in `image`, which starts at word 0; an odd last byte does not count.
+    /// Walks the categories in `image`, which starts at word 0; an odd last byte is ignored.
     pub fn new(image: &'a [u8]) -> Self {
         let words = u16::try_from(image.len() / 2).unwrap_or(u16::MAX);
         Self {
@@ -152,7 +152,7 @@ impl<'a> Categories<'a> {
         }
     }
 
-    /// The walk so far: why it ended, how many private categories it met.
+    /// State of the walk: why it ended, and how many private categories it found.
     pub const fn walker(&self) -> &CategoryWalker {
         &self.walker
     }

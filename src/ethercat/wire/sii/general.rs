@@ -1,8 +1,8 @@
-//! The general category: names, abilities, ports.
+//! The general category: names, capabilities, ports.
 //!
 //! Layout: IEC 61158-6-12 (slave information interface), ETG.2010 for flags and identification.
 //!
-//! Invariant: a category that ends early gives 0 for what is missing; the names are always there.
+//! Invariant: in a category that is too short, missing fields are 0; the names are always present.
 
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
 
@@ -14,26 +14,26 @@ pub const COE_SDO_INFORMATION: u8 = 1 << 1;
 pub const COE_PDO_ASSIGN: u8 = 1 << 2;
 /// [`General::coe`]: the entries of PDOs can be changed.
 pub const COE_PDO_CONFIGURE: u8 = 1 << 3;
-/// [`General::coe`]: PDOs are to be read at the start.
+/// [`General::coe`]: PDOs are to be read at start-up.
 pub const COE_UPLOAD_AT_START: u8 = 1 << 4;
 /// [`General::coe`]: SDO with complete access.
 pub const COE_COMPLETE_ACCESS: u8 = 1 << 5;
 
-/// [`General::flags`]: SAFEOP is known.
+/// [`General::flags`]: SAFEOP is supported.
 pub const FLAG_SAFE_OPERATIONAL: u8 = 1 << 0;
-/// [`General::flags`]: LRW does not work.
+/// [`General::flags`]: LRW is not supported.
 pub const FLAG_NO_LRW: u8 = 1 << 1;
-/// [`General::flags`]: the mailbox's repeat mechanism works.
+/// [`General::flags`]: the mailbox's repeat mechanism is supported.
 pub const FLAG_MAILBOX_REPEAT: u8 = 1 << 2;
 /// [`General::flags`]: the explicit identification is in the AL status code.
 pub const FLAG_IDENTITY_IN_AL_STATUS: u8 = 1 << 3;
 /// [`General::flags`]: the explicit identification is at [`General::identification_address`].
 pub const FLAG_IDENTITY_IN_MEMORY: u8 = 1 << 4;
 
-/// What a port of the device is made of.
+/// Type of a port of the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PortKind {
-    /// Not there.
+    /// The port does not exist.
     #[default]
     Unused,
     /// Ethernet by MII.
@@ -42,7 +42,7 @@ pub enum PortKind {
     Ebus,
     /// Ethernet by MII with fast hot connect.
     FastHotConnect,
-    /// A number without a meaning known here.
+    /// An unknown type.
     Other(u8),
 }
 
@@ -71,34 +71,34 @@ impl PortKind {
 /// The general category in host form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct General {
-    /// String with the group of devices.
+    /// String number of the device group.
     pub group: u8,
-    /// String with the name of a picture.
+    /// String number of a picture's name.
     pub image: u8,
-    /// String with the order number.
+    /// String number of the order number.
     pub order: u8,
-    /// String with the device's name.
+    /// String number of the device's name.
     pub name: u8,
-    /// CoE abilities, see the `COE_` constants.
+    /// CoE capabilities, see the `COE_` constants.
     pub coe: u8,
-    /// Files over EtherCAT work.
+    /// Whether file access over EtherCAT is supported.
     pub foe: bool,
-    /// Ethernet over EtherCAT works.
+    /// Whether Ethernet over EtherCAT is supported.
     pub eoe: bool,
-    /// See the `FLAG_` constants.
+    /// Flags, see the `FLAG_` constants.
     pub flags: u8,
     /// Current taken from the bus between terminals, mA; negative where it is fed in.
     pub current_ma: i16,
     /// The four ports.
     pub ports: [PortKind; 4],
-    /// Register with the explicit identification, if the flags say so.
+    /// Register with the explicit identification, if the flags announce it.
     pub identification_address: u16,
 }
 
 impl General {
     /// Bytes of the category.
     pub const LEN: usize = 32;
-    /// Fewest bytes that make sense: the names.
+    /// Shortest valid category, bytes: the names.
     pub const LEN_MIN: usize = 4;
 
     /// Reads the category.

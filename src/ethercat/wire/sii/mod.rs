@@ -1,12 +1,13 @@
 //! The slave information interface (SII): the configuration memory of a slave.
 //!
-//! It is addressed in 16-bit words. A fixed part holds identity and mailboxes, then categories follow, each with a type
-//! word and a length in words, up to [`CATEGORY_END`]. Layout: IEC 61158-6-12, slave information interface; ETG.2010.
+//! The memory is addressed in 16-bit words. A fixed part holds identity and mailboxes; categories follow, each with a
+//! type word and a length in words, up to [`CATEGORY_END`]. Layout: IEC 61158-6-12, slave information interface;
+//! ETG.2010.
 //!
-//! Two readers share the structures. [`Sii`] looks at an image whose bytes are all there. A master that reads through
-//! registers lets a [`CategoryWalker`] tell which words it needs and parses records from the few bytes of each reading.
+//! Two readers share the structures. [`Sii`] is a view of a complete image. A master that reads through registers asks
+//! a [`CategoryWalker`] which words it needs, and parses records from the few bytes of each read access.
 //!
-//! Invariant: nothing is copied and every walk ends; reading from a slave is `configure`'s work.
+//! Invariant: nothing is copied and every walk ends; `configure` reads from a slave.
 
 mod category;
 mod general;
@@ -104,30 +105,30 @@ pub const CATEGORY_END: u16 = 0xFFFF;
 /// Words of the fixed part that [`FixedPart::parse`] needs, from word 0.
 pub const FIXED_PART_WORDS: usize = 0x1D;
 
-/// Who a slave is.
+/// Identity of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Vendor number.
     pub vendor: u32,
-    /// Product code of that vendor.
+    /// Product code, assigned by the vendor.
     pub product: u32,
     /// Revision of the product.
     pub revision: u32,
-    /// Serial number, 0 where there is none.
+    /// Serial number; 0 if there is none.
     pub serial: u32,
 }
 
-/// Where a mailbox lies in the slave's memory.
+/// Address and length of a mailbox in the slave's memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MailboxWindow {
     /// First byte.
     pub start: u16,
-    /// Bytes; 0 where there is no mailbox.
+    /// Length, bytes; 0 if there is no mailbox.
     pub length: u16,
 }
 
 impl MailboxWindow {
-    /// Reads the two words at a word address of the SII.
+    /// Parses the two words at a word address of the SII.
     fn parse(bytes: &[u8], word: u16) -> Self {
         let at = usize::from(word) * 2;
         Self {
@@ -137,10 +138,10 @@ impl MailboxWindow {
     }
 }
 
-/// The fixed part, as far as a master needs it.
+/// The fields of the fixed part that a master needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FixedPart {
-    /// Who the slave is.
+    /// Identity of the slave.
     pub identity: Identity,
     /// Mailbox that the master writes.
     pub mailbox_out: MailboxWindow,
@@ -151,7 +152,7 @@ pub struct FixedPart {
 }
 
 impl FixedPart {
-    /// Reads the fixed part from the SII's first bytes.
+    /// Parses the fixed part from the SII's first bytes.
     ///
     /// # Errors
     /// [`Error::Truncated`] below [`FIXED_PART_WORDS`] words.
@@ -172,20 +173,20 @@ impl FixedPart {
     }
 }
 
-/// What stands in front of the categories, besides the [`FixedPart`].
+/// All fields before the categories, including the [`FixedPart`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Header {
     /// PDI control register.
     pub pdi_control: u16,
     /// PDI configuration register.
     pub pdi_configuration: u16,
-    /// Length of SYNC pulses, 10 ns.
+    /// Length of SYNC pulses, in units of 10 ns.
     pub sync_impulse_10_ns: u16,
     /// Extended PDI configuration register.
     pub pdi_configuration_extended: u16,
     /// Configured station alias.
     pub alias: u16,
-    /// Checksum over the seven words in front of it as it stands there.
+    /// Checksum over the seven words before it, as read.
     pub checksum: u8,
     /// Identity, standard mailboxes and protocols.
     pub fixed: FixedPart,
@@ -200,10 +201,10 @@ pub struct Header {
 }
 
 impl Header {
-    /// Bytes in front of the categories.
+    /// Bytes before the categories.
     pub const LEN: usize = 2 * WORD_CATEGORIES as usize;
 
-    /// Reads the SII's first words.
+    /// Parses the SII's first words.
     ///
     /// # Errors
     /// [`Error::Truncated`] below [`Self::LEN`] bytes.
@@ -225,7 +226,7 @@ impl Header {
         })
     }
 
-    /// Writes the SII's first words; the checksum is the right one, whatever [`Self::checksum`] says, and reserved words
+    /// Writes the SII's first words. The checksum is computed, regardless of [`Self::checksum`], and reserved words
     /// become 0.
     ///
     /// # Errors
@@ -261,34 +262,34 @@ impl Header {
         Ok(())
     }
 
-    /// Bytes of the whole memory, at least 128.
+    /// Size of the whole memory, bytes; at least 128.
     pub const fn memory_bytes(&self) -> u32 {
         (self.size as u32 + 1) * 128
     }
 
-    /// Whether the memory was ever written: nobody has vendor 0 or 0xFFFF_FFFF.
+    /// Whether the memory was never written: no vendor has the number 0 or 0xFFFF_FFFF.
     pub const fn is_blank(&self) -> bool {
         matches!(self.fixed.identity.vendor, 0 | u32::MAX)
     }
 }
 
-/// An SII whose bytes are there, from word 0.
+/// An SII in memory, from word 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Sii<'a> {
     image: &'a [u8],
 }
 
 impl<'a> Sii<'a> {
-    /// A view of `image`; what lies beyond its end does not exist.
+    /// A view of `image`, which may be incomplete: bytes beyond its end do not exist.
     ///
     /// # Errors
-    /// [`Error::Truncated`] when not even the part in front of the categories is there.
+    /// [`Error::Truncated`] when the part before the categories is incomplete.
     pub fn new_checked(image: &'a [u8]) -> Result<Self, Error> {
         check_len(image, Header::LEN)?;
         Ok(Self { image })
     }
 
-    /// What stands in front of the categories.
+    /// All fields before the categories.
     pub fn header(&self) -> Header {
         Header::parse(self.image).unwrap_or_default()
     }
@@ -298,7 +299,7 @@ impl<'a> Sii<'a> {
         checksum(self.image) == read_u8(self.image, usize::from(WORD_CHECKSUM) * 2)
     }
 
-    /// The categories in order, those of unknown kinds included.
+    /// The categories in order, including unknown ones.
     pub fn categories(&self) -> Categories<'a> {
         Categories::new(self.image)
     }
@@ -350,7 +351,7 @@ impl<'a> Sii<'a> {
         Pdos::new(self.category(CATEGORY_RX_PDO))
     }
 
-    /// The ways to use the distributed clocks.
+    /// The supported operation modes of the distributed clocks.
     pub fn clocks(&self) -> Records<'a, ClockRecord> {
         Records::new(self.category(CATEGORY_CLOCKS))
     }
@@ -358,7 +359,7 @@ impl<'a> Sii<'a> {
 
 /// Checksum over the first seven words: CRC-8 with polynomial x8+x2+x+1, start value 0xFF.
 ///
-/// Bytes beyond the fourteenth are ignored, missing ones count as 0.
+/// Bytes beyond the fourteenth are ignored; missing bytes count as 0.
 pub fn checksum(bytes: &[u8]) -> u8 {
     (0..2 * usize::from(WORD_CHECKSUM)).fold(0xFF, |crc, offset| {
         (0..8).fold(crc ^ read_u8(bytes, offset), |crc, _| {
