@@ -1,4 +1,4 @@
-//! Both ends on one bench: a line with faults and a small firmware around the real endpoint, in virtual time.
+//! Test bench for both ends of the link: a faulty line and a small firmware around the real endpoint, in virtual time.
 
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
@@ -16,7 +16,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-/// One direction of a serial line that spoils bytes.
+/// One direction of a serial line that damages bytes.
 pub(crate) struct Line {
     state: u64,
     /// Faults of each kind in a million bytes.
@@ -41,7 +41,7 @@ impl Line {
         self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11
     }
 
-    /// Carries bytes: each may be lost, damaged, doubled, or followed by a repetition of the eight before it.
+    /// Carries bytes: each may be lost, damaged, doubled, or followed by a repetition of the eight bytes before it.
     pub(crate) fn carry(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();
         for byte in bytes {
@@ -64,8 +64,8 @@ impl Line {
     }
 }
 
-/// A firmware that does what it is told after a while: it executes one vertex a millisecond, and its drives follow with
-/// the configured age.
+/// A small firmware that carries out commands after a delay: it executes one vertex a millisecond, and its drives
+/// follow with the configured age.
 pub(crate) struct Bench {
     pub(crate) decoder: Decoder,
     pub(crate) endpoint: DeviceEndpoint,
@@ -84,7 +84,7 @@ pub(crate) struct Bench {
     pub(crate) executed: u32,
     pub(crate) lines: [Line; 2],
     delta: Delta,
-    /// References that are not measured yet.
+    /// References that have not been measured yet.
     following: VecDeque<[f32; AXES]>,
     age_ms: usize,
     complete: bool,
@@ -133,8 +133,8 @@ impl Bench {
         }
     }
 
-    /// One millisecond of the line in both directions and of the firmware; `host` takes what arrives and how much
-    /// room there is, and returns what it sends.
+    /// Advances the line in both directions and the firmware by one millisecond; `host` takes the arriving bytes and
+    /// the room for bytes, and returns the bytes to send.
     pub(crate) fn step(&mut self, now_ms: u64, mut host: impl FnMut(&[u8], usize) -> Vec<u8>) {
         self.now_ms = now_ms;
         self.run(now_ms);
@@ -341,8 +341,7 @@ impl Bench {
     }
 }
 
-/// A bench behind a stream, by the wall clock, until the stream is closed; its own time goes on from one stream to the
-/// next.
+/// Serves a stream by the wall clock until it is closed; the bench's own time continues with the next stream.
 pub(crate) fn serve(bench: &mut Bench, mut stream: &UnixStream) {
     let begun = Instant::now();
     stream

@@ -1,18 +1,18 @@
-//! How a drawing can end otherwise than drawn, each with what to try.
+//! Reasons why a job ends early, each with what to try.
 
 use super::text;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::link::protocol::{Command, ConfigRefusal};
 use std::fmt;
 
-/// What a job is doing.
+/// Phase of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Waiting for the firmware's answer to the greeting.
     Connecting,
     /// Waiting for the first status.
     Inspecting,
-    /// Waiting for a fault from before to be cleared.
+    /// Waiting for an earlier fault to be cleared.
     Acknowledging,
     /// Waiting for the configuration's hash.
     Configuring,
@@ -22,7 +22,7 @@ pub enum Phase {
     Referencing,
     /// Waiting for the drives to hold the pose.
     Enabling,
-    /// Waiting for a command to be answered and to have its effect.
+    /// Waiting for a command to be answered and to take effect.
     Telling,
     /// Waiting for the drawing to begin.
     Starting,
@@ -30,7 +30,7 @@ pub enum Phase {
     Moving,
     /// Drawing.
     Drawing,
-    /// Coming to rest and giving up the power.
+    /// Coming to rest and switching the power off.
     Resting,
 }
 
@@ -53,10 +53,10 @@ impl fmt::Display for Phase {
     }
 }
 
-/// Why a job ended without the whole drawing.
+/// Why a job ended early.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum JobError {
-    /// Firmware and program speak different versions.
+    /// Firmware and program use different protocol versions.
     Version {
         /// This program's version.
         host: u16,
@@ -65,26 +65,26 @@ pub enum JobError {
     },
     /// Nothing answered the greeting.
     NoAnswer {
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u64,
     },
-    /// The firmware has fallen silent.
+    /// The firmware no longer sends.
     LinkLost {
-        /// Since when, ms.
+        /// Time since its last message, ms.
         silent_ms: u64,
     },
     /// The firmware was reset or another program has taken over.
     Restarted,
     /// The configuration was refused.
     Config(ConfigRefusal),
-    /// The firmware computed another hash of the configuration.
+    /// The firmware computed a different hash of the configuration.
     ConfigHash {
         /// This program's hash.
         ours: Option<u64>,
-        /// The firmware's.
+        /// The firmware's hash.
         firmware: u64,
     },
-    /// The robot was already doing something.
+    /// The robot was busy.
     Busy(Mode),
     /// A command of the job was refused.
     Refused(Command, Refusal),
@@ -94,14 +94,14 @@ pub enum JobError {
     Fault {
         /// Its cause.
         fault: Fault,
-        /// Whether it was there before the job did anything.
+        /// Whether the fault was latched before the job did anything.
         before: bool,
     },
     /// A phase took too long.
     Timeout {
-        /// Which.
+        /// The phase.
         phase: Phase,
-        /// How long was waited, ms.
+        /// Time waited, ms.
         waited_ms: u64,
     },
     /// The robot came to rest before the path's end.
@@ -111,28 +111,28 @@ pub enum JobError {
         /// Vertices of the path.
         total: usize,
     },
-    /// The path ended, and the pen was seen not to follow a part of it.
+    /// The path ended, but the measured pen did not follow a part of it.
     NotFollowed {
-        /// Length that is missing, mm.
+        /// Length of the missing parts, mm.
         missing_mm: f64,
         /// Length of all strokes, mm.
         total_mm: f64,
-        /// The first stroke of which a part is missing; strokes are counted from 0.
+        /// The first stroke with a missing part, counted from 0.
         first: u32,
-        /// The last one.
+        /// The last stroke with a missing part.
         last: u32,
-        /// How many there are.
+        /// Number of strokes with a missing part.
         strokes: usize,
     },
-    /// The firmware does not hold the drawing that was to go on.
+    /// The firmware does not hold the drawing that was to be resumed.
     NotHeld(Mode),
-    /// The joint angles are not referenced, and what they are cannot be guessed.
+    /// The joint angles are not referenced, and they cannot be assumed.
     NotReferenced,
-    /// The operator ended it.
+    /// The operator cancelled the job.
     Cancelled,
-    /// The program that ordered the motion gave no signs of life any more.
+    /// The program that ordered the motion no longer responds.
     Abandoned,
-    /// The firmware has started anew in the middle of the drawing.
+    /// The firmware was restarted in the middle of the drawing.
     Forgotten,
 }
 

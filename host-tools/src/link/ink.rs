@@ -1,17 +1,17 @@
-//! Where on a path the ink ends, from the measured positions of the pen.
+//! End of the ink on a path, from the measured positions of the pen.
 //!
-//! The place goes along the path with the pen, looked for only as far ahead as the pen has moved: it never jumps to a
-//! neighbouring line, nor back. Invariant: the place is never ahead of the ink by more than [`AWAY_MAX_MM`]; where the pen
-//! is not on its stroke, the place stays.
+//! The place advances along the path with the pen. It is searched only as far ahead as the pen has moved, so it never
+//! jumps to a neighbouring line, nor back. Invariant: the place is never ahead of the ink by more than [`AWAY_MAX_MM`];
+//! while the pen is not on its stroke, the place stays.
 
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 use std::sync::Arc;
 
-/// Farthest that the pen may be from its path, mm: more than the tolerance of a path and what the drives lag, less than
-/// what a line is wide.
+/// Largest distance of the pen from its path, mm: more than the tolerance of a path plus the lag of the drives, less
+/// than the width of a line.
 pub const AWAY_MAX_MM: f64 = 0.25;
-/// How far ahead the place is looked for, in distances that the pen has moved, and beside them, mm.
+/// How far ahead the place is searched, in distances that the pen has moved, plus an offset, mm.
 const AHEAD: f64 = 1.5;
 const AHEAD_MM: f64 = 0.1;
 
@@ -25,10 +25,10 @@ pub struct Ink {
     starts: Vec<Option<usize>>,
     /// Vertex at the end of the leg on which the ink ends.
     leg: usize,
-    /// How far along that leg, mm.
+    /// Distance along that leg, mm.
     along_mm: f64,
     last: Option<Point>,
-    /// How far the pen has moved since the place was found last, mm.
+    /// Distance that the pen has moved since the place was last found, mm.
     moved_mm: f64,
 }
 
@@ -49,7 +49,7 @@ fn between(a: &Point, b: &Point, share: f64) -> Point {
 }
 
 impl Ink {
-    /// No ink of this path yet.
+    /// A path without ink.
     pub fn new(path: Arc<[PathVertex]>) -> Self {
         let strokes = path.iter().map(|vertex| vertex.stroke as usize + 1).max().unwrap_or(0);
         let mut starts = vec![None; strokes.min(path.len())];
@@ -73,7 +73,7 @@ impl Ink {
         }
     }
 
-    /// The pen is on the paper at this place, mm, drawing this stroke.
+    /// Takes a position of the pen on the paper, mm, drawing this stroke.
     pub fn draws(&mut self, stroke: u32, pen_mm: Point) {
         if pen_mm.iter().any(|mm| !mm.is_finite()) {
             return;
@@ -98,12 +98,13 @@ impl Ink {
         }
     }
 
-    /// The pen is off the paper.
+    /// Takes that the pen is off the paper.
     pub fn lifted(&mut self) {
         (self.last, self.moved_mm) = (None, 0.0);
     }
 
-    /// The place nearest to the pen from the present one on, within this distance along the stroke, if the pen is there.
+    /// The place nearest to the pen, from the present one up to this distance along the stroke; `None` if the pen is
+    /// not there.
     fn nearest(&self, pen_mm: &Point, ahead_mm: f64) -> Option<(usize, f64)> {
         let stroke = self.path.get(self.leg)?.stroke;
         let mut left_mm = ahead_mm;
@@ -136,7 +137,7 @@ impl Ink {
             .map(|(_, leg, along_mm)| (leg, along_mm))
     }
 
-    /// The vertex at the end of the leg on which the ink ends, 0 where there is none, and the place, um.
+    /// The vertex at the end of the leg on which the ink ends, 0 if there is no ink, and the place of the end, um.
     pub fn end(&self) -> (usize, Option<[i32; 3]>) {
         let (Some(begin), Some(end)) = (self.path.get(self.leg.wrapping_sub(1)), self.path.get(self.leg)) else {
             return (0, None);

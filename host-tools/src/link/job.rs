@@ -1,14 +1,14 @@
-//! What is done with a machine, from the first greeting on: look, tell, make ready, move, draw.
+//! Jobs on a machine, from the greeting on: inspect, command, prepare, move, draw.
 //!
-//! Connect, look, configure, wait for the bus, reference, enable, work, bring to rest: each phase waits for what the
-//! firmware reports, never for a time to pass, and has a limit after which the job says what it waited for. A job keeps
-//! its connection when its task has ended and can be given another one.
+//! The phases are connect, inspect, configure, wait for the bus, reference, enable, work, bring to rest. Each phase
+//! waits for a report of the firmware, never for a fixed time, and has a time limit after which the job reports what it
+//! waited for. A job keeps its connection when its task has ended, and takes further tasks.
 //!
-//! Invariants: a fault that is found is reported, and acknowledged only when the options or the task say so; progress
-//! counts executed vertices, not sent ones; a drawing is done when the pen was seen where the path wanted it, not when
-//! the firmware says so; whatever ends a task early that moves the robot, the robot is asked to come to
-//! rest and to give up the power that the task gave it; a drawing held since another connection goes on only if the
-//! firmware still holds exactly that drawing.
+//! Invariants: an existing fault is reported, and acknowledged only if the options or the task say so. Progress counts
+//! executed vertices, not sent ones. A drawing is done when the measured pen has followed the path, not when the
+//! firmware says so. When a task that moves the robot ends early, the robot is asked to come to rest and to give up the
+//! power that the task switched on. A drawing held since another connection is resumed only if the firmware still holds
+//! exactly that drawing.
 
 mod phases;
 
@@ -29,10 +29,10 @@ pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Time before a command that was refused because something still moves is tried again, ms.
+/// Time before a command that was refused because of a motion is repeated, ms.
 const RETRY_MS: u64 = 100;
 
-/// A hash of a path: FNV-1a with 64 bits over its vertices.
+/// Hash of a path: 64-bit FNV-1a over its vertices.
 #[must_use]
 pub fn path_hash(vertices: &[PathVertex]) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
@@ -49,25 +49,25 @@ pub fn path_hash(vertices: &[PathVertex]) -> u64 {
     hash
 }
 
-/// The number under which a path travels: its hash folded to 16 bits, never 0.
+/// The number of a path on the link: its hash folded to 16 bits, never 0.
 #[must_use]
 pub fn path_number(hash: u64) -> u16 {
     let [a, b, c, d] = [hash, hash >> 16, hash >> 32, hash >> 48].map(|part| part as u16);
     (a ^ b ^ c ^ d).max(1)
 }
 
-/// What a jog lives on; without a [`Life`] on this process alone.
+/// Signs of life that a jog requires; without a [`Life`] the jog depends on this process alone.
 #[derive(Clone, Debug, Default)]
 struct Lifeline {
     life: Option<Life>,
-    /// Signs that were used up.
+    /// Signs already used.
     seen: u64,
-    /// When the last of them was, ms.
+    /// Time of the last used sign, ms.
     seen_ms: u64,
 }
 
 impl Lifeline {
-    /// Uses up the signs that came; whether there was one since the last time.
+    /// Uses the new signs; returns whether there was any since the last call.
     fn take_sign(&mut self, now_ms: u64) -> bool {
         let Some(life) = &self.life else { return true };
         let signs = life.signs();
@@ -79,7 +79,7 @@ impl Lifeline {
     }
 }
 
-/// A connection and what is done over it, as a state machine.
+/// A connection and the tasks carried out over it, as a state machine.
 pub struct Job {
     session: Session,
     options: JobOptions,
@@ -89,53 +89,53 @@ pub struct Job {
     now_ms: u64,
     phase: Phase,
     entered_ms: u64,
-    /// The phase's own command, until it is answered.
+    /// Number of the phase's own command, until it is answered.
     awaited: Option<u16>,
     /// Whether the phase's command was accepted.
     accepted: bool,
     retry_ms: u64,
     inquired_ms: u64,
     fault_since_ms: Option<u64>,
-    /// Since when the robot has been at rest although the path has not ended.
+    /// Time since which the robot has been at rest before the end of the path, ms.
     over_since_ms: Option<u64>,
-    /// Whether a status came since the last accepted command.
+    /// Whether a status arrived since the last accepted command.
     fresh: bool,
-    /// Whether the drives had power when the task found them.
+    /// Whether the drives had power at the start of the task.
     found_powered: bool,
-    /// Whether the drawing is to be held once the pen is up.
+    /// Whether the drawing is to be held as soon as the pen is up.
     hold_at_pen_up: bool,
-    /// Why the task comes to rest early.
+    /// Why the task is being ended early.
     ending: Option<JobError>,
     outcome: Option<Result<(), JobError>>,
-    /// Why there is no connection any more.
+    /// Why the connection is broken, if it is.
     broken: Option<JobError>,
     welcome: Option<Welcome>,
     status: Option<Status>,
     status_before: Option<Status>,
     sample: Option<Sample>,
     ack: PathAck,
-    /// Vertices that were executed when this connection took up the drawing.
+    /// Vertices that were already executed when this connection resumed the drawing.
     executed_before: u32,
     drawing_ms: Option<u64>,
     drawn_ms: u64,
     held_ms: u64,
     samples: Vec<Sample>,
-    /// Watches the drawing's telemetry, from its start to its end.
+    /// Verifies the drawing from its telemetry.
     verifier: Option<Verifier>,
     verification: Verification,
-    /// Vertices before the first stroke that is not complete although the path has ended.
+    /// Vertices before the first incomplete stroke, if the path ended with incomplete strokes.
     complete: Option<u32>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
-    /// What a jog lives on.
+    /// Signs of life that a jog requires.
     life: Lifeline,
-    /// For each question about the measurements without an answer whether it is the task's own.
+    /// For each unanswered measurement request: whether the job itself made it.
     questions: VecDeque<bool>,
     events: VecDeque<JobEvent>,
 }
 
 impl Job {
-    /// A job that connects and does this.
+    /// A job that connects and carries out `task`.
     pub fn new(config: Config, task: Task, options: JobOptions) -> Self {
         let mut session = Session::new(options.session);
         session.connect();
@@ -185,7 +185,7 @@ impl Job {
         Self::new(config, Task::Draw(Drawing::new(vertices)), options)
     }
 
-    /// Goes on with another task over the same connection, once the one before has ended.
+    /// Starts another task over the present connection, after the last one has ended.
     pub fn begin(&mut self, task: Task) {
         self.measure = measure_of(&task, &self.config);
         self.task = task;
@@ -208,8 +208,8 @@ impl Job {
         });
     }
 
-    /// Lets a jog live on signs of life of whoever has ordered it: each repetition needs a sign that came since the one
-    /// before, so that the firmware's dead man's switch acts although this program is well.
+    /// Makes a jog depend on signs of life of the program that ordered it: each repetition of the jog needs a new sign,
+    /// so the firmware's dead-man switch also acts if that program fails while this one runs.
     pub fn live_on(&mut self, life: Life) {
         self.life = Lifeline {
             life: Some(life),
@@ -217,7 +217,7 @@ impl Job {
         };
     }
 
-    /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
+    /// Advances by about a millisecond: takes the received bytes and appends at most `room` bytes to `outgoing`.
     ///
     /// `now_ms` starts near 0 and does not go back; in lockstep it is the firmware's millisecond.
     pub fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
@@ -247,17 +247,17 @@ impl Job {
         self.outcome.as_ref()
     }
 
-    /// Why there is no connection any more, if there is none: another job is needed.
+    /// Why the connection is broken, if it is; a broken connection needs a new job.
     pub fn broken(&self) -> Option<&JobError> {
         self.broken.as_ref()
     }
 
-    /// What was collected, whether the task has succeeded, failed or is still running.
+    /// The collected data, whether the task has succeeded, failed or is still running.
     pub fn into_report(mut self) -> JobReport {
         self.take_report()
     }
 
-    /// What was collected so far; the job goes on.
+    /// The data collected so far; the job continues.
     pub fn take_report(&mut self) -> JobReport {
         let progress = self.progress();
         if let Some(verifier) = self.verifier.take() {
@@ -287,7 +287,7 @@ impl Job {
         &self.task
     }
 
-    /// The configuration that this job sends.
+    /// The configuration sent by this job.
     pub fn config(&self) -> &Config {
         &self.config
     }
@@ -302,17 +302,17 @@ impl Job {
         self.sample.as_ref()
     }
 
-    /// The firmware that has answered.
+    /// The firmware's answer to the greeting.
     pub fn welcome(&self) -> Option<&Welcome> {
         self.welcome.as_ref()
     }
 
-    /// What the connection has counted.
+    /// Counters of the connection.
     pub fn counts(&self) -> SessionCounts {
         self.session.counts()
     }
 
-    /// What the firmware says of a path that it has from another connection.
+    /// State of a path that the firmware has from another connection.
     pub fn held_path(&self) -> Option<&PathAck> {
         self.session.held_path()
     }
@@ -322,7 +322,7 @@ impl Job {
         &self.samples
     }
 
-    /// How far the drawing is.
+    /// Progress of the drawing.
     pub fn progress(&self) -> Progress {
         let elapsed_ms = match self.drawing_ms {
             Some(_) if self.drawn_ms > 0 => self.drawn_ms,
@@ -339,8 +339,8 @@ impl Job {
         self.events.pop_front()
     }
 
-    /// Sends a command besides the task's own; the answer is [`JobEvent::Told`] with the number given here.
-    /// [`Command::Stop`] overtakes everything; requests before it that have no answer yet are forgotten.
+    /// Sends a command beside the task's own; the answer is [`JobEvent::Told`] with the number returned here.
+    /// [`Command::Stop`] overtakes everything; earlier requests without an answer are dropped.
     pub fn command(&mut self, command: Command) -> u16 {
         if command == Command::Stop {
             self.awaited = None;
@@ -348,17 +348,17 @@ impl Job {
         self.session.command(command)
     }
 
-    /// Whether a command has left for the port as a whole, or needs not leave any more.
+    /// Whether a command was passed to the port completely, or no longer has to be sent.
     pub fn has_sent(&self, id: u16) -> bool {
         self.session.has_sent(id)
     }
 
-    /// Asks something of the bus; the answer is [`JobEvent::Bus`].
+    /// Sends a request to the bus; the answer is [`JobEvent::Bus`].
     pub fn bus(&mut self, request: ServiceRequest) {
         self.session.bus(request);
     }
 
-    /// Asks something of the measurements; the answer is [`JobEvent::Measured`].
+    /// Sends a request to the measurements; the answer is [`JobEvent::Measured`].
     pub fn question(&mut self, request: MeasurementRequest) {
         self.questions.push_back(false);
         self.session.measure(request);
@@ -369,13 +369,13 @@ impl Job {
         self.session.measure(request);
     }
 
-    /// Does what an operator asks for; the number of the command that was sent for it, if one was.
+    /// Carries out an operator's control; returns the number of the command sent for it, if any.
     pub fn control(&mut self, control: Control) -> Option<u16> {
         let running = self.outcome.is_none();
         let drawing = running && matches!(self.task, Task::Draw(_));
         let holding = self.status.as_ref().is_some_and(|status| status.mode == Mode::Holding);
         let command = match control {
-            // Before the drawing there is nothing to hold: it does not begin.
+            // Before the drawing there is nothing to hold: the drawing does not begin.
             Control::Hold | Control::HoldAtPenUp if drawing && self.phase != Phase::Drawing => {
                 self.ending.get_or_insert(JobError::Cancelled);
                 return None;
@@ -495,7 +495,7 @@ impl Job {
         !matches!(self.task, Task::Tell(_))
     }
 
-    /// Streams the path, from the vertex that the firmware wants.
+    /// Streams the path from the next vertex that the firmware expects.
     fn start_path(&mut self) {
         let Task::Draw(drawing) = &self.task else { return };
         self.executed_before = self.session.held_path().map_or(0, |ack| ack.executed);
@@ -544,7 +544,7 @@ impl Job {
 
     fn enter(&mut self, phase: Phase) {
         if phase == Phase::BusUp && matches!(self.task, Task::Draw(_)) {
-            // What is measured before there is a bus is no part of the drawing.
+            // Measurements from before the bus came up do not belong to the drawing.
             self.own_question(MeasurementRequest::Reset);
         }
         if phase == Phase::Starting {

@@ -1,15 +1,15 @@
-//! Reading the firmware's histograms, piece by piece, and what they say.
+//! Reads the firmware's histograms piece by piece and evaluates them.
 //!
-//! Invariant: a quantile never flatters: it is the end of the bin it falls into, or the largest value if that is less.
+//! Invariant: a quantile is never too low: it is the end of its bin, or the largest value if that is less.
 
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest, Quantity, lower_bound};
 
-/// A histogram as it was read; values are counts of the board's counter.
+/// A histogram read from the firmware; values are counts of the board's counter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Distribution {
     /// Counts in a second.
     pub counts_per_s: u32,
-    /// Number of a bin and the values in it, in order.
+    /// Numbers of the non-empty bins with their counts, in order.
     pub bins: Vec<(u8, u32)>,
     /// Largest value.
     pub largest: u32,
@@ -20,12 +20,12 @@ pub struct Distribution {
 }
 
 impl Distribution {
-    /// Values counted.
+    /// Number of values.
     pub fn count(&self) -> u64 {
         self.bins.iter().map(|(_, count)| u64::from(*count)).sum()
     }
 
-    /// Mean of the values; not a number without any.
+    /// Mean of the values; NaN without any value.
     pub fn mean(&self) -> f64 {
         self.sum as f64 / self.count() as f64
     }
@@ -35,7 +35,7 @@ impl Distribution {
         (lower_bound(usize::from(bin) + 1) - 1).clamp(self.smallest, self.largest)
     }
 
-    /// The value that a share of all values does not exceed.
+    /// The value that the given share of all values does not exceed.
     pub fn quantile(&self, share: f64) -> u32 {
         let wanted = (share * self.count() as f64).ceil().max(1.0) as u64;
         let mut passed = 0;

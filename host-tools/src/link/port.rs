@@ -27,16 +27,16 @@ pub const BAUD: u32 = 921_600;
 const READ_MAX: Duration = Duration::from_millis(100);
 /// Longest wait for a TCP connection.
 const CONNECT_MAX: Duration = Duration::from_secs(5);
-/// Longest block of a write before the port counts as stuck.
+/// Longest time that a write may block before the port counts as stuck.
 const WRITE_MAX: Duration = Duration::from_millis(1_000);
 /// Time between two reports of progress, ms.
 const PROGRESS_MS: u64 = 100;
-/// Most milliseconds of line time that are made up for at once after the program was not scheduled.
+/// Most milliseconds of line time that are caught up at once after the program was not scheduled.
 const BURST_MS: u64 = 20;
 
 const _: () = assert!(BAUD as usize / 10_000 == LINE_BYTES_PER_MS);
 
-/// Where the firmware is.
+/// Address of the firmware.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortName {
     /// A serial device, for instance `/dev/ttyACM0`.
@@ -75,37 +75,37 @@ impl fmt::Display for PortName {
     }
 }
 
-/// What can go wrong with a port.
+/// Error of a port.
 #[derive(Debug)]
 pub enum PortError {
-    /// The name is none of a port.
+    /// The name is not a valid port name.
     Name(String),
     /// The name is a network address without its scheme.
     Scheme(String),
-    /// Another program has it.
+    /// Another program uses the port.
     Occupied {
-        /// Which.
+        /// The port.
         port: PortName,
-        /// Who, if that can be known.
+        /// The program, if known.
         owner: Option<Owner>,
     },
-    /// It could not be opened.
+    /// The port could not be opened.
     Open {
-        /// Which.
+        /// The port.
         port: PortName,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
-    /// The other side has closed it, or the cable was pulled.
+    /// The other side has closed the port, or the cable was pulled.
     Closed {
-        /// Which.
+        /// The port.
         port: PortName,
     },
-    /// It could not be read or written.
+    /// The port could not be read or written.
     Failed {
-        /// Which.
+        /// The port.
         port: PortName,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
 }
@@ -166,7 +166,7 @@ fn ports_present() -> String {
     }
 }
 
-/// An open port: its two directions, and the right to it.
+/// An open port: its two directions, and its ownership.
 pub struct Port {
     name: PortName,
     reader: Box<dyn Read + Send>,
@@ -184,10 +184,10 @@ impl Port {
         Self::open_owned(name, ownership)
     }
 
-    /// Opens a port to which the program has the right already.
+    /// Opens a port that the program already owns.
     ///
     /// # Errors
-    /// [`PortError::Occupied`] by a program that knows nothing of such rights, and [`PortError::Open`].
+    /// [`PortError::Occupied`] by a program that does not take part in the ownership protocol, and [`PortError::Open`].
     pub fn open_owned(name: &PortName, ownership: Option<Arc<Ownership>>) -> Result<Self, PortError> {
         let opened = match name {
             PortName::Serial(path) => {
@@ -219,7 +219,7 @@ impl Port {
     }
 }
 
-/// Takes the right to a port. Where there is no folder for rights, there are none.
+/// Takes the ownership of a port; `None` where no folder for ownership files exists.
 ///
 /// # Errors
 /// [`PortError::Occupied`].
@@ -238,7 +238,7 @@ type Directions = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
 fn open_serial(path: &PathBuf) -> io::Result<Directions> {
     let mut writer = serial2::SerialPort::open(path, BAUD)?;
-    // Programs that come later are refused by the kernel.
+    // The kernel refuses programs that open the device later.
     rustix::termios::ioctl_tiocexcl(&writer)?;
     writer.set_read_timeout(READ_MAX)?;
     writer.set_write_timeout(WRITE_MAX)?;
@@ -270,12 +270,12 @@ fn open_unix(path: &PathBuf) -> io::Result<Directions> {
     Ok((Box::new(writer.try_clone()?), Box::new(writer)))
 }
 
-/// Why a job over a port has not drawn everything.
+/// Why a job over a port ended early.
 #[derive(Debug)]
 pub enum RunError {
-    /// The job's own reason.
+    /// The job failed.
     Job(Box<JobError>),
-    /// The port.
+    /// The port failed.
     Port(PortError),
 }
 
@@ -290,16 +290,17 @@ impl fmt::Display for RunError {
 
 impl std::error::Error for RunError {}
 
-/// What a running job shows.
+/// What a running job reports.
 #[derive(Clone, Copy, Debug)]
 pub enum Show<'a> {
     /// Something happened.
     Event(&'a JobEvent),
-    /// How far the drawing is, ten times a second.
+    /// Progress of the drawing, ten times a second.
     Progress(&'a Progress),
 }
 
-/// A port by the wall clock: what arrives is handed over, what is to be sent goes out as fast as the line carries it.
+/// A port driven by the wall clock: received bytes are passed on, outgoing bytes are sent as fast as the line carries
+/// them.
 pub struct Line {
     name: PortName,
     writer: Box<dyn Write + Send>,
@@ -340,8 +341,8 @@ impl Line {
         }
     }
 
-    /// Waits about a millisecond, then lets `step` take what has arrived and give what is to be sent: milliseconds since
-    /// the start, bytes in, bytes out, and for how many of these the line has time. Gives the milliseconds.
+    /// Waits about a millisecond, then calls `step` with the milliseconds since the start, the received bytes, the
+    /// buffer for bytes to send, and the number of bytes for which the line has time. Returns the milliseconds.
     ///
     /// # Errors
     /// [`PortError::Closed`] or [`PortError::Failed`].
@@ -380,12 +381,12 @@ impl Drop for Line {
     }
 }
 
-/// Runs a job over a port by the wall clock until it ends; [`Job::into_report`] tells what was collected.
+/// Runs a job over a port by the wall clock until it ends; [`Job::into_report`] returns the collected data.
 ///
-/// What `control` gives is done at once.
+/// Controls returned by `control` are carried out at once.
 ///
 /// # Errors
-/// The job's reason, or the port's.
+/// The job's error, or the port's.
 pub fn run_job(
     port: Port,
     job: &mut Job,
@@ -417,7 +418,7 @@ pub fn run_job(
     }
 }
 
-/// Hands over what arrives; the last thing sent is an error, or an empty block when the other side has closed.
+/// Passes on received bytes; sends an error last, or an empty block when the other side has closed.
 fn read_until_ended(mut reader: Box<dyn Read + Send>, sender: &mpsc::Sender<io::Result<Vec<u8>>>, ended: &AtomicBool) {
     let mut block = [0; 4096];
     while !ended.load(Ordering::Relaxed) {

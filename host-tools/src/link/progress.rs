@@ -1,18 +1,18 @@
-//! How far a drawing is, from what the firmware executed.
+//! Progress of a drawing, from the vertices that the firmware executed.
 //!
-//! Vertices are weighted by the time their legs take at the configured speeds, because millimetres with the pen up
-//! are faster than millimetres with it down and short strokes cost lifts. The time left is the weight left, scaled by
-//! how the weight done compares with the time it took.
+//! Vertices are weighted by the duration of their legs at the configured speeds, because travel moves are faster than
+//! drawn legs and short strokes cost lifts. The remaining time is the remaining weight, scaled by the ratio of the
+//! elapsed time to the weight done.
 
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 use serde::{Deserialize, Serialize};
 
-/// Share of the path after which the time it took corrects the estimate.
+/// Share of the path from which the elapsed time corrects the estimate.
 const CALIBRATED_FROM: f64 = 0.02;
 
-/// How far a drawing is.
+/// Progress of a drawing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Vertices executed.
@@ -25,36 +25,36 @@ pub struct Progress {
     pub total_mm: f64,
     /// Length executed with the pen down, mm.
     pub pen_down_mm: f64,
-    /// Strokes begun.
+    /// Strokes started.
     pub strokes: u32,
     /// Strokes of the path.
     pub strokes_total: u32,
-    /// Time since the drawing began, or was taken up, without the time in which it was held, s.
+    /// Time since the drawing began or was resumed, without the time on hold, s.
     pub elapsed_s: f64,
-    /// Estimated time left, s.
+    /// Estimated remaining time, s.
     pub left_s: f64,
 }
 
-/// Lengths and times along a path, measured once.
+/// Lengths and times along a path, computed once.
 #[derive(Clone, Debug, Default)]
 pub struct PathMeasure {
-    /// For each number of executed vertices.
+    /// One entry for each number of executed vertices.
     marks: Vec<Mark>,
 }
 
-/// What a number of executed vertices comes to.
+/// Totals up to a number of executed vertices.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mark {
     length_mm: f64,
     pen_down_mm: f64,
-    /// Estimated.
+    /// Estimated time, s.
     time_s: f64,
-    /// Begun.
+    /// Strokes started.
     strokes: u32,
 }
 
 impl PathMeasure {
-    /// Measures a path at the speeds of a configuration.
+    /// Evaluates a path at the speeds of a configuration.
     pub fn new(vertices: &[PathVertex], config: &Config) -> Self {
         let motion = &config.motion;
         let lift_s = 2.0 * (config.paper.pen_lift_mm / motion.acceleration_mm_s2).sqrt();
@@ -78,7 +78,7 @@ impl PathMeasure {
         Self { marks }
     }
 
-    /// Progress with this many vertices executed, `elapsed_s` after it was taken up with `before` of them executed.
+    /// Progress with `executed` vertices, `elapsed_s` after the drawing was resumed with `before` vertices executed.
     pub fn progress(&self, before: u32, executed: u32, elapsed_s: f64) -> Progress {
         let vertices_total = self.marks.len().saturating_sub(1);
         let within = |vertices: u32| usize::try_from(vertices).unwrap_or(usize::MAX).min(vertices_total);

@@ -1,9 +1,9 @@
-//! A reference as a state machine: connect, look, configure, wait for the bus, reference, read back.
+//! Referencing as a state machine: connect, inspect, configure, wait for the bus, reference, read back.
 //!
-//! Like a drawing it waits for what the firmware reports, never for a time to pass. The robot may stand with or without
-//! power; nothing here moves it or changes its power.
+//! Each step waits for a report of the firmware, never for a fixed time. The drives may be with or without power; the
+//! job neither moves the robot nor changes its power.
 //!
-//! Invariant: what is found are the firmware's own angles, on the turns that its telemetry shows after the reference.
+//! Invariant: the result are the firmware's own angles, on the turns that its telemetry shows after the reference.
 
 use super::error::{JobError, Phase};
 use super::job::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
@@ -19,14 +19,14 @@ use etherpen::robot::{ARMS, AXES, JointAngles, Position};
 const GREETING_MAX_MS: u64 = 5_000;
 /// Time between two inquiries, ms.
 const INQUIRE_MS: u64 = 50;
-/// Longest time for which a robot that still moves, or positions that do not come, are waited for, ms.
+/// Longest wait while the robot still moves or positions are missing, ms.
 const PATIENCE_MS: u64 = 2_000;
-/// Time before a refused reference is asked for again, ms.
+/// Time before a refused reference is requested again, ms.
 const RETRY_MS: u64 = 100;
-/// Time after which the firmware's reports surely belong to the reference that it has taken, ms.
+/// Time after which the firmware's reports certainly reflect the new reference, ms.
 const SETTLE_MS: u32 = 20;
 
-/// At which pose the robot stands.
+/// The pose at which the robot is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pose {
     /// Within half a motor turn of the synchronisation marks.
@@ -35,28 +35,29 @@ pub enum Pose {
     Joints(JointAngles),
     /// With these arm angles, rad, and axis 4 on the motor turn nearest to 0.
     Arms([f64; ARMS]),
-    /// On the motor turns nearest to these joint angles, rad: where a referenced robot was seen before it stopped.
+    /// On the motor turns nearest to these joint angles, rad: the last measured angles of a robot that was referenced.
     Seen([f64; AXES]),
 }
 
-/// What is to be referenced.
+/// Reference to take.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
-    /// At which pose the robot stands.
+    /// The pose at which the robot is.
     pub pose: Pose,
-    /// Where the platform was measured to be, to check the pose against.
+    /// Measured position of the platform, to check the pose.
     pub position: Option<Position>,
-    /// Whether the resolvers' offsets are unknown: the pose sets them instead of being checked against them.
+    /// Whether the resolvers' offsets are unknown: the pose then sets the offsets instead of being checked against
+    /// them.
     pub calibrate: bool,
 }
 
 impl Wanted {
-    /// What the firmware is asked for when its resolvers show these increments.
+    /// The command for the firmware when its resolvers show these increments.
     pub(crate) fn command(&self, config: &Config, increments: &[u32; AXES]) -> Command {
         match (self.known_pose(config, increments), self.position) {
             (None, None) => Command::Reference,
             (Some(pose), position) => Command::ReferenceAt { pose, position },
-            // The marks' own angles, checked against the position that was measured.
+            // The angles of the marks, checked against the measured position.
             (None, position) => Command::ReferenceAt {
                 pose: angles(config, increments, [None; AXES]),
                 position,
@@ -79,7 +80,7 @@ impl Wanted {
     }
 }
 
-/// Angles that the resolvers show, on the turns nearest to others, or to the marks.
+/// Angles for these resolver increments, on the turns nearest to other angles or to the marks.
 fn angles(config: &Config, increments: &[u32; AXES], near_rad: [Option<f64>; AXES]) -> JointAngles {
     let shown = config.axes.iter().zip(increments).zip(near_rad);
     let mut angles = JointAngles::default();
@@ -89,19 +90,19 @@ fn angles(config: &Config, increments: &[u32; AXES], near_rad: [Option<f64>; AXE
     angles
 }
 
-/// Reading back a reference that the firmware has taken.
+/// Reads back a reference that the firmware has taken.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Reading {
-    /// The firmware's millisecond from which on its reports belong to the reference.
+    /// Firmware time from which on its reports reflect the reference, ms.
     settled_ms: Option<u32>,
 }
 
 impl Reading {
-    /// The reference, once a status and a sample surely know of it.
+    /// The reference, once a status and a sample certainly reflect it.
     pub(crate) fn take(&mut self, config: &Config, status: &Status, sample: Option<&Sample>) -> Option<Referenced> {
         let cycle = status.counters.cycles;
         let is_after = |ms: u32, other_ms: u32| ms.wrapping_sub(other_ms) < u32::MAX / 2;
-        // A status may be from long before the reference; the sample beside it is not.
+        // The status may be older than the reference; the sample next to it is not.
         let sampled_ms = sample.map(|sample| sample.t_ms).filter(|&ms| is_after(ms, cycle));
         let known_ms = sampled_ms.unwrap_or(cycle);
         let settled_ms = *self.settled_ms.get_or_insert(known_ms.wrapping_add(SETTLE_MS));
@@ -121,14 +122,14 @@ impl Reading {
 pub struct Referenced {
     /// Joint angles, rad.
     pub pose: JointAngles,
-    /// What the resolvers show within their motor turns.
+    /// Resolver positions within their motor turns, increments.
     pub increments: [u32; AXES],
-    /// The configuration in force; with another synchronisation of the axes when they were calibrated.
+    /// The configuration in force; with new synchronisation values after a calibration.
     pub config: Config,
 }
 
 impl Referenced {
-    /// The configuration whose marks are this pose: a reference at the marks gives the same angles from now on.
+    /// The configuration with this pose as its marks: from then on a reference at the marks gives these angles.
     pub fn marked(&self) -> Config {
         marked(&self.config, &self.pose, &self.increments)
     }
@@ -143,7 +144,7 @@ fn marked(config: &Config, pose: &JointAngles, increments: &[u32; AXES]) -> Conf
     marked
 }
 
-/// Taking a reference as a state machine.
+/// Takes a reference, as a state machine.
 pub struct ReferenceJob {
     session: Session,
     config: Config,
@@ -194,7 +195,7 @@ impl ReferenceJob {
         Self { acknowledge, ..self }
     }
 
-    /// One millisecond or so: takes the bytes that came and appends at most `room` bytes to `outgoing`.
+    /// Advances by about a millisecond: takes the received bytes and appends at most `room` bytes to `outgoing`.
     pub fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
         self.now_ms = now_ms;
         self.session.receive(incoming, now_ms);
@@ -337,7 +338,7 @@ impl ReferenceJob {
         self.session.configure(self.config.clone());
     }
 
-    /// Asks for the reference, once the positions are there that it needs.
+    /// Requests the reference, once the positions that it needs have arrived.
     fn reference(&mut self, status: &Status) {
         if self.awaited.is_some() || self.now_ms < self.retry_ms {
             return;
@@ -361,7 +362,7 @@ impl ReferenceJob {
         self.awaited = Some(self.session.command(command));
     }
 
-    /// Waits for a status and, after it, a sample that know of the reference.
+    /// Waits for a status and then a sample that reflect the reference.
     fn read_back(&mut self, status: &Status) {
         if let Some(found) = self.reading.take(&self.config, status, self.sample.as_ref()) {
             self.outcome.get_or_insert(Ok(found));
@@ -369,7 +370,7 @@ impl ReferenceJob {
     }
 }
 
-/// What each axis' resolver shows, once all of them show something.
+/// Resolver positions of all axes, once all of them have one.
 pub(crate) fn all(increments: &[Option<u32>; AXES]) -> Option<[u32; AXES]> {
     let shown: Vec<u32> = increments.iter().copied().flatten().collect();
     shown.try_into().ok()

@@ -1,35 +1,35 @@
-//! What is left of a path that broke off, as a path of its own.
+//! The remainder of an interrupted path, as a path of its own.
 //!
-//! It begins above the paper, comes down where the broken stroke left off or a little before, and goes on with the
-//! path's own vertices; vertices of the two can be told from each other by their counts alone.
+//! The remainder begins above the paper, comes down where the interrupted stroke ended or a little before, and
+//! continues with the path's own vertices. The vertices of both paths are identified by their indices alone.
 //!
-//! Invariant: every drawn leg that was not executed is drawn, and nothing else but the overlap.
+//! Invariant: every drawn leg that was not executed is drawn, and nothing else except the overlap.
 
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 
-/// Length of the broken stroke that is drawn again, um: more than a pen needs to touch down.
+/// Length of the interrupted stroke that is drawn again, um: more than a pen needs to touch down.
 pub const OVERLAP_UM: f64 = 1_000.0;
 
-/// What is left of a path.
+/// The remainder of a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Remainder {
-    /// The path that is left; empty if nothing is to be drawn any more.
+    /// The remaining path; empty if nothing is left to draw.
     pub vertices: Vec<PathVertex>,
-    /// First of the path's own vertices in it.
+    /// Index of the first of the path's own vertices in it.
     pub from: usize,
     /// Vertices of the whole path.
     total: usize,
 }
 
 impl Remainder {
-    /// What is left of `path` when its ink ends on the leg to vertex `leg`, at `end_um` or, without one, at the leg's
-    /// beginning, with `overlap_um` of the broken stroke drawn again.
+    /// The remainder of `path` when its ink ends on the leg to vertex `leg`: at `end_um`, or at the leg's beginning if
+    /// `end_um` is `None`. The last `overlap_um` of the interrupted stroke are drawn again.
     pub fn after(path: &[PathVertex], leg: usize, end_um: Option<[i32; 3]>, overlap_um: f64, lift_um: i32) -> Self {
         let Some((next, position_um)) = path.get(leg).zip(end_um) else {
             return Self::new(path, leg, overlap_um, lift_um);
         };
-        // The end becomes a vertex that was executed.
+        // The end of the ink becomes an executed vertex.
         let end = PathVertex { position_um, ..*next };
         let (done, undone) = path.split_at(leg);
         let split = [done, &[end], undone].concat();
@@ -42,14 +42,15 @@ impl Remainder {
         }
     }
 
-    /// What is left of `path` after `executed` vertices, with `overlap_um` of a broken stroke drawn again.
+    /// The remainder of `path` after `executed` vertices; the last `overlap_um` of an interrupted stroke are drawn
+    /// again.
     pub fn new(path: &[PathVertex], executed: usize, overlap_um: f64, lift_um: i32) -> Self {
         let nothing = Self {
             vertices: Vec::new(),
             from: path.len(),
             total: path.len(),
         };
-        // A vertex is the end of its leg, and a leg of its own cannot be drawn without a beginning.
+        // A vertex is the end of its leg, and a leg cannot be drawn without a beginning.
         let undone = path.iter().enumerate().skip(executed.max(1));
         let Some((from, next)) = undone.into_iter().find(|(_, vertex)| vertex.pen == Pen::Down) else {
             return nothing;
@@ -78,7 +79,7 @@ impl Remainder {
         }
     }
 
-    /// Vertices of the whole path that are executed when so many of this one are; `before` were already.
+    /// Executed vertices of the whole path when `executed` of this one are; `before` were executed earlier.
     pub fn executed(&self, executed: usize, before: usize) -> usize {
         let own = self.total.saturating_sub(self.from);
         let added = self.vertices.len().saturating_sub(own);
@@ -89,7 +90,7 @@ impl Remainder {
     }
 }
 
-/// Where the pen comes down before the leg to vertex `from`, and the vertices between there and that leg's beginning.
+/// Where the pen comes down before the leg to vertex `from`, and the vertices from there to the beginning of that leg.
 fn start_of(path: &[PathVertex], from: usize, broken: bool, overlap_um: f64) -> Option<([i32; 3], Vec<PathVertex>)> {
     let mut end = path.get(from.checked_sub(1)?)?;
     let mut left_um = if broken { overlap_um } else { 0.0 };

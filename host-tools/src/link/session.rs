@@ -1,9 +1,9 @@
 //! One connection to the firmware: requests, path and heartbeats out, events in.
 //!
-//! A pure state machine: the caller brings bytes and milliseconds (firmware milliseconds in lockstep) and takes bytes
+//! A pure state machine: the caller passes bytes and milliseconds (firmware milliseconds in lockstep) and takes bytes
 //! and [`Event`]s. Invariants: requests are carried out in the order they were made, one at a time, except
-//! [`Command::Stop`], which drops everything before it; the path never exceeds the firmware's credit and goes back to
-//! the first vertex that is not acknowledged when one is lost; nothing is sent after a refused version.
+//! [`Command::Stop`], which drops all earlier ones; the path never exceeds the firmware's credit and goes back to the
+//! first unacknowledged vertex after a loss; nothing is sent after a refused version.
 
 use super::path::PathSender;
 use etherpen::application::Refusal;
@@ -18,9 +18,9 @@ use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Time after which a greeting or a request without an answer is repeated, ms.
+/// Time after which an unanswered greeting or request is repeated, ms.
 pub const REQUEST_REPEAT_MS: u64 = 100;
-/// Longest silence towards the firmware, ms.
+/// Longest time without a message to the firmware, ms.
 pub const HEARTBEAT_MS: u64 = 100;
 
 const _: () = assert!(
@@ -28,26 +28,26 @@ const _: () = assert!(
     "two lost heartbeats must not hold a drawing by default"
 );
 
-/// What happened on the link.
+/// Event on the link.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time
 pub enum Event {
     /// The firmware has answered the greeting.
     Connected(Welcome),
-    /// The firmware speaks another version; nothing more is sent.
+    /// The firmware uses another protocol version; nothing more is sent.
     VersionRefused {
         /// This program's version.
         host: u16,
         /// The firmware's version.
         firmware: u16,
     },
-    /// The firmware does not know this connection any more: it was reset, or another program has taken over.
+    /// The firmware no longer knows this connection: it was reset, or another program has taken over.
     Restarted,
     /// Answer to [`Session::configure`].
     Configured(Result<u64, ConfigRefusal>),
     /// Answer to [`Session::command`].
     Answered {
-        /// What [`Session::command`] returned.
+        /// Number that [`Session::command`] returned.
         id: u16,
         /// The command.
         command: Command,
@@ -62,31 +62,31 @@ pub enum Event {
     Ack(PathAck),
     /// A vertex was refused; the path has ended.
     VertexRefused(etherpen::motion::Refusal),
-    /// Where the controller stands.
+    /// State of the controller.
     Status(Status),
     /// Samples in order, each once.
     Samples {
-        /// Samples that were lost right before these.
+        /// Samples lost directly before these.
         missing: u32,
         /// The samples.
         samples: Vec<Sample>,
     },
 }
 
-/// What the session has counted.
+/// Counters of the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounts {
     /// Frames received, by their CRC.
     pub frames: FrameCounts,
-    /// Frames with a right CRC that were no message.
+    /// Frames with a correct CRC whose content was no message.
     pub not_understood: u32,
-    /// Requests and greetings that were repeated.
+    /// Repeated requests and greetings.
     pub requests_repeated: u32,
-    /// Times the path went back to the first vertex not acknowledged.
+    /// Times the path went back to the first unacknowledged vertex.
     pub path_repeats: u32,
     /// Samples received.
     pub samples: u64,
-    /// Samples lost on the way or dropped by the firmware.
+    /// Samples lost on the line or dropped by the firmware.
     pub samples_missing: u64,
 }
 
@@ -110,7 +110,7 @@ struct Request<B = Body> {
 }
 
 impl<B> Request<B> {
-    /// Whether it is to be sent now, for the first time or again.
+    /// Whether the request has to be sent now, for the first time or again.
     fn take_due(&mut self, now_ms: u64, counts: &mut SessionCounts) -> bool {
         let due = is_due(self.sent_ms, now_ms);
         if due {
@@ -121,7 +121,7 @@ impl<B> Request<B> {
     }
 }
 
-/// Takes the request with this number out of its queue.
+/// Removes the request with this number from its queue.
 fn take_answered<B>(requests: &mut VecDeque<Request<B>>, id: u16) -> Option<B> {
     let place = requests.iter().position(|request| request.id == id)?;
     requests.remove(place).map(|request| request.body)
@@ -137,12 +137,12 @@ pub struct Session {
     spoke_ms: u64,
     request_next: u16,
     requests: VecDeque<Request>,
-    /// A queue of their own: an answer from the bus may take a second, and a command must not wait for it.
+    /// Separate queue for bus requests: an answer may take a second, and a command must not wait for it.
     questions: VecDeque<Request<ServiceRequest>>,
     measurements: VecDeque<Request<MeasurementRequest>>,
     inquire: bool,
     path: Option<PathSender>,
-    /// Acknowledgement that came after the start was accepted and before the path was there.
+    /// Acknowledgement that arrived after the start was accepted and before the path was set.
     early: Option<PathAck>,
     sequence: Option<u32>,
     counts: SessionCounts,
@@ -153,8 +153,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that says nothing before [`connect`](Self::connect). `number` is not 0 and differs from the
-    /// connection before, so that the firmware can tell a new program from a repeated greeting.
+    /// A session that sends nothing before [`connect`](Self::connect). `number` is not 0 and differs from the previous
+    /// connection's, so that the firmware can tell a new program from a repeated greeting.
     pub fn new(number: u32) -> Self {
         Self {
             number: number.max(1),
@@ -179,7 +179,7 @@ impl Session {
         }
     }
 
-    /// Greets the firmware until it answers; ends in [`Event::Connected`] or [`Event::VersionRefused`].
+    /// Greets the firmware until it answers; results in [`Event::Connected`] or [`Event::VersionRefused`].
     pub fn connect(&mut self) {
         if self.state == State::Idle {
             self.state = State::Connecting;
@@ -197,8 +197,8 @@ impl Session {
         self.request(Body::Configure(Box::new(config)));
     }
 
-    /// Sends a command and returns its number; the answer is [`Event::Answered`]. [`Command::Stop`] is sent at once,
-    /// requests before it that have no answer yet are forgotten.
+    /// Sends a command and returns its number; the answer is [`Event::Answered`]. [`Command::Stop`] is sent at once;
+    /// earlier requests without an answer are dropped.
     pub fn command(&mut self, command: Command) -> u16 {
         if command == Command::Stop {
             self.requests.clear();
@@ -206,7 +206,7 @@ impl Session {
         self.request(Body::Command(command))
     }
 
-    /// Asks something of the bus; the answer is [`Event::Bus`].
+    /// Sends a request to the bus; the answer is [`Event::Bus`].
     pub fn bus(&mut self, request: ServiceRequest) {
         let id = self.take_number();
         self.questions.push_back(Request {
@@ -216,7 +216,7 @@ impl Session {
         });
     }
 
-    /// Asks something of the measurements; the answer is [`Event::Measured`].
+    /// Sends a request to the measurements; the answer is [`Event::Measured`].
     pub fn measure(&mut self, request: MeasurementRequest) {
         let id = self.take_number();
         self.measurements.push_back(Request {
@@ -226,7 +226,7 @@ impl Session {
         });
     }
 
-    /// Whether a command has been handed out by [`transmit`](Self::transmit) as a whole, or needs not be any more.
+    /// Whether [`transmit`](Self::transmit) has returned a command completely, or it no longer has to be sent.
     pub fn has_sent(&self, id: u16) -> bool {
         let waits = self
             .requests
@@ -251,13 +251,14 @@ impl Session {
         number
     }
 
-    /// Asks for a status now.
+    /// Requests a status now.
     pub fn inquire(&mut self) {
         self.inquire = true;
     }
 
-    /// Streams a path as the firmware gives credit, once it has accepted [`Command::Draw`] of the same job; a path that
-    /// it has from another session goes on with the vertex that it wants.
+    /// Streams a path as the firmware gives credit, once the firmware has accepted [`Command::Draw`] with this job
+    /// number. If the firmware already has the path from another session, continues with the next vertex that it
+    /// expects.
     pub fn start_path(&mut self, job: u16, vertices: Arc<[PathVertex]>) {
         let mut path = PathSender::new(job, vertices);
         if let Some(ack) = self.early.take_if(|ack| ack.job == job) {
@@ -266,17 +267,17 @@ impl Session {
         self.path = Some(path);
     }
 
-    /// What the firmware says of the path that it has, while this session sends none.
+    /// State of the firmware's path, while this session sends none.
     pub fn held_path(&self) -> Option<&PathAck> {
         self.early.as_ref()
     }
 
-    /// Sends no more of the path.
+    /// Stops sending the path.
     pub fn end_path(&mut self) {
         self.path = None;
     }
 
-    /// Vertices sent and not acknowledged.
+    /// Number of vertices sent and not acknowledged.
     pub fn in_flight(&self) -> usize {
         self.path.as_ref().map_or(0, PathSender::in_flight)
     }
@@ -286,7 +287,7 @@ impl Session {
         self.heard_ms.map(|heard_ms| now_ms.saturating_sub(heard_ms))
     }
 
-    /// What was counted.
+    /// The counters.
     pub fn counts(&self) -> SessionCounts {
         SessionCounts {
             frames: self.decoder.counts(),
@@ -358,7 +359,7 @@ impl Session {
             }
             DeviceMessage::Answer { id, result } => {
                 if let Some(Body::Command(command)) = take_answered(&mut self.requests, id) {
-                    // Acknowledgements so far belong to a drawing before.
+                    // Acknowledgements so far belong to an earlier drawing.
                     if matches!(command, Command::Draw { .. }) {
                         self.early = None;
                     }
@@ -411,7 +412,7 @@ impl Session {
         });
     }
 
-    /// Fills `out` with what is to be sent now and returns how many bytes that are. A frame once begun is finished.
+    /// Fills `out` with the bytes to send now; returns how many. A frame that has been started is finished.
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
@@ -432,7 +433,7 @@ impl Session {
         }
     }
 
-    /// The message that is due first: greeting, requests, inquiry, path, heartbeat.
+    /// The next message in order of urgency: greeting, requests, inquiry, path, heartbeat.
     fn next_message(&mut self, now_ms: u64) -> Option<HostMessage> {
         match self.state {
             State::Idle | State::Refused => return None,

@@ -1,6 +1,6 @@
-//! What goes into a job and what comes out of it.
+//! Inputs and outputs of a job.
 //!
-//! Plain data, so that a terminal, a web page and a test can show and steer a job without knowing how it works.
+//! Plain data, so that a terminal, a web page and a test can show and control a job without knowing its internals.
 
 use super::error::Phase;
 use super::measurement::Readings;
@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Signs of life of the program that has ordered a motion, given in one thread and looked for in another.
+/// Counter of signs of life of the program that ordered a motion; shared by the thread that gives them and the one that
+/// checks them.
 #[derive(Clone, Debug, Default)]
 pub struct Life(Arc<AtomicU64>);
 
@@ -33,16 +34,16 @@ impl Life {
     }
 }
 
-/// What a job is given besides configuration and task.
+/// Options of a job beside configuration and task.
 #[derive(Clone, Copy, Debug)]
 pub struct JobOptions {
     /// Number of the connection, see [`Session::new`](super::session::Session::new).
     pub session: u32,
     /// Longest wait for the firmware's answer to the greeting, ms.
     pub connect_max_ms: u64,
-    /// Whether a fault that was latched before is acknowledged, and a drawing left behind cancelled.
+    /// Whether to acknowledge an earlier fault and to cancel an abandoned drawing.
     pub acknowledge: bool,
-    /// Whether samples are handed on as [`JobEvent::Samples`] instead of being kept for the report.
+    /// Whether samples are reported as [`JobEvent::Samples`] instead of being kept for the report.
     pub forward_samples: bool,
 }
 
@@ -57,60 +58,61 @@ impl Default for JobOptions {
     }
 }
 
-/// What a job is for.
+/// Task of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Task {
-    /// Find out where the machine stands; nothing is commanded.
+    /// Read the state of the machine without any command.
     Look,
-    /// End what goes on and give up the power.
+    /// End all motion and switch the power off.
     Rest,
-    /// One command as it is, whatever the machine does; done when its effect is reported.
+    /// Send one command in any mode; done when its effect is reported.
     Tell(Command),
     /// Make the machine ready.
     Prepare(Ready),
-    /// Make ready, move, leave the power as it was found.
+    /// Prepare, move, then restore the power state.
     Motion(Motion),
-    /// Make ready, draw, give up the power.
+    /// Prepare, draw, then switch the power off.
     Draw(Drawing),
 }
 
-/// How ready a machine is made.
+/// How far a machine is prepared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Ready {
-    /// Configured, the bus is operational.
+    /// Configured, and the bus is operational.
     Bus,
-    /// The joint angles are referenced too, at the marks.
+    /// Also referenced, at the marks.
     Referenced,
-    /// The drives hold the pose too.
+    /// Also enabled: the drives hold the pose.
     Enabled,
 }
 
-/// A motion that needs no path.
+/// A motion without a path.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Motion {
-    /// To a position, pen up.
+    /// To a position, with the pen up.
     Move(Position),
-    /// The pen up or down where it stands.
+    /// Lift or lower the pen at the present position.
     Pen(Pen),
-    /// With a velocity for a while.
+    /// At a velocity for a time.
     Jog {
         /// Velocity of the platform, mm/s.
         velocity_mm_s: [f32; 3],
-        /// For how long, ms.
+        /// Duration, ms.
         for_ms: u32,
     },
 }
 
-/// A path to be drawn.
+/// A path to draw.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drawing {
-    /// Number of the drawing, repeated in acknowledgements; [`path_number`](super::job::path_number) makes one of a path.
+    /// Number of the drawing, repeated in acknowledgements; [`path_number`](super::job::path_number) computes it from a
+    /// path.
     pub number: u16,
     /// The path.
     pub vertices: Arc<[PathVertex]>,
-    /// Whether the firmware holds this drawing since another connection, and is to go on with it.
+    /// Whether the firmware holds this drawing since another connection and should resume it.
     pub held: bool,
-    /// Whether a machine that is not referenced may take the reference at its marks.
+    /// Whether a machine that is not referenced may be referenced at its marks.
     pub may_reference: bool,
 }
 
@@ -127,16 +129,16 @@ impl Drawing {
     }
 }
 
-/// What an operator can do with a running job.
+/// A control of a running job by the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Control {
     /// Decelerate on the path, lift the pen, wait.
     Hold,
     /// Hold as soon as the pen is up.
     HoldAtPenUp,
-    /// Go on.
+    /// Resume.
     Resume,
-    /// End the drawing, park, take the power.
+    /// End the drawing, park, switch the power off.
     Cancel,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),
@@ -144,33 +146,33 @@ pub enum Control {
     Stop,
 }
 
-/// What there is to show to a person.
+/// An event of a job, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub enum JobEvent {
     /// The firmware has answered.
     Connected(Welcome),
-    /// The job has come to this phase.
+    /// The job has entered this phase.
     Phase(Phase),
     /// The robot's mode has changed.
     Mode(Mode),
-    /// A fault was latched; the job ends when the robot stands.
+    /// A fault was latched; the job ends when the robot is at rest.
     Fault(etherpen::application::Fault),
-    /// The link of the bus' Ethernet port came or went.
+    /// The link state of the bus's Ethernet port has changed.
     Port(etherpen::board::PortState),
     /// An operator's command was refused.
     Refused(Command, Refusal),
-    /// Samples of the telemetry were lost right before the one with this time.
+    /// Telemetry samples were lost directly before the one with this time.
     SamplesMissing {
-        /// How many.
+        /// Number of lost samples.
         missing: u32,
         /// Firmware time of the first sample after the gap, ms.
         t_ms: u32,
     },
-    /// A status has come.
+    /// A status has arrived.
     Status(Arc<Status>),
-    /// Samples have come; only with [`JobOptions::forward_samples`].
+    /// Samples have arrived; only with [`JobOptions::forward_samples`].
     Samples {
-        /// Samples that were lost right before these.
+        /// Samples lost directly before these.
         missing: u32,
         /// One a millisecond, in order.
         samples: Arc<[Sample]>,
@@ -184,33 +186,33 @@ pub enum JobEvent {
         /// Accepted, or why not.
         result: Result<(), Refusal>,
     },
-    /// A question to the bus was answered; answers come in the order of the questions.
+    /// A bus request was answered; answers come in the order of the requests.
     Bus(ServiceResult),
-    /// A question about the measurements was answered, in order as well.
+    /// A measurement request was answered; answers come in the order of the requests.
     Measured(MeasurementAnswer),
 }
 
-/// What a job leaves behind, also when it failed.
+/// Result of a job, also of a failed one.
 #[derive(Clone, Debug, Default)]
 pub struct JobReport {
-    /// The firmware that was talked to.
+    /// The firmware of the connection.
     pub welcome: Option<Welcome>,
     /// Telemetry of the whole job, one sample a millisecond, in order.
     pub samples: Vec<Sample>,
-    /// What the firmware measured of itself since the bus came up; absent when the job ended early.
+    /// The firmware's measurements since the bus came up; absent when the job ended early.
     pub measurements: Option<Readings>,
-    /// What the session counted; `samples_missing` are the gaps in `samples`.
+    /// Counters of the session; `samples_missing` are the gaps in `samples`.
     pub link: SessionCounts,
     /// The last status, with the firmware's counters.
     pub status: Option<Status>,
     /// The last status before the drawing began.
     pub status_before: Option<Status>,
-    /// How far the drawing came; where a part was not followed, up to the first stroke that is not complete.
+    /// Progress of the drawing; if a part was not followed, up to the first incomplete stroke.
     pub progress: Progress,
-    /// What the telemetry says of the drawing.
+    /// Verification of the drawing from the telemetry.
     pub verification: Verification,
-    /// Time from the accepted start to the end of the path, s, without the time in which it was held.
+    /// Time from the accepted start to the end of the path, s, without the time on hold.
     pub drawn_s: f64,
-    /// Time in which the drawing was held, s.
+    /// Time on hold, s.
     pub held_s: f64,
 }

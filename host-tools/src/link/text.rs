@@ -1,6 +1,6 @@
-//! What a person reads about modes, faults and refusals, and what to try.
+//! Texts about modes, faults and refusals, with what to try.
 //!
-//! Axes and slaves are counted from 1 here, as they are labelled on the machine; the protocol counts from 0.
+//! Axes and slaves are counted from 1 here, as on the machine's labels; the protocol counts from 0.
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::board::{PortState, PreviousRun, RunEnd};
@@ -28,7 +28,7 @@ pub fn mode(mode: Mode) -> &'static str {
     }
 }
 
-/// What the firmware does, in a few words: its mode, and whether it is on the way out of a fault.
+/// The state of the firmware in a few words: its mode, and whether it is recovering from a fault.
 pub fn doing(status: &Status) -> &'static str {
     match status.recovering {
         true => "the fault was acknowledged: bringing back the bus and the drives",
@@ -127,7 +127,7 @@ pub fn vertex(refusal: &etherpen::motion::Refusal) -> String {
 
 const MOVE_OR_SCALE: &str = "move or scale the drawing so that it lies within the work area";
 
-/// Why a position is outside what the robot may use.
+/// Why a position is outside the work area.
 pub fn outside(outside: &Outside) -> String {
     match *outside {
         Outside::Radius { radius_mm, limit_mm } => {
@@ -166,7 +166,7 @@ pub fn outside(outside: &Outside) -> String {
     }
 }
 
-/// Why a configuration was not taken and what to try.
+/// Why a configuration was refused and what to try.
 pub fn config_refusal(refusal: &ConfigRefusal) -> String {
     match refusal {
         ConfigRefusal::Bounds(error) => config_error(error),
@@ -334,7 +334,7 @@ pub fn fault(fault: &Fault) -> String {
     }
 }
 
-/// The bus' Ethernet port in a few words.
+/// The bus's Ethernet port in a few words.
 pub fn port_state(port: PortState) -> &'static str {
     match port {
         PortState::Unknown => "nothing is known of the bus' Ethernet port",
@@ -347,7 +347,7 @@ pub fn port_state(port: PortState) -> &'static str {
 /// What to try when the port has no link.
 pub const PORT_HINT: &str = "check the cable to the first drive and that drive's supply";
 
-/// How the run before this one ended, if that is worth a word.
+/// How the previous run ended, if that is worth reporting.
 pub fn previous_run(previous: &PreviousRun) -> Option<String> {
     let end = match &previous.end {
         RunEnd::PowerOff | RunEnd::Reset if previous.fault.is_none() => return None,
@@ -362,7 +362,7 @@ pub fn previous_run(previous: &PreviousRun) -> Option<String> {
     })
 }
 
-/// A slave by its place in the chain; the critical tasks see that one has left OP before it is known which.
+/// A slave by its place in the chain; the critical tasks detect that a slave has left OP before it is known which one.
 fn which_slave(slave: u8) -> String {
     if slave == u8::MAX {
         "a slave".to_owned()
@@ -375,7 +375,7 @@ fn one(index: u8) -> u16 {
     u16::from(index) + 1
 }
 
-/// AL state by its number, with the error flag (ETG.1000.6, AL status register).
+/// Name of an AL state by its number, with the error flag (ETG.1000.6, AL status register).
 pub fn al_state(al_state: u8) -> String {
     let name = match al_state & 0x0f {
         0 => "no answer",
@@ -412,7 +412,8 @@ fn bring_up_step(step: u8) -> &'static str {
     known.map_or("an unknown step", |(_, text)| text)
 }
 
-/// Text and hint for the step and the code of a failed bring-up: an AL status code where it fits, else an SDO abort code.
+/// Text and hint for the step and the code of a failed bring-up: an AL status code where the step has one, else an SDO
+/// abort code.
 fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
     const SUPPLY: &str = "check its supply and cable";
     const SILENT: [(Step, &str, &str); 3] = [

@@ -1,12 +1,12 @@
-//! Whether a drawing was drawn: the measured path against the intended one, stroke by stroke.
+//! Verification of a drawing: compares the measured path with the intended one, stroke by stroke.
 //!
-//! The firmware says that a path has ended when its references have. Whether the pen was where they wanted it follows
-//! from the telemetry: each stroke's references are matched with the stroke in order, and the part between two of them
-//! was followed where the positions measured for both are close to it. Parts whose samples were lost on the line are
+//! The firmware reports the end of a path when its references have ended. Whether the pen followed them is checked in
+//! the telemetry: each stroke's references are matched with the stroke in order, and the part between two of them
+//! counts as followed if the positions measured for both are close to it. Parts whose samples were lost on the line are
 //! neither followed nor missing: they are not verified.
 //!
-//! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
-//! never reached; memory is bounded by the path and `SAMPLES_MAX`.
+//! Invariants: a part counts as missing only if a sample shows it, or if samples without a gap show that it was never
+//! reached; memory is bounded by the path and `SAMPLES_MAX`.
 
 use super::error::JobError;
 use crate::matching::{Line, Step};
@@ -17,27 +17,28 @@ use etherpen::motion::Pen;
 use etherpen::robot::{Delta, JointAngles, Position};
 use std::collections::{HashMap, VecDeque};
 
-/// A measured position within this distance of its place on the stroke has followed it, mm. Drawings stay within 0.1 mm;
-/// the pen's spring gives ink up to 0.3 mm above the paper.
+/// Largest distance of a measured position from its place on the stroke that counts as followed, mm. Drawings stay
+/// within 0.1 mm; the pen's spring gives ink up to 0.3 mm above the paper.
 const FOLLOWED_MM: f64 = 0.5;
-/// Distance where an axis is driven by torque, mm: gravity and friction are left to the feedback, which takes up to 1 mm.
+/// Largest distance for an axis in torque mode, mm: gravity and friction are left to the feedback, which takes up to 1
+/// mm.
 const FOLLOWED_BY_TORQUE_MM: f64 = 1.5;
-/// How far along the stroke from its reference a measured position may be, in those distances.
+/// How far along the stroke from its reference a measured position may be, as a multiple of the largest distance.
 const ALONG: f64 = 2.0;
-/// Parts of a stroke that are missing count from this length together, mm: less is a dot at its ends.
+/// Least total length of a stroke's missing parts that counts, mm: less is a dot at its ends.
 const MISSING_MIN_MM: f64 = 0.5;
-/// Less than this is rounding, mm.
+/// Length below which a difference counts as rounding, mm.
 const ROUNDING_MM: f64 = 1e-6;
-/// References begin and end within this distance of their stroke's ends, mm.
+/// Distance from their stroke's ends within which references begin and end, mm.
 const END_MM: f64 = 0.5;
 /// Samples of a stroke that are matched at once.
 const SAMPLES_MAX: usize = 4_096;
-/// Distance within which a stroke's first reference looks for the stroke's begin, mm.
+/// Distance within which a stroke's first reference searches the beginning of the stroke, mm.
 const BEGIN_MM: f64 = 2.0;
-/// Largest speed of references against the configured one: an override of 200 percent.
+/// Largest speed of references relative to the configured one: an override of 200 percent.
 const SPEED_SHARE: f64 = 2.0;
 
-/// Parts of a length: from and to, mm, in order and apart.
+/// Parts of a length: from and to, mm, ordered and disjoint.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Parts(Vec<[f64; 2]>);
 
@@ -68,7 +69,7 @@ impl Parts {
     }
 }
 
-/// A stroke and where it lies among all strokes.
+/// A stroke and its place among all strokes.
 #[derive(Clone, Debug)]
 struct Stroke {
     number: u32,
@@ -79,34 +80,34 @@ struct Stroke {
     length_mm: f64,
 }
 
-/// What the telemetry says of a drawing; those of several connections can be put together.
+/// Result of verifying the telemetry of a drawing; results of several connections can be merged.
 #[derive(Clone, Debug, Default)]
 pub struct Verification {
     strokes: Vec<Stroke>,
     followed: Parts,
-    /// Seen elsewhere, or passed over without being drawn.
+    /// Parts where the pen was elsewhere, or which it skipped.
     off: Parts,
 }
 
-/// What a verification comes to.
+/// Verdict on a drawing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Verdict {
     /// Length of all strokes, mm.
     pub total_mm: f64,
-    /// Length that the pen was seen to follow, mm.
+    /// Length that the pen followed, mm.
     pub followed_mm: f64,
-    /// Length that it was seen not to follow, mm.
+    /// Length that the pen did not follow, mm.
     pub missing_mm: f64,
-    /// Length for which there is no telemetry, mm.
+    /// Length without telemetry, mm.
     pub unverified_mm: f64,
-    /// Strokes of which a part is missing, by their numbers in the path, the first is 0.
+    /// Strokes with a missing part, by their numbers in the path, from 0.
     pub strokes: Vec<u32>,
     /// Vertices of the path before the first of those strokes.
     pub complete_vertices: u32,
 }
 
 impl Verdict {
-    /// Why the drawing is not finished, if a part of it is missing.
+    /// Why the drawing is incomplete, if a part of it is missing.
     #[must_use]
     pub fn error(&self) -> Option<JobError> {
         Some(JobError::NotFollowed {
@@ -120,7 +121,7 @@ impl Verdict {
 }
 
 impl Verification {
-    /// Adds what another connection saw of the same path.
+    /// Adds the result of another connection for this path.
     pub fn merge(&mut self, other: &Self) {
         if self.strokes.is_empty() {
             self.strokes.clone_from(&other.strokes);
@@ -129,7 +130,7 @@ impl Verification {
         self.off.extend(&other.off);
     }
 
-    /// What it comes to.
+    /// The verdict.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         let mut verdict = Verdict::default();
@@ -139,7 +140,7 @@ impl Verification {
             let (from_mm, to_mm) = (stroke.begin_mm, stroke.begin_mm + stroke.length_mm);
             let followed_mm = self.followed.length_between(from_mm, to_mm);
             let seen_mm = either.length_between(from_mm, to_mm);
-            // Sums of parts, which rounding may put below nothing.
+            // Rounding may make the differences of sums slightly negative.
             let missing_mm = (seen_mm - followed_mm).max(0.0);
             verdict.total_mm += stroke.length_mm;
             verdict.followed_mm += followed_mm;
@@ -162,18 +163,18 @@ impl Verification {
     }
 }
 
-/// A millisecond of a stroke.
+/// One millisecond of a stroke.
 #[derive(Clone, Copy)]
 struct Row {
     reference: Position,
     measured: Position,
-    /// Milliseconds since the row before.
+    /// Milliseconds since the previous row.
     passed_ms: u32,
-    /// Whether samples are missing in between.
+    /// Whether samples are missing before this row.
     is_after_gap: bool,
 }
 
-/// Watches a drawing's telemetry.
+/// Verifies a drawing from its telemetry.
 pub struct Verifier {
     result: Verification,
     lines: Vec<Line>,
@@ -183,22 +184,22 @@ pub struct Verifier {
     age_ms: u32,
     near_mm: f64,
     speed_mm_s: f64,
-    /// The last samples, as many as a measurement is old.
+    /// The last samples, as many milliseconds as the age of a measurement.
     recent: VecDeque<Sample>,
     /// Whether samples were lost since the last row.
     has_gap: bool,
-    /// The line that is drawn, and its rows that are not matched yet.
+    /// The line being drawn, and its rows that are not matched yet.
     line: Option<usize>,
     rows: Vec<Row>,
     last_ms: Option<u32>,
-    /// How far the references have come along all strokes, mm.
+    /// Position of the references along all strokes, mm.
     reached_mm: f64,
-    /// How far they have come along the present line, if some of it has been matched, mm.
+    /// Position of the references along the present line, mm; `None` before the first match.
     place_mm: Option<f64>,
 }
 
 impl Verifier {
-    /// For a path from its beginning, or one that is taken up anywhere.
+    /// A verifier for a path from its beginning, or for one that is resumed at any place.
     #[must_use]
     pub fn new(path: &[PathVertex], config: &Config, from_begin: bool) -> Self {
         let is_torque = config.axes.iter().any(|axis| axis.mode == AxisMode::Torque);
@@ -236,16 +237,16 @@ impl Verifier {
         result
     }
 
-    /// Takes the samples that came, in order.
+    /// Takes new samples, in order.
     pub fn observe(&mut self, samples: &[Sample]) {
         samples.iter().for_each(|sample| self.step(sample));
     }
 
-    /// What has been seen; `is_over` says that the firmware reported the path's end.
+    /// The result; `is_over` tells that the firmware reported the end of the path.
     #[must_use]
     pub fn finish(mut self, is_over: bool) -> Verification {
         self.end_line();
-        // Samples that are behind the drawing show that none of it came after the last row.
+        // Samples from after the drawing show that none of it came after the last row.
         let is_past = |sample: &Sample| !matches!(sample.mode, Mode::Drawing | Mode::Holding);
         if is_over && !self.has_gap && self.recent.back().is_some_and(is_past) {
             let end_mm = self
@@ -271,7 +272,7 @@ impl Verifier {
         if self.recent.len() <= self.age_ms as usize {
             return;
         }
-        // Reference, stroke and pen are those that the measurement answers to.
+        // Reference, stroke and pen to which the measurement belongs.
         let Some(cause) = self.recent.pop_front() else { return };
         if !matches!(cause.mode, Mode::Drawing | Mode::Holding) || cause.pen == Pen::Up {
             return;
@@ -301,7 +302,7 @@ impl Verifier {
         });
     }
 
-    /// The stroke has ended: what of it was not reached was passed over.
+    /// Ends the present line: its parts that were not reached were skipped.
     fn end_line(&mut self) {
         self.match_rows();
         self.place_mm = None;
@@ -357,7 +358,7 @@ impl Verifier {
         }
         for (index, row) in rows.iter().enumerate().skip(1).filter(|(_, row)| !row.is_after_gap) {
             let is_followed = near[index - 1] && near[index];
-            // A pen that was lifted and set down again has drawn nothing in between.
+            // A pen that was lifted and lowered again has drawn nothing in between.
             let is_drawn = row.passed_ms == 1 || places_mm[index] - places_mm[index - 1] <= END_MM;
             note(places_mm[index - 1], places_mm[index], is_followed && is_drawn);
         }
@@ -381,7 +382,7 @@ impl Verifier {
     }
 }
 
-/// The drawn lines of a path, with the stroke's number and its first vertex.
+/// The drawn lines of a path, each with its stroke number and first vertex.
 fn lines(path: &[PathVertex]) -> Vec<(Line, u32, u32)> {
     let at = |vertex: &PathVertex| {
         let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);

@@ -1,13 +1,13 @@
-//! The other envelope: EtherCAT in UDP, which passes routers and sockets.
+//! EtherCAT in UDP, which can pass routers and sockets.
 //!
-//! The UDP payload starts with the two-byte EtherCAT header, so it is what follows the Ethernet header of a raw frame.
-//! Master and segment send to port [`UDP_PORT`]; a segment behind a socket answers to the port that it was asked from.
-//! Layout: IEC 61158-4-12 (EtherCAT in UDP), RFC 791, RFC 768.
+//! The UDP payload starts with the two-byte EtherCAT header, so it equals the content behind the Ethernet header of a
+//! raw frame. Master and segment send to port [`UDP_PORT`]; a segment behind a socket answers to the port of the
+//! request. Layout: IEC 61158-4-12 (EtherCAT in UDP), RFC 791, RFC 768.
 //!
-//! Slave controllers change the payload on the fly and clear the UDP checksum instead of correcting it; it is sent as 0
-//! ("not used", RFC 768) and not looked at, as the Ethernet frame check covers the same bytes.
+//! Slave controllers change the payload on the fly and clear the UDP checksum instead of correcting it. The checksum is
+//! sent as 0 ("not used", RFC 768) and ignored on reception, because the Ethernet frame check covers these bytes too.
 //!
-//! Invariant: only unfragmented packets without options and with the right header checksum are opened.
+//! Invariant: only unfragmented packets without options and with a correct header checksum are accepted.
 
 use super::{Error, FRAME_LEN_MIN, MacAddress, check_len, check_room};
 use core::net::Ipv4Addr;
@@ -16,10 +16,10 @@ use smoltcp::wire::{EthernetAddress, EthernetFrame, EthernetProtocol, IpProtocol
 
 /// UDP port of EtherCAT.
 pub const UDP_PORT: u16 = 0x88A4;
-/// Where the EtherCAT header starts: behind the headers of Ethernet, IPv4 and UDP.
+/// Offset of the EtherCAT header, behind the headers of Ethernet, IPv4 and UDP.
 pub const UDP_PAYLOAD_OFFSET: usize = UDP_OFFSET + UDP_HEADER_LEN;
 
-/// Where the sender's Ethernet address stands; the receiver's stands first.
+/// Offset of the sender's Ethernet address; the receiver's is at 0.
 const SOURCE_OFFSET: usize = 6;
 const IP_OFFSET: usize = 14;
 const IP_HEADER_LEN: usize = 20;
@@ -65,8 +65,8 @@ impl UdpRepr {
         }
     }
 
-    /// Opens an Ethernet frame (without check sequence); gives the headers and where the EtherCAT header and its
-    /// datagrams lie, without padding.
+    /// Parses an Ethernet frame (without check sequence); returns the headers and the range of the EtherCAT header with
+    /// its datagrams, without padding.
     ///
     /// # Errors
     /// [`Error::Truncated`], [`Error::EtherType`], [`Error::IpHeader`] for options and other versions,
@@ -107,8 +107,8 @@ impl UdpRepr {
         Ok((repr, UDP_PAYLOAD_OFFSET..UDP_OFFSET + length))
     }
 
-    /// Writes the headers around a payload of `payload_len` bytes that stands, or will stand, at
-    /// [`UDP_PAYLOAD_OFFSET`]; pads short frames. Gives the frame's length in bytes.
+    /// Writes the headers around a payload of `payload_len` bytes at [`UDP_PAYLOAD_OFFSET`], which may be written
+    /// later; pads short frames. Returns the frame's length in bytes.
     ///
     /// # Errors
     /// [`Error::Room`] when the frame does not fit.
@@ -153,7 +153,7 @@ impl UdpRepr {
     }
 }
 
-/// Fails unless the packet is whole, unfragmented, without options, undamaged and holds UDP.
+/// Checks that the packet is complete, unfragmented, without options, undamaged, and contains UDP.
 fn check_ip(ip: &Ipv4Packet<&[u8]>, bytes: &[u8]) -> Result<(), Error> {
     if ip.version() != IP_VERSION || usize::from(ip.header_len()) != IP_HEADER_LEN {
         return Err(Error::IpHeader {

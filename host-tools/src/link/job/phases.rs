@@ -1,4 +1,4 @@
-//! What a job waits for in each phase, and what ends a phase otherwise.
+//! The phases of a job: what each waits for, and what ends it early.
 
 use super::super::error::{JobError, Phase};
 use super::super::measurement::Reader;
@@ -7,30 +7,30 @@ use super::Job;
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command;
 
-/// Longest silence of the firmware once connected, ms.
+/// Longest silence of the firmware after connecting, ms.
 pub const SILENCE_MAX_MS: u64 = 3_000;
 /// Longest wait for the bus, ms.
 pub const BUS_MAX_MS: u64 = 60_000;
 /// Longest wait for an answer, a reference, power or a standstill, ms.
 pub const STEP_MAX_MS: u64 = 15_000;
-/// Time between two inquiries while a mode is waited for, ms.
+/// Time between two inquiries while waiting for a mode, ms.
 const INQUIRE_MS: u64 = 250;
-/// Longest time at rest without the path's end before a drawing counts as ended early, ms.
+/// Longest time at rest before the end of the path until the drawing counts as ended early, ms.
 const EARLY_END_MS: u64 = 3_000;
-/// Longest wait for what the firmware says by itself after a greeting, ms: samples, and the state of a path.
+/// Longest wait for what the firmware sends by itself after a greeting, ms: samples, and the state of a path.
 const ARRIVAL_MAX_MS: u64 = 500;
 /// Longest wait for the firmware's measurements once the robot is at rest, ms.
 const MEASUREMENTS_MAX_MS: u64 = 10_000;
 /// Time between two repetitions of a jog, ms; less than half the firmware's dead-man time.
 const JOG_REPEAT_MS: u64 = 40;
-/// Silence of whoever has ordered a jog after which the jog does not go on by itself any more, ms; the robot has long
-/// stopped by the firmware's dead-man time.
+/// Silence of the program that ordered a jog after which the jog is not continued, ms. By then the firmware's dead-man
+/// switch has stopped the robot.
 const ABANDONED_MS: u64 = 500;
 
 const _: () = assert!(MEASUREMENTS_MAX_MS < STEP_MAX_MS);
 
 impl Job {
-    /// Notices a firmware that has fallen silent, with or without a task.
+    /// Detects a firmware that no longer sends, with or without a task.
     pub(super) fn watch_connection(&mut self) {
         if self.phase == Phase::Connecting || self.broken.is_some() {
             return;
@@ -46,7 +46,7 @@ impl Job {
         touches && !matches!(self.phase, Phase::Inspecting | Phase::Resting)
     }
 
-    /// Limits of time, and faults: what ends any phase.
+    /// Checks the time limits and faults, which can end any phase.
     pub(super) fn supervise(&mut self) {
         let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
         if self.phase == Phase::Connecting {
@@ -91,7 +91,7 @@ impl Job {
         }
     }
 
-    /// Whether there is a fault that ends the task; it does once the robot stands.
+    /// Whether there is a fault that ends the task; the task ends once the robot is at rest.
     fn faulted(&mut self) -> bool {
         if matches!(self.task, Task::Look | Task::Rest | Task::Tell(_)) {
             return false;
@@ -195,7 +195,7 @@ impl Job {
         self.session.configure(self.config.clone());
     }
 
-    /// Takes up a drawing that the firmware holds since another connection, if it is this one.
+    /// Resumes a drawing that the firmware holds since another connection, if it is this drawing.
     fn take_up(&mut self, mode: Mode, drawing: &Drawing, waited_ms: u64) {
         let in_force = self.status.as_ref().and_then(|status| status.config);
         let held = self
@@ -214,7 +214,7 @@ impl Job {
                 self.status_before = self.status.clone();
                 self.start_path();
             }
-            // Everything was on its way when the line broke.
+            // Everything had been sent when the connection broke.
             (Mode::Idle, Some(ack)) if ack.finished => {
                 self.ack = *ack;
                 self.enter(Phase::Resting);
@@ -223,7 +223,7 @@ impl Job {
         }
     }
 
-    /// The machine is as ready as `ready`: done, or on to the next phase.
+    /// The machine is as ready as `ready`: ends the task or goes on to `next`.
     fn ready(&mut self, ready: Ready, next: Phase) {
         match self.task {
             Task::Prepare(wanted) if wanted <= ready => self.succeed(),
@@ -231,7 +231,7 @@ impl Job {
         }
     }
 
-    /// Takes the arms to be at their marks, unless they may stand anywhere.
+    /// Takes the arms to be at their marks, unless they may be anywhere.
     fn reference(&mut self) {
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
@@ -242,7 +242,7 @@ impl Job {
         }
     }
 
-    /// Waits for what a command brings about.
+    /// Waits for the effect of a command.
     fn tell(&mut self, mode: Mode) {
         let Task::Tell(command) = self.task else { return };
         if !self.accepted {
@@ -259,7 +259,7 @@ impl Job {
         };
         match self.status.as_ref().and_then(|status| status.fault) {
             _ if !under_way => self.succeed(),
-            // The firmware gives its recovery up before this job does.
+            // The time limit of the firmware's recovery is shorter than this job's.
             Some(fault) if self.now_ms.saturating_sub(self.entered_ms) > STEP_MAX_MS - INQUIRE_MS => {
                 self.fail(JobError::Fault { fault, before: true });
             }
@@ -267,7 +267,7 @@ impl Job {
         }
     }
 
-    /// Repeats a jog within the firmware's dead-man time until its time is over.
+    /// Repeats a jog within the firmware's dead-man time until its duration is over.
     fn repeat_jog(&mut self) {
         let Task::Motion(Motion::Jog { velocity_mm_s, for_ms }) = self.task else {
             return;
@@ -294,7 +294,7 @@ impl Job {
         }
     }
 
-    /// Whether the robot is known to stand.
+    /// Whether the robot is known to be at rest.
     fn found_still(&self) -> bool {
         let status = self.status.as_ref().filter(|_| self.fresh);
         status.is_some_and(|status| status.mode == Mode::Idle)
@@ -336,12 +336,12 @@ impl Job {
         }
     }
 
-    /// Whether the drives keep their power when the task ends.
+    /// Whether the drives keep their power at the end of the task.
     fn keeps_power(&self) -> bool {
         self.found_powered && !matches!(self.task, Task::Draw(_))
     }
 
-    /// Brings the robot to rest, without power unless it had some before, whatever it does now.
+    /// Brings the robot to rest from any mode; switches the power off unless it was on before the task.
     fn rest(&mut self, mode: Mode) {
         match mode {
             Mode::Drawing | Mode::Holding | Mode::Moving if self.ending.is_some() => {
@@ -352,12 +352,12 @@ impl Job {
                 self.accepted = false;
                 self.request(Command::Disable);
             }
-            // Power may still be on its way; the firmware accepts this only when it is not.
+            // The drives may still be switching on; the firmware accepts this command only if they are not.
             Mode::DrivesOff if !self.accepted => self.request(Command::Disable),
             Mode::DrivesOff | Mode::Startup | Mode::BusConfiguring | Mode::Fault => {
                 let waited_ms = self.now_ms.saturating_sub(self.entered_ms);
                 let wants_nothing = self.ending.is_some() || !matches!(self.task, Task::Draw(_));
-                // A drawing that is done is not lost because a bad line keeps its measurements.
+                // A finished drawing is kept even if a bad line prevents reading its measurements.
                 if wants_nothing || waited_ms > MEASUREMENTS_MAX_MS || self.measured() {
                     self.end();
                 }
@@ -371,7 +371,7 @@ impl Job {
         self.outcome.get_or_insert(error.map_or(Ok(()), Err));
     }
 
-    /// What of the drawing that has ended was not drawn, as far as the telemetry shows it.
+    /// The parts of the ended drawing that were not drawn according to the telemetry, as an error.
     fn verify(&mut self) -> Option<JobError> {
         self.verification = self.verifier.take()?.finish(true);
         let verdict = self.verification.verdict();
@@ -380,7 +380,7 @@ impl Job {
         Some(error)
     }
 
-    /// Whether the measurements have been read; asks for them if not.
+    /// Whether the measurements have been read; requests them if not.
     fn measured(&mut self) -> bool {
         if self.reader.is_none() {
             let reader = Reader::new();
@@ -392,7 +392,7 @@ impl Job {
         self.reader.as_ref().is_none_or(|reader| reader.request().is_none())
     }
 
-    /// Makes the phase's request unless it is under way or was accepted.
+    /// Sends the phase's request unless it is pending or was accepted.
     fn request(&mut self, command: Command) {
         if self.awaited.is_none() && !self.accepted && self.now_ms >= self.retry_ms {
             self.awaited = Some(self.session.command(command));

@@ -1,22 +1,22 @@
-//! Process data objects of the SII: each with as many entries as its header says.
+//! Process data objects of the SII, each with the number of entries given in its header.
 //!
-//! Header and entry take eight bytes each, so that a master whose slaves give eight bytes at a time reads one a turn.
-//! Layout: IEC 61158-6-12 (slave information interface), ETG.2010 for the flags.
+//! Header and entry take eight bytes each, so a master reads one of them in each access to a slave that returns eight
+//! bytes. Layout: IEC 61158-6-12 (slave information interface), ETG.2010 for the flags.
 //!
-//! Invariant: a PDO is handed out with all its entries or not at all.
+//! Invariant: a PDO is returned with all its entries or not at all.
 
 use super::record::{Record, Records};
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, write_bytes};
 
 /// Sync manager number of a PDO that is not assigned to one.
 pub const SYNC_MANAGER_NONE: u8 = 0xFF;
-/// [`PdoRecord::flags`]: cannot be left out.
+/// [`PdoRecord::flags`]: mandatory.
 pub const PDO_MANDATORY: u16 = 1 << 0;
-/// [`PdoRecord::flags`]: assigned as the device is delivered.
+/// [`PdoRecord::flags`]: assigned by default.
 pub const PDO_DEFAULT: u16 = 1 << 1;
 /// [`PdoRecord::flags`]: its entries cannot be changed.
 pub const PDO_FIXED_CONTENT: u16 = 1 << 4;
-/// [`PdoRecord::flags`]: its entries come from elsewhere.
+/// [`PdoRecord::flags`]: its entries are defined elsewhere.
 pub const PDO_VIRTUAL_CONTENT: u16 = 1 << 5;
 
 /// A process data object's header.
@@ -24,15 +24,15 @@ pub const PDO_VIRTUAL_CONTENT: u16 = 1 << 5;
 pub struct PdoRecord {
     /// Object index: 0x1600 and above are received by the slave, 0x1A00 and above are sent by it.
     pub index: u16,
-    /// How many entries follow.
+    /// Number of entries that follow.
     pub entries: u8,
-    /// Sync manager that it is assigned to, or [`SYNC_MANAGER_NONE`].
+    /// Sync manager to which the PDO is assigned, or [`SYNC_MANAGER_NONE`].
     pub sync_manager: u8,
-    /// Synchronisation by distributed clocks, of the maker's choice.
+    /// Synchronisation by distributed clocks, vendor-specific.
     pub synchronization: u8,
-    /// String with its name.
+    /// String number of its name.
     pub name: u8,
-    /// See the `PDO_` constants.
+    /// Flags, see the `PDO_` constants.
     pub flags: u16,
 }
 
@@ -71,11 +71,11 @@ pub struct PdoEntryRecord {
     pub index: u16,
     /// Sub-index.
     pub sub: u8,
-    /// String with its name.
+    /// String number of its name.
     pub name: u8,
     /// Data type, an index of the type area of CiA 301.
     pub data_type: u8,
-    /// Bits it takes.
+    /// Length, bits.
     pub bits: u8,
     /// Reserved.
     pub flags: u16,
@@ -114,12 +114,12 @@ pub struct Pdo<'a> {
 }
 
 impl<'a> Pdo<'a> {
-    /// Its entries, in the order of the process data.
+    /// Its entries in the order of the process data.
     pub const fn entries(&self) -> Records<'a, PdoEntryRecord> {
         Records::new(self.entries)
     }
 
-    /// Bits of all its entries.
+    /// Total length of its entries, bits.
     pub fn bits(&self) -> u32 {
         self.entries().map(|entry| u32::from(entry.bits)).sum()
     }

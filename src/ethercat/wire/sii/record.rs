@@ -1,9 +1,9 @@
 //! Records of fixed length: sync managers, FMMUs, sync units, clocks, PDOs and their entries.
 //!
-//! A master that reads through registers parses them one by one, the bytes of a slice go through [`Records`]. Layouts:
+//! A master that reads through registers parses records one by one; [`Records`] walks the bytes of a slice. Layouts:
 //! IEC 61158-6-12 (slave information interface), ETG.2010 for the extended FMMUs and the sync units.
 //!
-//! Invariant: a record is parsed whole or not at all; bytes left over at a category's end are padding.
+//! Invariant: a record is parsed whole or not at all; excess bytes at a category's end are padding.
 
 use crate::ethercat::wire::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
 use core::marker::PhantomData;
@@ -53,10 +53,10 @@ impl<R: Record> Iterator for Records<'_, R> {
     }
 }
 
-/// What a sync manager is for.
+/// Use of a sync manager.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SyncManagerUse {
-    /// Nothing.
+    /// Not used.
     #[default]
     Unused,
     /// Mailbox that the master writes.
@@ -67,7 +67,7 @@ pub enum SyncManagerUse {
     Outputs,
     /// Process data that the master reads.
     Inputs,
-    /// A number without a meaning known here.
+    /// An unknown use.
     Other(u8),
 }
 
@@ -97,20 +97,20 @@ impl From<SyncManagerUse> for u8 {
     }
 }
 
-/// A sync manager as the device's maker set it up.
+/// Default settings of a sync manager.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SyncManagerRecord {
     /// First byte of the window.
     pub start: u16,
-    /// Bytes of the window; 0 when it depends on the PDOs.
+    /// Length of the window, bytes; 0 if it depends on the PDOs.
     pub length: u16,
     /// Control byte of the register.
     pub control: u8,
-    /// Status byte of the register, of no use here.
+    /// Status byte of the register; has no meaning here.
     pub status: u8,
     /// Flags, see the `SYNC_MANAGER_` constants.
     pub flags: u8,
-    /// What it is for.
+    /// Use of the sync manager.
     pub usage: SyncManagerUse,
 }
 
@@ -118,7 +118,7 @@ pub struct SyncManagerRecord {
 pub const SYNC_MANAGER_ENABLED: u8 = 1 << 0;
 /// [`SyncManagerRecord::flags`]: its content is fixed.
 pub const SYNC_MANAGER_FIXED_CONTENT: u8 = 1 << 1;
-/// [`SyncManagerRecord::flags`]: there is no hardware behind it.
+/// [`SyncManagerRecord::flags`]: a virtual sync manager without hardware.
 pub const SYNC_MANAGER_VIRTUAL: u8 = 1 << 2;
 /// [`SyncManagerRecord::flags`]: to be enabled in OP only.
 pub const SYNC_MANAGER_OPERATIONAL_ONLY: u8 = 1 << 3;
@@ -147,10 +147,10 @@ impl Record for SyncManagerRecord {
     }
 }
 
-/// What an FMMU is for; one byte each, padded with 0xFF.
+/// Use of an FMMU; one byte each, padded with 0xFF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FmmuUse {
-    /// Nothing.
+    /// Not used.
     #[default]
     Unused,
     /// Process data that the master writes.
@@ -159,7 +159,7 @@ pub enum FmmuUse {
     Inputs,
     /// The status of the mailbox that the master reads.
     MailboxState,
-    /// A number without a meaning known here; 0xFF is padding.
+    /// An unknown use; 0xFF is padding.
     Other(u8),
 }
 
@@ -191,7 +191,7 @@ impl Record for FmmuUse {
     }
 }
 
-/// Which sync manager an FMMU belongs to.
+/// The sync manager to which an FMMU belongs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FmmuExtended {
     /// Bit 0: to be enabled in OP only.
@@ -240,10 +240,10 @@ impl Record for SyncUnit {
     }
 }
 
-/// One way to use the distributed clocks.
+/// One operation mode of the distributed clocks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClockRecord {
-    /// Cycle time of SYNC0, ns; 0 when it is the master's.
+    /// Cycle time of SYNC0, ns; 0 for the master's cycle time.
     pub cycle_time_ns: u32,
     /// Shift of SYNC0, ns.
     pub shift_sync0_ns: i32,
@@ -251,13 +251,13 @@ pub struct ClockRecord {
     pub shift_sync1_ns: i32,
     /// Cycle of SYNC1 in cycles of SYNC0.
     pub factor_sync1: i16,
-    /// What to write to the registers 0x0980 and 0x0981; 0 is free run.
+    /// Value of the registers 0x0980 and 0x0981; 0 for free run.
     pub assign_activate: u16,
-    /// Cycle of SYNC0 in cycles of the master; negative for a part of it.
+    /// Cycle of SYNC0 in cycles of the master; negative for a fraction of a cycle.
     pub factor_sync0: i16,
-    /// String with its name.
+    /// String number of its name.
     pub name: u8,
-    /// String with its description.
+    /// String number of its description.
     pub description: u8,
 }
 

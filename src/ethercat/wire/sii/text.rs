@@ -1,6 +1,6 @@
-//! The strings of the SII: counted from 1, each with its length in front.
+//! The strings of the SII, counted from 1, each preceded by its length.
 //!
-//! Invariant: an index without a string gives none, whatever the lengths say.
+//! Invariant: an index without a string gives `None`, whatever the lengths say.
 
 use crate::ethercat::wire::read_u8;
 
@@ -16,13 +16,13 @@ impl<'a> Strings<'a> {
         Self { data }
     }
 
-    /// How many strings the category says it has.
+    /// Number of strings that the category announces.
     pub fn count(&self) -> u8 {
         read_u8(self.data, 0)
     }
 
-    /// The bytes of a string up to its first NUL; `None` for index 0, which means that there is none, for an index
-    /// beyond the count and for a string that reaches out of the category.
+    /// The bytes of a string up to its first NUL. `None` for index 0, which means no string, for an index beyond the
+    /// count, and for a string that exceeds the category.
     pub fn get(&self, index: u8) -> Option<&'a [u8]> {
         if index == 0 || index > self.count() {
             return None;
@@ -37,7 +37,7 @@ impl<'a> Strings<'a> {
         whole.split(|&byte| byte == 0).next()
     }
 
-    /// As [`Self::get`], as text; it ends before the first byte that is not UTF-8. Empty where there is none.
+    /// The string of [`Self::get`] as text, up to the first byte that is not UTF-8; empty if there is none.
     pub fn text(&self, index: u8) -> &'a str {
         let bytes = self.get(index).unwrap_or(&[]);
         match core::str::from_utf8(bytes) {
