@@ -1,7 +1,7 @@
 //! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
 //!
-//! One step up at a time, any step down; what is refused sets the error bit and an AL status code, and upward
-//! requests wait until the master has acknowledged. States and codes: IEC 61158-6-12, AL control and AL status.
+//! One step up at a time, any step down. A refusal sets the error bit and an AL status code, and upward requests wait
+//! until the master has acknowledged. States and codes: IEC 61158-6-12, AL control and AL status.
 
 /// How long a request for OP waits for outputs, ms.
 const OUTPUTS_WAIT_MS: u32 = 200;
@@ -18,19 +18,19 @@ pub(super) mod code {
     pub(in crate::cell) const UNKNOWN_STATE: u16 = 0x0012;
     /// Bootstrap is not supported.
     pub(in crate::cell) const NO_BOOTSTRAP: u16 = 0x0013;
-    /// Mailbox sync managers are not as they must be.
+    /// The mailbox sync managers are invalid.
     pub(in crate::cell) const MAILBOX: u16 = 0x0016;
-    /// The process-data watchdog expired, or outputs never came.
+    /// The process-data watchdog expired, or no outputs arrived.
     pub(in crate::cell) const WATCHDOG: u16 = 0x001B;
-    /// The output sync manager is not as it must be.
+    /// The output sync manager is invalid.
     pub(in crate::cell) const OUTPUTS: u16 = 0x001D;
-    /// The input sync manager is not as it must be.
+    /// The input sync manager is invalid.
     pub(in crate::cell) const INPUTS: u16 = 0x001E;
-    /// Synchronisation went away in OP.
+    /// Synchronisation was lost in OP.
     pub(in crate::cell) const SYNC_LOST: u16 = 0x002C;
-    /// No SYNC0 pulse came.
+    /// No SYNC0 pulse arrived.
     pub(in crate::cell) const NO_SYNC: u16 = 0x002D;
-    /// The SYNC unit's registers do not go together.
+    /// The SYNC unit's registers are inconsistent.
     pub(in crate::cell) const SYNC_INVALID: u16 = 0x0030;
 }
 
@@ -43,20 +43,20 @@ pub enum AlState {
     PreOperational = 2,
     /// Mailbox and inputs, outputs safe.
     SafeOperational = 4,
-    /// Everything.
+    /// Mailbox, inputs and outputs.
     Operational = 8,
 }
 
-/// What the checks of a transition look at.
+/// Conditions checked in a transition.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Readiness {
     pub(super) mailbox: bool,
     pub(super) outputs: bool,
     pub(super) inputs: bool,
     pub(super) outputs_received: bool,
-    /// The SYNC unit is off, or its registers go together.
+    /// Whether the SYNC unit is off, or its registers are consistent.
     pub(super) sync_valid: bool,
-    /// The SYNC unit is off, or pulses come.
+    /// Whether the SYNC unit is off, or pulses arrive.
     pub(super) synchronous: bool,
 }
 
@@ -96,13 +96,13 @@ impl Application {
         self.code
     }
 
-    /// Falls back by itself, with a code.
+    /// Falls back to a lower state without a request, with a code.
     pub(super) fn retreat(&mut self, to: AlState, code: u16) {
         self.state = self.state.min(to);
         self.refuse(code);
     }
 
-    /// Refuses a request for this state, if it is one, whatever the checks say.
+    /// Refuses the request if it is for this state, regardless of the checks.
     pub(super) fn deny(&mut self, control: u16, state: AlState, code: u16) -> bool {
         let denied = control & STATE_MASK == state as u16;
         if denied {
@@ -111,7 +111,7 @@ impl Application {
         denied
     }
 
-    /// One millisecond: a waiting request for OP.
+    /// Advances a waiting request for OP by one millisecond.
     pub(super) fn step(&mut self, ready: Readiness) {
         let Some(waited_ms) = self.waiting_ms else { return };
         if ready.outputs_received && ready.synchronous {
@@ -125,7 +125,7 @@ impl Application {
         }
     }
 
-    /// The master has written the AL control register.
+    /// Handles a write to the AL control register.
     pub(super) fn request(&mut self, control: u16, ready: Readiness) {
         if control & ACKNOWLEDGE != 0 {
             self.error = false;

@@ -123,7 +123,7 @@ const OBJECTS: &[ObjectRow] = &[
     ),
 ];
 
-/// The drive as data.
+/// Model data of the drive.
 pub(super) static MODEL: Model = Model {
     name: NAME,
     order: ORDER,

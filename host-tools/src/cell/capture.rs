@@ -1,8 +1,8 @@
 //! Packet capture: both directions of the wire as a pcapng file.
 //!
-//! The minimum of the format (draft-ietf-opsawg-pcapng): a section header, one Ethernet interface with microsecond
-//! time stamps, and an enhanced packet block with its direction for each frame. Blocks are written as they come, so
-//! a capture that is cut short stays readable up to its last whole block.
+//! The minimum of the format (draft-ietf-opsawg-pcapng): a section header, one Ethernet interface with microsecond time
+//! stamps, and an enhanced packet block with its direction for each frame. Blocks are written immediately, so a capture
+//! that is cut short is readable up to its last complete block.
 
 use std::io::{self, Write};
 
@@ -19,7 +19,7 @@ const OPTION_IF_TSRESOL: u16 = 9;
 const TIME_RESOLUTION_MICROSECONDS: u8 = 6;
 const INTERFACE_NAME: &[u8] = b"segment";
 
-/// Which way a frame went, seen from the master.
+/// Direction of a frame, seen from the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From the segment to the master.
@@ -28,7 +28,7 @@ pub enum Direction {
     Sent,
 }
 
-/// Writes frames to any byte sink as pcapng.
+/// Writes frames as pcapng to a byte sink.
 #[derive(Debug)]
 pub struct Capture<W: Write> {
     sink: W,
@@ -39,7 +39,7 @@ impl<W: Write> Capture<W> {
     /// Starts a capture: writes the section header and the interface.
     ///
     /// # Errors
-    /// What the sink reports.
+    /// Error of the sink.
     pub fn new(sink: W) -> io::Result<Self> {
         let mut capture = Self {
             sink,
@@ -62,10 +62,10 @@ impl<W: Write> Capture<W> {
         Ok(capture)
     }
 
-    /// Adds one Ethernet frame (without its check sequence) at a time in microseconds.
+    /// Adds one Ethernet frame (without its check sequence), with its time in microseconds.
     ///
     /// # Errors
-    /// What the sink reports.
+    /// Error of the sink.
     pub fn record(&mut self, time_us: u64, direction: Direction, frame: &[u8]) -> io::Result<()> {
         let length = u32::try_from(frame.len()).unwrap_or(u32::MAX);
         let mut body = Vec::with_capacity(frame.len() + 40);
@@ -85,18 +85,18 @@ impl<W: Write> Capture<W> {
         self.write_block(ENHANCED_PACKET, &body)
     }
 
-    /// Hands everything to the sink's destination.
+    /// Flushes the sink.
     ///
     /// # Errors
-    /// What the sink reports.
+    /// Error of the sink.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
     }
 
-    /// Ends the capture and gives the sink back.
+    /// Ends the capture and returns the sink.
     ///
     /// # Errors
-    /// What the sink reports when it is flushed.
+    /// Error of the sink when it is flushed.
     pub fn finish(mut self) -> io::Result<W> {
         self.sink.flush()?;
         Ok(self.sink)
@@ -121,7 +121,7 @@ fn put_option(body: &mut Vec<u8>, code: u16, value: &[u8]) {
     pad(body);
 }
 
-/// Fills up to a multiple of four bytes.
+/// Pads to a multiple of four bytes.
 fn pad(body: &mut Vec<u8>) {
     body.resize(body.len().next_multiple_of(4), 0);
 }

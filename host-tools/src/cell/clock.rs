@@ -1,11 +1,11 @@
 //! The distributed clock of a slave controller behind registers 0x0900 to 0x09FF.
 //!
-//! A local clock runs with a drift of its own. System time is the local time plus the offset the master wrote; system
-//! time that the master carries from the reference clock steers the rate, a proportional and an integral part. SYNC0
-//! fires at the start time and every cycle after it, in system time; a start time that has passed never comes (with
-//! 64 bits). Register layout: distributed clocks of the slave controller's register description (ET1100).
+//! The local clock has a drift. System time is the local time plus the offset written by the master. The system time
+//! that the master distributes from the reference clock controls the rate, by a proportional and an integral part.
+//! SYNC0 fires at the start time and every cycle after it, in system time; with 64 bits a start time in the past never
+//! fires. Register layout: distributed clocks of the slave controller's register description (ET1100).
 //!
-//! Invariant: time never runs back by itself, and no register content makes a call take longer than constant time.
+//! Invariant: time never runs backwards by itself, and every call takes constant time whatever the registers contain.
 
 use super::device::ClockWidth;
 
@@ -14,7 +14,7 @@ pub(super) const BASE: usize = 0x0900;
 /// Bytes of registers.
 pub(super) const LENGTH: usize = 0x100;
 
-/// Bytes from the first register on in which the clock shows times, and which take writes without keeping them.
+/// Bytes from the first register on that show times; writes to them are processed but not stored.
 pub(super) const TIMES_LENGTH: usize = 0x20;
 
 const PORT_TIMES: usize = 0x00;
@@ -39,23 +39,23 @@ const ACTIVATE_SYNC1: u8 = 0x04;
 const SPEED_START_DEFAULT: u16 = 0x1000;
 const FILTER_DEFAULT: [u8; 2] = [4, 12];
 const BILLION: i128 = 1_000_000_000;
-/// Time in which a difference is taken out, and the longer one in which drift is learnt, ns.
+/// Time constants of the loop, ns: for correcting a difference, and the longer one for learning the drift.
 const STEERING_TIME_NS: i64 = 10_000_000;
 const LEARNING_FACTOR: i64 = 10;
-/// Largest corrections: of the rate, and of the drift that is learnt, in 1e-9.
+/// Largest corrections of the rate and of the learnt drift, in 1e-9.
 const RATE_MAX_PPB: i64 = 100_000_000;
 const DRIFT_MAX_PPB: i64 = 1_000_000;
 
-/// What the SYNC unit is doing.
+/// State of the SYNC unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SyncState {
     /// Not activated.
     Off,
-    /// Activated with contents that do not go together.
+    /// Activated with inconsistent registers.
     Invalid,
-    /// Its start time has not come.
+    /// Waiting for its start time.
     Waiting,
-    /// Pulses come.
+    /// Generating pulses.
     Running,
 }
 
@@ -66,7 +66,7 @@ pub(super) struct DistributedClock {
     drift_ppb: i64,
     true_ns: u64,
     local_ns: u64,
-    /// Part of a nanosecond, 1e-9 ns.
+    /// Fraction of a nanosecond, 1e-9 ns.
     fraction: i128,
     offset_ns: u64,
     delay_ns: u32,
@@ -82,7 +82,7 @@ pub(super) struct DistributedClock {
 }
 
 impl DistributedClock {
-    /// A clock that is fast by so many parts in 1e9 and has run for `local_ns`.
+    /// A clock that is fast by `drift_ppb` in 1e9 and has run for `local_ns`.
     pub(super) fn new(width: ClockWidth, drift_ppb: i64, local_ns: u64) -> Self {
         Self {
             width,
@@ -104,7 +104,7 @@ impl DistributedClock {
         }
     }
 
-    /// Back to its state after power-up; the crystal keeps its drift.
+    /// Resets the clock to its state after power-up; the crystal keeps its drift.
     pub(super) fn power_up(&mut self, registers: &mut [u8]) {
         let true_ns = self.true_ns;
         *self = Self::new(self.width, self.drift_ppb, 0);
@@ -113,12 +113,12 @@ impl DistributedClock {
         put(registers, FILTER_DEPTH, &FILTER_DEFAULT);
     }
 
-    /// Whether there is a clock at all.
+    /// Whether the slave has a clock.
     pub(super) fn exists(&self) -> bool {
         self.width != ClockWidth::None
     }
 
-    /// Lets time pass up to a true time; an earlier one does nothing.
+    /// Advances to a true time; an earlier time has no effect.
     pub(super) fn advance(&mut self, true_ns: u64) {
         let passed = i128::from(true_ns.saturating_sub(self.true_ns));
         self.true_ns = self.true_ns.max(true_ns);
@@ -141,12 +141,12 @@ impl DistributedClock {
         }
     }
 
-    /// SYNC0 pulses since the last call.
+    /// Number of SYNC0 pulses since the last call.
     pub(super) fn take_pulses(&mut self) -> u64 {
         std::mem::take(&mut self.unseen)
     }
 
-    /// What the SYNC unit is doing.
+    /// State of the SYNC unit.
     pub(super) fn state(&self) -> SyncState {
         match (self.activation & ACTIVATE != 0, self.activation & ACTIVATE_SYNC0 != 0) {
             (false, _) => SyncState::Off,
@@ -157,7 +157,7 @@ impl DistributedClock {
         }
     }
 
-    /// Brings the registers that the clock itself changes up to date.
+    /// Updates the registers that the clock itself changes.
     pub(super) fn show(&self, registers: &mut [u8]) {
         if !self.exists() {
             return;
@@ -175,7 +175,7 @@ impl DistributedClock {
         }
     }
 
-    /// The bus has written `data` from this offset on; `back_ns` is the true time at which the frame comes back.
+    /// Handles a write of `data` at this offset by the bus; `back_ns` is the true time at which the frame comes back.
     pub(super) fn written(&mut self, registers: &mut [u8], start: usize, data: &[u8], back_ns: Option<u64>) {
         if !self.exists() {
             return;
@@ -208,7 +208,7 @@ impl DistributedClock {
         }
     }
 
-    /// Length of a pulse as the information memory gives it.
+    /// Sets the pulse length from the information memory.
     pub(super) fn set_pulse_length(registers: &mut [u8], length: u16) {
         put(registers, PULSE_LENGTH, &length.to_le_bytes());
     }
@@ -233,7 +233,7 @@ impl DistributedClock {
         self.steered_at_ns = None;
     }
 
-    /// System time of the reference clock has passed.
+    /// Takes the reference clock's system time from a passing datagram.
     fn steer(&mut self, data: &[u8], depth: u8) {
         let mine = self.system_ns().wrapping_sub(self.delay_ns.into());
         let difference = match (self.width, data.first_chunk::<8>()) {
@@ -287,7 +287,7 @@ impl DistributedClock {
     }
 }
 
-/// Sign and magnitude: bit 31 tells that the local copy is behind.
+/// Sign and magnitude: bit 31 is set if the local clock is behind.
 fn difference_register(difference_ns: i64) -> u32 {
     let magnitude = difference_ns.unsigned_abs().min(0x7FFF_FFFF) as u32;
     magnitude | if difference_ns < 0 { 0x8000_0000 } else { 0 }

@@ -1,9 +1,9 @@
-//! Mailbox server: CANopen over EtherCAT as a slave speaks it.
+//! Mailbox server: the slave's side of CANopen over EtherCAT.
 //!
-//! Takes one mailbox message, queues the answers. SDO upload and download in expedited, normal and segmented form, of
-//! one entry or of a whole object (complete access), SDO information, emergencies; what is not spoken is refused by an
-//! abort or a mailbox error, never by silence. Layout: IEC 61158-6-12, CoE
-//! coding; abort codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
+//! Takes one mailbox message and queues the answers. Supports SDO upload and download in expedited, normal and
+//! segmented form, of one entry or of a whole object (complete access), SDO information, and emergencies. Unsupported
+//! requests are refused with an abort or a mailbox error, never ignored. Layout: IEC 61158-6-12, CoE coding; abort
+//! codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
 
 use super::abort::Abort;
 use super::dictionary::{Dictionary, Objects};
@@ -27,18 +27,18 @@ const ERROR_SHORT: u16 = 6;
 const ERROR_LENGTH: u16 = 8;
 const TOGGLE: u8 = 0x10;
 const COMPLETE_ACCESS: u8 = 0x10;
-/// Largest value that is taken in segments, bytes.
+/// Longest value accepted in segments, bytes.
 const DOWNLOAD_BYTES_MAX: usize = 64 * 1024;
-/// Messages that wait for the master at most; the oldest emergency gives way.
+/// Most messages queued for the master; the oldest emergency is dropped first.
 const QUEUE_MAX: usize = 64;
 
-/// What an object dictionary can be asked.
+/// Operations on an object dictionary.
 pub(super) trait ObjectServer {
     /// The value of an entry, little-endian; of all entries from `sub` on with complete access.
     fn upload(&self, index: u16, sub: u8, complete: bool) -> Result<Vec<u8>, Abort>;
-    /// Writes an entry, or all from `sub` on.
+    /// Writes an entry, or all entries from `sub` on with complete access.
     fn download(&mut self, index: u16, sub: u8, complete: bool, value: &[u8]) -> Result<(), Abort>;
-    /// The table behind it.
+    /// The object dictionary.
     fn dictionary(&self) -> &Dictionary;
 }
 
@@ -93,7 +93,7 @@ pub(super) struct MailboxServer {
 }
 
 impl MailboxServer {
-    /// Handles one message of the master; `capacity` is the length of the mailbox the answers go through.
+    /// Handles one message of the master; `capacity` is the length of the mailbox for the answers.
     pub(super) fn receive(&mut self, message: &[u8], capacity: usize, dictionary: &mut impl ObjectServer) {
         let Some((&[length_low, length_high, _, _, _, kind], rest)) = message.split_first_chunk() else {
             return self.refuse(ERROR_SHORT);
@@ -123,7 +123,7 @@ impl MailboxServer {
         }
     }
 
-    /// Queues an emergency message: error code, error register, five bytes of the manufacturer.
+    /// Queues an emergency message: error code, error register, five manufacturer-specific bytes.
     pub(super) fn emergency(&mut self, code: u16, register: u8, detail: [u8; 5]) {
         let mut body = Vec::from(code.to_le_bytes());
         body.push(register);
@@ -138,7 +138,7 @@ impl MailboxServer {
         (!std::mem::take(&mut self.losing)).then_some(message)
     }
 
-    /// Scripted: refuses an SDO request with this code.
+    /// Scripted fault: refuses an SDO request with this code.
     pub(super) fn abort(&mut self, request: &[u8], code: u32) {
         let object = object_of(request).map_or([0; 3], |(index, sub)| {
             let [low, high] = index.to_le_bytes();
@@ -151,12 +151,12 @@ impl MailboxServer {
         self.coe(SERVICE_SDO_REQUEST, &body);
     }
 
-    /// Scripted: the next message is lost, and only a repeat brings it.
+    /// Scripted fault: the next message is lost, and only a repeat request returns it.
     pub(super) fn lose_next(&mut self) {
         self.losing = true;
     }
 
-    /// Scripted: the next message has the counter of the one before.
+    /// Scripted fault: the next message has the counter of the previous one.
     pub(super) fn repeat_counter(&mut self) {
         self.counter = match self.counter {
             0 | 1 => 7,
@@ -164,7 +164,7 @@ impl MailboxServer {
         };
     }
 
-    /// The message that was sent last, for a repeat.
+    /// The last message sent, for a repeat request.
     pub(super) fn last_sent(&self) -> Option<&[u8]> {
         self.last_sent.as_deref()
     }

@@ -1,9 +1,9 @@
-//! The EtherCAT slave controller: registers, process memory and what a passing datagram does to them.
+//! The EtherCAT slave controller: registers, process memory and the processing of passing datagrams.
 //!
-//! Everything happens in place in the passing bytes, as in the silicon: reads put bytes into the datagram, writes
-//! take them out, the working counter counts what succeeded. The controller knows no device behind it; the
-//! application reaches it through sync managers and the state registers. Register layout: the slave controller's
-//! register description (ET1100 as the pattern).
+//! Datagrams are processed in place, as in the silicon: reads put bytes into the datagram, writes take bytes out, and
+//! the working counter counts the successes. The controller does not know the device behind it; the application uses
+//! sync managers and the state registers. Register layout: the slave controller's register description (ET1100 as the
+//! pattern).
 
 use super::clock::{self, DistributedClock, SyncState};
 use super::datagram::Datagram;
@@ -19,11 +19,11 @@ use etherpen::ethercat::wire::register::WATCHDOG_DIVIDER_100_US;
 const REGISTER_SPACE: usize = 0x1000;
 /// Bytes of register space and process memory.
 const MEMORY: usize = 0x3000;
-/// Sync managers at most.
+/// Most sync managers.
 const SYNC_MANAGERS: usize = 8;
-/// Fieldbus memory management units at most.
+/// Most fieldbus memory management units.
 const FMMUS: usize = 8;
-/// Features: distributed clocks, and 64 bits of them.
+/// Features: distributed clocks, and 64-bit distributed clocks.
 const FEATURE_CLOCK: u16 = 0x0004;
 const FEATURE_CLOCK_64: u16 = 0x0008;
 
@@ -32,25 +32,25 @@ const _: () = {
     assert!(register::FMMU + FMMUS * fmmu::BLOCK <= register::SYNC_MANAGER);
 };
 
-/// Watchdog base of 100 us and 1000 of them: the defaults after power-up.
+/// Watchdog divider for 100 us, and 1000 of these units: the defaults after power-up.
 const WATCHDOG_DIVIDER_DEFAULT: u16 = WATCHDOG_DIVIDER_100_US;
 const WATCHDOG_PROCESS_DATA_DEFAULT: u16 = 1000;
 /// Length of the controller's clock tick, nanoseconds.
 const CLOCK_TICK_NS: u64 = 40;
 
-/// Word addresses of what the controller loads at power-up: interface control, pulse length, alias.
+/// Word addresses of the fields loaded at power-up: interface control, pulse length, alias.
 const WORD_PDI_CONTROL: usize = 0;
 const WORD_PULSE_LENGTH: usize = 2;
 const WORD_ALIAS: usize = 4;
 
-/// What differs between two controllers of the same silicon.
+/// Individual properties of a controller.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Nature {
-    /// How much too fast the crystal is, 1e-9.
+    /// How much the crystal is too fast, 1e-9.
     pub(super) drift_ppb: i64,
-    /// How long the clock has run at the start, ns.
+    /// Running time of the clock at the start, ns.
     pub(super) local_ns: u64,
-    /// How long a command of the information memory takes, ns.
+    /// Duration of a command of the information memory, ns.
     pub(super) sii_busy_ns: u64,
 }
 
@@ -80,7 +80,7 @@ pub(super) struct Controller {
 }
 
 impl Controller {
-    /// A controller after power-up with this content of its information memory.
+    /// A controller after power-up with this information memory.
     pub(super) fn new(silicon: Silicon, image: Vec<u8>, nature: Nature) -> Self {
         let mut controller = Self {
             silicon,
@@ -99,7 +99,7 @@ impl Controller {
         controller
     }
 
-    /// Everything volatile back to its reset value.
+    /// Resets everything volatile.
     pub(super) fn power_up(&mut self) {
         self.memory.clear();
         self.memory.resize(MEMORY, 0);
@@ -139,7 +139,7 @@ impl Controller {
         self.store(register::FEATURES, &u16::to_le_bytes(features));
     }
 
-    /// What the controller takes out of its information memory, if that is whole.
+    /// Loads the configuration from the information memory, if its checksum is correct.
     fn load_configuration(&mut self) {
         if !self.eeprom.is_valid() {
             return;
@@ -153,7 +153,7 @@ impl Controller {
         }
     }
 
-    /// Lets time pass on the segment's true clock.
+    /// Advances to a true time of the segment.
     pub(super) fn advance(&mut self, now_ns: u64) {
         self.now_ns = self.now_ns.max(now_ns);
         self.clock.advance(self.now_ns);
@@ -166,30 +166,30 @@ impl Controller {
         }
     }
 
-    /// A frame arrives, and will come back from the chain behind at `back_ns`.
+    /// Handles the arrival of a frame that will come back from the chain behind at `back_ns`.
     pub(super) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
         self.advance(arrival_ns);
         self.back_ns = back_ns;
     }
 
-    /// SYNC0 pulses since the last call.
+    /// Number of SYNC0 pulses since the last call.
     pub(super) fn take_pulses(&mut self) -> u64 {
         self.clock.take_pulses()
     }
 
-    /// What the SYNC unit is doing.
+    /// State of the SYNC unit.
     pub(super) fn sync_state(&self) -> SyncState {
         self.clock.state()
     }
 
-    /// Something is wrong with the information memory.
+    /// Sets a fault of the information memory.
     pub(super) fn set_sii_fault(&mut self, fault: SiiFault) {
         if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
             self.eeprom.set_fault(fault, registers);
         }
     }
 
-    /// A frame came damaged to port 0: from the cable in front of it, or from further away.
+    /// Counts a damaged frame at port 0; `forwarded` if it was damaged before the cable at this port.
     pub(super) fn count_damage(&mut self, forwarded: bool) {
         let counters: &[usize] = match forwarded {
             false => &[register::RECEIVE_ERRORS, register::RECEIVE_ERRORS + 1],
@@ -200,7 +200,7 @@ impl Controller {
         }
     }
 
-    /// Shows whether the slave's processor lives; counts expiries of its watchdog.
+    /// Sets whether the slave's processor is running; counts expiries of its watchdog.
     pub(super) fn set_processor(&mut self, alive: bool) {
         if self.processor_alive && !alive {
             self.count_up(register::WATCHDOG_PDI_COUNTER);
@@ -208,7 +208,7 @@ impl Controller {
         self.processor_alive = alive;
     }
 
-    /// Time after which a silent processor is an error, microseconds; nothing if that watchdog is off.
+    /// Time after which a stopped processor is an error, microseconds; `None` if that watchdog is off.
     pub(super) fn processor_watchdog_us(&self) -> Option<u64> {
         self.watchdog_time_us(register::WATCHDOG_PDI)
     }
@@ -218,7 +218,7 @@ impl Controller {
         self.store(counter, &[count]);
     }
 
-    /// Lets a datagram pass.
+    /// Processes a datagram.
     pub(super) fn pass(&mut self, datagram: &mut Datagram) {
         let command = datagram.command();
         let device = datagram.device();
@@ -235,18 +235,18 @@ impl Controller {
         self.physical(datagram, command, addressed);
     }
 
-    /// A state request of the master, once.
+    /// A state request of the master; returned once.
     pub(super) fn take_al_request(&mut self) -> Option<u16> {
         self.al_request.take()
     }
 
-    /// Shows the application's state to the bus.
+    /// Sets the application's state in the registers.
     pub(super) fn set_al_status(&mut self, status: u16, code: u16) {
         self.store(register::AL_STATUS, &status.to_le_bytes());
         self.store(register::AL_STATUS_CODE, &code.to_le_bytes());
     }
 
-    /// Shows which ports have a link: bit n for port n; counts the links that went.
+    /// Sets which ports have a link: bit n for port n; counts lost links.
     pub(super) fn set_links(&mut self, links: u8) {
         let before = self.word(register::DL_STATUS) >> 4;
         let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive) << 1;
@@ -263,7 +263,7 @@ impl Controller {
         self.store(register::DL_STATUS, &status.to_le_bytes());
     }
 
-    /// Shows whether the process-data watchdog has expired; counts expiries.
+    /// Sets whether the process-data watchdog has expired; counts expiries.
     pub(super) fn set_watchdog(&mut self, expired: bool) {
         let before = self.byte(register::WATCHDOG_STATUS) & 1 != 0;
         self.store(register::WATCHDOG_STATUS, &[u8::from(!expired)]);
@@ -273,7 +273,7 @@ impl Controller {
         }
     }
 
-    /// Time after which missing process data are an error, microseconds; nothing if the watchdog is off.
+    /// Time after which missing process data are an error, microseconds; `None` if the watchdog is off.
     pub(super) fn watchdog_us(&self) -> Option<u64> {
         self.watchdog_time_us(register::WATCHDOG_PROCESS_DATA)
     }
@@ -284,12 +284,12 @@ impl Controller {
         (periods > 0).then(|| periods * ticks * CLOCK_TICK_NS / 1000)
     }
 
-    /// A sync manager; an index that does not exist gives nothing.
+    /// A sync manager; `None` if the index does not exist.
     pub(super) fn sync_manager(&self, index: usize) -> Option<&SyncManager> {
         self.sync_managers.get(index)
     }
 
-    /// Works on a sync manager from the application's side and shows its flags to the bus.
+    /// Accesses a sync manager from the application's side and updates its flags in the registers.
     pub(super) fn with_sync_manager<R: Default>(
         &mut self,
         index: usize,
@@ -411,7 +411,7 @@ impl Controller {
         }
     }
 
-    /// Reads into a part of a datagram, which stays as it is where nothing could be read.
+    /// Reads into a part of a datagram; leaves it unchanged if nothing could be read.
     fn read_or_keep(&mut self, address: usize, into: &mut [u8]) -> bool {
         let mut read = into.to_vec();
         let success = self.read(address, &mut read);
@@ -471,8 +471,8 @@ impl Controller {
         success
     }
 
-    /// Of up to `wanted` bytes at an address: who governs the first, and how many belong to the same; nothing at
-    /// the end of what exists or is wanted.
+    /// For up to `wanted` bytes at an address: the sync manager that controls the first byte, and the number of bytes
+    /// that it controls; `None` at the end of the memory or of the request.
     fn stretch(&self, at: usize, wanted: usize) -> Option<(Option<usize>, usize)> {
         let mut end = if at < REGISTER_SPACE { REGISTER_SPACE } else { MEMORY };
         let mut governor = None;
@@ -522,7 +522,7 @@ impl Controller {
         if touches(clock::BASE, clock::LENGTH)
             && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
         {
-            // Registers of the clock are written one by one by any master; the part in front of it is none of it.
+            // A write may begin before the clock's registers; that part does not belong to the clock.
             let skipped = clock::BASE.saturating_sub(start);
             let data = data.get(skipped..).unwrap_or_default();
             self.clock
@@ -548,7 +548,7 @@ impl Controller {
         success
     }
 
-    /// Shows a sync manager's flags in its registers.
+    /// Updates a sync manager's flags in its registers.
     fn mirror(&mut self, index: usize) {
         let Some(manager) = self.sync_managers.get(index) else {
             return;

@@ -10,14 +10,14 @@ use etherpen::ethercat::wire::sii::Identity;
 const NAME: &str = "EK1100 EtherCAT Coupler";
 const ORDER: &str = "EK1100";
 
-/// The device behind one slave controller; it may stand where a drive was, whose motor then rests on its brake.
+/// The device behind one slave controller. It may replace a drive, whose motor then rests on its brake.
 #[derive(Clone, Debug)]
 pub(super) struct Coupler {
     parked: Option<Servo>,
 }
 
 impl Coupler {
-    /// A coupler, with the motor that nobody drives any more.
+    /// A coupler, with the motor of the replaced drive.
     pub(super) fn new(parked: Option<Servo>) -> Self {
         Self { parked }
     }

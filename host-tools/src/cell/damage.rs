@@ -3,11 +3,11 @@
 use super::datagram::{Datagram, Datagrams, set_frame_header};
 use super::fault_kinds::Fault;
 
-/// Tag of a virtual network, between source address and ethertype: priority 0, network 1.
+/// Tag of a virtual network, between source address and EtherType: priority 0, network 1.
 const VLAN_TAG: [u8; 4] = [0x81, 0x00, 0x00, 0x01];
 const VLAN_OFFSET: usize = 12;
 
-/// Changes header and datagrams where they are.
+/// Changes header and datagrams in place.
 pub(super) fn change(reply: &mut [u8], fault: Fault) {
     match fault {
         Fault::Index(by) => each(reply, |datagram, _| datagram.change_index(by)),
@@ -23,7 +23,7 @@ pub(super) fn change(reply: &mut [u8], fault: Fault) {
     }
 }
 
-/// Changes length and envelope, after everything else.
+/// Changes length and envelope; the last step.
 pub(super) fn envelop(reply: &mut Vec<u8>, faults: &[Fault]) {
     for fault in faults {
         match *fault {

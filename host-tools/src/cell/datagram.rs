@@ -1,7 +1,7 @@
 //! A datagram inside a passing frame, and the envelope around the datagrams.
 //!
 //! Views only: nothing is copied, the slaves change the frame's own bytes. An envelope that does not fit the frame
-//! gives no datagrams, a chain that runs over its end stops there; no byte pattern can make a view leave the frame.
+//! gives no datagrams, and a chain that exceeds the frame stops there; no byte pattern makes a view leave the frame.
 
 use etherpen::ethercat::wire::{Command, DATAGRAM_HEADER_LEN, ETHERCAT_HEADER_LEN, ETHERTYPE, SOURCE_BIT};
 
@@ -47,7 +47,7 @@ impl<'frame> Datagram<'frame> {
         Some((Self { header, data, counter }, rest))
     }
 
-    /// What it asks for; a number that is no command asks for nothing.
+    /// Its command; an unknown number counts as no operation.
     pub(super) fn command(&self) -> Command {
         let [number, ..] = *self.header;
         Command::from_number(number).unwrap_or(Command::Nop)
@@ -59,7 +59,7 @@ impl<'frame> Datagram<'frame> {
         u16::from_le_bytes([low, high])
     }
 
-    /// Replaces the position.
+    /// Replaces the position counter.
     pub(super) fn set_device(&mut self, value: u16) {
         let [low, high] = value.to_le_bytes();
         let [_, _, old_low, old_high, ..] = &mut *self.header;
@@ -82,7 +82,7 @@ impl<'frame> Datagram<'frame> {
         self.data
     }
 
-    /// The data, to be changed in passing.
+    /// The data, mutable.
     pub(super) fn data_mut(&mut self) -> &mut [u8] {
         self.data
     }
@@ -92,17 +92,17 @@ impl<'frame> Datagram<'frame> {
         *self.counter = u16::from_le_bytes(*self.counter).wrapping_add(by).to_le_bytes();
     }
 
-    /// Whether it says that another follows.
+    /// Whether another datagram follows.
     pub(super) fn has_more(&self) -> bool {
         self.flags() & MORE_FOLLOW != 0
     }
 
-    /// Lets it say that another follows: a scripted fault.
+    /// Scripted fault: sets the bit that announces another datagram.
     pub(super) fn set_more(&mut self) {
         self.set_flags(self.flags() | MORE_FOLLOW);
     }
 
-    /// Lets it say that it has been around: a scripted fault.
+    /// Scripted fault: sets the circulating bit.
     pub(super) fn set_circulating(&mut self) {
         self.set_flags(self.flags() | CIRCULATING);
     }
@@ -118,7 +118,7 @@ impl<'frame> Datagram<'frame> {
         (*old_low, *old_high) = (low, high);
     }
 
-    /// Replaces the index: a scripted fault.
+    /// Scripted fault: changes the index.
     pub(super) fn change_index(&mut self, by: u8) {
         let [_, index, ..] = &mut *self.header;
         *index = index.wrapping_add(by);
@@ -132,7 +132,7 @@ pub(super) struct Datagrams<'frame> {
 }
 
 impl<'frame> Datagrams<'frame> {
-    /// The chain of an Ethernet frame; nothing if it carries no EtherCAT datagrams or its header does not fit.
+    /// The datagrams of an Ethernet frame; `None` if it carries no EtherCAT datagrams or its header does not fit.
     pub(super) fn of_frame(frame: &'frame mut [u8]) -> Option<Self> {
         let start = payload_start(frame)?;
         let payload = frame.get_mut(start..)?;
@@ -154,8 +154,8 @@ impl<'frame> Datagrams<'frame> {
     }
 }
 
-/// Marks a frame as processed: what the first slave controller does to the source address. A checksum of UDP, which
-/// the changed data would break, is switched off.
+/// Marks a frame as processed, as the first slave controller does in the source address. Clears a UDP checksum, which
+/// the changed data would invalidate.
 pub(super) fn mark_processed(frame: &mut [u8]) {
     if let Some(checksum) = payload_start(frame)
         .filter(|start| *start > ETHERNET_HEADER)
@@ -168,7 +168,7 @@ pub(super) fn mark_processed(frame: &mut [u8]) {
     }
 }
 
-/// Replaces length and type of the EtherCAT header: a scripted fault.
+/// Scripted fault: changes length and type of the EtherCAT header.
 pub(super) fn set_frame_header(frame: &mut [u8], change: impl FnOnce(u16, u8) -> (u16, u8)) {
     let place = payload_start(frame)
         .and_then(|start| frame.get_mut(start..))
@@ -180,7 +180,7 @@ pub(super) fn set_frame_header(frame: &mut [u8], change: impl FnOnce(u16, u8) ->
     }
 }
 
-/// Where the EtherCAT header starts, in a raw frame or in UDP.
+/// Offset of the EtherCAT header, in a raw frame or in UDP.
 fn payload_start(frame: &[u8]) -> Option<usize> {
     match big_endian(frame, ETHERTYPE_OFFSET)? {
         ETHERTYPE => Some(ETHERNET_HEADER),

@@ -1,8 +1,8 @@
-//! What stands behind a slave controller: the seam between bus and device.
+//! Devices behind slave controllers: the interface between bus and device.
 //!
-//! A device says what it is (identity, information image, silicon, mailbox, process data, objects), holds the values
-//! behind the live objects and mapped process data, and takes a step each millisecond. Everything a master can do to
-//! it goes through the controller, the mailbox server and the object tables; no device knows the bus.
+//! A device describes itself (identity, information image, silicon, mailbox, process data, objects), holds the values
+//! of its live objects and mapped process data, and is stepped every millisecond. All access by a master goes through
+//! the controller, the mailbox server and the object tables; no device knows the bus.
 
 use super::abort::Abort;
 use super::dictionary::Dictionary;
@@ -17,9 +17,9 @@ use std::fmt;
 pub(super) struct Silicon {
     /// Type, revision, build (2 bytes).
     pub(super) identity: [u8; 4],
-    /// Fieldbus memory management units.
+    /// Number of fieldbus memory management units.
     pub(super) fmmus: u8,
-    /// Sync managers.
+    /// Number of sync managers.
     pub(super) sync_managers: u8,
     /// Process memory, KiB.
     pub(super) memory_kib: u8,
@@ -52,10 +52,10 @@ impl Silicon {
     };
 }
 
-/// The two mailboxes and the process-data windows as the device wants them.
+/// The two mailboxes and the process-data windows that the device requires.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Windows {
-    /// Mailbox the master writes; length 0 where there is none.
+    /// Mailbox the master writes; length 0 if there is none.
     pub(super) mailbox_out: MailboxWindow,
     /// Mailbox the master reads.
     pub(super) mailbox_in: MailboxWindow,
@@ -66,7 +66,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// Whether there is a mailbox.
+    /// Whether the device has a mailbox.
     pub(super) fn has_mailbox(&self) -> bool {
         self.mailbox_out.length > 0 && self.mailbox_in.length > 0
     }
@@ -90,12 +90,12 @@ impl Windows {
     }
 }
 
-/// One sync manager as an information image describes it.
+/// One sync manager as described in an information image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SyncManagerDefault {
     /// First byte.
     pub(super) start: u16,
-    /// Bytes.
+    /// Length, bytes.
     pub(super) length: u16,
     /// Control byte.
     pub(super) control: u8,
@@ -105,45 +105,45 @@ pub(super) struct SyncManagerDefault {
     pub(super) kind: u8,
 }
 
-/// An emergency message: error code, error register, five bytes of the manufacturer.
+/// An emergency message: error code, error register, five manufacturer-specific bytes.
 pub(super) type Emergency = (u16, u8, [u8; 5]);
 
 /// A device behind a slave controller.
 pub(super) trait Device: fmt::Debug + Send {
     /// The slave information image.
     fn image(&self) -> Vec<u8>;
-    /// The controller it stands behind.
+    /// The controller's silicon.
     fn silicon(&self) -> Silicon {
         Silicon::ET1100
     }
-    /// Where mailboxes and process data lie.
+    /// Windows of mailboxes and process data.
     fn windows(&self) -> Windows;
     /// PDOs and their assignment after power-up.
     fn process_data(&self) -> ProcessData;
     /// Objects after power-up.
     fn dictionary(&self) -> Dictionary;
-    /// Everything but the motor back to its state after power-up.
+    /// Resets everything but the motor to its state after power-up.
     fn power_up(&mut self) {}
-    /// A live value; nothing where there is none.
+    /// The value of a live object; `None` if the device has none.
     fn get(&self, _index: u16, _sub: u8) -> Option<i64> {
         None
     }
-    /// Writes a live value by mailbox.
+    /// Writes a live object through the mailbox.
     ///
     /// # Errors
-    /// An [`Abort`] for a value that it refuses.
+    /// An [`Abort`] for a value that the device refuses.
     fn set(&mut self, _index: u16, _sub: u8, _value: i64) -> Result<(), Abort> {
         Err(Abort::READ_ONLY)
     }
-    /// Takes a value out of the process data.
+    /// Takes a value from the outputs.
     fn set_output(&mut self, _index: u16, _sub: u8, _value: i64) {}
-    /// One millisecond, with valid outputs or without.
+    /// Advances by one millisecond; `operational` if the outputs are valid.
     fn step(&mut self, _operational: bool) {}
-    /// One millisecond in which the processor stands still, too short for the power stage to notice.
+    /// Advances by one millisecond in which the processor is stopped, too short for the power stage to notice.
     fn coast(&mut self) {}
-    /// The inputs of this millisecond are taken, after every motor has moved.
+    /// Samples the inputs of this millisecond, after every motor has moved.
     fn sample(&mut self) {}
-    /// Cyclic data stopped coming.
+    /// Handles the loss of cyclic data.
     fn cyclic_data_lost(&mut self) {}
     /// The next emergency.
     fn take_emergency(&mut self) -> Option<Emergency> {
@@ -157,7 +157,7 @@ pub(super) trait Device: fmt::Debug + Send {
     fn servo_mut(&mut self) -> Option<&mut Servo> {
         None
     }
-    /// A copy of it.
+    /// A copy of the device.
     fn boxed_clone(&self) -> Box<dyn Device>;
 }
 

@@ -1,10 +1,10 @@
-//! Object dictionaries as tables: one row an entry, from which access and SDO information both come.
+//! Object dictionaries as tables: one row for each entry, used for both access and SDO information.
 //!
-//! A row says index, sub-index, name, data type, access and where the value comes from: a constant, a place in the
-//! dictionary itself, the device behind it, or the process-data lists. Data types and object codes: CiA 301; access
-//! bits: IEC 61158-6-12, SDO information.
+//! A row contains index, sub-index, name, data type, access rights and the source of the value: a constant, a value
+//! stored in the dictionary, the device, or the process-data lists. Data types and object codes: CiA 301; access bits:
+//! IEC 61158-6-12, SDO information.
 //!
-//! Invariant: what the description of an entry allows is what an access to it does.
+//! Invariant: access to an entry follows its description.
 
 use super::abort::Abort;
 use super::application::AlState;
@@ -35,7 +35,7 @@ pub(super) enum DataType {
 }
 
 impl DataType {
-    /// Bytes of a value; nothing where the length varies.
+    /// Length of a value, bytes; `None` if it varies.
     pub(super) fn bytes(self) -> Option<usize> {
         match self {
             Self::Integer8 | Self::Unsigned8 => Some(1),
@@ -56,7 +56,7 @@ impl DataType {
         bytes
     }
 
-    /// A number of exactly the type's length.
+    /// Decodes a number of exactly the type's length.
     fn decode(self, value: &[u8]) -> Result<i64, Abort> {
         let bytes = self.bytes().ok_or(Abort::LENGTH)?;
         check_length(value.len(), bytes)?;
@@ -69,46 +69,46 @@ impl DataType {
     }
 }
 
-/// What kind of object it is, by its number.
+/// Kind of an object, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum ObjectCode {
     /// One value at sub-index 0.
     Variable = 7,
-    /// Equal entries behind their number.
+    /// Equal entries after their count.
     Array = 8,
-    /// Different entries behind their number.
+    /// Different entries after their count.
     Record = 9,
 }
 
-/// Read and write bits of the states PREOP, SAFEOP and OP, and whether process data may carry the entry.
+/// Read and write rights in the states PREOP, SAFEOP and OP, and whether process data may carry the entry.
 pub(super) mod access {
-    /// Read in every state.
+    /// Readable in every state.
     pub(in crate::cell) const READ: u16 = 0x0007;
-    /// Written in every state.
+    /// Writable in every state.
     pub(in crate::cell) const WRITE: u16 = 0x0038;
-    /// Written in PREOP only.
+    /// Writable in PREOP only.
     pub(in crate::cell) const WRITE_PREOP: u16 = 0x0008;
-    /// Read and written.
+    /// Readable and writable in every state.
     pub(in crate::cell) const READ_WRITE: u16 = READ | WRITE;
-    /// Outputs may carry it.
+    /// May be mapped to outputs.
     pub(in crate::cell) const RX: u16 = 0x0040;
-    /// Inputs may carry it.
+    /// May be mapped to inputs.
     pub(in crate::cell) const TX: u16 = 0x0080;
 }
 
-/// Where a value comes from.
+/// Source of a value.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Value {
     /// A constant.
     Number(i64),
     /// A constant text.
     Text(&'static str),
-    /// A number kept here, with its first value and its range.
+    /// A number stored in the dictionary, with its initial value and its range.
     Stored { first: i64, low: i64, high: i64 },
-    /// Bytes kept here, at most so many.
+    /// Bytes stored in the dictionary, up to a length.
     Bytes { longest: usize },
-    /// The device is asked.
+    /// The device provides the value.
     Live,
 }
 
@@ -122,9 +122,9 @@ pub(super) struct ObjectRow {
     pub(super) index: u16,
     /// Name of the object.
     pub(super) name: &'static str,
-    /// What kind of object.
+    /// Kind of the object.
     pub(super) code: ObjectCode,
-    /// Its entries; the number of entries at sub-index 0 of arrays and records is added.
+    /// Its entries; sub-index 0 of arrays and records is added.
     pub(super) entries: &'static [EntryRow],
 }
 
@@ -159,7 +159,7 @@ enum Content {
     ProcessData,
 }
 
-/// One entry as it is served.
+/// One entry of a dictionary.
 #[derive(Clone, Debug)]
 pub(super) struct Entry {
     /// Sub-index.
@@ -173,14 +173,14 @@ pub(super) struct Entry {
     content: Content,
 }
 
-/// One object as it is served.
+/// One object of a dictionary.
 #[derive(Clone, Debug)]
 pub(super) struct Object {
     /// Index.
     pub(super) index: u16,
     /// Name.
     pub(super) name: String,
-    /// What kind of object.
+    /// Kind of the object.
     pub(super) code: ObjectCode,
     /// Entries in the order of their sub-indices.
     pub(super) entries: Vec<Entry>,
@@ -325,7 +325,7 @@ impl Dictionary {
         &self.objects
     }
 
-    /// One object.
+    /// The object with an index.
     pub(super) fn object(&self, index: u16) -> Result<&Object, Abort> {
         let at = self.objects.binary_search_by_key(&index, |object| object.index);
         at.ok().and_then(|at| self.objects.get(at)).ok_or(Abort::NO_OBJECT)
@@ -338,11 +338,11 @@ impl Dictionary {
 
 /// Access to the objects of one slave in its present state.
 pub(super) struct Objects<'a> {
-    /// The table.
+    /// The object table.
     pub(super) dictionary: &'a mut Dictionary,
     /// Assignment and mapping.
     pub(super) process_data: &'a mut ProcessData,
-    /// What is behind the live entries.
+    /// The device that provides the live values.
     pub(super) device: &'a mut dyn Device,
     /// State of the application layer.
     pub(super) state: AlState,
@@ -383,7 +383,7 @@ impl Objects<'_> {
         }
     }
 
-    /// All entries of an object in one value: from sub-index 0 (as 16 bits) or from sub-index 1.
+    /// All entries of an object as one value: from sub-index 0 (as 16 bits) or from sub-index 1.
     pub(super) fn upload_complete(&self, index: u16, first: u8) -> Result<Vec<u8>, Abort> {
         let object = self.complete(index, first)?;
         let mut value = Vec::new();
@@ -397,7 +397,7 @@ impl Objects<'_> {
         Ok(value)
     }
 
-    /// Writes all entries of an object; a list is emptied first and gets its number last.
+    /// Writes all entries of an object; a list is emptied first and gets its count last.
     pub(super) fn download_complete(&mut self, index: u16, first: u8, value: &[u8]) -> Result<(), Abort> {
         let object = self.complete(index, first)?;
         let is_list = object

@@ -1,8 +1,8 @@
 //! A servo drive: CiA 402 state machine, modes of operation, brake, resolver and the motor behind it.
 //!
 //! Position and speed are updated every millisecond, control and status word every second one, as in the real drive.
-//! The motor only ever moves under the velocity loop (operation enabled), under a ramp (quick stop, fault reaction)
-//! or against the closed brake (everything else).
+//! The motor only moves under the velocity or torque loop (operation enabled), on a ramp (quick stop, fault reaction)
+//! or against the closed brake (all other states).
 
 use super::motor::{self, Motor};
 use super::resolver::{Resolver, ResolverFault};
@@ -28,12 +28,12 @@ const PEAK_TORQUE_NM: f64 = 8.4;
 const PEAK_CURRENT_DIGITS: f64 = 3_280.0;
 /// Gain of the position loop in cyclic synchronous position mode, 1/s.
 const POSITION_GAIN_PER_S: f64 = 100.0;
-/// Error code when cyclic data stopped coming.
+/// Error code for the loss of cyclic data.
 const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
 /// Deceleration of a motor against its closed brake, rad/s2 at the joint.
 const BRAKE_RAD_S2: f64 = 400.0;
 
-/// Speed that the motor cannot exceed, revolutions per minute.
+/// Highest possible speed of the motor, revolutions per minute.
 const SPEED_MAX_RPM: f64 = 6000.0;
 
 const CONTROL_SWITCH_ON: u16 = 0x0001;
@@ -60,7 +60,7 @@ pub enum DriveState {
     QuickStopActive,
     /// Ramping down after a fault.
     FaultReactionActive,
-    /// Standing after a fault.
+    /// At rest after a fault.
     Fault,
 }
 
@@ -78,23 +78,23 @@ impl DriveState {
     }
 }
 
-/// What its numbers mean on the bus.
+/// Scaling of the drive's objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Profile {
-    /// Current digits, position within one motor turn.
+    /// Current in digits, position within one motor turn.
     Ax2000,
-    /// Torque in 1/1000 of the rated one, position over all turns.
+    /// Torque in 1/1000 of the rated torque, position over all turns.
     Cia402,
 }
 
-/// What the fieldbus demands of the drive.
+/// Demand from the fieldbus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Demand {
     /// Velocity in digits of object 0x606B or 0x60FF.
     pub(super) velocity_digits: i32,
     /// Torque in digits of object 0x6074 or 0x6071.
     pub(super) torque_digits: i16,
-    /// Position, increments; nothing holds the present one.
+    /// Position, increments; `None` holds the present one.
     pub(super) position: Option<i32>,
     /// Control word.
     pub(super) control: u16,
@@ -159,7 +159,7 @@ impl Drive {
         self
     }
 
-    /// Everything but the motor back to its state after power-up.
+    /// Resets everything but the motor to its state after power-up.
     pub(super) fn power_up(&mut self) {
         self.state = DriveState::SwitchOnDisabled;
         self.mode = 0;
@@ -172,7 +172,7 @@ impl Drive {
         self.status = self.state.status_bits();
     }
 
-    /// State of CiA 402.
+    /// CiA 402 state.
     pub(super) fn state(&self) -> DriveState {
         self.state
     }
@@ -187,7 +187,7 @@ impl Drive {
         self.control
     }
 
-    /// Error code of the present fault, object 0x603F; 0 without.
+    /// Error code of the present fault, object 0x603F; 0 without a fault.
     pub(super) fn error_code(&self) -> u16 {
         self.error_code
     }
@@ -202,39 +202,39 @@ impl Drive {
         self.motor.speed_rad_s() / self.axis.gear
     }
 
-    /// Motor revolutions for one of the joint.
+    /// Motor revolutions for one revolution of the joint.
     pub(super) fn gear(&self) -> f64 {
         self.axis.gear
     }
 
-    /// Torque of the motor at the joint, N m; nothing outside torque mode.
+    /// Torque of the motor at the joint, N m; `None` outside torque mode.
     pub(super) fn joint_torque_nm(&self) -> Option<f64> {
         let in_torque_mode = self.state == DriveState::OperationEnabled
             && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE);
         in_torque_mode.then(|| self.motor.torque_nm() * self.axis.gear)
     }
 
-    /// Moves the joint with this acceleration, rad/s2, for a while.
+    /// Moves the joint with this acceleration, rad/s2, for a duration.
     pub(super) fn accelerate(&mut self, joint_rad_s2: f64, duration_s: f64) {
         self.motor.accelerate(joint_rad_s2 * self.axis.gear, duration_s);
     }
 
-    /// Position as the drive shows it, increments: within one motor turn, or over all turns.
+    /// Position in the drive's scaling, increments: within one motor turn, or over all turns.
     pub(super) fn position(&self) -> i32 {
         self.position_at(self.resolver.shown_rad(self.motor.angle_rad()))
     }
 
-    /// Speed in the velocity demand's digits.
+    /// Speed in digits of the velocity demand.
     pub(super) fn velocity_digits(&self) -> i32 {
         (self.motor.speed_rad_s() * self.digits_per_rad_s()).round() as i32
     }
 
-    /// Torque in the torque demand's digits.
+    /// Torque in digits of the torque demand.
     pub(super) fn torque_digits(&self) -> i16 {
         (self.motor.torque_nm() / self.torque_nm_per_digit()).round() as i16
     }
 
-    /// The next emergency: an error code, 0 when the error is gone.
+    /// The next emergency: an error code, 0 when the error has ended.
     pub(super) fn take_emergency(&mut self) -> Option<u16> {
         self.emergencies.pop_front()
     }
@@ -245,17 +245,17 @@ impl Drive {
             .block_at((joint_rad - self.axis.sync_angle_rad) * self.axis.gear);
     }
 
-    /// Something is wrong with the resolver for some milliseconds.
+    /// Sets a resolver fault for some milliseconds.
     pub(super) fn set_resolver_fault(&mut self, fault: ResolverFault, milliseconds: u64) {
         self.resolver.set_fault(fault, milliseconds, self.motor.angle_rad());
     }
 
-    /// The resolver slips on its shaft by so many increments, for good.
+    /// Makes the resolver slip on its shaft by so many increments, permanently.
     pub(super) fn slip(&mut self, increments: i32) {
         self.resolver.slip(f64::from(increments) / self.increments_per_rad());
     }
 
-    /// The resolver shows another motor's shaft, rad since that one's mark, or its own again.
+    /// Makes the resolver show another motor's shaft, rad since that motor's mark, or its own again.
     pub(super) fn show_foreign(&mut self, foreign_rad: Option<f64>) {
         self.resolver.show_foreign(foreign_rad);
     }
@@ -273,7 +273,7 @@ impl Drive {
         }
     }
 
-    /// A fault with this error code.
+    /// Triggers a fault with this error code.
     pub(super) fn fault(&mut self, error_code: u16) {
         if matches!(self.state, DriveState::Fault | DriveState::FaultReactionActive) {
             return;
@@ -283,7 +283,7 @@ impl Drive {
         self.state = DriveState::FaultReactionActive;
     }
 
-    /// Cyclic data stopped coming: a switched-on drive faults, with its emergency ramp.
+    /// Handles the loss of cyclic data: a switched-on drive faults, with its emergency ramp.
     pub(super) fn cyclic_data_lost(&mut self) {
         match self.state {
             DriveState::SwitchOnDisabled | DriveState::Fault | DriveState::FaultReactionActive => {}
@@ -291,7 +291,7 @@ impl Drive {
         }
     }
 
-    /// One millisecond in which the processor stands still: the current loop keeps the motor at its last demand.
+    /// Advances by one millisecond with the processor stopped: the current loop keeps the motor at its last demand.
     pub(super) fn coast(&mut self, demand: Demand) {
         let action = self.action(demand);
         self.motor.step(action);
@@ -299,7 +299,7 @@ impl Drive {
             .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
     }
 
-    /// One millisecond; no demand means that the fieldbus is not in OP.
+    /// Advances by one millisecond; no demand means that the fieldbus is not in OP.
     pub(super) fn step(&mut self, demand: Option<Demand>) {
         self.second_millisecond = !self.second_millisecond;
         if self.second_millisecond {
@@ -324,7 +324,7 @@ impl Drive {
         }
     }
 
-    /// What acts on the motor in this millisecond.
+    /// The action on the motor in this millisecond.
     fn action(&mut self, demand: Demand) -> motor::Drive {
         let last_target = self.target_position;
         self.target_position = None;
@@ -433,7 +433,7 @@ impl Drive {
         self.position_at(self.motor.angle_rad())
     }
 
-    /// The position for an angle of the shaft since its mark.
+    /// The position for a shaft angle since its mark.
     fn position_at(&self, shaft_rad: f64) -> i32 {
         let increments = f64::from(self.axis.increments_per_revolution.max(1));
         let turn = shaft_rad * self.increments_per_rad() + f64::from(self.axis.sync_increments);

@@ -1,7 +1,7 @@
 //! The slave information memory behind registers 0x0500 to 0x050F.
 //!
-//! A command is busy for a while of the segment's own time; the word address counts 16-bit words; reads give eight
-//! bytes. While the slave's processor owns the memory, or it is offered to it, a command is refused. Register layout:
+//! A command is busy for some of the segment's time; the word address counts 16-bit words; a read returns eight bytes.
+//! While the slave's processor owns the memory, or the memory is offered to it, commands are refused. Register layout:
 //! EEPROM interface of the slave controller's register description.
 
 use super::registers;
@@ -12,7 +12,7 @@ use etherpen::ethercat::wire::sii::{WORD_CHECKSUM, checksum};
 pub(super) const BASE: usize = registers::SII_CONFIG;
 /// Bytes of the interface.
 pub(super) const LENGTH: usize = 16;
-/// How long a command is busy unless the options say otherwise, ns: eight bytes at 400 kHz.
+/// Default duration of a command, ns: eight bytes at 400 kHz.
 pub(super) const BUSY_NS: u64 = 300_000;
 
 const CONFIG: usize = 0;
@@ -34,7 +34,7 @@ const ERROR_COMMAND: u16 = wire::SII_ACKNOWLEDGE_ERROR;
 const ERROR_WRITE_ENABLE: u16 = wire::SII_WRITE_ERROR;
 const BUSY: u16 = wire::SII_BUSY;
 
-/// What is wrong with a memory.
+/// Fault of an information memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SiiFault {
     /// A command never ends.
@@ -45,9 +45,9 @@ pub enum SiiFault {
     Blank,
     /// Every eighth byte has a flipped bit.
     Damaged,
-    /// The slave's processor owns it until it is taken by force.
+    /// The slave's processor owns the memory until the master takes it by force.
     Owned,
-    /// Nothing is wrong any more.
+    /// No fault.
     Whole,
 }
 
@@ -82,13 +82,13 @@ impl Eeprom {
         self.own(registers);
     }
 
-    /// Something goes wrong, or is whole again.
+    /// Sets or clears a fault.
     pub(super) fn set_fault(&mut self, fault: SiiFault, registers: &mut [u8]) {
         self.fault = fault;
         self.own(registers);
     }
 
-    /// Whether the configuration area has its checksum.
+    /// Whether the checksum of the configuration area is correct.
     pub(super) fn is_valid(&self) -> bool {
         self.byte(2 * usize::from(WORD_CHECKSUM)) == {
             let area: Vec<u8> = (0..2 * usize::from(WORD_CHECKSUM)).map(|at| self.byte(at)).collect();
@@ -101,7 +101,7 @@ impl Eeprom {
         u16::from_le_bytes([self.byte(2 * at), self.byte(2 * at + 1)])
     }
 
-    /// The bus has written the access registers.
+    /// Handles a write to the access registers.
     pub(super) fn configure(&mut self, registers: &mut [u8]) {
         let config = byte(registers, CONFIG);
         if config & FORCED != 0 && self.fault == SiiFault::Owned {
@@ -110,7 +110,7 @@ impl Eeprom {
         self.own(registers);
     }
 
-    /// The bus has written the control register.
+    /// Handles a write to the control register.
     pub(super) fn command(&mut self, registers: &mut [u8], now_ns: u64) {
         let control = word(registers, CONTROL);
         self.write_enabled = control & WRITE_ENABLE != 0;
@@ -128,7 +128,7 @@ impl Eeprom {
         self.set_status(registers, status);
     }
 
-    /// Finishes a command whose time has come; true after a reload.
+    /// Finishes a command whose time is over; returns true after a reload.
     pub(super) fn advance(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
         if self.pending == 0 || now_ns < self.due_ns || self.fault == SiiFault::Busy {
             return false;

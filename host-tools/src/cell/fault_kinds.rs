@@ -1,19 +1,19 @@
-//! What can go wrong on the segment: one value for each fault of the script language.
+//! Kinds of faults on the segment: one value for each fault of the script language.
 
 use super::application::AlState;
 use super::eeprom::SiiFault;
 use super::resolver::ResolverFault;
 
-/// One fault.
+/// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The request never reaches the slaves.
     Drop,
-    /// The slaves act, the reply is lost.
+    /// The slaves process the request, the reply is lost.
     Lose,
-    /// The reply comes this many frames later.
+    /// The reply arrives this many frames later.
     Delay(u64),
-    /// The reply comes twice.
+    /// The reply arrives twice.
     Duplicate,
     /// The reply is cut after this many bytes.
     Truncate(usize),
@@ -25,15 +25,15 @@ pub enum Fault {
     Counter(i16),
     /// The EtherCAT header of the reply has this type, 0 to 15.
     Type(u8),
-    /// The last datagram of the reply says that another follows.
+    /// The last datagram of the reply announces another one.
     More,
     /// The reply's datagrams have the circulating bit.
     Circulate,
     /// The reply carries a VLAN tag.
     Vlan,
-    /// A frame of another protocol comes before the reply.
+    /// A frame of another protocol arrives before the reply.
     Foreign,
-    /// The request itself comes before the reply.
+    /// The request itself arrives before the reply.
     Reflect,
     /// No frame gets through for this many milliseconds.
     Stall(u64),
@@ -45,7 +45,7 @@ pub enum Fault {
     Crc(usize, u64),
     /// This slave is bypassed.
     Remove(usize),
-    /// This slave comes back.
+    /// This slave returns.
     Insert(usize),
     /// This slave is replaced by another product.
     Swap(usize, Product),
@@ -53,31 +53,31 @@ pub enum Fault {
     Power(usize, u64),
     /// A slave falls back to SAFEOP with an AL status code.
     Retreat(usize, u16),
-    /// A slave falls back by itself to a lower state with an AL status code.
+    /// A slave falls back to a lower state with an AL status code.
     Fall(usize, AlState, u16),
     /// A slave refuses the next request for a state with an AL status code.
     Refuse(usize, AlState, u16),
-    /// A slave's processor stands still for some milliseconds.
+    /// A slave's processor is stopped for some milliseconds.
     Processor(usize, u64),
-    /// Something is wrong with a slave's information memory.
+    /// A fault of a slave's information memory.
     Sii(usize, SiiFault),
     /// A slave answers no mailbox message for some milliseconds.
     Silence(usize, u64),
-    /// Something goes wrong with one mailbox request of a slave.
+    /// A fault of one mailbox request of a slave.
     Mailbox(usize, MailStep, MailFault),
     /// A drive faults with an error code.
     Drive(usize, u16),
-    /// A drive has no main voltage for some milliseconds.
+    /// A drive has no mains voltage for some milliseconds.
     Mains(usize, u64),
-    /// Something is wrong with a drive's resolver for some milliseconds.
+    /// A fault of a drive's resolver for some milliseconds.
     Resolver(usize, ResolverFault, u64),
-    /// A drive's resolver slips on its shaft by so many increments, for good.
+    /// A drive's resolver slips on its shaft by so many increments, permanently.
     Jump(usize, i32),
     /// The resolvers of two drives are exchanged for some milliseconds.
     Exchange(usize, usize, u64),
 }
 
-/// Which mailbox request of a slave.
+/// Selects a mailbox request of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MailStep {
     /// The n-th from now on, from 1.
@@ -86,22 +86,22 @@ pub enum MailStep {
     Object(u16, u8),
 }
 
-/// What goes wrong with a mailbox request.
+/// Fault of a mailbox request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MailFault {
-    /// It is aborted with this code.
+    /// The request is aborted with this code.
     Abort(u32),
-    /// It is not answered.
+    /// The request is not answered.
     Silent,
-    /// Only a repeat brings the answer.
+    /// The answer is lost; only a repeat request returns it.
     Lost,
-    /// The answer has the counter of the message before it.
+    /// The answer has the counter of the previous message.
     Counter,
-    /// So many emergencies come before the answer.
+    /// This many emergencies arrive before the answer.
     Flood(u8),
 }
 
-/// A product that a slave can be replaced by.
+/// A product that can replace a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Product {
     /// Servo drive AX2000-B110.
@@ -113,7 +113,7 @@ pub enum Product {
 }
 
 impl Product {
-    /// Names in the script.
+    /// Names in the script language.
     pub(super) const NAMES: [(&str, Self); 3] = [
         ("ax2000", Self::Ax2000),
         ("cia402", Self::Cia402),
@@ -122,7 +122,7 @@ impl Product {
 }
 
 impl Fault {
-    /// Whether it happens to one frame.
+    /// Whether the fault affects a single frame.
     pub(super) fn is_of_frame(self) -> bool {
         matches!(
             self,
@@ -143,7 +143,7 @@ impl Fault {
         )
     }
 
-    /// The slave it is about, from 1.
+    /// The slave affected, from 1.
     pub(super) fn slave(self) -> Option<usize> {
         match self {
             Self::Remove(slave)
@@ -166,7 +166,7 @@ impl Fault {
         }
     }
 
-    /// The cable it is about: the one behind this slave, 0 is the master's.
+    /// The cable affected: the one behind this slave; 0 is the master's.
     pub(super) fn cable(self) -> Option<usize> {
         match self {
             Self::Cut(cable) | Self::Crc(cable, _) => Some(cable),
@@ -174,7 +174,7 @@ impl Fault {
         }
     }
 
-    /// Its word in the script.
+    /// Its keyword in the script language.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -1,9 +1,9 @@
-//! Scripted faults: what goes wrong on the segment, and when.
+//! Scripted faults on the segment.
 //!
-//! The language is described in [`SCRIPT_HELP`], which the command line prints as well. A script is checked against
-//! the chain before it is used ([`Script::check`]); what has happened is counted by kind.
+//! The language is described in [`SCRIPT_HELP`], which the command line prints too. A script is checked against the
+//! chain before use ([`Script::check`]); the faults that happened are counted by kind.
 //!
-//! Invariant: the same script, seed and frames give the same faults.
+//! Invariant: equal scripts, seeds and frames give equal faults.
 
 use super::application::AlState;
 use super::eeprom::SiiFault;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// The script language, for people.
+/// Description of the script language, for display.
 pub const SCRIPT_HELP: &str = "\
 A script is text, one fault a line, '#' starts a comment. A line says when, then what:
 
@@ -81,33 +81,33 @@ enum When {
     Chance { probability: f64 },
 }
 
-/// Why a script was not understood.
+/// Why a script was rejected.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScriptError {
     /// Line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// The problem.
     pub reason: ScriptProblem,
-    /// The word it is about; empty where one is missing.
+    /// The word concerned; empty if a word is missing.
     pub word: String,
 }
 
-/// What can be wrong with a line.
+/// Problem in a line of a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScriptProblem {
     /// The line does not start with `frame`, `ms`, `every` or `chance`.
     When,
-    /// No such fault.
+    /// Unknown fault.
     Fault,
     /// A number is missing, malformed or out of range.
     Number,
-    /// More words than the fault takes.
+    /// Too many words for the fault.
     Surplus,
-    /// `every` and `chance` go with faults of frames only.
+    /// `every` and `chance` are only allowed for faults of frames.
     Repeated,
-    /// No such slave in the chain.
+    /// No slave with this number in the chain.
     Slave,
-    /// No such cable in the chain.
+    /// No cable with this number in the chain.
     Cable,
 }
 
@@ -136,10 +136,10 @@ pub struct Script {
 }
 
 impl Script {
-    /// Whether every slave and cable that it names is in a chain of so many slaves.
+    /// Checks that every slave and cable in the script exists in a chain of `slaves` slaves.
     ///
     /// # Errors
-    /// [`ScriptError`] with the line and the number of the first that is not.
+    /// [`ScriptError`] with the line and the number of the first that does not exist.
     pub fn check(&self, slaves: usize) -> Result<(), ScriptError> {
         for (line, (_, fault)) in self.lines.iter().zip(&self.entries) {
             let (reason, number) = match (fault.slave(), fault.cable()) {
@@ -214,7 +214,7 @@ impl Words<'_> {
         }
     }
 
-    /// One of a few words.
+    /// Parses one of a few words.
     fn choice<T: Copy>(&mut self, choices: &[(&str, T)]) -> Result<T, ScriptError> {
         let word = self.words.next().unwrap_or_default();
         let found = choices.iter().find(|(name, _)| *name == word);
@@ -355,7 +355,7 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
     })
 }
 
-/// Bytes that follow a reply at most.
+/// Most bytes that can follow a reply.
 const OVERLONG_BYTES_MAX: u16 = 2_000;
 
 const SII_FAULTS: [(&str, SiiFault); 6] = [
@@ -367,7 +367,7 @@ const SII_FAULTS: [(&str, SiiFault); 6] = [
     ("whole", SiiFault::Whole),
 ];
 
-/// A script at work.
+/// A running script.
 #[derive(Clone, Debug)]
 pub(super) struct Schedule {
     entries: Vec<(When, Fault)>,
@@ -384,12 +384,12 @@ impl Schedule {
         }
     }
 
-    /// Adds a fault that happens now: to the next frame, or to the cell at the next millisecond.
+    /// Injects a fault now: into the next frame, or into the cell at the next millisecond.
     pub(super) fn inject(&mut self, fault: Fault) {
         self.entries.push((When::Time { ms: 0 }, fault));
     }
 
-    /// A fault has happened.
+    /// Counts a fault that has happened.
     pub(super) fn count(&mut self, fault: Fault) {
         *self.counts.entry(fault.name()).or_default() += 1;
     }
@@ -399,7 +399,7 @@ impl Schedule {
         &self.counts
     }
 
-    /// The faults that happen to the cell at this millisecond, once each.
+    /// The faults of the cell due at this millisecond, once each.
     pub(super) fn at_time(&mut self, now_ms: u64) -> Vec<Fault> {
         let due = |when: &When, fault: &Fault| match when {
             When::Time { ms } => *ms <= now_ms && !fault.is_of_frame(),
@@ -408,7 +408,7 @@ impl Schedule {
         self.take(due)
     }
 
-    /// The faults that the arrival of this frame (from 1) brings, of both kinds.
+    /// The faults due at the arrival of this frame (from 1), of the frame and of the cell.
     pub(super) fn at_frame(&mut self, frame: u64, now_ms: u64) -> Vec<Fault> {
         let mut faults = self.take(|when, fault| match when {
             When::Time { ms } => *ms <= now_ms && fault.is_of_frame(),

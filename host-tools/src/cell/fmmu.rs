@@ -18,9 +18,9 @@ pub(super) struct Fmmu {
     stop_bit: u8,
     physical_start: u16,
     physical_bit: u8,
-    /// The bus may read through it.
+    /// Whether the bus may read through the mapping.
     pub(super) reads: bool,
-    /// The bus may write through it.
+    /// Whether the bus may write through the mapping.
     pub(super) writes: bool,
 }
 
@@ -33,7 +33,7 @@ pub(super) enum Overlap {
         offset: usize,
         /// First physical address.
         address: u16,
-        /// Bytes.
+        /// Length, bytes.
         length: usize,
     },
     /// Single bits: `count` bits from a bit of the datagram to a bit of physical memory.
@@ -42,13 +42,13 @@ pub(super) enum Overlap {
         offset_bits: usize,
         /// First physical bit, counted from address 0's bit 0.
         physical_bits: usize,
-        /// Bits.
+        /// Number of bits.
         count: usize,
     },
 }
 
 impl Fmmu {
-    /// Reads a register block; nothing if the unit is not active or maps nothing.
+    /// Parses a register block; `None` if the unit is not active or maps nothing.
     pub(super) fn from_block(block: [u8; BLOCK]) -> Option<Self> {
         let [
             l0,
@@ -81,7 +81,7 @@ impl Fmmu {
         (activate & 1 != 0 && unit.length > 0).then_some(unit)
     }
 
-    /// What of `length` bytes at logical address `logical` this unit maps.
+    /// The part of `length` bytes at the logical address `logical` that this unit maps.
     pub(super) fn overlap(&self, logical: u32, length: usize) -> Option<Overlap> {
         let first = u64::from(self.logical_start) * 8 + u64::from(self.start_bit);
         let last = (u64::from(self.logical_start) + u64::from(self.length) - 1) * 8 + u64::from(self.stop_bit);

@@ -1,8 +1,8 @@
 //! A generic CiA 402 servo drive with variable process-data mapping.
 //!
-//! Vendor and product are of this project and of no manufacturer. Cyclic synchronous position (8), velocity (9) and
-//! torque (10); velocity counts the axis's velocity digits, torque 1/1000 of the rated torque, position increments of
-//! all turns. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
+//! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
+//! velocity (9) and torque (10). Velocity is in the axis's velocity digits, torque in 1/1000 of the rated torque,
+//! position in increments over all turns. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
 use super::abort::Abort;
 use super::device::Windows;
@@ -153,7 +153,7 @@ const OBJECTS: &[ObjectRow] = &[
     ),
 ];
 
-/// The drive as data.
+/// Model data of the drive.
 pub(super) static MODEL: Model = Model {
     name: NAME,
     order: ORDER,
@@ -243,7 +243,7 @@ fn set_output(servo: &mut Servo, index: u16, value: i64) {
     match index {
         0x6040 => demand.control = value as u16,
         0x6060 => {
-            // A mode in the process data that the drive does not have leaves the present one.
+            // An unsupported mode in the process data leaves the present mode in effect.
             let _ = set(servo, index, value);
         }
         0x6071 => demand.torque_digits = value as i16,

@@ -1,8 +1,8 @@
-//! A slave made from the content of a slave information memory: a real device's registers and lists, no function.
+//! A slave made from an information memory image: the registers and lists of a real device, without function.
 //!
-//! Identity, mailboxes, sync managers and process-data objects are what the image says; objects of the identity and of
-//! the process-data lists are served, inputs are zero, outputs go nowhere. What an image leaves out or damages is left
-//! out here too; no content can make it panic or loop.
+//! Identity, mailboxes, sync managers and process-data objects follow the image. Identity objects and process-data
+//! lists are served, inputs are zero, outputs are ignored. Missing or damaged parts of the image are missing here too;
+//! no image can cause a panic or an endless loop.
 
 use super::device::{Device, Windows};
 use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
@@ -12,9 +12,9 @@ use etherpen::ethercat::wire::sii::{
     FixedPart, WORD_CATEGORIES,
 };
 
-/// Categories that are looked at before a chain counts as endless.
+/// Most categories before a chain counts as endless.
 const CATEGORIES_MAX: usize = 64;
-/// Where process data lie if the image has no sync managers for them.
+/// Addresses of process data if the image has no sync managers for them.
 const OUTPUTS_DEFAULT: u16 = 0x1100;
 const INPUTS_DEFAULT: u16 = 0x1400;
 
@@ -52,7 +52,7 @@ pub(super) struct ImageDevice {
 }
 
 impl ImageDevice {
-    /// A slave whose information memory has this content.
+    /// A slave with this information memory.
     pub(super) fn new(image: Vec<u8>) -> Self {
         let fixed = FixedPart::parse(&image).unwrap_or_default();
         let mut windows = Windows {
@@ -118,7 +118,7 @@ impl Device for ImageDevice {
     }
 }
 
-/// Category numbers and bodies; a body that leaves the image is cut, and the chain ends there.
+/// Category numbers and bodies; a body that exceeds the image is cut, and the chain ends there.
 fn categories(image: &[u8]) -> Vec<(u16, &[u8])> {
     let mut found = Vec::new();
     let mut rest = image.get(2 * usize::from(WORD_CATEGORIES)..).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Which slaves the segment is made of, as a list that a command line can give.
+//! Slaves of the segment, as a list for the command line.
 //!
 //! `ax2000,ax2000,cia402,ek1100,sii:FILE,ax2000*4`: kinds in the order of the chain, `*N` repeats one.
 
@@ -12,9 +12,9 @@ use super::servo_device::ServoDevice;
 use std::fmt;
 use std::sync::Arc;
 
-/// Slaves that a list may name.
+/// Most slaves in a list.
 pub const SLAVES_MAX: usize = 256;
-/// Bytes of an information memory that are read from a file.
+/// Most bytes of an information memory read from a file.
 const IMAGE_BYTES_MAX: u64 = 1 << 20;
 
 /// One kind of slave.
@@ -26,14 +26,14 @@ pub enum SlaveKind {
     Cia402,
     /// `ek1100`: bus coupler.
     Ek1100,
-    /// `sii:FILE`: a slave with this content of its information memory.
+    /// `sii:FILE`: a slave with this information memory.
     Sii(Arc<[u8]>),
 }
 
-/// Why a list of slaves was not understood.
+/// Why a list of slaves was rejected.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SlaveListError {
-    /// No such kind.
+    /// Unknown kind.
     Kind {
         /// The word.
         word: String,
@@ -43,16 +43,16 @@ pub enum SlaveListError {
         /// The word.
         word: String,
     },
-    /// The list names more slaves than there can be.
+    /// The list has too many slaves.
     TooMany {
-        /// Slaves that there can be.
+        /// Most slaves allowed.
         limit: usize,
     },
     /// A file of an information memory could not be read.
     File {
         /// Its path.
         path: String,
-        /// What the system said.
+        /// Error message of the operating system.
         reason: String,
     },
 }
@@ -76,7 +76,7 @@ impl fmt::Display for SlaveListError {
 impl std::error::Error for SlaveListError {}
 
 impl SlaveKind {
-    /// One kind; `sii:FILE` reads the file.
+    /// Parses one kind; `sii:FILE` reads the file.
     ///
     /// # Errors
     /// [`SlaveListError`] for an unknown word or a file that cannot be read.
@@ -92,13 +92,13 @@ impl SlaveKind {
         }
     }
 
-    /// Whether there is a motor behind it.
+    /// Whether the slave has a motor.
     #[must_use]
     pub fn is_drive(&self) -> bool {
         matches!(self, Self::Ax2000 | Self::Cia402)
     }
 
-    /// The device; a drive goes into the kinds that have one.
+    /// Makes the device; a drive kind takes the servo.
     pub(super) fn device(&self, servo: Option<Servo>, serial: u32) -> Box<dyn Device> {
         match (self, servo) {
             (Self::Ax2000, Some(servo)) => Box::new(ServoDevice::new(&ax2000::MODEL, servo, serial)),
@@ -124,10 +124,10 @@ fn read(path: &str) -> Result<SlaveKind, SlaveListError> {
     Ok(SlaveKind::Sii(image.into()))
 }
 
-/// The slaves of a list in the order of the chain.
+/// Parses a list of slaves in the order of the chain.
 ///
 /// # Errors
-/// [`SlaveListError`] with the word that was not understood.
+/// [`SlaveListError`] with the word that was rejected.
 pub fn parse_slaves(list: &str) -> Result<Vec<SlaveKind>, SlaveListError> {
     let mut slaves = Vec::new();
     for word in list.split(',').map(str::trim) {

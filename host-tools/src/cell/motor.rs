@@ -1,22 +1,22 @@
 //! A servo motor under a first-order velocity loop, moved exactly.
 //!
-//! One step is one millisecond. The differential equation of the loop is solved in closed form, so the result does
-//! not depend on a numerical step. Angles are the motor's, in radians; the joint sees them divided by the gear.
+//! One step is one millisecond. The loop's differential equation is solved in closed form, so the result has no
+//! numerical integration error. Angles are the motor's, in radians; the joint's angles are these divided by the gear.
 
 /// Length of a step, seconds.
 pub(super) const STEP_S: f64 = 1e-3;
 
-/// Speed that no load lets the motor exceed: its voltage is used up.
+/// Highest speed of the motor under any load, limited by its voltage.
 const SPEED_MAX_RAD_S: f64 = 700.0;
 
-/// What acts on the motor during one step.
+/// Action on the motor during one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Drive {
     /// The velocity loop follows this speed, rad/s.
     Speed(f64),
     /// The speed falls to zero with this deceleration, rad/s2.
     Ramp(f64),
-    /// The current loop gives this torque at the motor, N m; the load decides how it moves.
+    /// The current loop applies this torque at the motor, N m; the load determines the motion.
     Torque(f64),
 }
 
@@ -27,18 +27,18 @@ pub(super) struct Motor {
     speed_rad_s: f64,
     bandwidth_rad_s: f64,
     torque_nm: f64,
-    /// Speed by which dry friction slows the velocity loop down, before its integral makes up for it, rad/s.
+    /// Speed reduction of the velocity loop by dry friction before its integral compensates it, rad/s.
     friction_rad_s: f64,
     made_up_rad_s: f64,
 }
 
-/// Time in which the velocity loop's integral makes up for friction, s.
+/// Time constant in which the velocity loop's integral compensates friction, s.
 const INTEGRAL_S: f64 = 0.02;
-/// Speed at which dry friction is mostly there, rad/s at the motor.
+/// Speed at which dry friction has mostly built up, rad/s at the motor.
 const FRICTION_SPEED_RAD_S: f64 = 0.2;
 
 impl Motor {
-    /// A motor at rest; the loop's bandwidth is given in hertz, a value that is not positive counts as a tenth.
+    /// A motor at rest. The bandwidth of the loop is in hertz; a value that is not positive counts as a tenth.
     pub(super) fn new(angle_rad: f64, bandwidth_hz: f64) -> Self {
         let bandwidth_hz = if bandwidth_hz > 0.1 { bandwidth_hz } else { 0.1 };
         Self {
@@ -71,7 +71,7 @@ impl Motor {
         self.torque_nm
     }
 
-    /// Whether the motor stands.
+    /// Whether the motor is at rest.
     pub(super) fn is_still(&self) -> bool {
         self.speed_rad_s == 0.0
     }
@@ -86,7 +86,7 @@ impl Motor {
         }
     }
 
-    /// Moves the motor with this acceleration, rad/s2, for a while.
+    /// Moves the motor with this acceleration, rad/s2, for a duration.
     pub(super) fn accelerate(&mut self, rad_s2: f64, duration_s: f64) {
         let change_rad_s = rad_s2 * duration_s;
         self.angle_rad += (self.speed_rad_s + 0.5 * change_rad_s) * duration_s;

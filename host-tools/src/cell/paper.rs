@@ -1,12 +1,12 @@
-//! The sheet of paper: where the spring-loaded pen touched it.
+//! The sheet of paper and the ink of the spring-loaded pen on it.
 //!
-//! The pen leaves one sample a millisecond while it touches. Coordinates are the sheet's: millimetres, x to the
-//! right, y downwards, the origin in the top left corner.
+//! The pen leaves one point every millisecond while it touches the sheet. Coordinates are the sheet's: millimetres, x
+//! to the right, y downwards, the origin in the top left corner.
 
 use etherpen::config::Paper;
 use etherpen::robot::Position;
 
-/// How far above its drawing height the spring-loaded pen still touches, mm.
+/// Height above its drawing height up to which the spring-loaded pen touches, mm.
 pub const PEN_SPRING_MM: f64 = 0.3;
 
 /// One uninterrupted line of ink.
@@ -14,9 +14,9 @@ pub const PEN_SPRING_MM: f64 = 0.3;
 pub struct InkStroke {
     /// Cell time of the first point, milliseconds since the cell's start.
     pub start_ms: u64,
-    /// The points, one for each millisecond, mm in the sheet.
+    /// The points, one for each millisecond, mm on the sheet.
     pub points_mm: Vec<[f64; 2]>,
-    /// How many of the points lie beside the sheet.
+    /// Number of points beside the sheet.
     pub points_outside: usize,
 }
 
@@ -44,17 +44,17 @@ impl Sheet {
         &self.strokes
     }
 
-    /// Whether the pen touches.
+    /// Whether the pen touches the sheet.
     pub(super) fn touching(&self) -> bool {
         self.touching
     }
 
-    /// Milliseconds during which the pen touched something beside the sheet.
+    /// Milliseconds in which the pen touched the surface beside the sheet.
     pub(super) fn contacts_outside(&self) -> u64 {
         self.contacts_outside
     }
 
-    /// Notes the platform's position at one millisecond.
+    /// Takes the platform's position at one millisecond.
     pub(super) fn step(&mut self, time_ms: u64, platform: Position) {
         let touches = platform.z_mm <= self.paper.pen_down_z_mm + PEN_SPRING_MM;
         if touches {

@@ -1,9 +1,8 @@
-//! Process-data objects of a slave: which are assigned, what they carry, and their bytes.
+//! Process-data objects of a slave: assignment, mapping and content.
 //!
-//! Objects 0x1C12 and 0x1C13 list the assigned process-data objects (PDOs), 0x16xx and 0x1Axx map entries of the
-//! object dictionary into them, first entry at the lowest bits. A list is written by setting its number to 0, writing
-//! the entries and setting the number again. Layout: CiA 301, PDO mapping; IEC 61158-6-12, sync manager PDO
-//! assignment.
+//! Objects 0x1C12 and 0x1C13 list the assigned process-data objects (PDOs); 0x16xx and 0x1Axx map entries of the object
+//! dictionary into them, the first entry at the lowest bits. A list is written by setting its count to 0, writing the
+//! entries and setting the count again. Layout: CiA 301, PDO mapping; IEC 61158-6-12, sync manager PDO assignment.
 
 use super::abort::Abort;
 use super::device::Device;
@@ -17,7 +16,7 @@ pub(super) struct PdoEntry {
     pub(super) index: u16,
     /// Sub-index.
     pub(super) sub: u8,
-    /// Bits in the process data.
+    /// Length in the process data, bits.
     pub(super) bits: u8,
 }
 
@@ -48,7 +47,7 @@ pub(super) struct Pdo {
     pub(super) index: u16,
     /// Name.
     pub(super) name: String,
-    /// Whether the mapping is what it is.
+    /// Whether the mapping is fixed.
     pub(super) fixed: bool,
     /// Mapped entries.
     pub(super) entries: Vec<PdoEntry>,
@@ -67,12 +66,12 @@ impl Pdo {
         }
     }
 
-    /// The entries that count.
+    /// The mapped entries.
     pub(super) fn mapped(&self) -> &[PdoEntry] {
         self.entries.get(..self.count).unwrap_or(&self.entries)
     }
 
-    /// Whether the master writes it.
+    /// Whether the master writes the PDO.
     pub(super) fn is_output(&self) -> bool {
         self.index < 0x1A00
     }
@@ -98,14 +97,14 @@ impl ProcessData {
     pub(super) const OUTPUTS: u16 = 0x1C12;
     /// Object that assigns inputs.
     pub(super) const INPUTS: u16 = 0x1C13;
-    /// Entries of an assignment object.
+    /// Most entries of an assignment object.
     pub(super) const ASSIGNED_MAX: u8 = 4;
-    /// Entries of a mapping object.
+    /// Most entries of a mapping object.
     pub(super) const MAPPED_MAX: u8 = 8;
-    /// Bytes of process data in one direction.
+    /// Most bytes of process data in one direction.
     pub(super) const BYTES_MAX: usize = 64;
 
-    /// PDOs with their first assignment; at most `assigned_max` can be assigned in each direction.
+    /// PDOs with their default assignment; at most `assigned_max` can be assigned in each direction.
     pub(super) fn new(pdos: Vec<Pdo>, outputs: &[u16], inputs: &[u16], assigned_max: usize) -> Self {
         let assignment = |pdos: &[u16]| Assignment {
             count: pdos.len(),
@@ -130,12 +129,12 @@ impl ProcessData {
         listed(&self.outputs) || listed(&self.inputs)
     }
 
-    /// Bytes of outputs and inputs.
+    /// Length of outputs and inputs, bytes.
     pub(super) fn bytes(&self) -> (usize, usize) {
         (self.direction_bytes(&self.outputs), self.direction_bytes(&self.inputs))
     }
 
-    /// Entry of an assignment or mapping object; nothing where there is none.
+    /// An entry of an assignment or mapping object; `None` if it does not exist.
     pub(super) fn get(&self, index: u16, sub: u8) -> Option<i64> {
         let at = usize::from(sub).checked_sub(1);
         if let Some(list) = self.assignment(index) {
@@ -162,7 +161,7 @@ impl ProcessData {
         }
     }
 
-    /// Hands the outputs to the device.
+    /// Passes the outputs to the device.
     pub(super) fn unpack(&self, outputs: &[u8], device: &mut dyn Device) {
         let mut at = 0;
         for entry in self.entries(&self.outputs) {
@@ -185,7 +184,7 @@ impl ProcessData {
         }
     }
 
-    /// Asks the device for the inputs.
+    /// Collects the inputs from the device.
     pub(super) fn pack(&self, device: &dyn Device) -> Vec<u8> {
         let mut inputs = vec![0; self.bytes().1];
         let mut at = 0;

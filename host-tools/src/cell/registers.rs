@@ -1,4 +1,4 @@
-//! Register addresses of the slave controller as offsets into its memory, and who may change which byte.
+//! Register addresses of the slave controller as offsets into its memory, and write access for each byte.
 
 use etherpen::ethercat::wire::register as wire;
 
@@ -28,11 +28,11 @@ pub(super) const WATCHDOG_PROCESS_DATA: usize = wire::WATCHDOG_SYNC_MANAGER as u
 pub(super) const WATCHDOG_STATUS: usize = wire::WATCHDOG_STATUS as usize;
 /// Expiries of the process-data watchdog.
 pub(super) const WATCHDOG_COUNTER: usize = wire::WATCHDOG_COUNTER as usize;
-/// Control of the slave's processor interface, as the information memory gives it.
+/// Control of the slave's processor interface, loaded from the information memory.
 pub(super) const PDI_CONTROL: usize = wire::PDI_CONTROL as usize;
 /// Invalid frames and receive errors, two counters for each port.
 pub(super) const RECEIVE_ERRORS: usize = wire::RECEIVE_ERRORS as usize;
-/// Errors that came with the frame, one counter for each port.
+/// Errors forwarded with the frame, one counter for each port.
 pub(super) const FORWARDED_ERRORS: usize = wire::FORWARDED_ERRORS as usize;
 /// Watchdog time of the slave's processor in periods of the divided clock.
 pub(super) const WATCHDOG_PDI: usize = wire::WATCHDOG_PDI as usize;

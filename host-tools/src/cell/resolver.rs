@@ -1,19 +1,19 @@
-//! The resolver on a motor's shaft: what it shows, which is the truth only while nothing is wrong with it.
+//! The resolver on a motor's shaft, and its faults.
 //!
-//! The motor moves on, and the drive's own loops hold it, whatever is shown: the truth is the motor's.
+//! A resolver fault does not affect the motor: the drive's own loops continue with the true angle.
 
 use super::random::Random;
 
-/// What is wrong with a resolver.
+/// Fault of a resolver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResolverFault {
-    /// It stays where it is.
+    /// The position is frozen.
     Stuck,
-    /// It shows so many per cent of the motion; what it lost stays lost.
+    /// The position follows only this percentage of the motion; the loss is permanent.
     Slip(i64),
-    /// It shows the motion the other way round.
+    /// The position moves in the reverse direction.
     Reversed,
-    /// Every position is wrong by chance, by so many increments at most.
+    /// Every position has a random error of at most this many increments.
     Noise(u32),
 }
 
@@ -22,21 +22,21 @@ pub enum ResolverFault {
 pub(super) struct Resolver {
     fault: Option<ResolverFault>,
     left_ms: u64,
-    /// Motor angle at which the fault began, and what was shown there, rad.
+    /// Motor angle and position shown when the fault began, rad.
     motor_rad: f64,
     shown_rad: f64,
-    /// Angle that it has slipped by for good, rad.
+    /// Permanent slip angle, rad.
     slipped_rad: f64,
-    /// Angle of another motor's shaft that is shown instead.
+    /// Angle of another motor's shaft that is shown instead, rad.
     foreign_rad: Option<f64>,
-    /// Noise of a sound resolver, and what it is now, rad.
+    /// Noise amplitude of a resolver without a fault, and present noise, rad.
     noise_rad: f64,
     error_rad: f64,
     random: Random,
 }
 
 impl Resolver {
-    /// A sound resolver with noise of this amplitude, rad.
+    /// A resolver without a fault, with noise of this amplitude, rad.
     pub(super) fn new(noise_rad: f64, seed: u64) -> Self {
         Self {
             fault: None,
@@ -51,7 +51,7 @@ impl Resolver {
         }
     }
 
-    /// Something is wrong from now on for some milliseconds; 0 puts it right, and back to where it was mounted.
+    /// Sets a fault for some milliseconds; 0 repairs the resolver, including its mounting angle.
     pub(super) fn set_fault(&mut self, fault: ResolverFault, milliseconds: u64, motor_rad: f64) {
         let shown_rad = self.shown_rad(motor_rad);
         self.heal(motor_rad);
@@ -63,18 +63,18 @@ impl Resolver {
         }
     }
 
-    /// It slips by an angle, at once and for good.
+    /// Makes the resolver slip by an angle, at once and permanently.
     pub(super) fn slip(&mut self, angle_rad: f64) {
         self.slipped_rad += angle_rad;
         self.shown_rad += angle_rad;
     }
 
-    /// It shows another motor's shaft, or its own again.
+    /// Makes the resolver show another motor's shaft, or its own again.
     pub(super) fn show_foreign(&mut self, foreign_rad: Option<f64>) {
         self.foreign_rad = foreign_rad;
     }
 
-    /// One millisecond; `increment_rad` is the angle of an increment.
+    /// Advances by one millisecond; `increment_rad` is the angle of an increment.
     pub(super) fn step(&mut self, motor_rad: f64, increment_rad: f64) {
         if self.left_ms > 0 {
             self.left_ms -= 1;
@@ -92,7 +92,7 @@ impl Resolver {
         };
     }
 
-    /// The angle that it shows while the motor stands at this one, rad.
+    /// The angle shown while the motor is at `motor_rad`, rad.
     pub(super) fn shown_rad(&self, motor_rad: f64) -> f64 {
         let own_rad = self.foreign_rad.unwrap_or(motor_rad) + self.slipped_rad;
         let moved_rad = motor_rad - self.motor_rad;

@@ -4,7 +4,7 @@ use super::drive::Drive;
 use etherpen::config::Geometry;
 use etherpen::robot::{ARMS, Delta, JointAngles, Position};
 
-/// How far behind the arm range the mechanical end stops stand, radians.
+/// Distance of the mechanical end stops behind the ends of the arm range, radians.
 const END_STOP_RAD: f64 = 0.05;
 
 /// The mechanism; without a valid geometry it has no platform.
@@ -28,7 +28,7 @@ impl Robot {
         }
     }
 
-    /// Where the platform is; nothing while the arms stand as no platform can connect them.
+    /// Position of the platform; `None` while the arms are in positions that no platform can connect.
     pub(super) fn platform(&self) -> Option<Position> {
         self.platform
     }
@@ -54,7 +54,7 @@ impl Robot {
         }
     }
 
-    /// Moves the platform to where the joints put it.
+    /// Moves the platform to the position for these joint angles.
     pub(super) fn step(&mut self, joints: &JointAngles) -> Option<Position> {
         self.platform = self.delta.as_ref().and_then(|delta| delta.forward(joints).ok());
         self.unreachable_ms += u64::from(self.platform.is_none());

@@ -1,7 +1,7 @@
-//! SDO information: what a slave tells about its object dictionary.
+//! SDO information: a slave's description of its object dictionary.
 //!
-//! Lists of objects, descriptions of objects and of entries, each out of the table that serves the access too; an
-//! answer that does not fit the mailbox is cut into fragments. Layout: IEC 61158-6-12, CoE, SDO information.
+//! Lists of objects and descriptions of objects and entries, from the table that also serves the access. An answer that
+//! does not fit the mailbox is split into fragments. Layout: IEC 61158-6-12, CoE, SDO information.
 
 use super::abort::Abort;
 use super::dictionary::{Dictionary, Entry, Object, ObjectCode, access};
@@ -13,7 +13,7 @@ const LIST_REQUEST: u8 = 1;
 const OBJECT_REQUEST: u8 = 3;
 const ENTRY_REQUEST: u8 = 5;
 const ERROR: u8 = 7;
-/// Kinds of lists: how long each is, all, mappable to outputs, to inputs, to be stored, for start-up.
+/// Kinds of lists: lengths, all objects, mappable to outputs, mappable to inputs, to be stored, for start-up.
 const LIST_LENGTHS: u16 = 0;
 const LIST_KINDS: [u16; 5] = [1, 2, 3, 4, 5];
 

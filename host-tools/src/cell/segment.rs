@@ -1,7 +1,7 @@
-//! The chain of slaves and the cables between them: what a frame meets on its way out and back.
+//! The chain of slaves and cables, and the passage of frames through it.
 //!
-//! A frame passes the slaves in order, whole, and comes back; the first controller marks its source address. Cables
-//! and power decide how far it gets, the script what else happens to it.
+//! A frame passes the slaves in order and comes back; the first controller marks its source address. Cables and power
+//! determine how far it gets; the script can add further faults.
 
 use super::application::AlState;
 use super::damage;
@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 /// Port bits of the data-link status: towards the master, and away from it.
 const PORT_IN: u8 = 0x01;
 const PORT_OUT: u8 = 0x02;
-/// A frame of a local experimental ethertype, as another station might send it.
+/// A frame with a local experimental EtherType, as another station might send it.
 const FOREIGN_FRAME: [u8; 60] = {
     let mut frame = [0; 60];
     let header = [
@@ -29,7 +29,7 @@ const FOREIGN_FRAME: [u8; 60] = {
     frame
 };
 
-/// The present time: whole steps of the cell, and the true time of a frame's arrival.
+/// The present time: whole steps of the cell, and the true arrival time of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Now {
     /// Milliseconds since the start.
@@ -38,7 +38,7 @@ pub(super) struct Now {
     pub(super) ns: u64,
 }
 
-/// How long a frame takes through the chain.
+/// Propagation times of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Travel {
     /// Through one cable, ns.
@@ -47,11 +47,11 @@ pub(super) struct Travel {
     pub(super) forwarding_ns: u64,
 }
 
-/// Slaves, cables and frames under way.
+/// Slaves, cables and frames in flight.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
     slaves: Vec<Slave>,
-    /// Cable k is the one behind slave k, cable 0 the master's.
+    /// Cable k is behind slave k; cable 0 is the master's.
     cut: Vec<bool>,
     removed: Vec<bool>,
     mains_off_ms: Vec<u64>,
@@ -61,7 +61,7 @@ pub(super) struct Segment {
     travel: Travel,
     frames: u64,
     delayed: VecDeque<(u64, Vec<u8>)>,
-    /// Drives whose resolvers are exchanged, from 1, and for how long, ms.
+    /// Drives with exchanged resolvers, from 1, and the remaining time, ms.
     exchanges: Vec<(usize, usize, u64)>,
 }
 
@@ -89,12 +89,12 @@ impl Segment {
         &self.slaves
     }
 
-    /// EtherCAT frames that came from the master.
+    /// Number of EtherCAT frames from the master.
     pub(super) fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// One millisecond, at a true time.
+    /// Advances by one millisecond, to a true time.
     pub(super) fn step(&mut self, now_ns: u64) {
         for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
             if *off_ms > 0 {
@@ -107,7 +107,7 @@ impl Segment {
         self.show_links();
     }
 
-    /// The inputs of this millisecond, after every motor has moved.
+    /// Samples the inputs of this millisecond, after every motor has moved.
     pub(super) fn sample(&mut self) {
         for (one, other, left_ms) in core::mem::take(&mut self.exchanges) {
             let shaft = |slave: usize| {
@@ -139,7 +139,7 @@ impl Segment {
         self.slaves.iter_mut().filter_map(Slave::drive_mut)
     }
 
-    /// Something happens to the segment.
+    /// Applies a fault to the segment.
     pub(super) fn apply(&mut self, fault: Fault, now_ms: u64) {
         match fault {
             Fault::Stall(milliseconds) => self.stalled_until_ms = now_ms.saturating_add(milliseconds),
@@ -182,7 +182,7 @@ impl Segment {
         self.show_links();
     }
 
-    /// Lets a frame pass; gives what comes back, in order.
+    /// Passes a frame through the segment; returns the frames that come back, in order.
     pub(super) fn frame(&mut self, frame: &[u8], now: Now, schedule: &mut Schedule) -> Vec<Vec<u8>> {
         let now_ms = now.ms;
         let mut passing = frame.to_vec();
@@ -220,7 +220,7 @@ impl Segment {
         replies
     }
 
-    /// Lets a frame pass the slaves it can reach; false where it does not come back.
+    /// Passes a frame through the slaves that it can reach; returns false if it does not come back.
     fn pass(&mut self, frame: &mut [u8], now_ns: u64) -> bool {
         let reached = self.reached();
         if reached.is_empty() {
@@ -262,7 +262,7 @@ impl Segment {
         !damaged
     }
 
-    /// Hands the reply back as the script has it.
+    /// Returns the reply with the scripted faults.
     fn answer(&mut self, request: &[u8], mut reply: Vec<u8>, faults: &[Fault], replies: &mut Vec<Vec<u8>>) {
         let (mut delay, mut copies) = (0, 1);
         for fault in faults {

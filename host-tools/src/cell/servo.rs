@@ -1,7 +1,7 @@
-//! The part that every servo drive on the bus shares: a drive, and the age of what goes in and comes out.
+//! The part common to all servo drives: a drive, and the delays of its inputs and outputs.
 //!
-//! A command is obeyed `output_delay` milliseconds after the bus brought it, a position is seen `input_delay`
-//! milliseconds after it was true.
+//! A command takes effect `output_delay` milliseconds after it arrived on the bus. A position appears on the bus
+//! `input_delay` milliseconds after it was measured.
 
 use super::device::Emergency;
 use super::drive::{Demand, Drive};
@@ -9,14 +9,14 @@ use std::collections::VecDeque;
 
 const ERROR_REGISTER_GENERIC: u8 = 0x01;
 
-/// What the drive shows at one time.
+/// Values of the drive at one time.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sample {
-    /// Increments.
+    /// Position, increments.
     pub(super) position: i32,
-    /// Digits of the velocity demand.
+    /// Speed in digits of the velocity demand.
     pub(super) velocity: i32,
-    /// Digits of the torque demand.
+    /// Torque in digits of the torque demand.
     pub(super) torque: i16,
     /// Status word.
     pub(super) status: u16,
@@ -27,7 +27,7 @@ pub(super) struct Sample {
 pub(super) struct Servo {
     /// The drive and its motor.
     pub(super) drive: Drive,
-    /// What the bus has brought last.
+    /// Last demand from the bus.
     pub(super) demand: Demand,
     shown: Sample,
     demands: VecDeque<Demand>,
@@ -50,14 +50,14 @@ impl Servo {
         }
     }
 
-    /// Everything but the motor back to its state after power-up.
+    /// Resets everything but the motor to its state after power-up.
     pub(super) fn power_up(&mut self) {
         let mut drive = self.drive.clone();
         drive.power_up();
         *self = Self::new(drive, self.output_delay, self.input_delay);
     }
 
-    /// One millisecond, with valid outputs or without.
+    /// Advances by one millisecond; `operational` if the outputs are valid.
     pub(super) fn step(&mut self, operational: bool) {
         let demand = if operational {
             self.demands.push_back(self.demand);
@@ -73,13 +73,13 @@ impl Servo {
         self.drive.step(demand);
     }
 
-    /// One millisecond in which the processor stands still.
+    /// Advances by one millisecond with the processor stopped.
     pub(super) fn coast(&mut self) {
         let demand = self.demands.front().copied().unwrap_or_default();
         self.drive.coast(demand);
     }
 
-    /// Takes a sample, shows the one of `input_delay` milliseconds ago.
+    /// Takes a sample, and shows the one taken `input_delay` milliseconds ago.
     pub(super) fn sample(&mut self) {
         self.samples.push_back(Sample {
             position: self.drive.position(),
@@ -94,7 +94,7 @@ impl Servo {
         self.shown = shown.unwrap_or_default();
     }
 
-    /// What the bus sees.
+    /// The sample visible on the bus.
     pub(super) fn shown(&self) -> Sample {
         self.shown
     }

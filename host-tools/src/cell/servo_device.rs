@@ -1,7 +1,7 @@
-//! A servo drive behind a slave controller: what all drives have in common.
+//! A servo drive behind a slave controller: the part common to all drive types.
 //!
-//! A drive type is a [`Model`]: its identity, its objects, its process data, and what its objects show and do. Another
-//! type is another file with a `MODEL`, and a line in `kind.rs`.
+//! A drive type is a [`Model`]: its identity, objects and process data, and the behaviour of its objects. A further
+//! type needs a file with a `MODEL`, and a line in `kind.rs`.
 
 use super::abort::Abort;
 use super::device::{Device, Emergency, Windows};
@@ -59,14 +59,14 @@ const COMMON_OBJECTS: &[ObjectRow] = &[
     ),
 ];
 
-/// What distinguishes a type of drive.
+/// Description of a drive type.
 #[derive(Debug)]
 pub(super) struct Model {
     /// Name in the information image.
     pub(super) name: &'static str,
     /// Order number in the information image.
     pub(super) order: &'static str,
-    /// Identity; the serial number is each drive's own.
+    /// Identity; each drive has its own serial number.
     pub(super) identity: Identity,
     pub(super) windows: Windows,
     /// Details of the mailbox protocol in the information image.
@@ -75,7 +75,7 @@ pub(super) struct Model {
     pub(super) objects: &'static [ObjectRow],
     pub(super) profile: Profile,
     pub(super) process_data: fn() -> ProcessData,
-    /// What a live object shows.
+    /// Reads a live object.
     pub(super) get: fn(&Servo, u16) -> Option<i64>,
     /// Writes an object through the mailbox.
     pub(super) set: fn(&mut Servo, u16, i64) -> Result<(), Abort>,

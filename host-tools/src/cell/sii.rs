@@ -24,7 +24,7 @@ pub(super) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
 /// Sync manager of a PDO that is not assigned.
 const NOT_ASSIGNED: u8 = 0xFF;
 
-/// What the image says.
+/// Content of the image.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Description<'a> {
     pub(super) identity: Identity,
@@ -33,7 +33,7 @@ pub(super) struct Description<'a> {
     pub(super) windows: Windows,
     pub(super) details: u8,
     pub(super) process_data: &'a ProcessData,
-    /// Kind of each port, as in the controller's port descriptor.
+    /// Type of each port, as in the controller's port descriptor.
     pub(super) ports: u8,
 }
 
@@ -113,7 +113,7 @@ fn strings(texts: &[&str]) -> Vec<u8> {
     body
 }
 
-/// Group, image, order and name are string numbers; four bits for the kind of each port (1 MII, 3 EBUS).
+/// Group, image, order and name are string numbers; four bits for the type of each port (1 MII, 3 EBUS).
 fn general(description: &Description) -> [u8; 32] {
     let mut body = [0; 32];
     let details = if description.windows.has_mailbox() {

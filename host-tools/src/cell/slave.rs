@@ -1,4 +1,4 @@
-//! One slave of the segment: controller, application, mailbox and drive, and the millisecond that joins them.
+//! One slave of the segment: controller, application, mailbox and drive, stepped together every millisecond.
 
 use super::application::{AlState, Application, Readiness, code};
 use super::clock::SyncState;
@@ -16,11 +16,11 @@ use super::servo::Servo;
 use etherpen::config::Axis;
 use etherpen::ethercat::wire::sii::MailboxWindow;
 
-/// Serial number of a slave that was put in another's place.
+/// Serial number of a slave that has replaced another.
 const SWAPPED_SERIAL: u32 = 1000;
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
-/// How long the drive's power stage goes on without its processor, ms: then it stops the motor by itself.
+/// How long the drive's power stage runs on without its processor, ms; then it stops the motor.
 const POWER_STAGE_WATCHDOG_MS: u64 = 10;
 /// Error code of the emergencies of a flood.
 const FLOOD_CODE: u16 = 0xFF00;
@@ -36,7 +36,7 @@ pub(super) struct Slave {
     dictionary: Dictionary,
     process_data: ProcessData,
     device: Box<dyn Device>,
-    /// Milliseconds without power still to come; the motor brakes meanwhile.
+    /// Remaining time without power, ms; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
     unfed_ms: u64,
@@ -80,7 +80,7 @@ impl Slave {
         slave
     }
 
-    /// Whether frames get through.
+    /// Whether frames pass the slave.
     pub(super) fn is_powered(&self) -> bool {
         self.unpowered_ms == 0
     }
@@ -90,7 +90,7 @@ impl Slave {
         self.application.state()
     }
 
-    /// Code of the last refusal or retreat; 0 without one.
+    /// Code of the last refusal or fallback; 0 without one.
     pub(super) fn al_status_code(&self) -> u16 {
         self.application.code()
     }
@@ -105,7 +105,7 @@ impl Slave {
         self.device.servo_mut().map(|servo| &mut servo.drive)
     }
 
-    /// Puts another product in its place, after power-up; a motor stays where it is.
+    /// Replaces the slave by another product, after power-up; a motor keeps its position.
     pub(super) fn swap(&mut self, product: Product) {
         let kind = match product {
             Product::Ax2000 => SlaveKind::Ax2000,
@@ -125,43 +125,44 @@ impl Slave {
         self.refusals.push((state, code));
     }
 
-    /// Something will go wrong with a mailbox request.
+    /// Schedules a fault of a mailbox request.
     pub(super) fn spoil_mailbox(&mut self, step: MailStep, fault: MailFault) {
         self.mail_faults.push((step, fault));
     }
 
-    /// A frame arrives, and will come back from the chain behind at `back_ns`; SYNC0 pulses before it take effect.
+    /// Handles the arrival of a frame that will come back from the chain behind at `back_ns`; earlier SYNC0 pulses take
+    /// effect first.
     pub(super) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
         self.controller.begin_frame(arrival_ns, back_ns);
         self.obey_pulses();
     }
 
-    /// A frame came damaged: from the cable in front of it, or from further away.
+    /// Counts a damaged frame; `forwarded` if it was damaged before the cable at this slave.
     pub(super) fn count_damage(&mut self, forwarded: bool) {
         self.controller.count_damage(forwarded);
     }
 
-    /// Something is wrong with the information memory.
+    /// Sets a fault of the information memory.
     pub(super) fn set_sii_fault(&mut self, fault: SiiFault) {
         self.controller.set_sii_fault(fault);
     }
 
-    /// Stops the slave's processor for some milliseconds: the controller works, nothing behind it does.
+    /// Stops the slave's processor for some milliseconds; the slave controller continues.
     pub(super) fn hang(&mut self, milliseconds: u64) {
         (self.hung_ms, self.hung_for_ms) = (milliseconds, 0);
     }
 
-    /// Lets a datagram pass.
+    /// Processes a datagram.
     pub(super) fn pass(&mut self, datagram: &mut Datagram) {
         self.controller.pass(datagram);
     }
 
-    /// Shows the links of the ports to the bus.
+    /// Sets the link states of the ports.
     pub(super) fn set_links(&mut self, links: u8) {
         self.controller.set_links(links);
     }
 
-    /// Takes the power away for some milliseconds.
+    /// Switches the power off for some milliseconds.
     pub(super) fn power_cycle(&mut self, off_ms: u64) {
         self.unpowered_ms = off_ms.max(1);
         self.application = Application::default();
@@ -176,18 +177,18 @@ impl Slave {
         self.show_state();
     }
 
-    /// Falls back to a state, if it is in a higher one, with an AL status code.
+    /// Falls back to a state with an AL status code, if the present state is higher.
     pub(super) fn fall(&mut self, state: AlState, code: u16) {
         self.application.retreat(state, code);
         self.show_state();
     }
 
-    /// Answers no mailbox message for some milliseconds.
+    /// Leaves mailbox messages unanswered for some milliseconds.
     pub(super) fn silence(&mut self, milliseconds: u64) {
         self.silent_ms = milliseconds;
     }
 
-    /// One millisecond, at a true time.
+    /// Advances by one millisecond, to a true time.
     pub(super) fn step(&mut self, now_ns: u64) {
         if !self.is_powered() {
             self.unpowered_ms -= 1;
@@ -229,7 +230,7 @@ impl Slave {
         }
     }
 
-    /// SYNC0 makes the device take its outputs and show its inputs.
+    /// At a SYNC0 pulse the device takes its outputs and shows its inputs.
     fn obey_pulses(&mut self) {
         if self.controller.take_pulses() > 0 && self.is_powered() && self.hung_ms == 0 {
             self.has_outputs = self.take_outputs();
@@ -237,7 +238,7 @@ impl Slave {
         }
     }
 
-    /// Whether the processor stands still in this millisecond; its watchdog notices.
+    /// Whether the processor is stopped in this millisecond; updates its watchdog.
     fn is_hung(&mut self) -> bool {
         if self.hung_ms == 0 {
             return false;
@@ -258,7 +259,7 @@ impl Slave {
         }
     }
 
-    /// Hands the outputs to the device; false where there are none to obey.
+    /// Passes the outputs to the device; returns false without valid outputs.
     fn take_outputs(&mut self) -> bool {
         if self.application.state() != AlState::Operational {
             return false;
@@ -300,7 +301,7 @@ impl Slave {
         });
     }
 
-    /// Answers a mailbox message, as the script has it.
+    /// Answers a mailbox message, with the scripted faults.
     fn receive(&mut self, message: &[u8]) {
         match self.mail_fault(message) {
             Some(MailFault::Silent) => return,
@@ -325,7 +326,7 @@ impl Slave {
         self.mailbox.receive(message, capacity, &mut objects);
     }
 
-    /// What goes wrong with this request, once; counts the steps of the others down.
+    /// The fault scheduled for this request, returned once; counts down the steps of the others.
     fn mail_fault(&mut self, message: &[u8]) -> Option<MailFault> {
         let object = object_of(message);
         let mut hit = None;
@@ -346,7 +347,7 @@ impl Slave {
         hit
     }
 
-    /// The process-data watchdog, on the cell's clock.
+    /// Runs the process-data watchdog on the cell's clock.
     fn watch(&mut self) {
         let fed = self
             .controller

@@ -1,10 +1,10 @@
-//! A sync manager: hands a stretch of process memory over between bus and slave, consistently.
+//! A sync manager: transfers an area of process memory consistently between bus and slave.
 //!
-//! Buffered mode: the bus or the slave writes a whole buffer, the other side always sees the last complete one. The
-//! three rotating buffers of the silicon are two here (filling and complete), which looks the same from outside as
-//! long as one side does not read while the other swaps, and frames and application never overlap in the cell.
-//! Mailbox mode: full until the other side has read it to its last byte.
-//! Register layout: sync manager registers 0x0800 to 0x087F of the slave controller's register description.
+//! Buffered mode: one side writes a whole buffer, the other side always sees the last complete one. The three rotating
+//! buffers of the silicon are two here (filling and complete). That is equivalent as long as one side does not read
+//! while the other swaps; frames and application never overlap in the cell. Mailbox mode: full until the other side has
+//! read the message to its last byte. Register layout: sync manager registers 0x0800 to 0x087F of the slave
+//! controller's register description.
 
 const CONTROL_MODE_MASK: u8 = 0x03;
 const CONTROL_MODE_MAILBOX: u8 = 0x02;
@@ -39,7 +39,7 @@ pub(super) struct SyncManager {
 }
 
 impl SyncManager {
-    /// Takes over the register block the bus has written.
+    /// Takes the register block written by the bus.
     pub(super) fn configure(&mut self, block: [u8; BLOCK]) {
         let [start_low, start_high, length_low, length_high, control, _, activate, _] = block;
         let start = usize::from(u16::from_le_bytes([start_low, start_high]));
@@ -61,7 +61,7 @@ impl SyncManager {
         self.repeat_requested = activate & REPEAT != 0;
     }
 
-    /// Where the area starts in process memory.
+    /// Start of the area in process memory.
     pub(super) fn start(&self) -> usize {
         self.start
     }
@@ -76,7 +76,7 @@ impl SyncManager {
         self.complete.len()
     }
 
-    /// Whether the area is under this sync manager's control.
+    /// Whether the sync manager is enabled.
     pub(super) fn is_active(&self) -> bool {
         self.enabled && !self.complete.is_empty()
     }
@@ -106,12 +106,12 @@ impl SyncManager {
         full | STATUS_NO_BUFFER_WRITTEN
     }
 
-    /// The register the slave's side writes: the acknowledge of a repeat request.
+    /// The register written by the slave's side: the acknowledgement of a repeat request.
     pub(super) fn pdi_control(&self) -> u8 {
         if self.repeat_acknowledged { REPEAT } else { 0 }
     }
 
-    /// A read from the bus, `offset` bytes into the area; false where the silicon refuses it.
+    /// A read by the bus, `offset` bytes into the area; false if the silicon refuses it.
     pub(super) fn bus_read(&mut self, offset: usize, into: &mut [u8]) -> bool {
         if self.is_bus_written() || (self.is_mailbox() && !self.full) || !self.ever_written {
             return false;
@@ -132,7 +132,7 @@ impl SyncManager {
         true
     }
 
-    /// A write from the bus, `offset` bytes into the area; false where the silicon refuses it.
+    /// A write by the bus, `offset` bytes into the area; false if the silicon refuses it.
     pub(super) fn bus_write(&mut self, offset: usize, data: &[u8]) -> bool {
         if !self.is_bus_written() || (self.is_mailbox() && self.full) {
             return false;
@@ -156,7 +156,7 @@ impl SyncManager {
         true
     }
 
-    /// The slave's side takes a mailbox message out, if one is there.
+    /// The slave's side takes a mailbox message, if there is one.
     pub(super) fn take_message(&mut self) -> Option<Vec<u8>> {
         if !(self.is_active() && self.is_mailbox() && self.is_bus_written() && self.full) {
             return None;
@@ -165,7 +165,7 @@ impl SyncManager {
         Some(self.complete.clone())
     }
 
-    /// Whether the slave's side may put a mailbox message in.
+    /// Whether the slave's side may write a mailbox message.
     pub(super) fn accepts_message(&self) -> bool {
         self.is_active() && self.is_mailbox() && !self.is_bus_written() && !self.full
     }
@@ -187,7 +187,7 @@ impl SyncManager {
         self.ever_written = true;
     }
 
-    /// The last complete buffer the bus has written; nothing before the first.
+    /// The last complete buffer written by the bus; `None` before the first.
     pub(super) fn outputs(&self) -> Option<&[u8]> {
         (self.is_active() && self.is_bus_written() && self.ever_written).then_some(self.complete.as_slice())
     }
@@ -197,17 +197,17 @@ impl SyncManager {
         std::mem::take(&mut self.written_since_look)
     }
 
-    /// Whether the bus asks for the last message again and has not been answered.
+    /// Whether the bus has requested the last message again and was not answered yet.
     pub(super) fn repeat_is_due(&self) -> bool {
         self.is_active() && self.repeat_requested != self.repeat_acknowledged
     }
 
-    /// The slave's side has put the last message in again.
+    /// The slave's side has provided the last message again.
     pub(super) fn acknowledge_repeat(&mut self) {
         self.repeat_acknowledged = self.repeat_requested;
     }
 
-    /// Forgets buffers and flags, keeps the configuration: what a state change to INIT does.
+    /// Clears buffers and flags and keeps the configuration, as on a change to INIT.
     pub(super) fn clear(&mut self) {
         self.open = false;
         self.full = false;

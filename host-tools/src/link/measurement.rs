@@ -48,8 +48,8 @@ impl Distribution {
         self.largest
     }
 
-    /// For each bin the largest value it can hold and the share of all values that are larger, in order: the fraction
-    /// not serviced within that time.
+    /// For each bin its largest possible value and the share of all values that are larger, in order: the fraction not
+    /// serviced within that time.
     pub fn exceeded(&self) -> Vec<(u32, f64)> {
         let count = self.count();
         let mut rest = count;
@@ -60,7 +60,7 @@ impl Distribution {
         self.bins.iter().map(&mut step).collect()
     }
 
-    /// How many values are certainly, or possibly, above a limit: the exact number if none is.
+    /// Number of values that are certainly or possibly above a limit; exact if none is.
     pub fn above(&self, limit: u32) -> u64 {
         if self.largest <= limit {
             return 0;
@@ -70,14 +70,14 @@ impl Distribution {
     }
 }
 
-/// All histograms of a board.
+/// Histograms of all quantities of a board.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Readings {
     distributions: Vec<Distribution>,
 }
 
 impl Readings {
-    /// What was measured of a quantity; `None` if it never occurred.
+    /// The histogram of a quantity; `None` if the quantity never occurred.
     pub fn of(&self, quantity: Quantity) -> Option<&Distribution> {
         self.distributions
             .get(quantity as usize)
@@ -91,7 +91,7 @@ impl Readings {
     }
 }
 
-/// Asks for one piece after the other.
+/// Requests one piece after the other.
 #[derive(Clone, Debug, Default)]
 pub struct Reader {
     first: u8,
@@ -100,7 +100,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// A reader that has read nothing.
+    /// A reader before its first request.
     pub fn new() -> Self {
         Self::default()
     }
@@ -109,14 +109,14 @@ impl Reader {
         Quantity::ALL.get(self.readings.distributions.len()).copied()
     }
 
-    /// What to ask for next; `None` when everything was read.
+    /// The next request; `None` when everything was read.
     pub fn request(&self) -> Option<MeasurementRequest> {
         let first = self.first;
         self.quantity()
             .map(|quantity| MeasurementRequest::Read { quantity, first })
     }
 
-    /// Takes an answer; one to another question is ignored.
+    /// Takes an answer; ignores an answer to another request.
     pub fn take(&mut self, answer: &MeasurementAnswer) {
         let MeasurementAnswer::Piece(piece) = answer else {
             return;
@@ -138,7 +138,7 @@ impl Reader {
         }
     }
 
-    /// What was read, if that is everything.
+    /// The readings; `None` if they are incomplete.
     pub fn into_readings(self) -> Option<Readings> {
         self.request().is_none().then_some(self.readings)
     }

@@ -1,7 +1,7 @@
 //! The host's end of the link: session, drawing job, ports and texts.
 //!
-//! [`Session`](session::Session) and [`Job`](job::Job) are state machines without clock or input and output:
-//! the emulator's lockstep loop and a real [`port`] drive the same code, and a run in virtual time repeats exactly.
+//! [`Session`](session::Session) and [`Job`](job::Job) are state machines without clock, input or output. The
+//! emulator's lockstep loop and a real [`port`] drive this code, and a run in virtual time repeats exactly.
 
 #[cfg(test)]
 pub(crate) mod bench;

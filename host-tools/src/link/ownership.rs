@@ -1,11 +1,11 @@
-//! Whose a port is: one program at a time talks to a machine, others find out which and talk to it.
+//! Port ownership: one program at a time uses a port; other programs find that program and send it their orders.
 //!
-//! Each port that is in use has a lock file in the user's runtime folder and, where the owner shares its machine, a Unix
-//! socket. The lock is the kernel's (flock): it ends with its process however that ends. Files that a killed program has
-//! left are removed by the next program that takes a port or looks for one.
-//! Programs that know nothing of this are looked for among the open files of this user's processes.
+//! Each port in use has a lock file in the user's runtime folder and, if the owner shares its machine, a Unix socket.
+//! The lock is held by the kernel (flock) and ends with its process, however that ends. The next program that takes a
+//! port or looks for one removes the files of a killed program. Programs without this protocol are searched among the
+//! open files of this user's processes.
 //!
-//! Invariant: while an [`Ownership`] lives, no other program of this family opens the port.
+//! Invariant: while an [`Ownership`] exists, no other program with this protocol opens the port.
 
 use super::port::PortName;
 use rustix::fs::{FlockOperation, Mode, flock};
@@ -16,22 +16,22 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Times a lock is tried whose file was taken away meanwhile, or is being looked at.
+/// Attempts to lock a file that was removed meanwhile, or is being examined.
 const ATTEMPTS_MAX: usize = 8;
 /// Time between two attempts.
 const ATTEMPT: Duration = Duration::from_millis(10);
-/// Endings of the files of a port.
+/// Suffixes of a port's files.
 const LOCK: &str = "lock";
 const SOCKET: &str = "sock";
-/// Longest part of a file name made of a port's name, bytes: a Unix socket's path has 108 at most.
+/// Longest part of a file name made from a port's name, bytes: a Unix socket's path has at most 108.
 const NAME_BYTES_MAX: usize = 40;
 
-/// A program that has a port.
+/// A program that uses a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Owner {
     /// Its process.
     pub pid: u32,
-    /// Its name, and what it does with the port where that is known.
+    /// Its name, and what it does with the port if that is known.
     pub program: String,
 }
 
@@ -56,7 +56,7 @@ impl Owner {
         }
     }
 
-    /// Whether its process runs.
+    /// Whether its process is running.
     fn lives(&self) -> bool {
         Path::new("/proc").join(self.pid.to_string()).exists()
     }
@@ -65,15 +65,15 @@ impl Owner {
 /// A port in use by a program of this user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InUse {
-    /// The port, by the name under which every program knows it.
+    /// The port, by its canonical name.
     pub port: PortName,
     /// The program.
     pub owner: Owner,
-    /// Whether the program carries out other programs' orders.
+    /// Whether the program carries out orders of other programs.
     pub shares: bool,
 }
 
-/// What is written into a lock file.
+/// Content of a lock file.
 #[derive(Serialize, Deserialize)]
 struct Held {
     #[serde(flatten)]
@@ -82,7 +82,7 @@ struct Held {
     port: String,
 }
 
-/// The right to a port, until it is dropped.
+/// Ownership of a port, until it is dropped.
 #[derive(Debug)]
 pub struct Ownership {
     path: PathBuf,
@@ -90,7 +90,7 @@ pub struct Ownership {
 }
 
 impl Ownership {
-    /// Takes the right to a port, or says who has it.
+    /// Takes the ownership of a port, or returns its present owner.
     ///
     /// # Errors
     /// The folder or the file cannot be used.
@@ -106,7 +106,7 @@ impl Ownership {
                     };
                     lock.set_len(0)?;
                     lock.write_all(&serde_json::to_vec(&held)?)?;
-                    // What others have left is in nobody's way where it cannot be removed.
+                    // Files left behind that cannot be removed do no harm.
                     let _ = in_use();
                     return Ok(Ok(Self { path, _lock: lock }));
                 }
@@ -116,7 +116,7 @@ impl Ownership {
                     if owner.as_ref().is_some_and(Owner::lives) {
                         return Ok(Err(owner.unwrap_or_else(unknown)));
                     }
-                    // A program that removes a lock left behind holds it for a moment.
+                    // A program that removes a stale lock holds it for a moment.
                     busy = Some(owner.unwrap_or_else(unknown));
                     std::thread::sleep(ATTEMPT);
                 }
@@ -129,12 +129,12 @@ impl Ownership {
     }
 }
 
-/// How an attempt to lock a file ended.
+/// Result of an attempt to lock a file.
 enum Locking {
     Locked(File),
-    /// Another program has the lock; what it wrote, where that can be read.
+    /// Another program has the lock; with the content of the file if it can be read.
     Busy(Option<Held>),
-    /// The owner before took the file away between its opening and its locking.
+    /// The previous owner removed the file between opening and locking.
     Gone,
 }
 
@@ -154,7 +154,7 @@ fn lock(path: &Path) -> io::Result<Locking> {
     Ok(if is_there { Locking::Locked(lock) } else { Locking::Gone })
 }
 
-/// The ports in use by programs of this user, in the order of their names. What killed programs have left is removed.
+/// The ports in use by programs of this user, sorted by name. Files of killed programs are removed.
 ///
 /// # Errors
 /// The runtime folder cannot be used.
@@ -171,13 +171,13 @@ pub fn in_use() -> io::Result<Vec<InUse>> {
     Ok(stems.iter().filter_map(|stem| port_in_use(stem)).collect())
 }
 
-/// The port of a lock file, if a program has it; otherwise its files are removed.
+/// The port of a lock file, if a program uses it; otherwise removes its files.
 fn port_in_use(stem: &Path) -> Option<InUse> {
     let (path, socket) = (stem.with_extension(LOCK), stem.with_extension(SOCKET));
     for _ in 0..ATTEMPTS_MAX {
         match lock(&path).ok()? {
             Locking::Locked(_lock) => {
-                // While the lock is held nobody takes the port, so that no socket in use is removed.
+                // While this lock is held no program can take the port, so no socket in use is removed.
                 let _ = std::fs::remove_file(&socket);
                 let _ = std::fs::remove_file(&path);
                 return None;
@@ -189,7 +189,7 @@ fn port_in_use(stem: &Path) -> Option<InUse> {
                     shares: socket.exists(),
                 });
             }
-            // Its owner has only just taken it, or has just ended.
+            // Its owner has just taken it, or has just ended.
             Locking::Busy(None) | Locking::Gone => std::thread::sleep(ATTEMPT),
         }
     }
@@ -216,10 +216,10 @@ fn unknown() -> Owner {
     }
 }
 
-/// Where an owner listens that shares its machine.
+/// Path of the socket on which an owner shares its machine.
 ///
 /// # Errors
-/// There is no folder for it.
+/// There is no folder for the socket.
 pub fn socket_path(port: &PortName) -> io::Result<PathBuf> {
     beside(port, SOCKET)
 }
@@ -249,7 +249,7 @@ fn folder() -> io::Result<PathBuf> {
     Ok(folder)
 }
 
-/// A port's one name: two names of the same device are the same, in whatever folder they are used.
+/// The canonical name of a port: all names of one device give one name, in any working directory.
 fn canonical(port: &PortName) -> PortName {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let canonical = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| absolute(path));
@@ -268,7 +268,7 @@ fn safe_name(port: &PortName) -> String {
         .map(|letter| if letter.is_ascii_alphanumeric() { letter } else { '_' });
     let safe: String = safe.collect();
     let safe = safe.trim_matches('_');
-    // What makes names differ is at their end; the hash tells those apart that are cut or differ in other letters.
+    // Names differ at their end; the hash distinguishes names that are cut or differ in replaced characters.
     let start = safe.len().saturating_sub(NAME_BYTES_MAX);
     let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
@@ -276,7 +276,7 @@ fn safe_name(port: &PortName) -> String {
     format!("{}-{:08x}", safe.get(start..).unwrap_or(safe), hash as u32)
 }
 
-/// Another program that has a device open, as far as this user may see.
+/// Another program that has a device open, as far as this user can see.
 pub fn holder_of(device: &Path) -> Option<Owner> {
     let device = std::fs::canonicalize(device).ok()?;
     let processes = std::fs::read_dir("/proc").ok()?;

@@ -1,36 +1,36 @@
-//! The path as the host sends it: go-back-N within the firmware's credit.
+//! Path transmission by the host: go-back-N within the firmware's credit.
 //!
-//! Invariant: no vertex is sent that the last acknowledgement gave no credit for; a loss is answered by going back to
-//! the first vertex not acknowledged, once when the firmware misses it and again whenever progress stops.
+//! Invariant: only vertices within the credit of the last acknowledgement are sent. After a loss the path goes back to
+//! the first unacknowledged vertex: once when the firmware reports the loss, and again whenever progress stops.
 
 use etherpen::link::protocol::{HostMessage, PathAck, PathVertex, VERTICES_PER_MESSAGE};
 use std::sync::Arc;
 
-/// Time without progress of the path after which it is repeated from the first vertex not acknowledged, ms.
+/// Time without progress after which the path is repeated from the first unacknowledged vertex, ms.
 pub(super) const PATH_REPEAT_MS: u64 = 50;
 
 /// The sending end of one path.
 pub(super) struct PathSender {
     job: u16,
     vertices: Arc<[PathVertex]>,
-    /// First vertex not acknowledged.
+    /// First unacknowledged vertex.
     base: usize,
     /// Next vertex to send.
     next: usize,
-    /// First vertex that there is no credit for.
+    /// First vertex beyond the credit.
     limit: usize,
-    /// Vertices in a message: halved at every loss, doubled at every progress, so that short frames get through
-    /// where long ones are always hit.
+    /// Vertices in a message: halved at every loss, doubled at every progress, so that short frames get through where
+    /// long ones are always damaged.
     part: usize,
     end_sent: bool,
     complete: bool,
     progress_ms: u64,
-    /// Whether the loss of `base` was already answered by going back.
+    /// Whether the path already went back because of the loss of `base`.
     repeated: bool,
 }
 
 impl PathSender {
-    /// A path of which nothing may be sent before the first acknowledgement.
+    /// A path of which nothing is sent before the first acknowledgement.
     pub(super) fn new(job: u16, vertices: Arc<[PathVertex]>) -> Self {
         Self {
             job,
@@ -50,12 +50,12 @@ impl PathSender {
         self.job
     }
 
-    /// Vertices sent and not acknowledged.
+    /// Number of vertices sent and not acknowledged.
     pub(super) fn in_flight(&self) -> usize {
         self.next - self.base
     }
 
-    /// Takes an acknowledgement; whether the path went back because of it.
+    /// Takes an acknowledgement; returns whether the path went back because of it.
     pub(super) fn acknowledge(&mut self, ack: &PathAck, now_ms: u64) -> bool {
         let next = ack.next as usize;
         if next < self.base || next > self.vertices.len() {
@@ -85,7 +85,7 @@ impl PathSender {
         self.progress_ms = now_ms;
     }
 
-    /// Goes back when nothing was acknowledged for too long; whether it did.
+    /// Goes back if nothing was acknowledged for too long; returns whether it did.
     pub(super) fn repeat_if_silent(&mut self, now_ms: u64) -> bool {
         let waiting = self.next > self.base || (self.end_sent && !self.complete);
         let silent = waiting && now_ms.saturating_sub(self.progress_ms) >= PATH_REPEAT_MS;
@@ -95,7 +95,7 @@ impl PathSender {
         silent
     }
 
-    /// The next part of the path that there is credit for.
+    /// The next part of the path within the credit.
     pub(super) fn next_message(&mut self, now_ms: u64) -> Option<HostMessage> {
         if self.complete || self.end_sent {
             return None;

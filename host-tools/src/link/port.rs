@@ -1,7 +1,7 @@
 //! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives a job over one.
 //!
-//! One reader thread hands over what arrives; the calling thread steps the job about once a millisecond and writes
-//! no faster than the line carries, so that nothing queues in front of a stop. Invariant: a port that has gone is an
+//! A reader thread passes on received bytes; the calling thread steps the job about once a millisecond and writes no
+//! faster than the line carries, so that no bytes queue ahead of a stop. Invariant: a port that has disappeared is an
 //! error with its name and what to try, never a wait.
 
 use super::error::JobError;
@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 /// Baud rate of serial ports.
 pub const BAUD: u32 = 921_600;
-/// Longest block of a read before it looks whether the job has ended.
+/// Longest time that a read blocks before it checks whether the job has ended.
 const READ_MAX: Duration = Duration::from_millis(100);
 /// Longest wait for a TCP connection.
 const CONNECT_MAX: Duration = Duration::from_secs(5);

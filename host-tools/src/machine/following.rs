@@ -1,8 +1,8 @@
-//! What a recording is made of, from this process' machine or from another's.
+//! Data for a recording, from this process's machine or from another process's.
 //!
-//! The owner of a port sends its news to whoever follows it, as postcard in hexadecimal digits, so that every bit of a
+//! The owner of a port sends its news to its followers, as postcard in hexadecimal digits, so that every bit of a
 //! measurement arrives. Invariant: a follower that is too slow loses the oldest news and is told how many; the owner's
-//! machine waits for nobody.
+//! machine never waits for a follower.
 
 use super::{Client, Failure, Machine, News, NoNews, Subscription};
 use crate::link::job::JobEvent;
@@ -11,36 +11,36 @@ use etherpen::link::protocol::{Sample, Status, Welcome};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// What has happened on a machine, as it travels.
+/// An event of a machine, in transmitted form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time
 pub enum Account {
     /// Telemetry.
     Samples {
-        /// Samples that were lost right before these.
+        /// Samples lost directly before these.
         missing: u32,
         /// One a millisecond, in order.
         samples: Vec<Sample>,
     },
-    /// Where the firmware stands.
+    /// State of the firmware.
     Status(Status),
     /// The firmware has answered the greeting.
     Connected(Welcome),
     /// The connection to the firmware has broken.
     Lost(Failure),
-    /// Something happened to a drawing or another task.
+    /// Event of a drawing or another task.
     Task {
-        /// Whether it went wrong.
+        /// Whether it is an error.
         bad: bool,
-        /// What a person reads.
+        /// Text for display.
         text: String,
     },
-    /// So many news were lost on the way to this follower.
+    /// Number of news lost on the way to this follower.
     Missed(u64),
 }
 
 impl Account {
-    /// What of the news is recorded; the rest is seen in the samples and the statuses.
+    /// The recorded part of the news; the rest is visible in samples and statuses.
     pub fn of(news: &News) -> Option<Self> {
         let task = |bad, text| Some(Self::Task { bad, text });
         match news {
@@ -61,7 +61,7 @@ impl Account {
         }
     }
 
-    /// What of a job's events is recorded.
+    /// The recorded part of a job's events.
     pub fn of_job(event: &JobEvent) -> Option<Self> {
         match event {
             JobEvent::Connected(welcome) => Some(Self::Connected(welcome.clone())),
@@ -73,7 +73,7 @@ impl Account {
                 let text = format!("refused {}: {}", text::command(command), text::refusal(refusal));
                 Some(Self::Task { bad: true, text })
             }
-            // These are seen in the samples and the statuses.
+            // These are visible in the samples and the statuses.
             _ => None,
         }
     }
@@ -93,17 +93,17 @@ impl Account {
     }
 }
 
-/// Where accounts come from.
+/// Source of accounts.
 #[derive(Debug)]
 pub enum Source {
-    /// This process' machine.
+    /// This process's machine.
     Own(Machine, Subscription),
-    /// Another process'.
+    /// Another process's machine.
     Shared(Client),
 }
 
 impl Source {
-    /// The firmware that is connected to this process' own machine.
+    /// The firmware connected to this process's own machine.
     pub fn welcome(&self) -> Option<Welcome> {
         match self {
             Self::Own(machine, _) => machine.snapshot().welcome,
@@ -111,10 +111,10 @@ impl Source {
         }
     }
 
-    /// The oldest account, waited for at most this long.
+    /// The oldest account; waits for it at most `longest`.
     ///
     /// # Errors
-    /// [`NoNews`]; it is closed when the owner has ended.
+    /// [`NoNews`]; closed when the owner has ended.
     pub fn next_within(&mut self, longest: Duration) -> Result<Account, NoNews> {
         match self {
             Self::Own(_, news) => match news.take_lost() {

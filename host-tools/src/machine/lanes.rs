@@ -1,7 +1,6 @@
-//! The ways of orders to the machine's thread: a stop has one of its own.
+//! Queues of orders to the machine's thread: stops have a queue of their own.
 //!
-//! Invariant: a stop is taken before every other order that waits, and what was ordered before it and waits still is not
-//! carried out after it.
+//! Invariant: a stop is taken before all waiting orders, and an order given before a stop is not carried out after it.
 
 use super::{Answer, Failure, Order};
 use crate::commands::code;
@@ -12,21 +11,21 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Stops that may wait; the thread takes all of them every millisecond.
+/// Most stops in the queue; the thread takes all of them every millisecond.
 const STOPS_MAX: usize = 64;
-/// Orders that are taken at a time.
+/// Most orders taken at a time.
 const ORDERS_AT_ONCE: usize = 64;
 
-/// Called once a stop has been written to the port, or cannot be.
+/// Called once a stop has been written to the port, or can no longer be written.
 pub(super) type Written = Box<dyn FnOnce() + Send>;
 
-/// An order on its way.
+/// A queued order.
 pub(super) struct Envelope {
-    /// Orders are counted, stops among them.
+    /// Number of the order; stops are counted too.
     number: u64,
     pub(super) order: Order,
     pub(super) reply: Sender<Answer>,
-    /// What a jog from another process lives on.
+    /// Signs of life that a jog from another process requires.
     pub(super) life: Option<Life>,
     written: Option<Written>,
 }
@@ -36,7 +35,7 @@ impl Envelope {
         matches!(self.order, Order::Stop | Order::Tell(Command::Stop))
     }
 
-    /// What is to be called once the stop has been written.
+    /// Takes the function to call once the stop has been written.
     pub(super) fn take_written(&mut self) -> Option<Written> {
         self.written.take()
     }
@@ -44,21 +43,21 @@ impl Envelope {
 
 impl Drop for Envelope {
     fn drop(&mut self) {
-        // Whoever waits for a stop's writing never waits for one that is not written any more.
+        // A caller that waits for a stop to be written is released even if the stop is never written.
         if let Some(written) = self.written.take() {
             written();
         }
     }
 }
 
-/// Stops that wait; nothing once the thread has ended.
+/// Waiting stops; `None` once the thread has ended.
 type Stops = Arc<Mutex<Option<Vec<Envelope>>>>;
 
 fn lock(stops: &Stops) -> MutexGuard<'_, Option<Vec<Envelope>>> {
     stops.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where orders are given.
+/// The end at which orders are given.
 #[derive(Clone)]
 pub(super) struct Lanes {
     orders: Sender<Envelope>,
@@ -72,7 +71,7 @@ impl std::fmt::Debug for Lanes {
     }
 }
 
-/// The lanes' two ends.
+/// Both ends of the queues.
 pub(super) fn lanes() -> (Lanes, Taken) {
     let (orders, received) = mpsc::channel();
     let stops = Stops::new(Mutex::new(Some(Vec::new())));
@@ -90,7 +89,7 @@ pub(super) fn lanes() -> (Lanes, Taken) {
 }
 
 impl Lanes {
-    /// Gives an order; exactly one answer comes, or the channel closes when the thread has ended.
+    /// Gives an order. Exactly one answer comes, or the channel closes when the thread has ended.
     pub(super) fn give(&self, order: Order, life: Option<Life>, written: Option<Written>) -> Receiver<Answer> {
         let (reply, answer) = mpsc::channel();
         let envelope = Envelope {
@@ -101,7 +100,7 @@ impl Lanes {
             written,
         };
         if !envelope.is_stop() {
-            // Without the thread nobody keeps the sender, and the receiver is told so.
+            // Without the thread the sender is dropped, which closes the receiver.
             let _ = self.orders.send(envelope);
             return answer;
         }
@@ -117,11 +116,11 @@ impl Lanes {
     }
 }
 
-/// Where the thread takes them; dropping it ends both lanes.
+/// The thread's end; dropping it closes both queues.
 pub(super) struct Taken {
     orders: Receiver<Envelope>,
     stops: Stops,
-    /// Number before which every order was overtaken by a stop.
+    /// Orders with smaller numbers were overtaken by a stop.
     overtaken_to: u64,
 }
 
@@ -132,7 +131,7 @@ impl Drop for Taken {
 }
 
 impl Taken {
-    /// What is to be done now: stops first, then some of the other orders.
+    /// Hands out the pending orders: all stops first, then some of the others.
     pub(super) fn take(&mut self, mut act: impl FnMut(Envelope)) {
         self.take_stops(&mut act);
         for _ in 0..ORDERS_AT_ONCE {
@@ -167,7 +166,7 @@ impl Taken {
     }
 }
 
-/// What an order is answered that a stop has overtaken.
+/// Answer to an order that a stop has overtaken.
 pub(super) fn overtaken() -> Failure {
     Failure::new(code::FAILED, "a stop has overtaken it")
 }

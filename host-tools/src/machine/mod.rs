@@ -9,15 +9,14 @@
 //!     .follow()                              and what a recording is made of
 //! ```
 //!
-//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
-//! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
-//! yet is answered with a failure; it has a way of its own to the thread, and the thread nothing else to do that takes
-//! longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
-//! report.
+//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes some time, and only one
+//! runs at a time; every other order is sent at once beside it. [`Order::Stop`] overtakes everything: earlier orders
+//! without an answer fail. It has its own queue, and the thread never does anything else that takes longer than a
+//! millisecond. The order of a drawing is answered when the drawing has ended; [`News::Ended`] carries its report.
 //!
-//! Invariants: nothing moves that was not ordered over this connection; when the connection breaks, it is made again and
-//! says so, and a drawing that was under way waits, held, for [`Order::Resume`] or [`Order::Cancel`], as long as the
-//! firmware has it still; no reader and no user can block the thread.
+//! Invariants: only motions ordered over this connection are carried out. A broken connection is made again and
+//! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the
+//! firmware still has it. No reader and no user can block the thread.
 
 mod following;
 mod lanes;
@@ -48,60 +47,61 @@ use subscription::Subscribers;
 pub use subscription::{NoNews, Subscription};
 use work::Work;
 
-/// Time between two attempts to connect again.
+/// Time between two attempts to reconnect.
 const RECONNECT: Duration = Duration::from_secs(1);
 
-/// What a machine is asked for.
+/// An order to a machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time
 pub enum Order {
-    /// A single command as it is, at once.
+    /// Send a single command at once.
     Tell(Command),
-    /// Decelerate on the path, lift the pen, wait.
+    /// Decelerate on the path, lift the pen and wait.
     Hold,
     /// Hold as soon as the pen is up.
     HoldAtPenUp,
-    /// Go on with a held drawing, also with one that was under way when the connection broke.
+    /// Resume a held drawing, including one that was in progress when the connection broke.
     Resume,
-    /// End the task, or the drawing that another connection has left behind.
+    /// End the task, or the abandoned drawing of another connection.
     Cancel,
     /// Quick stop, latched as a fault.
     Stop,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),
-    /// Move while this order is repeated within the firmware's dead-man time (100 ms); mm/s. Nothing is made ready for it.
+    /// Move while this order is repeated within the firmware's dead-man time (100 ms); mm/s. The machine is not
+    /// prepared for it.
     Jog([f32; 3]),
     /// A single command, answered when its effect is reported; a task.
     Settle(Command),
-    /// Make the machine ready; a task.
+    /// Prepare the machine; a task.
     Prepare(Ready),
-    /// Make ready, move, leave the power as it was found; a task.
+    /// Prepare, move, then restore the power state; a task.
     Motion(Motion),
-    /// Make ready, draw, give up the power; a task.
+    /// Prepare, draw, then switch the power off; a task.
     #[serde(skip)]
     Draw(DrawOrder),
-    /// Ask something of the bus; answered by [`Reply::Bus`].
+    /// Request to the bus; answered by [`Reply::Bus`].
     Bus(ServiceRequest),
-    /// Ask something of the measurements; answered by [`Reply::Measured`].
+    /// Request to the measurements; answered by [`Reply::Measured`].
     Measure(MeasurementRequest),
 }
 
 /// A drawing to be made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrawOrder {
-    /// The path and what is known of it.
+    /// The path with its options.
     pub drawing: Drawing,
-    /// What it is called, for people.
+    /// Name for display.
     pub name: String,
     /// Whether all samples are kept for the report.
     pub keep_samples: bool,
 }
 
-/// What an order has come to.
+/// Reply to an order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time
 pub enum Reply {
-    /// It was done.
+    /// The order was carried out.
     Done,
     /// Answer to [`Order::Bus`].
     Bus(ServiceResult),
@@ -114,7 +114,7 @@ pub enum Reply {
 pub struct Failure {
     /// Exit code, as `etherpen --help` lists them.
     pub code: u8,
-    /// What happened and what to try.
+    /// What happened, and what to try.
     pub text: String,
 }
 
@@ -151,10 +151,10 @@ impl From<&PortError> for Failure {
     }
 }
 
-/// An order's one answer.
+/// The one answer to an order.
 pub type Answer = Result<Reply, Failure>;
 
-/// What happens on a machine.
+/// An event on a machine.
 #[derive(Clone, Debug)]
 #[allow(clippy::large_enum_variant)] // the frequent ones are shared
 pub enum News {
@@ -162,73 +162,73 @@ pub enum News {
     Connected(Welcome),
     /// The connection has broken, or could not be made.
     Lost(Failure),
-    /// It is tried again.
+    /// The next attempt to connect begins.
     Reconnecting {
-        /// Counted from 1 since the connection broke.
+        /// Number of the attempt, from 1 since the connection broke.
         attempt: u32,
     },
-    /// Where the firmware stands; at every change and at least twice a second.
+    /// State of the firmware; sent on every change and at least twice a second.
     Status(Arc<Status>),
     /// Telemetry.
     Samples {
-        /// Samples that were lost right before these.
+        /// Samples lost directly before these.
         missing: u32,
         /// One a millisecond, in order.
         samples: Arc<[Sample]>,
     },
-    /// Everything else that a task has to say.
+    /// Any other event of a task.
     Job(JobEvent),
-    /// How far the drawing is, ten times a second.
+    /// Progress of the drawing, ten times a second.
     Progress(Progress),
-    /// A drawing has begun, or goes on after the connection broke.
+    /// A drawing has begun, or continues after the connection broke.
     Begun {
-        /// What it is called.
+        /// Its name.
         name: String,
         /// Its path.
         drawing: Drawing,
     },
     /// A task has ended.
     Ended {
-        /// How.
+        /// The result.
         result: Result<(), Failure>,
-        /// What a drawing has left behind.
+        /// Report of a drawing.
         report: Option<Arc<JobReport>>,
     },
 }
 
-/// The last that is known of a machine.
+/// The last known state of a machine.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Snapshot {
     /// The firmware, while there is a connection.
     pub welcome: Option<Welcome>,
-    /// Why there is none.
+    /// Why there is no connection.
     pub lost: Option<Failure>,
     /// The last status.
     pub status: Option<Status>,
     /// The last sample.
     pub sample: Option<Sample>,
-    /// What the firmware says of the path that it has, where it is another connection's.
+    /// State of the firmware's path, if it comes from another connection.
     pub path: Option<PathAck>,
-    /// What the task is doing, in words.
+    /// Phase of the task, in words.
     pub phase: Option<String>,
-    /// Name of the drawing that is under way.
+    /// Name of the drawing in progress.
     pub drawing: Option<String>,
-    /// How far it is.
+    /// Progress of the drawing.
     pub progress: Option<Progress>,
-    /// Whether it waits for [`Order::Resume`] after the connection broke.
+    /// Whether the drawing waits for [`Order::Resume`] after the connection broke.
     pub interrupted: bool,
 }
 
-/// How a machine is used.
+/// Options of a machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MachineOptions {
-    /// Whether a task acknowledges a fault that was latched before, and cancels a drawing left behind.
+    /// Whether a task acknowledges an earlier fault, and cancels an abandoned drawing.
     pub acknowledge: bool,
-    /// Whether a port that cannot be opened is tried again from the beginning, instead of being an error.
+    /// Whether to retry opening the port from the start, instead of failing.
     pub patient: bool,
 }
 
-/// What the thread shares with the users.
+/// Data shared by the thread and the users.
 #[derive(Debug, Default)]
 struct Shared {
     subscribers: Subscribers,
@@ -246,7 +246,7 @@ impl Shared {
     }
 }
 
-/// A machine at the end of a port; dropping it closes the port. A firmware that was drawing then holds by itself.
+/// A machine at the end of a port; dropping it closes the port. A firmware that is drawing then holds by itself.
 #[derive(Debug)]
 pub struct Machine {
     port: PortName,
@@ -257,11 +257,11 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Opens the port, connects, and shares the machine with other processes of this user; the configuration is what
-    /// tasks send when they make the machine ready.
+    /// Opens the port, connects, and shares the machine with other processes of this user. Tasks send `config` when
+    /// they prepare the machine.
     ///
     /// # Errors
-    /// The port is another program's, or cannot be opened.
+    /// The port is in use by another program, or cannot be opened.
     pub fn start(port: PortName, config: Config, options: MachineOptions) -> Result<Self, PortError> {
         let ownership = port::own(&port)?;
         let opened = match Port::open_owned(&port, ownership.clone()) {
@@ -279,7 +279,7 @@ impl Machine {
             port: port.clone(),
             source,
         })?;
-        // Where there is no place for a socket, nobody else can find the machine; it works all the same.
+        // If no socket can be made, other processes cannot find the machine; it works anyway.
         let server = ownership.and_then(|_| Server::start(&port, lanes.clone(), shared.clone()).ok());
         Ok(Self {
             port,
@@ -295,13 +295,13 @@ impl Machine {
         &self.port
     }
 
-    /// Gives an order; exactly one answer comes, or the channel closes when the machine is dropped.
+    /// Gives an order. Exactly one answer comes, or the channel closes when the machine is dropped.
     pub fn order(&self, order: Order) -> Receiver<Answer> {
         self.lanes.give(order, None, None)
     }
 
-    /// Orders a stop; `written` is called, in the machine's thread, once its telegram has been written to the port, or
-    /// cannot be.
+    /// Orders a stop. `written` is called in the machine's thread once the stop's telegram has been written to the
+    /// port, or can no longer be written.
     pub fn stop(&self, written: impl FnOnce() + Send + 'static) -> Receiver<Answer> {
         self.lanes.give(Order::Stop, None, Some(Box::new(written)))
     }
@@ -309,18 +309,18 @@ impl Machine {
     /// Gives an order and waits for its answer.
     ///
     /// # Errors
-    /// Why it was not carried out.
+    /// Why the order was not carried out.
     pub fn carry_out(&self, order: Order) -> Answer {
         let ended = || Failure::new(crate::commands::code::FAILED, "the machine's thread has ended");
         self.order(order).recv().map_err(|_| ended())?
     }
 
-    /// News from now on, at most this many waiting.
+    /// News from now on; at most `capacity` of them wait.
     pub fn subscribe(&self, capacity: usize) -> Subscription {
         self.shared.subscribers.subscribe(capacity)
     }
 
-    /// The last that is known.
+    /// The last known state.
     pub fn snapshot(&self) -> Snapshot {
         self.shared
             .snapshot
@@ -335,14 +335,14 @@ impl Drop for Machine {
         self.server = None;
         self.shared.ended.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A thread that panicked has said so on stderr.
+            // A thread that panicked has reported that on stderr.
             let _ = thread.join();
         }
         self.shared.subscribers.close();
     }
 }
 
-/// The thread: keeps a connection until the machine is dropped.
+/// The thread's main loop: keeps a connection until the machine is dropped.
 fn attend(
     name: &PortName,
     ownership: Option<Arc<Ownership>>,
@@ -369,7 +369,7 @@ fn attend(
     }
 }
 
-/// One connection, until it breaks (with the reason) or the machine is dropped.
+/// Runs one connection until it breaks (returns the reason) or the machine is dropped.
 fn converse(port: Port, work: &mut Work, orders: &mut Taken, shared: &Shared, attempt: &mut u32) -> Option<Failure> {
     work.connect(crate::commands::session_number());
     let mut line = Line::start(port);

@@ -1,11 +1,11 @@
-//! A machine shared with other processes of this user: JSON lines over a Unix socket beside the port.
+//! Shares a machine with other processes of this user: JSON lines over a Unix socket next to the port's lock file.
 //!
-//! The owner greets with a [`Greeting`]. A line from a client is a [`Question`] with a number; its [`Response`] carries the
-//! same number, responses come in any order; a client that follows gets a [`Response`] for everything that is recorded.
-//! Drawings are not given over the socket: their owner is the one whose end holds them.
+//! The owner greets with a [`Greeting`]. A line from a client is a [`Question`] with a number, which its [`Response`]
+//! repeats; responses come in any order. A client that follows gets a [`Response`] for everything that is recorded.
+//! Drawings cannot be ordered over the socket: the program whose end holds a drawing has to own the port.
 //!
-//! Invariants: a client can neither block the machine nor another client; a motion ends with the client that ordered it,
-//! and a jog goes on only while the client says, over and over, that it is alive.
+//! Invariants: a client can block neither the machine nor another client; a motion ends when the client that ordered it
+//! ends, and a jog continues only while the client sends signs of life.
 
 use super::lanes::Lanes;
 use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
@@ -23,27 +23,27 @@ use std::sync::{Arc, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Version of what is said over the socket.
+/// Version of the socket protocol.
 const VERSION: u16 = 2;
-/// Clients at a time.
+/// Most clients at a time.
 const CLIENTS_MAX: usize = 32;
 /// Longest line, bytes.
 const LINE_BYTES_MAX: usize = 64 * 1024;
-/// Orders of one client that may wait for their answers.
+/// Most unanswered orders of one client.
 const PENDING_MAX: usize = 64;
-/// Time between two looks at orders that have no answer yet.
+/// Time between two checks of unanswered orders.
 const LOOK: Duration = Duration::from_millis(10);
-/// Time between two signs of life of a client that waits for the end of a motion; a jog is repeated every 40 ms, and the
-/// firmware's dead-man time is 100 ms.
+/// Time between two signs of life of a client that waits for the end of a motion. A jog is repeated every 40 ms, and
+/// the firmware's dead-man time is 100 ms.
 const SIGN: Duration = Duration::from_millis(20);
-/// Longest wait for the greeting of an owner, and for a client that does not read.
+/// Longest wait for an owner's greeting, and for a client that does not read.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Longest wait for a follower that does not read: a disk may stall.
+/// Longest wait for a follower that does not read: its disk may stall.
 const FOLLOWER_PATIENCE: Duration = Duration::from_secs(60);
-/// News that may wait for a follower: a minute of samples, and more.
+/// Most news queued for a follower: more than a minute of samples.
 const FOLLOWED_MAX: usize = 16_384;
 
-/// First line of an owner.
+/// First line from the owner.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Greeting {
     etherpen: u16,
@@ -52,7 +52,7 @@ struct Greeting {
     port: String,
 }
 
-/// What a client asks.
+/// A client's question.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Question {
     id: u64,
@@ -66,11 +66,11 @@ enum Ask {
     Snapshot,
     Order(Order),
     Follow,
-    /// The motion that this client has ordered goes on; nothing is answered.
+    /// Sign of life: the motion ordered by this client may continue. There is no answer.
     Alive,
 }
 
-/// What the owner answers.
+/// The owner's response.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Response {
     id: u64,
@@ -83,11 +83,11 @@ struct Response {
 enum Said {
     Snapshot(Snapshot),
     Answer(Answer),
-    /// An [`Account`] in digits.
+    /// An [`Account`] in hexadecimal digits.
     Account(String),
 }
 
-/// The owner's end, until it is dropped.
+/// The owner's server, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Server {
     path: PathBuf,
@@ -96,7 +96,7 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Listens beside a port that this process owns; a socket left behind is replaced.
+    /// Listens next to a port that this process owns; replaces a stale socket.
     pub(super) fn start(port: &PortName, orders: Lanes, shared: Arc<Shared>) -> io::Result<Self> {
         let path = socket_path(port)?;
         match std::fs::remove_file(&path) {
@@ -124,7 +124,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.shared.ended.store(true, Ordering::Relaxed);
-        // Wakes the listener; where nobody listens any more there is nobody to wake.
+        // Wakes the listener; without a listener the connection fails, which does no harm.
         let _ = UnixStream::connect(&self.path);
         let _ = std::fs::remove_file(&self.path);
         if let Some(thread) = self.thread.take() {
@@ -146,18 +146,18 @@ fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Lanes, shared: 
         }
         let (greeting, orders, shared, clients) = (greeting.clone(), orders.clone(), shared.clone(), clients.clone());
         std::thread::spawn(move || {
-            // A client that has gone is no error of the owner's.
+            // A client that has disappeared is not an error of the owner.
             let _ = serve(stream, &greeting, &orders, &shared);
             clients.fetch_sub(1, Ordering::Relaxed);
         });
     }
 }
 
-/// An order without an answer yet.
+/// An unanswered order.
 struct Pending {
     id: u64,
     answer: Receiver<Answer>,
-    /// Whether it ends with its client.
+    /// Whether it ends when its client ends.
     is_motion: bool,
 }
 
@@ -221,14 +221,14 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &S
     result
 }
 
-/// A client that is told everything.
+/// A client that follows the machine.
 struct Followed {
     id: u64,
     news: Subscription,
 }
 
 impl Followed {
-    /// Tells what was before, so that the client knows what it follows.
+    /// Sends the present state, so that the client has a starting point.
     fn begin(id: u64, stream: &mut UnixStream, shared: &Shared) -> io::Result<Self> {
         let news = shared.subscribers.subscribe(FOLLOWED_MAX);
         let snapshot = shared.snapshot.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -273,12 +273,12 @@ fn send(stream: &mut UnixStream, message: &impl Serialize) -> io::Result<()> {
     stream.write_all(&line)
 }
 
-/// Bytes that arrive, line by line.
+/// Splits received bytes into lines.
 #[derive(Default)]
 struct Lines(Vec<u8>);
 
 impl Lines {
-    /// Takes what has arrived, waiting a little; false at the end of the stream.
+    /// Takes received bytes, waiting briefly; returns false at the end of the stream.
     fn read(&mut self, stream: &mut UnixStream) -> io::Result<bool> {
         let mut block = [0; 4096];
         match stream.read(&mut block) {
@@ -302,18 +302,18 @@ impl Lines {
     }
 }
 
-/// Another process' machine.
+/// Another process's machine.
 #[derive(Debug)]
 pub struct Client {
     owner: Owner,
     reader: BufReader<UnixStream>,
     next: u64,
-    /// A line that has not come to its end.
+    /// An incomplete line.
     begun: Vec<u8>,
 }
 
 impl Client {
-    /// Finds the owner of a port, if it has one that shares its machine.
+    /// Finds the owner of a port, if it shares its machine.
     pub fn find(port: &PortName) -> Option<Self> {
         Self::connect(&socket_path(port).ok()?)
     }
@@ -334,7 +334,7 @@ impl Client {
         })
     }
 
-    /// Who owns the port.
+    /// The owner of the port.
     pub fn owner(&self) -> &Owner {
         &self.owner
     }
@@ -342,7 +342,7 @@ impl Client {
     /// Gives an order and waits for its answer.
     ///
     /// # Errors
-    /// Why it was not carried out, or that the owner has gone.
+    /// Why the order was not carried out, or that the owner has ended.
     pub fn carry_out(&mut self, order: Order) -> Answer {
         let said = match order {
             Order::Motion(_) => self.ask_alive(Ask::Order(order))?,
@@ -354,10 +354,10 @@ impl Client {
         }
     }
 
-    /// The last that is known of the machine.
+    /// The last known state of the machine.
     ///
     /// # Errors
-    /// The owner has gone.
+    /// The owner has ended.
     pub fn snapshot(&mut self) -> Result<Snapshot, Failure> {
         match self.ask(Ask::Snapshot, Some(PATIENCE))? {
             Said::Snapshot(snapshot) => Ok(snapshot),
@@ -365,10 +365,10 @@ impl Client {
         }
     }
 
-    /// Follows the machine: everything that is recorded comes from now on.
+    /// Follows the machine: everything that is recorded arrives from now on.
     ///
     /// # Errors
-    /// The owner has gone.
+    /// The owner has ended.
     pub fn follow(mut self) -> Result<Source, Failure> {
         let question = Question {
             id: self.next,
@@ -380,7 +380,7 @@ impl Client {
         }
     }
 
-    /// The next that is told to a follower, waited for at most this long between two pieces of it.
+    /// The next account for a follower; waits at most `longest` between two parts of it.
     pub(super) fn next_account(&mut self, longest: Duration) -> Result<Account, NoNews> {
         let stream = self.reader.get_mut();
         stream.set_read_timeout(Some(longest)).map_err(|_| NoNews::Closed)?;
@@ -416,7 +416,7 @@ impl Client {
             .map_err(|cause| self.gone(&cause))
     }
 
-    /// Asks, and says until the answer comes that this client is alive.
+    /// Asks, and sends signs of life until the answer arrives.
     fn ask_alive(&mut self, ask: Ask) -> Result<Said, Failure> {
         let id = self.next;
         self.next = id.wrapping_add(1);

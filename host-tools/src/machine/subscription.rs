@@ -1,4 +1,4 @@
-//! News for several readers, none of which can hold up the machine or another reader.
+//! News for several readers; no reader can delay the machine or another reader.
 //!
 //! Invariant: a reader that is too slow loses the oldest news and is told how many; publishing never waits.
 
@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-/// News that wait for a reader.
+/// News queued for a reader.
 #[derive(Debug, Default)]
 struct Waiting {
     news: VecDeque<News>,
@@ -31,18 +31,18 @@ impl Mailbox {
 /// Why there is no news.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoNews {
-    /// None has come in time.
+    /// None arrived in time.
     Timeout,
-    /// The machine was dropped, no more will come.
+    /// The machine was dropped; no more news will come.
     Closed,
 }
 
-/// One reader's news, in order.
+/// One reader's queue of news, in order.
 #[derive(Debug)]
 pub struct Subscription(Arc<Mailbox>);
 
 impl Subscription {
-    /// The oldest news, waited for at most this long.
+    /// The oldest news; waits for it at most `longest`.
     ///
     /// # Errors
     /// [`NoNews`].
@@ -70,7 +70,7 @@ impl Subscription {
         self.0.lock().news.pop_front()
     }
 
-    /// News that were lost since the last call because this reader was too slow.
+    /// Number of news lost since the last call because this reader was too slow.
     pub fn take_lost(&self) -> u64 {
         std::mem::take(&mut self.0.lock().lost)
     }
@@ -85,7 +85,7 @@ impl Subscribers {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A reader of what is published from now on.
+    /// Adds a reader of the news published from now on.
     pub(super) fn subscribe(&self, capacity: usize) -> Subscription {
         let mailbox = Arc::new(Mailbox {
             capacity: capacity.max(1),
@@ -96,7 +96,7 @@ impl Subscribers {
         Subscription(mailbox)
     }
 
-    /// Gives news to every reader.
+    /// Passes news to every reader.
     pub(super) fn publish(&self, news: &News) {
         self.lock().retain(|reader| {
             let Some(mailbox) = reader.upgrade() else { return false };
@@ -112,7 +112,7 @@ impl Subscribers {
         });
     }
 
-    /// No more will come.
+    /// Closes all queues: no more news will come.
     pub(super) fn close(&self) {
         for mailbox in self.lock().iter().filter_map(Weak::upgrade) {
             mailbox.lock().closed = true;

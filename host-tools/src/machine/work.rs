@@ -1,7 +1,7 @@
-//! What the machine's thread does with orders and events, without clock, port or thread.
+//! The machine's handling of orders and events, without clock, port or thread.
 //!
-//! Invariants: every order gets exactly one answer; a broken connection ends every order but a drawing that the firmware
-//! may hold, which goes on with an order and with nothing else.
+//! Invariants: every order gets exactly one answer; a broken connection ends every order except a drawing that the
+//! firmware may hold, which continues only by an order.
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
@@ -18,27 +18,27 @@ use std::sync::mpsc::Sender;
 
 /// Time between two reports of progress, ms.
 const PROGRESS_MS: u64 = 100;
-/// Time in which a firmware says by itself what it holds, ms.
+/// Time within which a firmware reports by itself what it holds, ms.
 const ARRIVAL_MAX_MS: u64 = 500;
 
 /// A task that was ordered.
 struct Active {
     reply: Sender<Answer>,
-    /// What a drawing needs to go on.
+    /// State that a drawing needs to be resumed.
     drawing: Option<Underway>,
 }
 
-/// A drawing, across connections.
+/// A drawing that may span several connections.
 struct Underway {
     order: DrawOrder,
-    /// Whether the connection broke while the firmware had it.
+    /// Whether the connection broke while the firmware had the drawing.
     interrupted: bool,
     samples: Vec<Sample>,
-    /// Reports of the connections before.
+    /// Merged reports of the earlier connections.
     before: Option<JobReport>,
 }
 
-/// Jogs are coalesced: one is under way, the newest one waits.
+/// Jogs are coalesced: one is in progress, the newest one waits.
 #[derive(Default)]
 struct Jogging {
     under_way: Option<u16>,
@@ -56,10 +56,10 @@ pub(super) struct Work {
     asked: VecDeque<Sender<Answer>>,
     measured: VecDeque<Sender<Answer>>,
     jogging: Jogging,
-    /// Stops that have not left yet.
+    /// Stops not yet written to the port.
     written: Vec<(u16, Written)>,
     shown_ms: u64,
-    /// Since when the firmware's state has been known on this connection, ms.
+    /// Time since which the firmware's state has been known on this connection, ms.
     known_ms: Option<u64>,
 }
 
@@ -81,7 +81,7 @@ impl Work {
         }
     }
 
-    /// A port is open: greets the firmware. The time of [`step`](Self::step) begins anew.
+    /// Takes a newly opened port: greets the firmware. The time of [`step`](Self::step) restarts at 0.
     pub(super) fn connect(&mut self, session: u32) {
         let options = JobOptions {
             session,
@@ -94,17 +94,17 @@ impl Work {
         self.known_ms = None;
     }
 
-    /// Whether the firmware has answered.
+    /// Whether the firmware has answered the greeting.
     pub(super) fn is_connected(&self) -> bool {
         self.job.as_ref().is_some_and(|job| job.phase() != Phase::Connecting)
     }
 
-    /// Why there is no connection any more.
+    /// Why the connection is broken, if it is.
     pub(super) fn broken(&self) -> Option<&JobError> {
         self.job.as_ref().and_then(Job::broken)
     }
 
-    /// The connection has broken.
+    /// Takes that the connection has broken.
     pub(super) fn lose(&mut self, why: &Failure) {
         let job = self.job.take();
         self.jogging = Jogging::default();
@@ -113,7 +113,7 @@ impl Work {
         }
         let orders = self.told.drain().map(|(_, reply)| reply);
         for reply in orders.chain(self.asked.drain(..)).chain(self.measured.drain(..)) {
-            // Who gave the order may have gone.
+            // The program that gave the order may have ended.
             let _ = reply.send(Err(why.clone()));
         }
         let had_begun = job.as_ref().is_some_and(|job| job.phase() == Phase::Drawing);
@@ -152,7 +152,7 @@ impl Work {
         drawing.is_some_and(|underway| underway.interrupted)
     }
 
-    /// Answers an order that comes while there is no connection.
+    /// Answers an order that arrives while there is no connection.
     pub(super) fn refuse(&mut self, envelope: &Envelope, why: &Failure) {
         let ended = match envelope.order {
             Order::Cancel => self.active.take(),
@@ -161,7 +161,7 @@ impl Work {
         if let Some(active) = ended {
             finish(&self.shared, active, Err(why.clone()), None);
         }
-        // Who gave the order may have gone.
+        // The program that gave the order may have ended.
         let _ = envelope.reply.send(Err(why.clone()));
     }
 
@@ -252,7 +252,7 @@ impl Work {
         self.told.insert(id, reply);
     }
 
-    /// Tells of the stops that have left for the port.
+    /// Reports the stops that have been written to the port.
     pub(super) fn tell_written(&mut self) {
         let Some(job) = &self.job else { return };
         for (_, written) in self.written.extract_if(.., |(id, _)| job.has_sent(*id)) {
@@ -260,7 +260,8 @@ impl Work {
         }
     }
 
-    /// Goes on with what is held; a drawing of a connection before is streamed again from where the firmware wants it.
+    /// Resumes what is held; a drawing of an earlier connection is streamed again from the vertex that the firmware
+    /// expects.
     fn resume(&mut self, reply: Sender<Answer>) {
         let (Some(job), Some(active)) = (&mut self.job, &mut self.active) else {
             return self.tell(Command::Resume, reply);
@@ -318,7 +319,7 @@ impl Work {
         }
     }
 
-    /// One millisecond or so of the connection.
+    /// Advances the connection by about a millisecond.
     pub(super) fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
         let Some(job) = &mut self.job else { return };
         job.step(now_ms, incoming, outgoing, room);
@@ -330,8 +331,8 @@ impl Work {
         self.end_task();
     }
 
-    /// Ends a drawing that waits for an order to go on, once it is clear that the firmware does not have it any more; one
-    /// that came to its end while nobody heard it is taken to its end.
+    /// Ends a drawing that waits to be resumed once the firmware certainly no longer has it. If the drawing finished
+    /// meanwhile, ends it as finished.
     fn end_forgotten(&mut self, now_ms: u64) {
         let Some(number) = self.interrupted_number() else {
             return;
@@ -398,7 +399,7 @@ impl Work {
         }
     }
 
-    /// A drawing that still runs on what the firmware had when the line broke is held: it goes on by an order only.
+    /// Holds a drawing that still runs on vertices sent before the connection broke: it continues only by an order.
     fn keep_held(&mut self, mode: Mode) {
         let looking = self.job.as_ref().is_some_and(|job| job.phase() == Phase::Inspecting);
         if self.is_interrupted()
@@ -430,7 +431,7 @@ impl Work {
         let _ = reply.send(Ok(Reply::Bus(result)));
     }
 
-    /// Shows how far a drawing is.
+    /// Reports the progress of a drawing.
     fn show(&mut self, now_ms: u64) {
         let drawing = self.active.as_ref().is_some_and(|active| active.drawing.is_some());
         let Some(job) = &self.job else { return };
@@ -452,14 +453,14 @@ impl Work {
         }
     }
 
-    /// Answers the task's order when it has ended; an interrupted drawing waits.
+    /// Answers the task's order when the task has ended; an interrupted drawing waits.
     fn end_task(&mut self) {
         if self.is_interrupted() {
             return;
         }
         let Some(job) = &mut self.job else { return };
         let Some(outcome) = job.outcome().copied() else { return };
-        // A broken connection is told by its loss, which knows what the port says.
+        // A broken connection is reported by `lose`, which knows the port's error.
         if job.broken().is_some() {
             return;
         }
@@ -474,12 +475,12 @@ impl Work {
     }
 }
 
-/// Answers a task's order and tells everybody.
+/// Answers a task's order and publishes the result.
 fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, report: Option<JobReport>) {
     let report = active.drawing.map(|mut underway| {
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
-        // What an earlier connection saw missing was not drawn by a later one.
+        // Parts that an earlier connection saw missing were not drawn by a later one.
         if result.is_ok()
             && let Some(error) = report.verification.verdict().error()
         {
@@ -497,7 +498,7 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
     let _ = active.reply.send(result.map(|()| Reply::Done));
 }
 
-/// One report of a drawing that went over several connections.
+/// Merges the reports of a drawing that spanned several connections.
 fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
     let Some(before) = before else { return last };
     let mut progress = last.progress;
