@@ -471,8 +471,8 @@ impl Controller {
         success
     }
 
-    /// For up to `wanted` bytes at an address: the sync manager that controls the first byte, and the number of bytes
-    /// that it controls; `None` at the end of the memory or of the request.
+    /// For up to `wanted` bytes at an address: the sync manager that controls the first byte, if any, and the number of
+    /// bytes under this control. `None` at the end of the memory or of the request.
     fn stretch(&self, at: usize, wanted: usize) -> Option<(Option<usize>, usize)> {
         let mut end = if at < REGISTER_SPACE { REGISTER_SPACE } else { MEMORY };
         let mut governor = None;

@@ -1,6 +1,6 @@
-//! The page, in the program.
+//! The page's files, embedded in the program.
 //!
-//! Invariant: the page asks for nothing that is not here, and its policy allows it to ask nobody else.
+//! Invariant: the page requests nothing but these files, and its policy forbids requests to other servers.
 
 /// A file of the page.
 pub(super) struct Asset {
@@ -41,7 +41,7 @@ pub(super) const ASSETS: &[Asset] = &[
     asset!("/drives.js", "drives.js", "text/javascript; charset=utf-8"),
 ];
 
-/// What the browser may load: this server's files, nothing else.
+/// Content security policy: the browser may load this server's files, nothing else.
 pub(super) const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                           connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 

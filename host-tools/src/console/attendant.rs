@@ -1,7 +1,7 @@
-//! Between the machine and the hub: news become state, answers to orders become lines of the log.
+//! Connects the machine with the hub: news become state, answers to orders become lines of the log.
 //!
-//! Invariant: nothing moves that nobody ordered; unasked, a machine that has just started is given its configuration and
-//! brings up its bus.
+//! Invariant: only ordered motions are carried out. Without an order, a machine that has just started only gets its
+//! configuration and brings up its bus.
 
 use super::hub::{Hub, Level, Topic};
 use super::words::on_page;
@@ -17,38 +17,38 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
-/// What the order of a stop is called.
+/// Name of the stop order.
 pub(super) const STOP: &str = "STOP";
-/// News that may wait.
+/// Most news queued.
 pub(super) const NEWS_MAX: usize = 4_096;
 /// Longest wait for news.
 const WAIT: Duration = Duration::from_millis(20);
-/// Time in which all news of a drawing that has ended have come.
+/// Time within which all news of an ended drawing have arrived.
 const SETTLED: Duration = Duration::from_millis(500);
-/// Time before a bus that could not be brought up is tried again.
+/// Time before the bring-up of a bus is retried after a failure.
 const PREPARED_AGAIN: Duration = Duration::from_secs(2);
-/// What is said of a drawing whose firmware has started anew.
+/// Text for a drawing whose firmware was restarted.
 const RESTARTED: &str = "the controller started anew while it was drawing, and the robot stopped where it was; it knows \
                          neither the drawing nor where the arms stand any more";
-/// Orders whose answers are waited for.
+/// Most orders with pending answers.
 const EXPECTED_MAX: usize = 256;
 
-/// Answers that are waited for.
+/// Waits for answers to orders.
 #[derive(Default)]
 pub(super) struct Attendant {
     expected: Mutex<Vec<(&'static str, Receiver<Answer>)>>,
-    /// Who has asked for stops that have not been noted.
+    /// Viewers that have asked for stops not yet logged.
     stops: Mutex<Vec<String>>,
-    /// When the bus was ordered to be brought up, and the order's answer.
+    /// Time at which the bring-up of the bus was ordered, and its answer.
     preparing: Mutex<Option<(Instant, Receiver<Answer>)>>,
-    /// The drawing that was ordered, with its activation.
+    /// The drawing in progress, with its activation.
     drawing: Mutex<Option<(u64, Receiver<Answer>)>>,
-    /// The activation whose order failed, why and when.
+    /// The activation whose order failed, with reason and time.
     refused: Mutex<Option<(u64, String, Instant)>>,
 }
 
 impl Attendant {
-    /// Tells how an order ended if it failed; of too many the oldest are forgotten.
+    /// Reports the failure of an order once its answer arrives; of too many orders the oldest are dropped.
     pub(super) fn expect(&self, what: &'static str, answer: Receiver<Answer>) {
         let mut expected = lock(&self.expected);
         if expected.len() >= EXPECTED_MAX {
@@ -57,7 +57,7 @@ impl Attendant {
         expected.push((what, answer));
     }
 
-    /// Takes note of a stop, in whatever thread; a stop of the same viewer that has not been noted yet is the same.
+    /// Logs a stop, from any thread; a stop of a viewer whose earlier stop is not logged yet counts as that one.
     pub(super) fn stop_asked(&self, who: &str, answer: Receiver<Answer>) {
         let mut stops = lock(&self.stops);
         if !stops.iter().any(|other| other == who) {
@@ -67,7 +67,7 @@ impl Attendant {
         self.expect("STOP", answer);
     }
 
-    /// Whether the bus has to be brought up now: it is not being, and was not a moment ago.
+    /// Whether the bus has to be brought up now: no bring-up is in progress or has just ended.
     fn has_to_prepare(&self) -> bool {
         let mut preparing = lock(&self.preparing);
         let Some((since, answer)) = preparing.as_mut() else {
@@ -76,18 +76,18 @@ impl Attendant {
         match answer.try_recv() {
             Err(TryRecvError::Empty) => return false,
             Ok(Err(failure)) => {
-                // Told like every other order that failed.
+                // Reported like any other failed order.
                 let (reply, refused) = std::sync::mpsc::channel();
                 let _ = reply.send(Err(failure));
                 self.expect("bringing up the bus", refused);
             }
-            // An answer is taken once; after it the channel is closed.
+            // An answer is taken once; then the channel is closed.
             Ok(Ok(_)) | Err(TryRecvError::Disconnected) => {}
         }
         since.elapsed() > PREPARED_AGAIN
     }
 
-    /// A drawing whose order failed a while ago, and why: news of one that began and ended have come by then.
+    /// A drawing whose order failed some time ago, with the reason; its news have arrived by then.
     fn refused_drawing(&self) -> Option<(u64, String)> {
         let (mut drawing, mut refused) = (lock(&self.drawing), lock(&self.refused));
         if let Some((activation, answer)) = drawing.as_ref() {
@@ -104,15 +104,15 @@ impl Attendant {
         Some((due.0, due.1))
     }
 
-    /// What was not carried out since the last call.
+    /// Failures of orders since the last call.
     fn refusals(&self) -> Vec<String> {
         let mut refusals = Vec::new();
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
-            // One press comes by two ways; the other stop does the same.
+            // One press arrives in two ways; the other stop is carried out.
             Ok(Err(failure)) if *what == STOP && failure.text.contains("a stop has overtaken it") => false,
             Ok(Err(failure)) => {
-                // What the firmware has refused says what it was.
+                // A refusal by the firmware already names what was refused.
                 let says_what = failure.text.contains("was refused");
                 refusals.push(if says_what {
                     failure.text
@@ -127,10 +127,10 @@ impl Attendant {
     }
 }
 
-/// Takes the machine's news in a thread of its own until the console or the machine is gone.
+/// Takes the machine's news in a separate thread until the console or the machine has ended.
 pub(super) fn attend(console: &Arc<Console>, news: Subscription) {
     let console = Arc::downgrade(console);
-    // Without the thread the page shows that there is no news.
+    // Without the thread the page shows that no news arrives.
     let _ = std::thread::Builder::new()
         .name("attendant".to_owned())
         .spawn(move || follow(&console, &news));
@@ -226,13 +226,13 @@ fn take_event(hub: &mut Hub, event: JobEvent) {
             let line = format!("{missing} samples of the telemetry were lost before t = {t_ms} ms");
             hub.note(Level::Warning, line);
         }
-        // Modes and faults are told by the status.
+        // The status reports modes and faults.
         _ => {}
     }
 }
 
 impl Console {
-    /// Begins with a waiting drawing; gives whether it could.
+    /// Starts a waiting drawing; returns whether that was possible.
     pub(super) fn draw(&self, number: u64) -> bool {
         let drawing = self.change(|hub| {
             let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
@@ -246,10 +246,10 @@ impl Console {
         true
     }
 
-    /// Goes on with an unfinished drawing.
+    /// Continues an unfinished drawing.
     ///
     /// # Errors
-    /// Why it cannot go on now, as a person reads it.
+    /// Why it cannot continue now, as text for display.
     pub(super) fn go_on(&self, number: u64) -> Result<(), &'static str> {
         let unfinished = self.change(|hub| {
             if hub.status().is_none_or(|status| !status.referenced) {
@@ -277,8 +277,8 @@ impl Console {
         *lock(&self.attendant.drawing) = Some((activation, self.machine.order(Order::Draw(order))));
     }
 
-    /// The reference at the pose in which the arms were seen last while they were referenced; the firmware checks it against
-    /// its resolvers and against where the platform was.
+    /// The reference at the last pose in which the arms were referenced; the firmware checks it against its resolvers
+    /// and against the last position of the platform.
     pub(super) fn reference_here(&self) -> Option<Command> {
         let hub = self.hub();
         let (known, status) = (hub.known()?, hub.status()?);
@@ -292,7 +292,7 @@ impl Console {
         Some(wanted.command(&self.config, &increments))
     }
 
-    /// Jogs; a machine that does not want to says so by its mode.
+    /// Jogs; a machine that cannot jog shows that by its mode.
     pub(super) fn jog(&self, velocity_mm_s: [f32; 3]) {
         drop(self.machine.order(Order::Jog(velocity_mm_s)));
     }

@@ -1,7 +1,7 @@
-//! Triggered capture: what happened around an event, millisecond by millisecond.
+//! Triggered capture: telemetry around an event, millisecond by millisecond.
 //!
-//! As on an oscilloscope: armed, it waits for an edge, a level or a fault, then for the rest of its time. Invariant: it
-//! fires once, on the first row that fulfils the condition after it was armed.
+//! Works like an oscilloscope: an armed capture waits for an edge, a level or a fault, then for the time after the
+//! event. Invariant: it fires once, on the first row that fulfils the condition after arming.
 
 use super::signals::Row;
 use etherpen::application::Mode;
@@ -9,13 +9,13 @@ use etherpen::application::Mode;
 /// Longest capture, ms.
 pub const CAPTURE_MAX_MS: u64 = 60_000;
 
-/// What it waits for.
+/// Trigger condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Condition {
-    /// The signal comes to the level from below.
+    /// The signal rises to the level.
     Rising,
-    /// The signal comes to the level from above.
+    /// The signal falls to the level.
     Falling,
     /// The signal is at the level or above.
     Above,
@@ -30,7 +30,7 @@ pub enum Condition {
 pub struct Trigger {
     /// Number of the signal in the catalogue.
     pub signal: usize,
-    /// What it waits for.
+    /// The condition.
     pub condition: Condition,
     /// The level, in the signal's unit.
     pub level: f32,
@@ -40,10 +40,10 @@ pub struct Trigger {
     pub after_ms: u64,
 }
 
-/// The span that a trigger has caught, console time.
+/// The span caught by a trigger, console time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Caught {
-    /// Begin, ms.
+    /// Beginning, ms.
     pub from_ms: u64,
     /// The event, ms.
     pub event_ms: u64,
@@ -51,7 +51,7 @@ pub struct Caught {
     pub to_ms: u64,
 }
 
-/// A trigger at work.
+/// An armed capture.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture {
     trigger: Trigger,
@@ -60,7 +60,7 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Arms a trigger; times are limited to [`CAPTURE_MAX_MS`] together.
+    /// Arms a trigger; the sum of its times is limited to [`CAPTURE_MAX_MS`].
     pub fn new(mut trigger: Trigger) -> Self {
         trigger.before_ms = trigger.before_ms.min(CAPTURE_MAX_MS);
         trigger.after_ms = trigger.after_ms.min(CAPTURE_MAX_MS - trigger.before_ms);
@@ -71,7 +71,7 @@ impl Capture {
         }
     }
 
-    /// Takes the next row; gives the span once it is complete.
+    /// Takes the next row; returns the span once it is complete.
     pub fn step(&mut self, row: &Row) -> Option<Caught> {
         let value = row.value(self.trigger.signal);
         if self.event_ms.is_none() && self.fires(value, row.mode) {
@@ -87,7 +87,7 @@ impl Capture {
         })
     }
 
-    /// Whether the event has come.
+    /// Whether the event has occurred.
     pub fn has_fired(&self) -> bool {
         self.event_ms.is_some()
     }

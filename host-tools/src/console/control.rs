@@ -1,24 +1,25 @@
-//! Who may command: one viewer at a time.
+//! Control: one viewer at a time may command.
 //!
-//! Control is taken and given back; who vanishes keeps it for a moment, so that a page that is loaded again goes on, but
-//! whatever that viewer jogged stops at once. Invariant: at most one viewer holds control, and what a viewer without it
+//! Control is taken and given back. A viewer that vanishes keeps it for a short time, so that a reloaded page
+//! continues, but its jog stops at once. Invariant: at most one viewer holds control; requests of other viewers are
+//! refused, except a stop.
 //! asks for is refused, except a stop.
 
 /// How long a vanished viewer keeps control, ms.
 pub const VANISHED_MS: u64 = 5_000;
-/// Silence after which a viewer counts as vanished although its connection stands, ms.
+/// Silence after which a viewer counts as vanished although it is still connected, ms.
 pub const SILENT_MS: u64 = 3_000;
 
 /// Number of a connection.
 pub type ViewerId = u64;
 
-/// Who holds control.
+/// The viewer that holds control.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Holder {
     viewer: ViewerId,
-    /// What the page calls itself; the same after it was loaded again.
+    /// Name of the page; unchanged by a reload.
     page: String,
-    /// Since when nothing was heard of it, ms.
+    /// Time since which the viewer is silent, ms.
     vanished_ms: Option<u64>,
     heard_ms: u64,
 }
@@ -29,17 +30,17 @@ pub struct ControlLock {
     holder: Option<Holder>,
 }
 
-/// What has to be done because of a change.
+/// Action required by a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// The holder has vanished: what it jogs has to stop.
+    /// The holder has vanished: its jog has to stop.
     Vanished,
-    /// Nobody holds control any more.
+    /// No viewer holds control any more.
     Released,
 }
 
 impl ControlLock {
-    /// Who holds control.
+    /// The viewer that holds control.
     pub fn holder(&self) -> Option<ViewerId> {
         self.holder.as_ref().map(|holder| holder.viewer)
     }
@@ -49,7 +50,7 @@ impl ControlLock {
         self.holder() == Some(viewer)
     }
 
-    /// Takes control; `force` takes it from another viewer. Gives whether the viewer has it.
+    /// Takes control; `force` takes it from another viewer. Returns whether the viewer has control.
     pub fn take(&mut self, viewer: ViewerId, page: &str, force: bool, now_ms: u64) -> bool {
         let free = match &self.holder {
             None => true,
@@ -66,7 +67,7 @@ impl ControlLock {
         free
     }
 
-    /// A page that was loaded again within the time has control again.
+    /// Gives control back to a page that was reloaded in time.
     pub fn returned(&mut self, viewer: ViewerId, page: &str, now_ms: u64) -> bool {
         let same = self
             .holder
@@ -75,12 +76,12 @@ impl ControlLock {
         same && self.take(viewer, page, false, now_ms)
     }
 
-    /// Gives control back; gives whether this viewer had it.
+    /// Releases control; returns whether this viewer had it.
     pub fn release(&mut self, viewer: ViewerId) -> bool {
         self.holder.take_if(|holder| holder.viewer == viewer).is_some()
     }
 
-    /// Something was heard of a viewer.
+    /// Takes a sign of life of a viewer.
     pub fn heard(&mut self, viewer: ViewerId, now_ms: u64) {
         if let Some(holder) = self.holder.as_mut().filter(|holder| holder.viewer == viewer) {
             holder.heard_ms = now_ms;
@@ -88,7 +89,7 @@ impl ControlLock {
         }
     }
 
-    /// A viewer's connection has ended.
+    /// Handles the end of a viewer's connection.
     pub fn gone(&mut self, viewer: ViewerId, now_ms: u64) -> Option<Change> {
         let holder = self.holder.as_mut().filter(|holder| holder.viewer == viewer)?;
         if holder.vanished_ms.is_some() {
@@ -98,7 +99,7 @@ impl ControlLock {
         Some(Change::Vanished)
     }
 
-    /// Time has passed.
+    /// Checks the time limits.
     pub fn tick(&mut self, now_ms: u64) -> Option<Change> {
         let holder = self.holder.as_mut()?;
         match holder.vanished_ms {

@@ -1,35 +1,35 @@
-//! What keeps every request waiting while a stop is on its way to the port.
+//! The gate: delays all requests while a stop is being written to the port.
 //!
-//! Invariant: between a stop's arrival and the moment at which it has been written to the port (or cannot be, or
-//! `WAIT_MAX` has passed) nobody's request is begun.
+//! Invariant: no request is started between the arrival of a stop and the moment at which it was written to the port
+//! (or cannot be written, or `WAIT_MAX` has passed).
 
 use super::lock;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
-/// Longest time that requests wait for a port that does not take a stop.
+/// Longest time that requests wait for a stop that the port does not accept.
 const WAIT_MAX: Duration = Duration::from_secs(2);
 
-/// What passes the gate, in its order.
+/// Event at the gate, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Passage {
-    /// A stop was asked for.
+    /// A stop was requested.
     StopArrived,
-    /// It has been written to the port, or cannot be.
+    /// The stop was written to the port, or cannot be written.
     StopWritten,
-    /// A request was begun, by this viewer; 0 for one without a viewer.
+    /// A request of this viewer was started; 0 for a request without a viewer.
     Begun(u64),
 }
 
-/// Told of every passage, while the gate is locked: it must be quick.
+/// Called at every passage while the gate is locked: it has to be fast.
 pub type Watcher = Box<dyn FnMut(Passage) + Send>;
 
 #[derive(Default)]
 struct State {
-    /// Stops that have not been written.
+    /// Number of stops not yet written.
     stops: u32,
-    /// When the last of them came.
+    /// Time of the last of these stops.
     since: Option<Instant>,
     watcher: Option<Watcher>,
 }
@@ -54,12 +54,12 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Lets somebody watch what passes.
+    /// Sets a function that observes the passages.
     pub fn watch(&self, watcher: Watcher) {
         lock(&self.state).watcher = Some(watcher);
     }
 
-    /// A stop has come; [`stop_written`](Self::stop_written) is called once for each.
+    /// Closes the gate for a stop; [`stop_written`](Self::stop_written) is called once for each.
     pub(super) fn stop_arrived(&self) {
         let mut state = lock(&self.state);
         state.stops = state.stops.saturating_add(1);
@@ -67,7 +67,7 @@ impl Gate {
         state.pass(Passage::StopArrived);
     }
 
-    /// A stop has been written to the port, or cannot be.
+    /// Reports that a stop was written to the port, or cannot be written.
     pub(super) fn stop_written(&self) {
         let mut state = lock(&self.state);
         state.stops = state.stops.saturating_sub(1);
@@ -76,7 +76,7 @@ impl Gate {
         self.opened.notify_waiters();
     }
 
-    /// Waits until no stop is on its way, then begins a request of this viewer.
+    /// Waits until no stop is pending, then starts a request of this viewer.
     pub(super) async fn begin(&self, viewer: u64) {
         loop {
             let opened = self.opened.notified();
@@ -86,7 +86,7 @@ impl Gate {
                     return state.pass(Passage::Begun(viewer));
                 }
             }
-            // What does not open is looked at again.
+            // If the gate does not open, it is checked again.
             let _ = tokio::time::timeout(WAIT_MAX, opened).await;
         }
     }

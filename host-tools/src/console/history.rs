@@ -1,18 +1,18 @@
-//! The last two minutes of telemetry, and what of it fits a screen.
+//! The last two minutes of telemetry, and its reduction to plot columns.
 //!
-//! Rows stand in shared pieces, so that a picture that is held still costs no copy, and memory stays flat however long
-//! the console runs. Invariants: rows are numbered without gaps from the first one ever seen; a bucket tells the
-//! smallest and the largest of what fell into it, so that no peak is lost on the way to the screen.
+//! Rows are stored in shared pieces, so that freezing a plot costs no copy, and memory is bounded however long the
+//! console runs. Invariants: rows are numbered without gaps from the first one ever received; a bucket contains the
+//! smallest and largest of its values, so no peak is lost in a plot.
 
 use super::signals::Row;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Rows of one piece.
+/// Rows in one piece.
 const PIECE_ROWS: usize = 500;
-/// Rows that are kept: two minutes at 1 kHz.
+/// Number of rows kept: two minutes at 1 kHz.
 pub const ROWS_KEPT: usize = 120_000;
-/// Pieces that are kept.
+/// Number of pieces kept.
 const PIECES: usize = ROWS_KEPT / PIECE_ROWS;
 
 const _: () = assert!(PIECES * PIECE_ROWS == ROWS_KEPT);
@@ -22,11 +22,11 @@ const _: () = assert!(PIECES * PIECE_ROWS == ROWS_KEPT);
 pub struct History {
     pieces: VecDeque<Arc<[Row]>>,
     open: Vec<Row>,
-    /// Number of the first row that is kept.
+    /// Number of the first row kept.
     first: u64,
 }
 
-/// A part of the history that no new row changes.
+/// An unchanging copy of a part of the history.
 #[derive(Clone, Default)]
 pub struct Snapshot {
     pieces: Vec<Arc<[Row]>>,
@@ -55,12 +55,12 @@ impl History {
         self.open.last().or_else(|| self.pieces.back()?.last())
     }
 
-    /// Rows from this number on, or from the oldest that is kept; with the number of the first given.
+    /// Rows from this number on, or from the oldest kept; returned with the number of the first row.
     pub fn since(&self, number: u64) -> (u64, Vec<Row>) {
         self.some_since(number, usize::MAX)
     }
 
-    /// Rows from this number on, or from the oldest that is kept, at most so many; with the number of the first given.
+    /// At most `most` rows from this number on, or from the oldest kept; returned with the number of the first row.
     pub fn some_since(&self, number: u64, most: usize) -> (u64, Vec<Row>) {
         let from = number.clamp(self.first, self.next());
         let mut skip = (from - self.first) as usize;
@@ -80,7 +80,7 @@ impl History {
         (from, rows)
     }
 
-    /// Everything that is kept, as it is now.
+    /// A snapshot of everything kept.
     pub fn snapshot(&self) -> Snapshot {
         let open: Arc<[Row]> = self.open.as_slice().into();
         Snapshot {
@@ -90,7 +90,7 @@ impl History {
 }
 
 impl Snapshot {
-    /// The rows of a span of console time, both ends included, in order.
+    /// The rows of a span of console time, including both ends, in order.
     pub fn rows(&self, from_ms: u64, to_ms: u64) -> impl Iterator<Item = &Row> {
         let reaches = move |piece: &&Arc<[Row]>| piece.last().is_some_and(|last| last.time_ms >= from_ms);
         self.pieces
@@ -107,7 +107,7 @@ impl Snapshot {
         last.map_or(0, |row| row.time_ms)
     }
 
-    /// Only what lies in a span of console time, so that the rest may go.
+    /// Reduces the snapshot to a span of console time, so that the rest can be freed.
     pub fn cut(&self, from_ms: u64, to_ms: u64) -> Self {
         let inside = |piece: &&Arc<[Row]>| {
             piece.last().is_some_and(|last| last.time_ms >= from_ms)
@@ -122,13 +122,13 @@ impl Snapshot {
 /// One column of a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bucket {
-    /// Time of its beginning in bucket lengths.
+    /// Start time in bucket lengths.
     pub number: u64,
-    /// Smallest and largest value of each signal; not numbers where there was none.
+    /// Smallest and largest value of each signal; NaN if there was no value.
     pub spans: Vec<[f32; 2]>,
 }
 
-/// Makes columns of rows, for some of the signals.
+/// Reduces rows to columns, for some of the signals.
 #[derive(Clone, Debug)]
 pub struct Decimator {
     signals: Vec<usize>,
@@ -137,7 +137,7 @@ pub struct Decimator {
 }
 
 impl Decimator {
-    /// Columns of this length, at least a millisecond.
+    /// Makes columns of this length, at least a millisecond.
     pub fn new(signals: Vec<usize>, bucket_ms: u64) -> Self {
         Self {
             signals,
@@ -151,7 +151,7 @@ impl Decimator {
         self.bucket_ms
     }
 
-    /// Takes a row; gives the column that it ends.
+    /// Takes a row; returns the column that it completes.
     pub fn push(&mut self, row: &Row) -> Option<Bucket> {
         let number = row.time_ms / self.bucket_ms;
         let ended = self.open.take_if(|open| open.number != number);
@@ -162,14 +162,14 @@ impl Decimator {
         });
         for ([low, high], signal) in open.spans.iter_mut().zip(&self.signals) {
             let value = row.value(*signal);
-            // The smaller and the larger of a number and not a number is the number.
+            // The minimum and maximum of a number and a NaN is the number.
             *low = low.min(value);
             *high = high.max(value);
         }
         ended
     }
 
-    /// The column that has not ended.
+    /// The incomplete column.
     pub fn take(&mut self) -> Option<Bucket> {
         self.open.take()
     }

@@ -1,8 +1,8 @@
-//! What every viewer sees: one state, written by the machine's news, read by as many viewers as there are.
+//! The hub: the state shown to all viewers, written by the machine's news and read by the viewers.
 //!
-//! Viewers are never written to from here: each one takes what has changed since it could last send, so that a slow one
-//! costs itself pictures and nobody else anything. Invariants: nothing here grows with time; a stop that was asked for is
-//! repeated after every connection until the firmware itself says that it has stopped.
+//! The hub never writes to viewers. Each viewer takes the changes since its last transmission, so a slow viewer only
+//! loses its own pictures. Invariants: memory is bounded; a requested stop is repeated after every connection until the
+//! firmware reports that it has stopped.
 
 use super::capture::{Capture, Caught, Trigger};
 use super::control::{Change, ControlLock, ViewerId};
@@ -21,47 +21,47 @@ use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Lines of the log that are kept.
+/// Lines of the log kept.
 const LOG_LINES: usize = 500;
-/// Time in which the same warning is the same event, ms.
+/// Time within which equal warnings count as one event, ms.
 const SAME_MS: u64 = 100;
-/// Time in which stops that are asked for are one press, ms.
+/// Time within which requested stops count as one press, ms.
 const PRESS_MS: u64 = 1_000;
-/// How a line of the log about a stop begins.
+/// Beginning of a log line about a stop.
 const STOP: &str = "STOP";
-/// Viewers at the same time.
+/// Most viewers.
 pub const VIEWERS_MAX: usize = 32;
-/// Viewers without the token at the same time: there is always room for those that have it.
+/// Most viewers without the token; the rest is reserved for viewers with the token.
 pub const GUESTS_MAX: usize = 24;
-/// Viewers whose pictures are kept: each keeps two minutes of telemetry, 17 MB.
+/// Most viewers with a frozen snapshot: each keeps two minutes of telemetry, 17 MB.
 const KEPT_MAX: usize = 4;
-/// Viewers with an armed trigger.
+/// Most viewers with an armed trigger.
 const ARMED_MAX: usize = 4;
 
 const _: () = assert!(GUESTS_MAX < VIEWERS_MAX);
 
-/// A part of the state that is sent as a whole when it has changed.
+/// A section of the state, sent completely when it has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// What does not change: geometry, signals, limits.
+    /// Constant data: geometry, signals, limits.
     Robot,
     /// The connection to the firmware.
     Link,
     /// The firmware's status.
     Status,
-    /// Who commands, who looks.
+    /// Viewers, and which of them holds control.
     Control,
     /// Drawings: active, waiting, past.
     Jobs,
-    /// How far the active drawing is.
+    /// Progress of the active drawing.
     Progress,
-    /// The drawing that is prepared.
+    /// The drawing being prepared.
     Studio,
     /// The firmware's measurements.
     Measured,
     /// The virtual segment.
     Segment,
-    /// What the slaves' controllers count.
+    /// Error counters of the slave controllers.
     LineErrors,
 }
 
@@ -82,44 +82,44 @@ impl Topic {
     }
 }
 
-/// A topic's present text.
+/// Present text of a topic.
 #[derive(Clone, Debug)]
 struct Said {
     version: u64,
     text: Arc<str>,
 }
 
-/// How bad a line of the log is.
+/// Severity of a log line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
-    /// Something happened.
+    /// An ordinary event.
     Info,
-    /// Somebody should look.
+    /// A condition that needs attention.
     Warning,
-    /// The robot has stopped, or cannot be reached.
+    /// The robot has stopped, or is not reachable.
     Error,
 }
 
 /// A line of the log.
 #[derive(Clone, Debug, Serialize)]
 pub struct LogLine {
-    /// Its number.
+    /// Number of the line.
     pub number: u64,
     /// Console time, ms: the time axis of the plots.
     pub time_ms: u64,
-    /// How bad it is.
+    /// Severity.
     pub level: Level,
     /// What happened.
     pub text: String,
 }
 
-/// The connection as a person reads it.
+/// State of the connection, for display.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LinkView {
     /// `connecting`, `connected` or `lost`.
     pub state: &'static str,
-    /// In words, with what to try.
+    /// Description, with what to try.
     pub text: String,
     /// The port.
     pub port: String,
@@ -131,7 +131,7 @@ pub struct LinkView {
     pub samples_missing: u64,
 }
 
-/// What moves all the time.
+/// Data that change continuously.
 #[derive(Clone, Debug, Serialize)]
 struct Pose {
     time_ms: u64,
@@ -145,12 +145,12 @@ struct Pose {
     errors_rad: [f32; 4],
 }
 
-/// Where a referenced robot was seen.
+/// Last position of a referenced robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
     /// Joint angles, rad.
     pub joints_rad: [f32; 4],
-    /// The platform, mm.
+    /// Position of the platform, mm.
     pub platform_mm: [f32; 3],
 }
 
@@ -166,29 +166,29 @@ pub struct Hub {
     version: u64,
     link: LinkView,
     status: Option<Status>,
-    /// Console time at which each slave was found not to answer, ms.
+    /// Console time at which each slave stopped answering, ms.
     silent_ms: Vec<Option<u64>>,
     rows: Rows,
     history: History,
     log: VecDeque<LogLine>,
     log_next: u64,
     captures: BTreeMap<ViewerId, Armed>,
-    /// What viewers keep looking at, the oldest first.
+    /// Frozen snapshots of the viewers, the oldest first.
     kept: VecDeque<(ViewerId, Snapshot)>,
     stop_wanted: bool,
-    /// Where the arms and the platform were seen last while they were referenced.
+    /// Last position of arms and platform while the arms were referenced.
     known: Option<Known>,
-    /// Who looks, and who of them has shown the token.
+    /// Viewers, and whether each has shown the token.
     viewers: BTreeMap<ViewerId, bool>,
     viewer_next: ViewerId,
-    /// Who commands.
+    /// Control.
     pub control: ControlLock,
     /// Drawings.
     pub jobs: Jobs,
 }
 
 impl Hub {
-    /// A hub for a robot of this configuration behind a port of this name.
+    /// A hub for a robot with this configuration at a port.
     pub fn new(config: &Config, port: &str) -> Self {
         let link = LinkView {
             state: "connecting",
@@ -223,7 +223,7 @@ impl Hub {
         hub
     }
 
-    /// Changes a topic; the same text again is no change.
+    /// Sets a topic; an unchanged text is not a change.
     pub fn say(&mut self, topic: Topic, data: &impl Serialize) {
         let text = section(topic.name(), data);
         if self.said.get(&topic).is_some_and(|said| said.text == text) {
@@ -234,7 +234,7 @@ impl Hub {
         self.said.insert(topic, Said { version, text });
     }
 
-    /// What has changed since a version, oldest change first.
+    /// Changes since a version, oldest first.
     pub fn news_since(&self, version: u64) -> Vec<(u64, Arc<str>)> {
         let newer = self.said.values().filter(|said| said.version > version);
         let mut newer: Vec<_> = newer.map(|said| (said.version, said.text.clone())).collect();
@@ -242,13 +242,13 @@ impl Hub {
         newer
     }
 
-    /// Writes a line into the log.
+    /// Adds a line to the log.
     pub fn note(&mut self, level: Level, text: impl Into<String>) {
         let text = on_page(&text.into());
         let said = |last: &LogLine| match level {
-            // The firmware's mode and the task's phase often say the same.
+            // The firmware's mode and the task's phase often have equal texts.
             Level::Info => last.text == text,
-            // A refusal comes as an event and as an order's answer.
+            // A refusal arrives as an event and as an order's answer.
             _ => self.now_ms() <= last.time_ms + SAME_MS && last.text == text,
         };
         if self.log.back().is_some_and(said) {
@@ -266,7 +266,7 @@ impl Hub {
         }
     }
 
-    /// Lines of the log from a number on, and the number after the last.
+    /// Lines of the log from a number on, and the number of the next line.
     pub fn log_since(&self, number: u64) -> (Vec<LogLine>, u64) {
         let lines = self.log.iter().filter(|line| line.number >= number);
         (lines.cloned().collect(), self.log_next)
@@ -277,7 +277,7 @@ impl Hub {
         self.history.last().map_or(0, |row| row.time_ms)
     }
 
-    /// The rows.
+    /// The history of rows.
     pub fn history(&self) -> &History {
         &self.history
     }
@@ -292,23 +292,23 @@ impl Hub {
         self.status.as_ref()
     }
 
-    /// Where the arms were seen last while they were referenced.
+    /// The last position in which the arms were referenced.
     pub fn known(&self) -> Option<Known> {
         self.known
     }
 
-    /// Slaves that the firmware knows.
+    /// Number of slaves known to the firmware.
     pub fn slaves(&self) -> u8 {
         let slaves = self.status.as_ref().map_or(0, |status| status.slaves.len());
         u8::try_from(slaves).unwrap_or(u8::MAX)
     }
 
-    /// Whether anybody looks.
+    /// Whether there is any viewer.
     pub fn is_watched(&self) -> bool {
         !self.viewers.is_empty()
     }
 
-    /// Where the robot is, as text; `None` before the first sample.
+    /// Position of the robot as text; `None` before the first sample.
     pub fn pose(&self) -> Option<Arc<str>> {
         let row = self.history.last()?;
         Some(section(
@@ -327,7 +327,7 @@ impl Hub {
         ))
     }
 
-    /// The firmware has answered. Gives whether a stop has to be repeated.
+    /// Takes the firmware's greeting. Returns whether a stop has to be repeated.
     pub fn connected(&mut self, welcome: &Welcome) -> bool {
         self.link.state = "connected";
         self.link.text = "connected".to_owned();
@@ -337,7 +337,8 @@ impl Hub {
         self.stop_wanted
     }
 
-    /// The connection has gone, or could not be made; a reason that is shown already is not told again.
+    /// Takes the loss of the connection, or a failed attempt to connect; a reason that is already shown is not logged
+    /// again.
     pub fn lost(&mut self, why: &str) {
         if self.link.state == "lost" && self.link.text == why {
             return;
@@ -390,7 +391,7 @@ impl Hub {
         self.status = Some(status.clone());
     }
 
-    /// Takes samples, `missing` of which were lost right before.
+    /// Takes samples, `missing` of which were lost directly before.
     pub fn take_samples(&mut self, missing: u32, samples: &[Sample]) {
         self.link.samples += samples.len() as u64;
         self.link.samples_missing += u64::from(missing);
@@ -417,8 +418,8 @@ impl Hub {
         }
     }
 
-    /// Arms a viewer's trigger, in place of the one before; gives whether there was room for it. One with the token takes
-    /// the place of one without.
+    /// Arms a viewer's trigger, replacing its previous one; returns whether there was room. A viewer with the token may
+    /// displace one without.
     pub fn arm(&mut self, viewer: ViewerId, trigger: Trigger) -> bool {
         if self.captures.len() >= ARMED_MAX && !self.captures.contains_key(&viewer) {
             let guest = self.captures.keys().copied().find(|armed| !self.is_trusted(*armed));
@@ -432,8 +433,8 @@ impl Hub {
         true
     }
 
-    /// Keeps what a viewer looks at, in place of what it kept before; gives whether there was room for it. The oldest goes,
-    /// one without the token first.
+    /// Keeps a frozen snapshot for a viewer, replacing its previous one; returns whether there was room. The oldest is
+    /// displaced, one without the token first.
     pub fn keep(&mut self, viewer: ViewerId, snapshot: Snapshot) -> bool {
         self.forget(viewer);
         if self.kept.len() >= KEPT_MAX {
@@ -447,13 +448,13 @@ impl Hub {
         true
     }
 
-    /// What a viewer keeps looking at, else what there is now.
+    /// A viewer's frozen snapshot, or else the present state.
     pub fn seen_by(&self, viewer: ViewerId) -> Snapshot {
         let kept = self.kept.iter().find(|(kept, _)| *kept == viewer);
         kept.map_or_else(|| self.history.snapshot(), |(_, snapshot)| snapshot.clone())
     }
 
-    /// Forgets what a viewer keeps.
+    /// Removes a viewer's frozen snapshot.
     pub fn forget(&mut self, viewer: ViewerId) {
         self.kept.retain(|(kept, _)| *kept != viewer);
     }
@@ -462,12 +463,12 @@ impl Hub {
         self.viewers.get(&viewer).copied().unwrap_or(false)
     }
 
-    /// Takes a viewer's trigger away.
+    /// Disarms a viewer's trigger.
     pub fn disarm(&mut self, viewer: ViewerId) {
         self.captures.remove(&viewer);
     }
 
-    /// What a viewer's trigger has caught, once.
+    /// The span caught by a viewer's trigger; returned once.
     pub fn take_caught(&mut self, viewer: ViewerId) -> Option<(Caught, Snapshot)> {
         let caught = self.captures.get_mut(&viewer)?.caught.take()?;
         self.captures.remove(&viewer);
@@ -479,8 +480,8 @@ impl Hub {
         self.captures.get(&viewer).map(|armed| armed.capture.has_fired())
     }
 
-    /// A drawing was not begun, which was made the active one by this activation; of one that has ended the end is known
-    /// already.
+    /// Handles a drawing that was activated by `activation` but not started; if that drawing has ended, its end is
+    /// known already.
     pub fn refused_drawing(&mut self, activation: u64, why: &str) {
         if self.jobs.activation() == Some(activation) {
             self.note(Level::Warning, format!("the drawing was not begun: {why}"));
@@ -489,11 +490,11 @@ impl Hub {
         }
     }
 
-    /// Somebody wants a stop.
+    /// Handles a request for a stop.
     pub fn stop_asked(&mut self, who: &str) {
-        // A robot that already stands by a fault needs no repetition.
+        // A robot that is stopped by a fault needs no repetition.
         self.stop_wanted = self.mode() != Some(Mode::Fault);
-        // One press comes by two ways.
+        // One press arrives in two ways.
         let now_ms = self.now_ms();
         let recent = self
             .log
@@ -505,8 +506,8 @@ impl Hub {
         }
     }
 
-    /// A viewer comes, if there is room; gives its number, and the viewer that has to go for it: of those without the token
-    /// the one that has been there longest.
+    /// Adds a viewer, if there is room; returns its number, and the viewer that has to leave for it: the oldest one
+    /// without the token.
     pub fn enter(&mut self) -> Option<(ViewerId, Option<ViewerId>)> {
         let mut guests = self
             .viewers
@@ -530,14 +531,14 @@ impl Hub {
         Some((viewer, leaving))
     }
 
-    /// A viewer has shown the token.
+    /// Marks that a viewer has shown the token.
     pub fn trust(&mut self, viewer: ViewerId) {
         if let Some(trusted) = self.viewers.get_mut(&viewer) {
             *trusted = true;
         }
     }
 
-    /// A viewer goes; gives whether a jog of its has to stop.
+    /// Removes a viewer; returns whether its jog has to stop.
     pub fn leave(&mut self, viewer: ViewerId, now_ms: u64) -> bool {
         self.viewers.remove(&viewer);
         self.captures.remove(&viewer);
@@ -547,7 +548,7 @@ impl Hub {
         change == Some(Change::Vanished)
     }
 
-    /// Tells who commands and who looks.
+    /// Publishes viewers and control.
     pub fn say_control(&mut self) {
         #[derive(Serialize)]
         struct Control {
@@ -561,13 +562,13 @@ impl Hub {
         self.say(Topic::Control, &control);
     }
 
-    /// Tells the connection, with its counts.
+    /// Publishes the connection with its counters.
     pub fn say_link(&mut self) {
         let link = self.link.clone();
         self.say(Topic::Link, &link);
     }
 
-    /// Tells the drawings.
+    /// Publishes the drawings.
     pub fn say_jobs(&mut self) {
         let jobs = self.jobs.view();
         self.say(Topic::Jobs, &jobs);

@@ -1,8 +1,8 @@
-//! Drawings: the one that is drawn, those that wait, those that are past.
+//! Drawings: active, waiting and past ones.
 //!
-//! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. One that ended early
-//! can go on where its ink ends, as telemetry has seen it, with a millimetre drawn again. Invariants: at most one drawing is
-//! active; the past keeps its last entries only, and the paths of the last unfinished ones.
+//! A waiting drawing starts on request only, because the paper has to be changed between two drawings. A drawing that
+//! ended early can continue where its ink ends according to the telemetry, with a millimetre drawn again. Invariants:
+//! at most one drawing is active; only the last past drawings are kept, and the paths of the last unfinished ones.
 
 use super::signals::Row;
 use crate::link::ink::Ink;
@@ -16,23 +16,23 @@ use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Drawings that may wait.
+/// Most waiting drawings.
 const WAITING_MAX: usize = 20;
-/// Past drawings that are kept.
+/// Most past drawings kept.
 const PAST_MAX: usize = 50;
-/// Vertices of unfinished drawings that are kept: 32 MB.
+/// Most vertices of unfinished drawings kept: 32 MB.
 const UNFINISHED_VERTICES_MAX: usize = 1_600_000;
 
-/// A drawing that can be drawn.
+/// A drawing ready to be drawn.
 #[derive(Clone, Debug)]
 pub struct Drawing {
-    /// What a person calls it.
+    /// Name for display.
     pub name: String,
     /// The path, every vertex admitted.
     pub path: Arc<[PathVertex]>,
-    /// Strokes.
+    /// Number of strokes.
     pub strokes: u32,
-    /// Duration that the planner computed, s; not a number where it could not.
+    /// Duration computed by the planner, s; NaN if it could not be computed.
     pub planned_s: f64,
 }
 
@@ -41,11 +41,11 @@ struct Job {
     drawing: Drawing,
     ink: Ink,
     measure: PathMeasure,
-    /// What is left of it since it went on, and the vertices executed before.
+    /// The remainder since the drawing was continued, and the vertices executed before.
     rest: Option<(Remainder, usize)>,
-    /// Vertices of the whole path that were executed.
+    /// Executed vertices of the whole path.
     executed: usize,
-    /// Time that was drawn before it went on, s.
+    /// Drawing time before the drawing was continued, s.
     drawn_before_s: f64,
 }
 
@@ -62,7 +62,7 @@ impl Job {
         }
     }
 
-    /// Progress of the whole path, from that of the part that is drawn.
+    /// Progress of the whole path, from the progress of the part being drawn.
     fn whole(&mut self, progress: &Progress) -> Progress {
         let Some((rest, before)) = &self.rest else {
             self.executed = progress.vertices;
@@ -80,13 +80,13 @@ impl Job {
     }
 }
 
-/// A drawing that goes on: its name, the path that is left, and whether that is the whole one.
+/// A drawing to be continued: its name, the remaining path, and whether that is the whole path.
 pub struct Unfinished {
-    /// What a person calls it.
+    /// Name for display.
     pub name: String,
-    /// The path that is left.
+    /// The remaining path.
     pub path: Arc<[PathVertex]>,
-    /// Whether nothing of it has been drawn.
+    /// Whether nothing was drawn yet.
     pub is_whole: bool,
 }
 
@@ -116,19 +116,19 @@ struct PastView {
     done: bool,
     text: String,
     drawn_s: f64,
-    /// Whether it can go on.
+    /// Whether the drawing can be continued.
     unfinished: bool,
-    /// The stroke on which it goes on, from 1.
+    /// The stroke on which it continues, from 1.
     stroke: u32,
 }
 
 struct Past {
     view: PastView,
-    /// What is needed to go on.
+    /// Data needed to continue.
     job: Option<Job>,
 }
 
-/// What the page shows of the drawings.
+/// Drawings as shown on the page.
 #[derive(Debug, Serialize)]
 pub struct JobsView {
     active: Option<JobView>,
@@ -137,7 +137,7 @@ pub struct JobsView {
     past: Vec<PastView>,
 }
 
-/// What the page shows of the progress.
+/// Progress as shown on the page.
 #[derive(Debug, Serialize)]
 pub struct ProgressView {
     job: u64,
@@ -155,20 +155,20 @@ pub struct ProgressView {
 #[derive(Default)]
 pub struct Jobs {
     active: Option<Job>,
-    /// Number and path of the drawing that was active last.
+    /// Number and path of the last active drawing.
     last: Option<(u64, Arc<[PathVertex]>)>,
     phase: String,
     waiting: Vec<Job>,
     past: VecDeque<Past>,
     next: u64,
-    /// How often a drawing was made the active one.
+    /// Number of activations so far.
     activations: u64,
     elapsed_s: f64,
     restarted: bool,
 }
 
 impl Jobs {
-    /// None yet.
+    /// An empty list.
     pub fn new() -> Self {
         Self {
             active: None,
@@ -183,7 +183,7 @@ impl Jobs {
         }
     }
 
-    /// Lets a drawing wait; gives its number, or `None` where too many wait.
+    /// Adds a waiting drawing; returns its number, or `None` if too many are waiting.
     pub fn enqueue(&mut self, drawing: Drawing) -> Option<u64> {
         if self.waiting.len() >= WAITING_MAX {
             return None;
@@ -194,14 +194,14 @@ impl Jobs {
         Some(number)
     }
 
-    /// Forgets a waiting drawing; gives whether there was one.
+    /// Discards a waiting drawing; returns whether it existed.
     pub fn discard(&mut self, number: u64) -> bool {
         let before = self.waiting.len();
         self.waiting.retain(|job| job.number != number);
         self.waiting.len() < before
     }
 
-    /// Makes a waiting drawing the active one; gives its name and path. `None` while another is active.
+    /// Activates a waiting drawing; returns its name and path. `None` while another is active.
     pub fn start(&mut self, number: u64) -> Option<(String, Arc<[PathVertex]>)> {
         if self.active.is_some() {
             return None;
@@ -221,10 +221,10 @@ impl Jobs {
         self.restarted = false;
     }
 
-    /// Makes an unfinished drawing the active one again; gives what is left of it.
+    /// Activates an unfinished drawing again; returns its remainder.
     ///
     /// # Errors
-    /// Another one is active, or there is nothing to go on with.
+    /// Another drawing is active, or nothing is left to continue.
     pub fn go_on(&mut self, number: u64, config: &Config) -> Result<Unfinished, &'static str> {
         if self.active.is_some() {
             return Err("another drawing is active");
@@ -270,35 +270,36 @@ impl Jobs {
         }
     }
 
-    /// The firmware has started anew; gives whether it was drawing.
+    /// Takes that the firmware was restarted; returns whether it was drawing.
     pub fn restarted(&mut self) -> bool {
         let begun = |job: &Job| job.executed > 0 || job.ink.end().0 > 0;
         self.restarted |= self.active.as_ref().is_some_and(begun);
         self.restarted
     }
 
-    /// Whether the firmware has started anew since the active drawing began.
+    /// Whether the firmware was restarted since the active drawing began.
     pub fn is_restarted(&self) -> bool {
         self.restarted
     }
 
-    /// Tells this activation of a drawing from an earlier one of the same drawing; `None` while none is active.
+    /// Number of the present activation, which distinguishes it from earlier activations of a drawing; `None` while
+    /// none is active.
     pub fn activation(&self) -> Option<u64> {
         self.active.as_ref().map(|_| self.activations)
     }
 
-    /// Number and path of the drawing on the sheet: the active one, or the last that was.
+    /// Number and path of the drawing on the sheet: the active one, or the last active one.
     pub fn on_sheet(&self) -> Option<(u64, Arc<[PathVertex]>)> {
         let active = self.active.as_ref().map(|job| (job.number, job.drawing.path.clone()));
         active.or_else(|| self.last.clone())
     }
 
-    /// What the active drawing is doing.
+    /// Sets the phase of the active drawing.
     pub fn phase(&mut self, phase: impl Into<String>) {
         self.phase = phase.into();
     }
 
-    /// How far the active drawing is.
+    /// Sets the progress of the active drawing.
     pub fn progress(&mut self, progress: &Progress) -> Option<ProgressView> {
         let job = self.active.as_mut()?;
         let progress = job.whole(progress);
@@ -316,7 +317,7 @@ impl Jobs {
         })
     }
 
-    /// The active drawing has ended.
+    /// Ends the active drawing.
     pub fn end(&mut self, done: bool, text: impl Into<String>) {
         let Some(job) = self.active.take() else { return };
         self.phase.clear();
@@ -342,7 +343,7 @@ impl Jobs {
         }
     }
 
-    /// What the page shows.
+    /// The drawings as shown on the page.
     pub fn view(&self) -> JobsView {
         JobsView {
             active: self.active.as_ref().map(JobView::of),

@@ -1,7 +1,7 @@
-//! What the slaves' own controllers count: damaged frames and lost links, port by port.
+//! Error counters of the slave controllers: damaged frames and lost links of each port.
 //!
-//! They are read slowly, through the firmware's master like any other question to the bus, and only while somebody looks.
-//! Invariant: a question that is not answered costs the page a number, nothing else; no motion waits for it.
+//! The counters are read slowly, through the firmware's master like any other bus request, and only while there is a
+//! viewer. Invariant: an unanswered request only leaves a number missing on the page; no motion waits for it.
 
 use super::Console;
 use super::hub::Topic;
@@ -18,7 +18,7 @@ const PAUSE: Duration = Duration::from_secs(2);
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// What a slave has counted, over all of its ports; the registers stop at 255.
+/// Counters of a slave, summed over its ports; the registers stop at 255.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 struct LineErrorsView {
     number: u8,
@@ -26,11 +26,11 @@ struct LineErrorsView {
     invalid_frames: u32,
     /// Errors of the physical layer.
     receive_errors: u32,
-    /// Errors that a slave before has marked.
+    /// Errors already marked by an earlier slave.
     forwarded: u32,
     lost_links: u32,
     watchdog: u8,
-    /// Port by port, where something was counted.
+    /// Counters of each port that are not 0, as text.
     text: String,
 }
 
@@ -61,7 +61,7 @@ fn view(number: u8, errors: &SlaveErrors) -> LineErrorsView {
     }
 }
 
-/// Reads the counters now and then, in a thread of its own, until the console is gone.
+/// Reads the counters periodically in a separate thread until the console has ended.
 pub(super) fn watch(console: &Arc<Console>) {
     let console = Arc::downgrade(console);
     // Without the thread the page shows no counters.
@@ -70,11 +70,11 @@ pub(super) fn watch(console: &Arc<Console>) {
         .spawn(move || while read(&console).is_some() {});
 }
 
-/// One reading; `None` when the console is gone.
+/// Takes one reading; `None` when the console has ended.
 fn read(console: &Weak<Console>) -> Option<()> {
     std::thread::sleep(PAUSE);
     let asked = ask(&*console.upgrade()?);
-    // The console is not held meanwhile, so that it can end.
+    // The console is not kept alive meanwhile, so that it can end.
     let answered = asked
         .into_iter()
         .filter_map(|(number, answer)| match answer.recv_timeout(PATIENCE) {

@@ -1,6 +1,6 @@
-//! The firmware's histograms as the page shows them.
+//! The firmware's histograms as shown on the page.
 //!
-//! They are read when somebody asks, in a thread of its own, one piece after the other. Invariant: one reading at a time.
+//! They are read on request, in a separate thread, one piece after the other. Invariant: one reading at a time.
 
 use super::Console;
 use super::hub::{Level, Topic};
@@ -28,7 +28,7 @@ struct QuantityView {
     bins: Vec<Bin>,
 }
 
-/// What the page shows of the measurements.
+/// The measurements as shown on the page.
 #[derive(Debug, Serialize)]
 struct MeasuredView {
     quantities: Vec<QuantityView>,
@@ -80,7 +80,7 @@ fn view(readings: &Readings) -> MeasuredView {
 }
 
 impl Console {
-    /// Reads the firmware's measurements, or lets them begin anew.
+    /// Reads the firmware's measurements, or resets them.
     pub(super) fn measure(self: &Arc<Self>, reset: bool) {
         if reset {
             return self.order("measuring anew", Order::Measure(MeasurementRequest::Reset));

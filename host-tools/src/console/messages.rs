@@ -1,8 +1,8 @@
-//! What the page and the console say to each other.
+//! Messages between the page and the console.
 //!
-//! The page sends requests as JSON text; the console sends sections of its state as JSON text, `{"section", "data"}`, and
-//! rows of numbers as binary messages whose layout stands at [`columns`] and [`path`]. Invariant: a message that is no
-//! request is refused with the reason; nothing in it is obeyed.
+//! The page sends requests as JSON text; the console sends sections of its state as JSON text, `{"section", "data"}`,
+//! and rows of numbers as binary messages whose layout is documented at [`columns`] and [`path`]. Invariant: a
+//! malformed message is refused with the reason; no part of it is carried out.
 
 use super::capture::Condition;
 use super::history::Bucket;
@@ -26,8 +26,8 @@ pub const WINDOW_MAX_MS: u64 = 60_000;
 const KIND_COLUMNS: u8 = 1;
 const KIND_PATH: u8 = 2;
 
-/// A number in a message with a tag: serde_json hands on the digits of such a number, for the decoder of the firmware's log
-/// asks it to keep all digits of all numbers.
+/// A number in a message with a tag: serde_json passes on the digits of such a number, because the decoder of the
+/// firmware's log makes it keep all digits of all numbers.
 fn real<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     let number = serde_json::Number::deserialize(from)?;
     number
@@ -44,29 +44,29 @@ fn reals<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
     }
 }
 
-/// What an operator asks of the robot.
+/// An operator's command to the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Action {
     /// Take the reference at the marks.
     Reference,
-    /// Take the reference where the arms were seen last while they were referenced.
+    /// Take the reference at the last pose in which the arms were referenced.
     ReferenceHere,
-    /// Power the drives.
+    /// Switch the drives' power on.
     Enable,
-    /// Take the power.
+    /// Switch the drives' power off.
     Disable,
     /// Hold the drawing.
     Hold,
-    /// Go on.
+    /// Resume the drawing.
     Resume,
     /// End the drawing.
     Cancel,
     /// Acknowledge the fault.
     Acknowledge,
-    /// Move the pen.
+    /// Lift or lower the pen.
     Pen {
-        /// Whether down.
+        /// Whether to lower it.
         down: bool,
     },
     /// Scale the path speed.
@@ -76,7 +76,7 @@ pub enum Action {
     },
     /// Move to a position, mm.
     Move {
-        /// Where to.
+        /// Target.
         #[serde(deserialize_with = "reals")]
         position_mm: [f64; 3],
     },
@@ -86,56 +86,56 @@ pub enum Action {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Injection {
-    /// Slave, from 1, is unplugged.
+    /// Unplug a slave.
     Remove {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// It is plugged in again.
+    /// Plug a slave in again.
     Insert {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// Its drive faults.
+    /// Make the slave's drive fault.
     Fault {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// It falls back to SAFEOP.
+    /// Make the slave fall back to SAFEOP.
     Retreat {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// It is without power for a second.
+    /// Switch the slave's power off for a second.
     Power {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// Its resolver freezes for 200 ms.
+    /// Freeze the slave's resolver for 200 ms.
     Stuck {
-        /// Which.
+        /// The slave, from 1.
         slave: usize,
     },
-    /// The cable behind it is pulled; 0 is the master's.
+    /// Pull the cable behind a slave; 0 is the master's.
     Cut {
-        /// Which.
+        /// The slave, from 1; 0 for the master's cable.
         slave: usize,
     },
-    /// All cables are plugged in.
+    /// Plug all cables in.
     Join,
-    /// No frame gets through for 50 ms.
+    /// Let no frame through for 50 ms.
     Stall,
-    /// One reply is lost.
+    /// Lose one reply.
     Lose,
-    /// The firmware starts anew.
+    /// Restart the firmware.
     Restart,
 }
 
-/// From the page.
+/// A request from the page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
-    /// First message: the token that allows commands, and a name that stays when the page is loaded again.
+    /// First message: the token that allows commands, and a name of the page that survives a reload.
     Hello {
         /// The token.
         #[serde(default)]
@@ -143,7 +143,7 @@ pub enum Request {
         /// The page's name.
         page: String,
     },
-    /// Still here.
+    /// Sign of life.
     Alive,
     /// Stop at once.
     Stop,
@@ -153,11 +153,11 @@ pub enum Request {
         #[serde(default)]
         force: bool,
     },
-    /// Give control back.
+    /// Release control.
     Release,
     /// Command the robot.
     Command {
-        /// What.
+        /// The command.
         action: Action,
     },
     /// Move while this is repeated; mm/s.
@@ -168,7 +168,7 @@ pub enum Request {
     },
     /// Plot these signals live.
     Watch {
-        /// Number of the plot's picture, repeated in the columns.
+        /// Number of the plot, repeated in the columns.
         id: u32,
         /// Numbers of signals in the catalogue.
         signals: Vec<usize>,
@@ -177,17 +177,17 @@ pub enum Request {
         /// Columns of the plot.
         columns: u64,
     },
-    /// Keep what is seen, for [`Request::Range`].
+    /// Freeze the present history for [`Request::Range`].
     Freeze,
-    /// Forget what is kept.
+    /// Remove the frozen history.
     Thaw,
-    /// A part of what is kept.
+    /// A part of the frozen history.
     Range {
-        /// Number of the picture.
+        /// Number of the plot.
         id: u32,
         /// Numbers of signals.
         signals: Vec<usize>,
-        /// Begin, ms.
+        /// Beginning, ms.
         from_ms: u64,
         /// End, ms.
         to_ms: u64,
@@ -198,7 +198,7 @@ pub enum Request {
     Arm {
         /// Number of the signal.
         signal: usize,
-        /// What it waits for.
+        /// The trigger condition.
         condition: Condition,
         /// The level.
         #[serde(deserialize_with = "real")]
@@ -208,41 +208,41 @@ pub enum Request {
         /// Time after the event, ms.
         after_ms: u64,
     },
-    /// Give the capture up.
+    /// Disarm the capture.
     Disarm,
-    /// Let a fault happen in the virtual segment.
+    /// Inject a fault into the virtual segment.
     Inject {
-        /// Which.
+        /// The fault.
         fault: Injection,
     },
-    /// Prepare the present file in another way.
+    /// Prepare the present file with other options.
     Replan {
-        /// In which.
+        /// The options.
         wishes: Wishes,
     },
-    /// Put the prepared drawing into the queue.
+    /// Add the prepared drawing to the queue.
     Enqueue {
         /// Number of the preparation.
         preparation: u64,
     },
-    /// Begin with a drawing of the queue.
+    /// Start a drawing of the queue.
     Start {
         /// Number of the drawing.
         job: u64,
     },
-    /// Go on with an unfinished drawing where its ink ends.
+    /// Continue an unfinished drawing where its ink ends.
     Continue {
         /// Number of the drawing.
         job: u64,
     },
-    /// Take a drawing out of the queue.
+    /// Remove a drawing from the queue.
     Discard {
         /// Number of the drawing.
         job: u64,
     },
     /// Read the firmware's measurements.
     Measure {
-        /// Whether they begin anew.
+        /// Whether to reset them.
         #[serde(default)]
         reset: bool,
     },
@@ -255,12 +255,12 @@ pub fn section(name: &str, data: &impl Serialize) -> Arc<str> {
         section: &'a str,
         data: &'a T,
     }
-    // Maps with keys that are no strings do not occur; anything else can be written.
+    // Maps with keys that are not strings do not occur; all other values can be serialised.
     let text = serde_json::to_string(&Section { section: name, data });
     text.unwrap_or_default().into()
 }
 
-/// Columns of a plot, little-endian: kind, flags (1: forget what came before, 2: the last of an answer), number of
+/// Columns of a plot, little-endian: kind, flags (1: discard earlier columns, 2: the last part of an answer), number of
 /// signals as `u16`; picture, length of a column in ms and number of columns as `u32`; their numbers as `u32`, then for
 /// each column and signal smallest and largest value as `f32`.
 pub fn columns(id: u32, flags: u8, signals: usize, bucket_ms: u64, buckets: &[Bucket]) -> Vec<u8> {
@@ -278,24 +278,24 @@ pub fn columns(id: u32, flags: u8, signals: usize, bucket_ms: u64, buckets: &[Bu
     bytes
 }
 
-/// Which path a binary message holds.
+/// Use of the path in a binary message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum PathUse {
-    /// It is being drawn.
+    /// The path being drawn.
     Job = 1,
-    /// It can be put into the queue.
+    /// The path that can be queued.
     Preview = 2,
 }
 
-/// A path seen from above, little-endian: kind, use, two bytes of nothing; its number and its vertices' number as `u32`; for each vertex
-/// its index in the path as `u32`, bit 31 set where the leg to it is drawn, and x and y in mm as `f32`. A path with more
-/// than `vertices_max` vertices is thinned out.
+/// A path in plan view, little-endian: kind, use, two bytes of padding; its number and its number of vertices as `u32`;
+/// for each vertex its index in the path as `u32`, bit 31 set if the leg to it is drawn, and x and y in mm as `f32`. A
+/// path with more than `vertices_max` vertices is thinned out.
 pub fn path(kind: PathUse, number: u64, vertices: &[PathVertex], vertices_max: usize) -> Vec<u8> {
     const DRAWN: u32 = 1 << 31;
     let every = vertices.len().div_ceil(vertices_max.max(1)).max(1);
     let last = vertices.len().saturating_sub(1);
-    // A vertex at which the pen changes is never left out.
+    // A vertex at which the pen changes is always kept.
     let turns = |index: usize| {
         let pen = |index: usize| vertices.get(index).map(|vertex| vertex.pen);
         pen(index) != pen(index + 1) || index.checked_sub(1).is_some_and(|before| pen(before) != pen(index))

@@ -1,13 +1,13 @@
-//! The operator's console: the machine in a browser, on this computer.
+//! The operator's console: shows and controls the machine in a browser on this computer.
 //!
-//! One thread takes the machine's news into the [`hub`]. In the [`server`] the thread `stop` takes in what every connection
-//! says, finds the stops in it and gives them to the machine; everything else it puts into an inbox, from which the thread
-//! `viewers` serves it. Every `viewer` takes from the hub what it can carry; its pictures are computed in a third thread.
-//! Orders go straight to the machine.
+//! One thread takes the machine's news into the [`hub`]. In the [`server`] the thread `stop` reads all connections,
+//! finds the stops and passes them to the machine; it puts everything else into an inbox, from which the thread
+//! `viewers` serves it. Every `viewer` takes from the hub as much as its connection can carry; its pictures are
+//! computed in a third thread. Orders go directly to the machine.
 //!
-//! Invariants: a stop waits for no request, lock or computation of any viewer, and no request is begun while one is on its
-//! way to the port ([`gate`]); what viewers ask for takes a bounded amount of memory, whatever they ask; only the viewer that holds control
-//! commands; a slow viewer slows nobody; nothing is kept that grows with time.
+//! Invariants: a stop waits for no request, lock or computation of any viewer, and no request is started while a stop
+//! is being written to the port ([`gate`]). The requests of viewers take a bounded amount of memory. Only the viewer
+//! that holds control can command. A slow viewer does not delay the others. No data grow with time.
 
 mod assets;
 mod attendant;
@@ -44,7 +44,7 @@ use studio::{StudioView, Wishes};
 use tokio::sync::watch;
 use virtual_cell::VirtualCell;
 
-/// What does not change while the console runs.
+/// Constant data of a console session.
 #[derive(Clone, Debug, Serialize)]
 struct RobotView<'a> {
     version: &'static str,
@@ -53,52 +53,52 @@ struct RobotView<'a> {
     paper: &'a etherpen::config::Paper,
     work_area: &'a etherpen::config::WorkArea,
     signals: Vec<signals::Signal>,
-    /// Styles in which a photograph can be drawn.
+    /// Styles available for photographs.
     styles: Vec<String>,
 }
 
-/// What the page shows of the virtual segment.
+/// The virtual segment as shown on the page.
 #[derive(Debug, Serialize)]
 struct SegmentView {
     /// `simulated`, `emulated`, or nothing for real hardware.
     kind: Option<&'static str>,
-    /// Slaves that are unplugged.
+    /// Unplugged slaves.
     removed: Vec<usize>,
     failure: Option<String>,
 }
 
-/// Files that are prepared at the same time: the one that is wanted, and one that was wanted before it.
+/// Most files prepared at once: the requested one, and an earlier one.
 const PREPARATIONS_MAX: usize = 2;
 
-/// A file that was dropped on a page.
+/// A file dropped on a page.
 struct Source {
     name: String,
     content: Vec<u8>,
 }
 
-/// A file with what is wished of it.
+/// A file with the options requested for it.
 #[derive(Clone)]
 struct Preparation {
     source: Arc<Source>,
     wishes: Wishes,
 }
 
-/// The drawing that is prepared.
+/// The drawing being prepared.
 #[derive(Default)]
 struct Preview {
-    /// Number of the last preparation that was asked for; what an older one comes to is dropped.
+    /// Number of the last preparation requested; the results of older ones are dropped.
     number: u64,
-    /// What was asked for last, until it is put into the queue.
+    /// The last preparation requested, until it is queued.
     wanted: Option<Preparation>,
-    /// Number of the newest preparation that was begun.
+    /// Number of the newest preparation started.
     begun: u64,
-    /// Threads that prepare.
+    /// Number of threads that are preparing.
     running: usize,
     drawing: Option<Drawing>,
 }
 
 impl Preview {
-    /// The preparation that is asked for and not begun, with its number.
+    /// The preparation that is requested but not started, with its number.
     fn next(&mut self) -> Option<(u64, Preparation)> {
         let wanted = self.wanted.clone().filter(|_| self.begun < self.number)?;
         self.begun = self.number;
@@ -106,7 +106,7 @@ impl Preview {
     }
 }
 
-/// The console's parts that every viewer uses.
+/// The parts of the console that all viewers share.
 pub struct Console {
     config: Config,
     token: String,
@@ -125,7 +125,7 @@ pub struct Console {
 }
 
 impl Console {
-    /// A console in front of the machine at a port; `cell` is the virtual cell behind it with what runs its firmware.
+    /// A console for a machine at a port; `cell` is the virtual cell behind the port, with its firmware.
     ///
     /// # Errors
     /// The machine's thread cannot be started.
@@ -156,7 +156,7 @@ impl Console {
             styles: studio::styles(),
         };
         hub.say(Topic::Robot, &view);
-        // A machine that was quicker than this console has told it already.
+        // A machine that connected before the console was ready has already published its greeting.
         if let Some(welcome) = machine.snapshot().welcome {
             hub.connected(&welcome);
         }
@@ -186,19 +186,19 @@ impl Console {
         Ok(console)
     }
 
-    /// The state, for a moment.
+    /// Locks the state.
     pub fn hub(&self) -> MutexGuard<'_, Hub> {
         lock(&self.hub)
     }
 
-    /// Changes the state and tells every viewer at once.
+    /// Changes the state and notifies all viewers.
     pub fn change<R>(&self, change: impl FnOnce(&mut Hub) -> R) -> R {
         let result = change(&mut self.hub());
         self.changed.send_modify(|count| *count = count.wrapping_add(1));
         result
     }
 
-    /// The firmware that is connected, or why there is none; nothing before the first attempt has ended.
+    /// The connected firmware, or why there is no connection; `None` before the first attempt has ended.
     pub fn connection(&self) -> Option<Result<String, String>> {
         let snapshot = self.machine.snapshot();
         match (snapshot.welcome, snapshot.lost) {
@@ -208,22 +208,22 @@ impl Console {
         }
     }
 
-    /// Milliseconds since the console began.
+    /// Milliseconds since the console started.
     pub fn now_ms(&self) -> u64 {
         self.begun.elapsed().as_millis() as u64
     }
 
-    /// The virtual cell, where there is one.
+    /// The virtual cell, if there is one.
     pub fn cell(&self) -> Option<&VirtualCell> {
         self.cell.as_ref().map(|(cell, _)| cell)
     }
 
-    /// Where requests wait for stops.
+    /// The gate at which requests wait for stops.
     pub fn gate(&self) -> &Gate {
         &self.gate
     }
 
-    /// Stops the robot: the order goes to the machine at once, everything else is the attendant's.
+    /// Stops the robot: the order goes to the machine at once; the attendant does everything else.
     pub fn stop(&self, who: &str) {
         self.gate.stop_arrived();
         let gate = self.gate.clone();
@@ -231,7 +231,7 @@ impl Console {
         self.attendant.stop_asked(who, answer);
     }
 
-    /// Gives an order; what is refused is told in the log.
+    /// Gives an order; a refusal appears in the log.
     fn order(&self, what: &'static str, order: Order) {
         let answer = self.machine.order(order);
         self.attendant.expect(what, answer);
@@ -261,14 +261,14 @@ impl Console {
         self.change(|hub| hub.say(Topic::Segment, &view));
     }
 
-    /// Prepares a file, in place of any other.
+    /// Prepares a file, replacing any other.
     fn prepare(self: &Arc<Self>, name: &str, wishes: Wishes, content: Vec<u8>) -> Result<(), String> {
         let name = studio::shown_name(name);
         let source = Arc::new(Source { name, content });
         self.want(Preparation { source, wishes })
     }
 
-    /// Prepares the present file in another way.
+    /// Prepares the present file with other options.
     fn replan(self: &Arc<Self>, wishes: Wishes) -> Result<(), String> {
         let wanted = lock(&self.preview).wanted.clone();
         let Some(Preparation { source, .. }) = wanted else {
@@ -277,8 +277,8 @@ impl Console {
         self.want(Preparation { source, wishes })
     }
 
-    /// Prepares in a thread of its own, at once. The last preparation that was asked for wins; where too many run that
-    /// nobody wants any more, it begins when one of them ends.
+    /// Starts a preparation in a separate thread at once. The last preparation requested wins; if too many outdated
+    /// ones are running, it starts when one of them ends.
     fn want(self: &Arc<Self>, preparation: Preparation) -> Result<(), String> {
         let begins = {
             let mut preview = lock(&self.preview);
@@ -304,7 +304,7 @@ impl Console {
         })
     }
 
-    /// Does the preparation that is asked for; whether there was one.
+    /// Runs the requested preparation; returns whether there was one.
     fn prepare_next(&self) -> bool {
         let next = {
             let mut preview = lock(&self.preview);
@@ -325,7 +325,7 @@ impl Console {
         true
     }
 
-    /// Puts the prepared drawing into the queue.
+    /// Adds the prepared drawing to the queue.
     fn enqueue(&self, preparation: u64) -> Result<(), &'static str> {
         let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
             return Err("this preview is not there any more");

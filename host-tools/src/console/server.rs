@@ -1,11 +1,11 @@
-//! The console's HTTP server: the page, a socket for every viewer, a way in for files and for a stop.
+//! The console's HTTP server: the page, a WebSocket for every viewer, and requests for files and stops.
 //!
-//! The thread `stop` takes in connections and what they say, and answers requests for files of the page; the thread
-//! `viewers` serves everything that the viewers ask for.
+//! The thread `stop` reads the connections and answers requests for files of the page; the thread `viewers` serves all
+//! other requests.
 //!
-//! Invariants: a request that another page makes this browser send is refused by its origin, one that was sent to another
-//! name by its host; whoever commands has the token that was printed in the terminal, and nothing of a file is read before
-//! the token was seen; connections are bounded in number, their heads and bodies in time and length.
+//! Invariants: a request sent by another page in this browser is refused because of its origin, a request to another
+//! host name because of its host. Commands need the token that was printed in the terminal, and no byte of a file is
+//! read before the token was checked. Connections are bounded in number, their heads and bodies in time and length.
 
 use super::assets::{ASSETS, POLICY};
 use super::control::Change;
@@ -38,35 +38,35 @@ use tokio::runtime::{Builder, Handle};
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 
-/// Time between two looks at what nobody asks for.
+/// Time between two periodic checks.
 const LOOK: Duration = Duration::from_millis(200);
-/// Looks between two reports of the link's counts.
+/// Checks between two reports of the link's counters.
 const LOOKS_PER_REPORT: u32 = 5;
-/// Where a stop is asked for.
+/// Path of a stop request.
 const STOP: &str = "/stop";
-/// Header of the token.
+/// Header with the token.
 const TOKEN: &str = "x-etherpen-token";
-/// Header of the number that the viewer was given.
+/// Header with the viewer's number.
 const VIEWER: &str = "x-etherpen-viewer";
-/// Header of a file's name.
+/// Header with a file's name.
 const NAME: &str = "x-etherpen-name";
-/// Header of what is wished of a drawing, as JSON.
+/// Header with the options of a drawing, as JSON.
 const OPTIONS: &str = "x-etherpen-options";
-/// Most bytes that wait for one viewer in this process.
+/// Most bytes queued for one viewer in this process.
 const WRITE_BUFFER_MAX: usize = 4 << 20;
-/// Connections beside the viewers' sockets; of more the oldest goes that has not shown the token.
+/// Most connections beside the viewers' sockets; beyond that the oldest one without the token is closed.
 const CONNECTIONS_MAX: usize = 64;
 /// Longest time for the head of a request.
 const HEAD_MAX: Duration = Duration::from_secs(5);
 /// Longest head of a request, bytes.
 const HEAD_BYTES_MAX: usize = 32 * 1024;
-/// Longest pause within a file, and longest time for all of it.
+/// Longest pause within a file, and longest time for the whole file.
 const PAUSE_MAX: Duration = Duration::from_secs(10);
 const UPLOAD_MAX: Duration = Duration::from_secs(180);
-/// Time before connections are taken in again when there was no room for one in this process.
+/// Time before accepting connections again after this process had no resources for one.
 const FULL: Duration = Duration::from_millis(50);
 
-/// A running server; dropping it ends it.
+/// A running server; dropping it stops it.
 pub struct Server {
     address: SocketAddr,
     end: watch::Sender<bool>,
@@ -77,9 +77,9 @@ pub struct Server {
 struct Door {
     console: Arc<Console>,
     address: SocketAddr,
-    /// Whether a file is being sent here.
+    /// Whether a file is being uploaded.
     uploading: Arc<AtomicBool>,
-    /// The thread that serves the viewers.
+    /// Runtime handle of the thread that serves the viewers.
     viewers: Handle,
 }
 
@@ -88,7 +88,7 @@ struct Door {
 struct Trusted(Arc<AtomicBool>);
 
 impl Server {
-    /// Starts to serve at an address; port 0 takes a free one.
+    /// Starts serving at an address; port 0 selects a free one.
     ///
     /// # Errors
     /// The address cannot be used.
@@ -97,7 +97,7 @@ impl Server {
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
         let (end, ended) = watch::channel(false);
-        // One thread computes pictures, one after the other.
+        // One thread computes the pictures, one after the other.
         let viewers = Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(1)
@@ -121,7 +121,7 @@ impl Server {
         Ok(Self { address, end, threads })
     }
 
-    /// Where it listens.
+    /// The address on which the server listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -129,7 +129,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // A server that has ended already is what is wanted.
+        // The server may have ended already.
         let _ = self.end.send(true);
         for thread in self.threads.drain(..) {
             let _ = thread.join();
@@ -137,7 +137,7 @@ impl Drop for Server {
     }
 }
 
-/// Runs this in a thread of its own, with everything that it spawns, until the server ends.
+/// Runs a future, with everything that it spawns, in a separate thread until the server ends.
 fn run(
     name: &str,
     runtime: tokio::runtime::Runtime,
@@ -155,7 +155,7 @@ fn run(
     })
 }
 
-/// Takes in connections, a bounded number of them at a time.
+/// Accepts connections, a bounded number at a time.
 async fn accept(listener: &tokio::net::TcpListener, app: Router) {
     let app = TowerToHyperService::new(app);
     let mut open: VecDeque<(Trusted, AbortHandle)> = VecDeque::new();
@@ -171,7 +171,7 @@ async fn accept(listener: &tokio::net::TcpListener, app: Router) {
                 oldest.abort();
             }
         }
-        // A line that cannot be told to hurry is slower, nothing else.
+        // Without TCP_NODELAY a connection is slower, but works.
         let _ = stream.set_nodelay(true);
         let (app, trusted) = (app.clone(), Trusted::default());
         let shown = trusted.clone();
@@ -185,7 +185,7 @@ async fn accept(listener: &tokio::net::TcpListener, app: Router) {
             .max_buf_size(HEAD_BYTES_MAX)
             .serve_connection(TokioIo::new(stream), serve)
             .with_upgrades();
-        // How a connection ends is its client's business.
+        // The server does not depend on how a connection ends.
         let connection = tokio::spawn(async move { drop(connection.await) });
         open.push_back((trusted, connection.abort_handle()));
     }
@@ -205,7 +205,7 @@ fn router(door: Door) -> Router {
         .with_state(door)
 }
 
-/// Refuses what does not come from this page, and tells the browser what the page may do.
+/// Refuses requests that do not come from this page, and sends the page's policy to the browser.
 async fn guard(State(door): State<Door>, request: Request<Body>, next: Next) -> Response {
     let host = text(request.headers(), header::HOST.as_str());
     let origin = text(request.headers(), header::ORIGIN.as_str());
@@ -236,7 +236,8 @@ async fn guard(State(door): State<Door>, request: Request<Body>, next: Next) -> 
     response
 }
 
-/// Whether a request for this host is meant for a server at this address; a name that somebody let point here is not.
+/// Whether a request for this host is meant for a server at this address; a foreign name that resolves to this address
+/// is not.
 fn is_host(host: &str, address: SocketAddr) -> bool {
     let Some((name, port)) = host.rsplit_once(':') else {
         return false;
@@ -266,7 +267,7 @@ fn has_token(door: &Door, headers: &HeaderMap) -> bool {
     viewer::same(text(headers, TOKEN).as_bytes(), door.console.token.as_bytes())
 }
 
-/// A second way for a stop, beside the socket.
+/// A second path for a stop, beside the WebSocket.
 async fn stop(State(door): State<Door>, headers: HeaderMap) -> Response {
     if !has_token(&door, &headers) {
         return refused(StatusCode::FORBIDDEN, "wrong token");
@@ -275,7 +276,7 @@ async fn stop(State(door): State<Door>, headers: HeaderMap) -> Response {
     StatusCode::ACCEPTED.into_response()
 }
 
-/// Takes a file in, one at a time; who may not send one is told so before anything of it is read.
+/// Takes a file, one at a time; refuses a sender without permission before reading any of it.
 async fn file(State(door): State<Door>, request: Request) -> Response {
     let (head, body) = request.into_parts();
     let headers = head.headers;
@@ -284,7 +285,7 @@ async fn file(State(door): State<Door>, request: Request) -> Response {
     }
     let viewer = text(&headers, VIEWER).parse().unwrap_or(0);
     let console = door.console.clone();
-    // This thread waits for no lock of the viewers'.
+    // This thread does not wait for a lock of the viewers.
     let asking = door
         .viewers
         .spawn(async move { console.hub().control.is_held_by(viewer) });
@@ -320,7 +321,7 @@ async fn file(State(door): State<Door>, request: Request) -> Response {
     }
 }
 
-/// A file that is being sent here, until it is dropped.
+/// A running upload, until it is dropped.
 struct Uploading(Arc<AtomicBool>);
 
 impl Drop for Uploading {
@@ -329,7 +330,7 @@ impl Drop for Uploading {
     }
 }
 
-/// Everything of a body whose length was announced, if it comes.
+/// The whole body of announced length, if it arrives.
 async fn content_of(body: Body, length: usize) -> Result<Vec<u8>, (StatusCode, &'static str)> {
     const TOO_LONG: (StatusCode, &str) = (StatusCode::PAYLOAD_TOO_LARGE, "the file is larger than 32 MB");
     const STUCK: (StatusCode, &str) = (StatusCode::REQUEST_TIMEOUT, "the file stopped coming");
@@ -348,7 +349,7 @@ async fn content_of(body: Body, length: usize) -> Result<Vec<u8>, (StatusCode, &
     Ok(content)
 }
 
-/// A name as `encodeURIComponent` writes it.
+/// Decodes a name encoded by `encodeURIComponent`.
 fn decoded(name: &str) -> String {
     let mut bytes = Vec::new();
     let mut rest = name.bytes();
@@ -366,7 +367,7 @@ fn decoded(name: &str) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// What has to happen although nobody asks: control of the vanished ends, counts are told.
+/// Periodic work: ends control of vanished viewers and publishes the counters.
 async fn look_after(console: Arc<Console>) {
     let mut looks = 0_u32;
     loop {

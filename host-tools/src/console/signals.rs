@@ -1,8 +1,8 @@
-//! What can be plotted: the telemetry of every axis, and where it puts the pen.
+//! Signals for plots: the telemetry of every axis, and the resulting motion of the pen.
 //!
-//! A sample of the firmware becomes a row of plain numbers on the console's own time axis, which goes on when the
-//! firmware was restarted. Invariant: a row has a value for every signal of the catalogue; what cannot be computed is
-//! not a number.
+//! A sample of the firmware becomes a row of numbers on the console's own time axis, which continues after a restart of
+//! the firmware. Invariant: a row has a value for every signal of the catalogue; a value that cannot be computed is a
+//! NaN.
 
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -16,21 +16,21 @@ const PER_AXIS: usize = 5;
 const OF_PLATFORM: usize = 8;
 /// All signals.
 pub const SIGNALS: usize = AXES * PER_AXIS + OF_PLATFORM;
-/// Gap of the telemetry after which a speed is not computed from differences, ms.
+/// Largest gap of the telemetry across which a speed is computed from differences, ms.
 const GAP_MS: u32 = 1;
-/// Difference between the firmware's speed and that of the positions at which the position has jumped, rad/s.
+/// Difference between the firmware's speed and that of the positions above which the position counts as jumped, rad/s.
 const JUMP_RAD_S: f32 = 2.0;
-/// Time that the console's axis jumps when the firmware was restarted, ms.
+/// Jump of the console's time axis after a restart of the firmware, ms.
 const RESTART_MS: u64 = 1_000;
 
-/// One thing that can be plotted.
+/// A signal that can be plotted.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Signal {
-    /// Its name in files and messages, with the unit.
+    /// Name in files and messages, with the unit.
     pub name: String,
-    /// What a person reads.
+    /// Label for display.
     pub label: String,
-    /// Its unit.
+    /// Unit.
     pub unit: &'static str,
     /// The axis, from 1; 0 for the platform.
     pub axis: usize,
@@ -72,7 +72,7 @@ pub fn catalogue() -> Vec<Signal> {
     (1..=AXES).flat_map(of_axis).chain(of_platform).collect()
 }
 
-/// One millisecond of everything that can be plotted.
+/// One millisecond of all signals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// Console time, ms.
@@ -81,7 +81,7 @@ pub struct Row {
     pub t_ms: u32,
     /// Operating mode.
     pub mode: Mode,
-    /// Pen as the reference has it.
+    /// Pen state in the reference.
     pub pen: Pen,
     /// Stroke being drawn or travelled to.
     pub stroke: u32,
@@ -116,15 +116,15 @@ impl Row {
     }
 }
 
-/// Makes rows of samples.
+/// Converts samples into rows.
 pub struct Rows {
     delta: Option<Delta>,
-    /// What is added to the firmware's time.
+    /// Offset of the console's time to the firmware's time.
     offset_ms: u64,
     last: Option<Last>,
 }
 
-/// What the speeds of the next row need.
+/// Data needed for the speeds of the next row.
 struct Last {
     t_ms: u32,
     joints_rad: [f32; AXES],
@@ -133,8 +133,8 @@ struct Last {
 }
 
 impl Last {
-    /// Speeds of the platform from here to a sample, reference and actual, mm/s; not a number where samples are missing,
-    /// and where the position jumps because its reference is taken.
+    /// Commanded and measured speed of the platform up to a sample, mm/s; NaN where samples are missing, and where the
+    /// position jumps because a reference was taken.
     fn speeds_mm_s(&self, sample: &Sample, commanded_mm: &[f32; 3], measured_mm: &[f32; 3]) -> [f32; 2] {
         let axes = self
             .joints_rad
@@ -153,7 +153,7 @@ impl Last {
 }
 
 impl Rows {
-    /// Rows of a robot of this shape.
+    /// A converter for a robot with this configuration.
     pub fn new(config: &Config) -> Self {
         Self {
             delta: Delta::new(&config.geometry).ok(),
@@ -162,8 +162,8 @@ impl Rows {
         }
     }
 
-    /// Takes the next sample; `None` for one that is older than the last, as it arrives when the firmware was restarted
-    /// or telegrams overtook each other.
+    /// Takes the next sample; `None` for a sample older than the last, which occurs when the firmware was restarted or
+    /// telegrams overtook each other.
     pub fn take(&mut self, sample: &Sample) -> Row {
         if let Some(last) = &self.last
             && sample.t_ms < last.t_ms

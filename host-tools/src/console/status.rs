@@ -1,7 +1,7 @@
-//! The firmware's status as a person reads it.
+//! The firmware's status as text for display.
 //!
-//! What is in words here stands in words on the page; the page adds no meaning of its own. Invariant: whether the robot
-//! has stopped is said by the firmware's mode and fault, by nothing else.
+//! The page shows these texts unchanged. Invariant: only the firmware's mode and fault determine whether the robot is
+//! shown as stopped.
 
 use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
@@ -10,20 +10,20 @@ use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::link::protocol::{SlaveStatus, Status};
 use serde::Serialize;
 
-/// What the page shows of a status.
+/// A status as shown on the page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StatusView {
     mode: &'static str,
     text: &'static str,
     fault: Option<String>,
-    /// Whether the robot stands because of a stop that somebody asked for.
+    /// Whether the robot is stopped because of a requested stop.
     stopped: bool,
     referenced: bool,
-    /// Where the platform was seen last while the arms were referenced, mm; only while they are not.
+    /// Last position of the platform while the arms were referenced, mm; only while they are not referenced.
     seen_mm: Option<[f32; 3]>,
     configured: bool,
     override_percent: u8,
-    /// What the mode allows, by the names of the page's buttons.
+    /// Actions allowed by the mode, by the names of the page's buttons.
     allowed: Vec<&'static str>,
     bus: BusView,
     slaves: Vec<SlaveView>,
@@ -39,7 +39,7 @@ struct BusView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct SlaveView {
     number: usize,
-    /// Since when it does not answer, whole seconds; what else is told of it is as old.
+    /// Time since which the slave does not answer, whole seconds; its other data are as old.
     silent_s: Option<u64>,
     vendor: String,
     product: String,
@@ -56,7 +56,7 @@ struct SlaveView {
     warning: bool,
 }
 
-/// The name of a mode, as the page and the telemetry know it.
+/// The name of a mode on the page and in the telemetry.
 pub fn mode_name(mode: Mode) -> &'static str {
     match mode {
         Mode::Startup => "Startup",
@@ -72,7 +72,7 @@ pub fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
-/// What a mode allows.
+/// Actions allowed by a mode.
 fn allowed(mode: Mode, referenced: bool) -> Vec<&'static str> {
     let mut allowed: Vec<&'static str> = match mode {
         Mode::DrivesOff if referenced => vec!["enable", "reference", "draw"],
@@ -104,7 +104,7 @@ fn drive_text(state: DriveState) -> &'static str {
     }
 }
 
-/// Whether a slave does not answer: the firmware keeps what it knew of it last.
+/// Whether a slave does not answer; the firmware then keeps its last data.
 pub fn is_silent(status: &Status, index: usize) -> bool {
     let lost = matches!(status.fault, Some(Fault::SlaveLost { slave }) if usize::from(slave) == index);
     lost || status.slaves.get(index).is_none_or(|slave| slave.al_state == 0)
@@ -145,7 +145,7 @@ impl StatusView {
     }
 }
 
-/// A status in words; `silent_s` tells of each slave for how long it has not answered.
+/// Converts a status for display; `silent_s` gives for each slave how long it has not answered.
 pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
     let counters = &status.counters;
     let slaves: Vec<SlaveView> = (0..)

@@ -1,6 +1,6 @@
-//! From a dropped file to a drawing that can be started: strokes, check, planned time.
+//! Studio: from a dropped file to a drawing that can be started: strokes, check, planned time.
 //!
-//! Invariant: what is shown is what is drawn: the preview is the very path that travels to the firmware.
+//! Invariant: the preview shows exactly the path that is sent to the firmware.
 
 use super::jobs::Drawing;
 use super::words::on_page;
@@ -14,12 +14,12 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Longest name of a file that is shown.
+/// Longest file name shown, characters.
 const NAME_CHARS_MAX: usize = 80;
-/// Makes the names of the files of one process different.
+/// Makes the file names of a process unique.
 static FILES: AtomicU32 = AtomicU32::new(0);
 
-/// What the page shows of a preparation.
+/// A preparation as shown on the page.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct StudioView {
     /// `idle`, `working`, `ready` or `failed`.
@@ -28,22 +28,22 @@ pub struct StudioView {
     pub number: u64,
     /// The file.
     pub name: String,
-    /// Why it failed.
+    /// Why the preparation failed.
     pub error: String,
-    /// Strokes.
+    /// Number of strokes.
     pub strokes: u32,
     /// Length drawn, mm.
     pub pen_down_mm: f64,
-    /// Length travelled, mm.
+    /// Length of the travel moves, mm.
     pub pen_up_mm: f64,
-    /// Duration that the planner computed, s.
+    /// Duration computed by the planner, s.
     pub planned_s: f64,
-    /// What was wished of it.
+    /// Options requested.
     pub wishes: Wishes,
 }
 
 impl StudioView {
-    /// A preparation that goes on.
+    /// A preparation in progress.
     pub fn working(number: u64, name: &str, wishes: &Wishes) -> Self {
         Self {
             state: "working",
@@ -54,7 +54,7 @@ impl StudioView {
         }
     }
 
-    /// How a preparation of a file ended.
+    /// Result of a preparation of a file.
     pub fn of(result: &Result<Drawing, String>, number: u64, name: &str, wishes: &Wishes) -> Self {
         let plain = Self::working(number, name, wishes);
         match result {
@@ -78,7 +78,7 @@ impl StudioView {
     }
 }
 
-/// The options of a preparation, read as on the command line.
+/// Options of a preparation, parsed as on the command line.
 #[derive(Parser, Debug)]
 #[command(no_binary_name = true, disable_help_flag = true)]
 struct Options {
@@ -86,11 +86,11 @@ struct Options {
     source: SourceArguments,
 }
 
-/// What the page asks of a drawing; what is empty is left to the program.
+/// Options of a drawing from the page; empty ones take their defaults.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Wishes {
-    /// How a photograph becomes strokes.
+    /// Style in which a photograph is drawn.
     pub style: String,
     /// Largest size on the sheet, with its unit.
     pub size: String,
@@ -99,10 +99,10 @@ pub struct Wishes {
 }
 
 impl Wishes {
-    /// Reads the wishes as the page writes them, JSON; nothing at all is no wish.
+    /// Parses the page's options, JSON; an empty text means defaults.
     ///
     /// # Errors
-    /// The text is no JSON of wishes.
+    /// The text is not valid JSON of these options.
     pub fn parse(text: &str) -> Result<Self, String> {
         match text {
             "" => Ok(Self::default()),
@@ -111,14 +111,14 @@ impl Wishes {
     }
 }
 
-/// Options of the command line with the names that the page gives them.
+/// Options of the command line with their names on the page.
 const PAGE_NAMES: [(&str, &str); 3] = [
     ("--style", "style"),
     ("--size", "size"),
     ("--max-time", "the longest time"),
 ];
 
-/// Styles in which a photograph can be drawn.
+/// Styles available for photographs.
 pub fn styles() -> Vec<String> {
     let command = Options::command();
     let style = command.get_arguments().find(|argument| argument.get_id() == "style");
@@ -137,7 +137,7 @@ fn options(wishes: &Wishes) -> Result<SourceArguments, String> {
             continue;
         }
         words.push(format!("{option}={value}"));
-        // One after the other, so that an error is about this one.
+        // Parsed one at a time, so that an error belongs to this option.
         options = match Options::try_parse_from(&words) {
             Ok(parsed) => parsed.source,
             Err(error) => return Err(format!("{name}: {}", why(&error))),
@@ -149,7 +149,7 @@ fn options(wishes: &Wishes) -> Result<SourceArguments, String> {
     Ok(options)
 }
 
-/// The reason of an error of the command line, without its words for options.
+/// The reason of a command line error, without references to options.
 fn why(error: &clap::Error) -> String {
     let text = error.to_string();
     let first = text.lines().next().unwrap_or_default();
@@ -161,7 +161,7 @@ fn why(error: &clap::Error) -> String {
     }
 }
 
-/// A message of the preparation as the page tells it.
+/// A message of the preparation, worded for the page.
 fn told(message: &str) -> String {
     let mut told = on_page(message);
     if message.contains("--size") {
@@ -170,7 +170,7 @@ fn told(message: &str) -> String {
     told
 }
 
-/// A file in a place of its own that is removed.
+/// A file at a path of its own that is removed when dropped.
 struct Dropped(PathBuf);
 
 impl Dropped {
@@ -197,17 +197,17 @@ impl Drop for Dropped {
     }
 }
 
-/// A name as it may be shown: one line, not too long.
+/// A name for display: one line, limited length.
 pub fn shown_name(name: &str) -> String {
     let plain = name.chars().filter(|character| !character.is_control());
     let name: String = plain.take(NAME_CHARS_MAX).collect();
     if name.is_empty() { "drawing".to_owned() } else { name }
 }
 
-/// Makes a drawing of a file's content.
+/// Makes a drawing from a file's content.
 ///
 /// # Errors
-/// Why it cannot be drawn, as a person reads it.
+/// Why it cannot be drawn, as text for display.
 pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> Result<Drawing, String> {
     let name = shown_name(name);
     let options = options(wishes)?;
@@ -224,7 +224,7 @@ pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> 
     })
 }
 
-/// Lengths of a path, drawn and travelled, mm.
+/// Drawn and travelled length of a path, mm.
 pub fn lengths_mm(path: &[PathVertex]) -> (f64, f64) {
     let mut lengths = (0.0, 0.0);
     for (from, to) in path.iter().zip(path.iter().skip(1)) {

@@ -1,8 +1,8 @@
-//! A whole robot without hardware: the firmware and the virtual cell, behind a socket like any other port.
+//! A complete virtual robot: the firmware and the virtual cell, behind a socket like any other port.
 //!
-//! Simulated, the firmware's tasks run in this process at the pace of the wall clock; emulated, the firmware image runs
-//! in QEMU. What is at the other end of the socket cannot tell a difference to a board. Invariant: the cell outlives the
-//! firmware: a restart of the firmware finds drives and robot as they are.
+//! Simulated: the firmware's tasks run in this process at the pace of the wall clock. Emulated: the firmware image runs
+//! in QEMU. The other end of the socket sees no difference to a board. Invariant: the cell outlives the firmware: after
+//! a restart the firmware finds drives and robot in their present state.
 
 use super::messages::Injection;
 use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke, ResolverFault};
@@ -18,33 +18,33 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Lag behind the wall clock that is not made up for, ms.
+/// Lag behind the wall clock that is not caught up, ms.
 const LAG_MAX_MS: u64 = 50;
-/// Time between two looks at a running emulator.
+/// Time between two checks of a running emulator.
 const LOOK: Duration = Duration::from_millis(50);
-/// Error code of a drive fault that is injected: following error, by the profile's table.
+/// Error code of an injected drive fault: following error, from the profile's table.
 const DRIVE_ERROR: u16 = 0x8611;
-/// AL status code of a slave that is injected to fall back: sync manager watchdog.
+/// AL status code of an injected fallback: sync manager watchdog.
 const AL_WATCHDOG: u16 = 0x001B;
-/// How long an injected loss of power, of a resolver or of all frames lasts, ms.
+/// Duration of an injected loss of power, of a resolver or of all frames, ms.
 const POWER_MS: u64 = 1_000;
 const STUCK_MS: u64 = 200;
 const STALL_MS: u64 = 50;
-/// Beginning of the sockets' names; the process follows.
+/// Beginning of the sockets' names; the process id follows.
 const SOCKET_NAME: &str = "etherpen-console-";
-/// Makes the names of the sockets of one process different.
+/// Makes the socket names of a process unique.
 static SOCKETS: AtomicU32 = AtomicU32::new(0);
 
-/// Which firmware runs.
+/// Firmware that runs.
 #[derive(Clone, Debug)]
 pub enum Firmware {
-    /// Its tasks in this process.
+    /// The tasks in this process.
     Simulated,
     /// This image in QEMU.
     Emulated(PathBuf),
 }
 
-/// A cell that several threads look at.
+/// A cell shared by several threads.
 #[derive(Clone)]
 struct SharedCell(Arc<Mutex<Cell>>);
 
@@ -68,7 +68,7 @@ impl Segment for SharedCell {
     }
 }
 
-/// A cell whose clock goes on when the firmware's begins anew.
+/// A cell whose clock continues when the firmware's clock restarts.
 struct LaterCell {
     cell: SharedCell,
     begun_us: u64,
@@ -105,12 +105,12 @@ impl Socket {
     }
 }
 
-/// What the threads have in common.
+/// State shared by the threads.
 struct Shared {
     socket: Mutex<Socket>,
     ended: AtomicBool,
     restart: AtomicBool,
-    /// How far the cell's clock has come, us.
+    /// Time of the cell's clock, us.
     cell_us: Mutex<u64>,
     failure: Mutex<Option<String>>,
 }
@@ -119,7 +119,7 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A simulated firmware's line, by the wall clock.
+/// A simulated firmware's line, paced by the wall clock.
 struct PacedLine {
     shared: Arc<Shared>,
     begun: Instant,
@@ -157,12 +157,12 @@ impl Link for EmulatedLine {
     }
 }
 
-/// What is true of a cell, whatever its firmware says; for tests and displays.
+/// True state of a cell, independent of its firmware; for tests and displays.
 #[derive(Clone)]
 pub struct CellView(SharedCell);
 
 impl CellView {
-    /// The cell as it is now.
+    /// The present state of the cell.
     #[must_use]
     pub fn state(&self) -> CellState {
         self.0.lock().state()
@@ -177,7 +177,7 @@ pub struct VirtualCell {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Removes the sockets of killed consoles: their processes have gone and nobody listens there.
+/// Removes the sockets of killed consoles, whose processes no longer exist.
 fn remove_left_behind(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for path in entries.flatten().map(|entry| entry.path()) {
@@ -188,14 +188,14 @@ fn remove_left_behind(folder: &Path) {
         let refuses =
             |path: &Path| UnixStream::connect(path).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused);
         if has_ended && refuses(&path) {
-            // One that cannot be removed is in nobody's way.
+            // A socket that cannot be removed does no harm.
             let _ = std::fs::remove_file(&path);
         }
     }
 }
 
 impl VirtualCell {
-    /// Starts a cell and a firmware; [`VirtualCell::port`] leads to it.
+    /// Starts a cell and a firmware; [`VirtualCell::port`] returns the port.
     ///
     /// # Errors
     /// The socket cannot be made.
@@ -234,18 +234,18 @@ impl VirtualCell {
         })
     }
 
-    /// Where the firmware can be reached.
+    /// The port of the firmware.
     pub fn port(&self) -> PortName {
         PortName::Unix(self.path.clone())
     }
 
-    /// A look at the cell, which stays when the cell has another owner.
+    /// A view of the cell, which stays valid when the cell has another owner.
     #[must_use]
     pub fn view(&self) -> CellView {
         CellView(self.cell.clone())
     }
 
-    /// Why the firmware does not run any more, if it does not.
+    /// Why the firmware no longer runs, if it does not.
     pub fn failure(&self) -> Option<String> {
         lock(&self.shared.failure).clone()
     }
@@ -255,15 +255,15 @@ impl VirtualCell {
         self.cell.lock().ink().to_vec()
     }
 
-    /// The cell as it is now: the truth that no message tells.
+    /// The present true state of the cell, independent of any message.
     pub fn state(&self) -> CellState {
         self.cell.lock().state()
     }
 
-    /// Lets something go wrong; gives what a person reads about it, or why it is not possible.
+    /// Injects a fault; returns a text for display, or why it is not possible.
     ///
     /// # Errors
-    /// There is no such slave.
+    /// The slave does not exist.
     pub fn inject(&self, injection: Injection) -> Result<String, String> {
         let slaves = self.cell.lock().state().slaves.len();
         let exists = |slave: usize| match (1..=slaves).contains(&slave) {
@@ -317,7 +317,7 @@ impl Drop for VirtualCell {
             // A firmware that panicked has ended as well.
             let _ = thread.join();
         }
-        // A socket that is gone already needs no removal.
+        // The socket may already be gone.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -1,7 +1,7 @@
-//! The program's messages as the page tells them.
+//! The program's messages, worded for the page.
 //!
-//! The page has buttons and fields; a message that advises a command of the terminal helps nobody there. Invariant: what
-//! [`on_page`] gives names no command and no option, and is empty only where the message was.
+//! The page has buttons and fields; a message with a terminal command does not help there. Invariant: the result of
+//! [`on_page`] names no command and no option, and is empty only for an empty message.
 
 /// Whether a text names a command of this program or an option.
 fn is_terminal(text: &str) -> bool {
@@ -14,7 +14,7 @@ fn is_terminal(text: &str) -> bool {
     text.match_indices("etherpen ").any(names) || text.match_indices("--").any(names)
 }
 
-/// Takes out what stands in parentheses and is for the terminal.
+/// Removes parenthesised remarks that are for the terminal.
 fn without_asides(text: &str) -> String {
     let (mut told, mut rest) = (String::new(), text);
     while let Some((before, aside)) = rest.split_once('(') {
@@ -32,13 +32,13 @@ fn without_asides(text: &str) -> String {
     told + rest
 }
 
-/// What is left of a text of parts when those for the terminal are taken out.
+/// A text without its parts that are for the terminal.
 fn without(text: &str, separator: &str, part: impl Fn(&str) -> Option<String>) -> Option<String> {
     let kept: Vec<String> = text.split(separator).filter_map(part).collect();
     (!kept.is_empty()).then(|| kept.join(separator))
 }
 
-/// A message without the advice that is for the terminal.
+/// A message without advice that is for the terminal.
 pub(super) fn on_page(message: &str) -> String {
     if !is_terminal(message) {
         return message.to_owned();

@@ -1,20 +1,20 @@
-//! What a viewer has asked for and what has not been begun yet.
+//! A viewer's requests that are not started yet.
 //!
-//! Invariant: at most [`WAITING_MAX`] requests wait; of those for a picture only the newest of each kind, and a jog takes
-//! the place of the jog right before it.
+//! Invariant: at most [`WAITING_MAX`] requests wait; of plot requests only the newest of each kind, and a jog replaces
+//! a jog directly before it.
 
 use super::super::messages::Request;
 use std::collections::VecDeque;
 
-/// Requests that may wait.
+/// Most waiting requests.
 pub(super) const WAITING_MAX: usize = 64;
 
-/// Requests in their order.
+/// Requests in order.
 #[derive(Debug, Default)]
 pub(super) struct Inbox(VecDeque<Request>);
 
 impl Inbox {
-    /// Takes a request; gives whether there was room for it.
+    /// Adds a request; returns whether there was room.
     pub(super) fn push(&mut self, request: Request) -> bool {
         let same_kind = |other: &Request| std::mem::discriminant(other) == std::mem::discriminant(&request);
         match request {
@@ -30,7 +30,7 @@ impl Inbox {
         has_room
     }
 
-    /// The oldest request.
+    /// Removes the oldest request.
     pub(super) fn pop(&mut self) -> Option<Request> {
         self.0.pop_front()
     }

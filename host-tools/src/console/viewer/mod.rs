@@ -1,8 +1,9 @@
-//! One viewer: what it asks is done, what it can carry is sent.
+//! One viewer: carries out its requests, and sends it as much as its connection can carry.
 //!
-//! Three tasks: one reads and finds the stops, in the thread that does nothing else; one does what is asked, one sends.
-//! Invariants: a stop is heard whatever the other two do; what waits for a viewer is bounded, the newest replaces what it
-//! could not take; a request of a viewer without the token or without control is refused, a stop with the token is not.
+//! Three tasks: one reads and finds the stops, in a thread that does nothing else; one carries out requests; one sends.
+//! Invariants: a stop is handled whatever the other two do; the data queued for a viewer are bounded, the newest
+//! replaces what it could not take; a request of a viewer without the token or without control is refused, but a stop
+//! with the token is not.
 
 mod inbox;
 mod pictures;
@@ -32,23 +33,23 @@ use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::sync::Notify;
 
-/// Answers that may wait for a viewer.
+/// Most answers queued for a viewer.
 const ANSWERS_MAX: usize = 32;
-/// Requests that are no requests after which a viewer is sent away.
+/// Malformed requests after which a viewer is disconnected.
 const MALFORMED_MAX: u32 = 8;
 /// Close code of the WebSocket protocol for a violated policy.
 const CLOSE_POLICY: u16 = 1008;
-/// Time after its last jog in which a viewer that vanishes is taken to be jogging, ms.
+/// Time after its last jog in which a vanished viewer counts as jogging, ms.
 const JOGGING_MS: u64 = 500;
-/// Longest name of a page.
+/// Longest name of a page, characters.
 const PAGE_CHARS_MAX: usize = 40;
-/// Messages that a viewer without the token may send at once, and time in which it earns another one.
+/// Messages that a viewer without the token may send in a burst, and the time after which it may send another one.
 const GUEST_BURST: u32 = 100;
 const GUEST_EARNS: Duration = Duration::from_millis(20);
-/// Time that a viewer which is sent away has to take the last word.
+/// Time in which a viewer that is disconnected can receive the last message.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// What a viewer is plotting.
+/// The plot of a viewer.
 struct Watched {
     id: u32,
     signals: Vec<usize>,
@@ -56,7 +57,7 @@ struct Watched {
     columns: u64,
 }
 
-/// What waits for a viewer besides the common state.
+/// Data queued for a viewer besides the common state.
 #[derive(Default)]
 struct Mail {
     answers: VecDeque<Message>,
@@ -65,35 +66,35 @@ struct Mail {
     closing: Option<&'static str>,
 }
 
-/// What a viewer's tasks have in common.
+/// State shared by a viewer's tasks.
 pub(super) struct Viewer {
     console: Arc<Console>,
     id: ViewerId,
-    /// Whether it has shown the token.
+    /// Whether the viewer has shown the token.
     commanding: AtomicBool,
     inbox: Mutex<Inbox>,
     asked: Notify,
     mail: Mutex<Mail>,
     awake: Notify,
-    /// Told when the viewer has to go.
+    /// Notified when the viewer has to be disconnected.
     leave: Notify,
     jogged_ms: AtomicU64,
     page: Mutex<String>,
 }
 
-/// All viewers, so that one can be sent away.
+/// All viewers, so that one can be disconnected.
 pub(super) type Viewers = Mutex<Vec<Weak<Viewer>>>;
 
-/// What a viewer is told of itself.
+/// A viewer's information about itself.
 #[derive(Serialize)]
 struct You {
     id: ViewerId,
     may_command: bool,
-    /// Pictures that it could not take in time.
+    /// Pictures that the viewer could not take in time.
     skipped: u64,
 }
 
-/// Reads a viewer until it goes; everything but its stops is served by `elsewhere`.
+/// Reads a viewer's messages until it leaves; `elsewhere` serves everything but its stops.
 pub(super) async fn serve(socket: WebSocket, console: Arc<Console>, elsewhere: Handle) {
     let entering = elsewhere.spawn(async move { enter(console) });
     let Ok(Some(viewer)) = entering.await else {
@@ -102,7 +103,7 @@ pub(super) async fn serve(socket: WebSocket, console: Arc<Console>, elsewhere: H
             code: CLOSE_POLICY,
             reason: "too many viewers".into(),
         };
-        // It is sent away either way.
+        // The viewer is disconnected in any case.
         let _ = tokio::time::timeout(FAREWELL, socket.send(Message::Close(Some(full)))).await;
         return;
     };
@@ -116,7 +117,7 @@ pub(super) async fn serve(socket: WebSocket, console: Arc<Console>, elsewhere: H
     };
     if let Some(goodbye) = goodbye {
         lock(&viewer.mail).closing.get_or_insert(goodbye);
-        // Let the last word out, but do not wait for a line that is stuck.
+        // Lets the last message be sent, but does not wait for a blocked connection.
         viewer.awake.notify_one();
         let _ = tokio::time::timeout(FAREWELL, &mut writing).await;
         writing.abort();
@@ -125,7 +126,7 @@ pub(super) async fn serve(socket: WebSocket, console: Arc<Console>, elsewhere: H
     elsewhere.spawn(async move { viewer.left() });
 }
 
-/// Lets a viewer in where there is room, and sends the one away that has to go for it.
+/// Adds a viewer if there is room, and disconnects the one that has to leave for it.
 fn enter(console: Arc<Console>) -> Option<Arc<Viewer>> {
     let (id, leaving) = console.change(|hub| hub.enter())?;
     let viewer = Arc::new(Viewer {
@@ -153,7 +154,7 @@ fn enter(console: Arc<Console>) -> Option<Arc<Viewer>> {
     Some(viewer)
 }
 
-/// Does what a viewer asks, one request after the other, none while a stop is on its way.
+/// Carries out a viewer's requests one after the other; none while a stop is pending.
 async fn serve_requests(viewer: Arc<Viewer>) {
     loop {
         viewer.asked.notified().await;
@@ -165,7 +166,7 @@ async fn serve_requests(viewer: Arc<Viewer>) {
     }
 }
 
-/// How often a viewer without the token may be heard.
+/// Rate limit for a viewer without the token.
 struct Patience {
     since: Instant,
     heard: u32,
@@ -179,7 +180,7 @@ impl Patience {
         }
     }
 
-    /// How long to wait before the next message is read.
+    /// Time to wait before the next message is read.
     fn pause(&mut self) -> Duration {
         let earned = (self.since.elapsed().as_millis() / GUEST_EARNS.as_millis()) as u32;
         if earned >= self.heard {
@@ -196,7 +197,7 @@ impl Patience {
 async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
     let (mut malformed, mut patience) = (0, Patience::new());
     while let Some(Ok(message)) = stream.next().await {
-        // One message a turn, so that nobody's flood keeps others from being heard.
+        // One message in each turn, so that a flood does not block other viewers.
         tokio::task::yield_now().await;
         let pause = patience.pause();
         if !pause.is_zero() && !viewer.may_command() {
@@ -228,7 +229,7 @@ impl Viewer {
         self.commanding.load(Ordering::Relaxed)
     }
 
-    /// Stops at once; everything else is put where it is served from.
+    /// Handles a stop at once; passes any other request to the thread that serves it.
     fn hear(&self, request: Request) {
         if let Request::Hello { token, .. } = &request {
             let right = same(token.as_bytes(), self.console.token.as_bytes());
@@ -270,7 +271,7 @@ impl Viewer {
         format!("viewer {}", self.id)
     }
 
-    /// Does what is asked.
+    /// Carries out a request.
     fn take(&self, request: Request) {
         let now_ms = self.console.now_ms();
         self.console.hub().control.heard(self.id, now_ms);
@@ -291,7 +292,7 @@ impl Viewer {
         }
     }
 
-    /// What every viewer may ask for.
+    /// Carries out a request that every viewer may make.
     fn look(&self, request: Request) {
         let console = &self.console;
         match request {
@@ -360,7 +361,7 @@ impl Viewer {
         }
     }
 
-    /// What the viewer with control may ask for.
+    /// Carries out a request that only the viewer with control may make.
     fn operate(&self, request: Request, now_ms: u64) {
         let console = &self.console;
         match request {
@@ -394,7 +395,7 @@ impl Viewer {
                 hub.say_jobs();
             }),
             Request::Measure { reset } => console.measure(reset),
-            // Everything else was done before.
+            // All other requests were carried out before.
             _ => {}
         }
     }
@@ -510,7 +511,7 @@ fn existing(mut signals: Vec<usize>) -> Vec<usize> {
     signals
 }
 
-/// Compares in a time that does not tell where they differ.
+/// Compares in a time that does not depend on where the two differ.
 pub(in crate::console) fn same(a: &[u8], b: &[u8]) -> bool {
     let difference = a.iter().zip(b).fold(0, |difference, (a, b)| difference | (a ^ b));
     a.len() == b.len() && difference == 0

@@ -1,7 +1,7 @@
-//! What is sent to a viewer: what has changed, and pictures as often as its line takes them.
+//! Transmission to a viewer: state changes, and pictures as often as its connection can carry.
 //!
-//! Invariant: a viewer that is slow gets the newest of everything, each column of its plots once, and is told how many
-//! pictures it has missed.
+//! Invariant: a slow viewer gets the newest state, each column of its plots once, and the number of pictures that it
+//! missed.
 
 use super::ranges::Parts;
 use super::{CLOSE_POLICY, Viewer, Watched, You};
@@ -19,15 +19,15 @@ use std::time::{Duration, Instant};
 
 /// Time between two pictures.
 const PICTURE: Duration = Duration::from_millis(33);
-/// Longest time that a message may take to leave; after it the viewer counts as gone. One without the token gets less.
+/// Longest time to send a message, after which the viewer counts as gone. A viewer without the token gets less.
 const SEND_MAX: Duration = Duration::from_secs(20);
 const SEND_GUEST_MAX: Duration = Duration::from_secs(5);
-/// Milliseconds by which a plot grows at once.
+/// Most milliseconds by which a plot grows at once.
 const ROWS_AT_ONCE: usize = 4_000;
-/// Vertices of a path that are sent.
+/// Most vertices of a path that are sent.
 const VERTICES_MAX: usize = 60_000;
 
-/// What a viewer is told of its trigger.
+/// State of a viewer's trigger, as sent to it.
 #[derive(Serialize)]
 pub(super) struct CaptureView {
     state: &'static str,
@@ -71,7 +71,7 @@ struct Live {
     next: u64,
 }
 
-/// What a viewer has been sent.
+/// State already sent to a viewer.
 #[derive(Default)]
 struct Sent {
     version: u64,
@@ -85,7 +85,7 @@ struct Sent {
     fired: Option<bool>,
 }
 
-/// Sends until the viewer goes.
+/// Sends until the viewer leaves.
 pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<Viewer>) {
     let mut changed = viewer.console.changed.subscribe();
     let mut sent = Sent::default();
@@ -112,7 +112,7 @@ pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<V
                 code: CLOSE_POLICY,
                 reason: reason.into(),
             };
-            // It goes either way.
+            // The viewer leaves in any case.
             let _ = tokio::time::timeout(Duration::from_secs(1), sink.send(Message::Close(Some(frame)))).await;
             return;
         }
@@ -133,7 +133,7 @@ pub(super) async fn write(mut sink: SplitSink<WebSocket, Message>, viewer: Arc<V
 }
 
 impl Viewer {
-    /// Everything that is to be sent now; pictures only when they are due.
+    /// Everything to send now; pictures only when they are due.
     fn gather(&self, sent: &mut Sent, picture: bool) -> (Vec<Message>, Option<Watched>, Option<&'static str>) {
         let mut messages = Vec::new();
         let hub = self.console.hub();
@@ -170,7 +170,7 @@ impl Viewer {
         (messages, watch, closing)
     }
 
-    /// The next part of what was asked of the past, computed in another thread.
+    /// The next part of a requested range, computed in another thread.
     async fn next_part(&self, sent: &mut Sent) -> Option<Message> {
         let mut parts = match sent.parts.take() {
             Some(parts) => parts,
@@ -225,7 +225,7 @@ impl Viewer {
         }
     }
 
-    /// A new picture: everything of its window so far, computed in another thread.
+    /// A new plot: its whole window so far, computed in another thread.
     async fn begin(self: Arc<Self>, sent: &mut Sent, watched: Watched) -> Option<Message> {
         let Watched {
             id,
@@ -256,7 +256,7 @@ impl Viewer {
         Some(Message::Binary(bytes.into()))
     }
 
-    /// What a picture has grown by.
+    /// The growth of a plot since the last call.
     fn grow(&self, sent: &mut Sent) -> Option<Message> {
         let live = sent.live.as_mut()?;
         let (from, rows) = self.console.hub().history().some_since(live.next, ROWS_AT_ONCE);

@@ -1,22 +1,22 @@
-//! A part of the past, as columns, in messages of a bounded size.
+//! A part of the history as columns, in messages of bounded size.
 //!
-//! Invariants: a message is at most [`PART_BYTES`] and a column long, however much is wanted; what cannot be answered is
+//! Invariants: a message is at most [`PART_BYTES`] and one column long, whatever is requested; an invalid request is
 //! refused with the reason before anything is computed.
 
 use crate::console::capture::CAPTURE_MAX_MS;
 use crate::console::history::{Bucket, Decimator, Snapshot};
 use crate::console::messages::{self, COLUMNS_MAX, WINDOW_MAX_MS};
 
-/// Bytes after which a message is sent and another one begun.
+/// Bytes after which a message is sent and another one is started.
 const PART_BYTES: usize = 128 * 1024;
-/// Longest span, ms; a page rounds its ends.
+/// Longest span, ms; allows for a page that rounds its ends.
 const SPAN_MAX_MS: u64 = if WINDOW_MAX_MS > CAPTURE_MAX_MS {
     WINDOW_MAX_MS
 } else {
     CAPTURE_MAX_MS
 } + 1_000;
 
-/// What of the past is wanted.
+/// The requested range.
 #[derive(Debug)]
 pub(super) struct Wanted {
     id: u32,
@@ -26,7 +26,7 @@ pub(super) struct Wanted {
     bucket_ms: u64,
 }
 
-/// Whether a plot of this window and so many columns can be drawn.
+/// Checks that a plot with this window and number of columns can be drawn.
 pub(super) fn check_window(window_ms: u64, columns: u64) -> Result<(), String> {
     if window_ms == 0 || window_ms > WINDOW_MAX_MS {
         return Err(format!("a plot shows 1 to {WINDOW_MAX_MS} ms, not {window_ms}"));
@@ -38,7 +38,7 @@ pub(super) fn check_window(window_ms: u64, columns: u64) -> Result<(), String> {
 }
 
 impl Wanted {
-    /// Columns of a span, 0 for one every millisecond.
+    /// Columns of a span; 0 for one column every millisecond.
     pub(super) fn new(id: u32, signals: Vec<usize>, from_ms: u64, to_ms: u64, columns: u64) -> Result<Self, String> {
         let Some(length_ms) = to_ms.checked_sub(from_ms) else {
             return Err(format!("the span ends at {to_ms} ms, before it begins at {from_ms} ms"));
@@ -63,12 +63,12 @@ impl Wanted {
     }
 }
 
-/// An answer that is sent part by part.
+/// An answer sent in parts.
 pub(super) struct Parts {
     wanted: Wanted,
     snapshot: Snapshot,
     decimator: Decimator,
-    /// Where the next part begins, ms.
+    /// Start of the next part, ms.
     next_ms: u64,
     is_first: bool,
 }
@@ -76,7 +76,7 @@ pub(super) struct Parts {
 impl Parts {
     pub(super) fn new(wanted: Wanted, snapshot: &Snapshot) -> Self {
         Self {
-            // The rest may go meanwhile.
+            // The rest can be freed.
             snapshot: snapshot.cut(wanted.from_ms, wanted.to_ms),
             decimator: Decimator::new(wanted.signals.clone(), wanted.bucket_ms),
             next_ms: wanted.from_ms,
