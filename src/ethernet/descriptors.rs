@@ -1,9 +1,10 @@
 //! DMA descriptor rings of the Ethernet MAC in STM32H5 and STM32H7.
 //!
-//! The rings are words in memory that the DMA reads and writes; everything about them that is not an address or a register
-//! is here and runs on the host. A descriptor belongs to the DMA only while its OWN bit is set *and* it lies before the
-//! tail pointer. One descriptor of either ring always stays behind the tail: the DMA fetches a descriptor's address word
-//! before its OWN bit, so it must not come near one that is being written, and a full ring must differ from an empty one.
+//! The rings are words in memory that the DMA reads and writes; all logic that needs neither addresses nor registers is
+//! here and runs on the host. A descriptor belongs to the DMA only while its OWN bit is set *and* it is before the tail
+//! pointer. One descriptor of either ring always stays behind the tail: the DMA fetches a descriptor's address word
+//! before its OWN bit, so it must not come near one that is being written, and a full ring must differ from an empty
+//! one.
 //!
 //! Formats: RM0433, chapter "Ethernet (ETH)", normal descriptors in read and write-back form.
 
@@ -27,14 +28,14 @@ const ERROR_SUMMARY: u32 = 1 << 15;
 /// Word 3: frame length, bytes.
 const LENGTH_MASK: u32 = 0x7FFF;
 
-/// One descriptor as it lies in memory.
+/// One descriptor in memory.
 #[repr(C, align(16))]
 pub struct Descriptor([AtomicU32; 4]);
 
 const _: () = assert!(size_of::<Descriptor>() == DESCRIPTOR_BYTES as usize);
 
 impl Descriptor {
-    /// All zero: the processor's.
+    /// A descriptor with all words zero, which belongs to the processor.
     pub const fn new() -> Self {
         Self([const { AtomicU32::new(0) }; 4])
     }
@@ -59,14 +60,14 @@ impl Default for Descriptor {
     }
 }
 
-/// Where a ring lies, as the DMA sees it.
+/// Addresses of a ring, as seen by the DMA.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// Address of the first descriptor.
     pub descriptors: u32,
     /// Address of the first descriptor's buffer.
     pub buffers: u32,
-    /// Bytes from one buffer to the next, and of each.
+    /// Length of each buffer, and the distance between two buffers, bytes.
     pub buffer_bytes: u32,
 }
 
@@ -105,14 +106,14 @@ impl<'a, const N: usize> Ring<'a, N> {
     }
 }
 
-/// What the receive descriptor in turn holds.
+/// State of the current receive descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// The DMA has not finished with it.
+    /// The DMA has not finished with the descriptor.
     Nothing,
     /// A whole, undamaged frame of this many bytes without its check sequence.
     Frame(usize),
-    /// Damaged, a part of a longer frame, or no frame: to be given back.
+    /// A damaged frame, a part of a longer frame, or no frame: the descriptor has to be given back.
     Unusable,
 }
 
@@ -133,18 +134,18 @@ impl<'a, const N: usize> ReceiveRing<'a, N> {
         ring
     }
 
-    /// Tail pointer of the ring as [`ReceiveRing::start`] leaves it: all but the last descriptor are the DMA's.
+    /// Initial tail pointer after [`ReceiveRing::start`]: all but the last descriptor belong to the DMA.
     pub const fn first_tail(&self) -> u32 {
         self.0.address(N - 1)
     }
 
-    /// Index of the buffer in turn, below `N`. It may be read after [`ReceiveRing::received`] has said `Frame`, and until
-    /// [`ReceiveRing::give_back`].
+    /// Index of the current buffer, below `N`. The buffer may be read after [`ReceiveRing::received`] has returned
+    /// `Frame`, until [`ReceiveRing::give_back`].
     pub const fn index(&self) -> usize {
         self.0.next
     }
 
-    /// Looks at the descriptor in turn.
+    /// Reads the state of the current descriptor.
     pub fn received(&self) -> Received {
         let status = self.0.descriptor(self.0.next).control();
         let length = status & LENGTH_MASK;
@@ -158,8 +159,8 @@ impl<'a, const N: usize> ReceiveRing<'a, N> {
         }
     }
 
-    /// Prepares the descriptor in turn for another frame and returns the new tail pointer: this descriptor, so that the
-    /// DMA gets the one before it. Memory must be written before the register is.
+    /// Prepares the current descriptor for another frame and returns the new tail pointer: this descriptor, so that the
+    /// DMA gets the one before it. The memory write has to be complete before the register is written.
     pub fn give_back(&mut self) -> u32 {
         let tail = self.0.address(self.0.next);
         let control = OWN | INTERRUPT_ON_COMPLETION | BUFFER_VALID;
@@ -190,14 +191,14 @@ impl<'a, const N: usize> TransmitRing<'a, N> {
         self.0.is_ours(self.0.next) && self.0.is_ours(self.0.next + 1)
     }
 
-    /// Index of the buffer in turn, below `N`. It may be written after [`TransmitRing::has_room`] has said so, and until
-    /// [`TransmitRing::hand_over`].
+    /// Index of the current buffer, below `N`. The buffer may be written after [`TransmitRing::has_room`] has returned
+    /// true, until [`TransmitRing::hand_over`].
     pub const fn index(&self) -> usize {
         self.0.next
     }
 
-    /// Hands the frame of `length` bytes in the buffer in turn over and returns the new tail pointer: the descriptor after
-    /// it. Memory must be written before the register is.
+    /// Passes the frame of `length` bytes in the current buffer to the DMA and returns the new tail pointer: the next
+    /// descriptor. The memory write has to be complete before the register is written.
     pub fn hand_over(&mut self, length: usize) -> u32 {
         let length = (length as u32).min(self.0.place.buffer_bytes);
         let control = OWN | WHOLE_FRAME | length;

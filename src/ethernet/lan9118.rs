@@ -1,9 +1,9 @@
 //! The SMSC LAN9118 Ethernet controller as an `embassy_net_driver::Driver`.
 //!
-//! Frames go through two FIFOs of 32-bit words. The logic works on [`Registers`]; nothing in it waits without a bound,
-//! trusts a length it has read, or leaves a FIFO between two frames: after every call the next word in the receive FIFO is
-//! the first of a frame, so one damaged frame costs itself and not those behind it. A frame that cannot be taken or sent
-//! is counted, never waited for. No waker is kept: whoever owns the interrupt polls.
+//! Frames go through two FIFOs of 32-bit words. The logic works on [`Registers`]. Every wait is bounded, no length read
+//! from the chip is trusted, and no FIFO is left between two frames: after every call the next word in the receive FIFO
+//! is the first of a frame, so one damaged frame does not affect those behind it. A frame that cannot be received or
+//! sent is counted, never waited for. No waker is kept: the owner of the interrupt polls.
 //!
 //! Register addresses and bits: SMSC LAN9118 data sheet, chapter 5 (system control and status registers, MAC control and
 //! status registers) and sections 3.12 and 3.13 (transmit and receive data path).
@@ -29,7 +29,7 @@ const COMMAND_BYTES: usize = 2 * WORD_BYTES;
 /// How often a busy bit is read before the controller counts as dead.
 const POLLS_MAX: u32 = 100_000;
 
-/// Lengths of a received frame that are possible, check sequence included.
+/// Valid lengths of a received frame, check sequence included.
 const RX_LENGTHS: core::ops::RangeInclusive<usize> =
     HEADER_BYTES + CHECK_SEQUENCE_BYTES..=FRAME_BYTES_MAX + CHECK_SEQUENCE_BYTES;
 
@@ -74,7 +74,7 @@ pub enum Register {
     TxFifoInf = 0x80,
     /// Free-running counter, 25 MHz.
     FreeRun = 0x9c,
-    /// Frames the controller had no room for.
+    /// Frames dropped because the controller had no room.
     RxDrop = 0xa0,
     /// Access to a register of the MAC: command.
     MacCsrCmd = 0xa4,
@@ -154,18 +154,18 @@ pub trait Registers {
 /// Why the controller could not be started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartError {
-    /// The byte order test word is wrong: no controller there, or the bus swaps bytes.
+    /// The byte order test word is wrong: there is no controller, or the bus swaps bytes.
     ByteTest {
         /// [`BYTE_TEST`].
         expected: u32,
-        /// What was read.
+        /// Value read.
         actual: u32,
     },
-    /// Another chip.
+    /// The chip is not a LAN9118.
     Chip {
         /// [`CHIP`].
         expected: u32,
-        /// What was read.
+        /// Value read.
         actual: u32,
     },
     /// The reset did not end.
@@ -177,7 +177,7 @@ pub enum StartError {
     },
 }
 
-/// What went wrong on the way, counted since the start.
+/// Counters since start-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Frames given to the controller.
@@ -232,7 +232,7 @@ impl Buffer {
     }
 }
 
-/// Everything but the received frame, so that a reply can be written while the frame is read.
+/// The controller without the received frame's buffer, so that a reply can be written while the frame is read.
 struct Port<R> {
     registers: R,
     counters: Counters,
@@ -250,7 +250,7 @@ impl<R: Registers> Lan9118<R> {
             .map_err(|(expected, actual)| StartError::ByteTest { expected, actual })?;
         expect(CHIP, registers.read(Register::IdRev) >> 16)
             .map_err(|(expected, actual)| StartError::Chip { expected, actual })?;
-        // Before anything else: the line is active low out of reset, so an active-high controller sees it asserted.
+        // First of all: the line is active low out of reset, so an active-high controller sees it asserted.
         registers.write(Register::IrqCfg, IRQ_ACTIVE_HIGH | IRQ_PUSH_PULL);
         registers.write(Register::HwCfg, HW_SOFT_RESET);
         poll(&mut registers, Register::HwCfg, HW_SOFT_RESET).ok_or(StartError::ResetTimeout)?;
@@ -279,18 +279,18 @@ impl<R: Registers> Lan9118<R> {
         })
     }
 
-    /// Clears the receive interrupt. It is raised by an arrival only, so this comes before the frames are drained.
+    /// Clears the receive interrupt. Only an arrival raises it, so call this before draining the frames.
     pub fn acknowledge(&mut self) {
         clear_arrival(&mut self.port.registers);
     }
 
-    /// What went wrong so far.
+    /// The counters.
     pub fn counters(&self) -> Counters {
         self.port.counters
     }
 
-    /// Takes the next intact frame from the FIFO into the buffer and gives its length without check sequence; damaged
-    /// ones before it are counted and discarded.
+    /// Takes the next intact frame from the FIFO into the buffer and returns its length without check sequence; damaged
+    /// frames before it are counted and discarded.
     fn take_frame(&mut self) -> Option<usize> {
         let Port {
             registers, counters, ..
@@ -324,7 +324,8 @@ impl<R: Registers> Lan9118<R> {
 }
 
 impl<R: Registers> Port<R> {
-    /// Hands the first `length` bytes of the buffer to the MAC, padded to [`FRAME_BYTES_MIN`]; false if they do not fit.
+    /// Passes the first `length` bytes of the buffer to the MAC, padded to [`FRAME_BYTES_MIN`]; returns false if they
+    /// do not fit.
     fn send(&mut self, length: usize) -> bool {
         let padded = length.max(FRAME_BYTES_MIN);
         if padded > FRAME_BYTES_MAX {
@@ -352,7 +353,7 @@ impl<R: Registers> Port<R> {
         true
     }
 
-    /// Takes the statuses of frames that have left, so that their FIFO never fills.
+    /// Takes the statuses of transmitted frames, so that their FIFO never fills.
     fn drain_transmit_status(&mut self) {
         let fill = self.registers.read(Register::TxFifoInf);
         for _ in 0..(fill >> FIFO_STATUS_SHIFT) & FIFO_STATUS_MASK {
@@ -405,12 +406,12 @@ impl<R: Registers> Driver for Lan9118<R> {
     }
 }
 
-/// Received frames that a reading of [`Register::RxFifoInf`] stands for.
+/// Number of received frames according to a value of [`Register::RxFifoInf`].
 pub const fn frames_waiting(rx_fifo_inf: u32) -> u32 {
     (rx_fifo_inf >> FIFO_STATUS_SHIFT) & FIFO_STATUS_MASK
 }
 
-/// Clears the receive interrupt. It is raised by an arrival only, so this comes before the frames are looked at.
+/// Clears the receive interrupt. Only an arrival raises it, so call this before checking for frames.
 fn clear_arrival(registers: &mut impl Registers) {
     registers.write(Register::IntSts, INT_RX_STATUS_LEVEL);
 }
@@ -447,7 +448,7 @@ impl embassy_net_driver::RxToken for RxToken<'_> {
     }
 }
 
-/// The right to send one frame.
+/// Permission to send one frame.
 pub struct TxToken<'a, R> {
     port: &'a mut Port<R>,
 }
@@ -465,7 +466,7 @@ impl<R: Registers> TxToken<'_, R> {
         (result, port.send(length))
     }
 
-    /// As [`Lan9118::acknowledge`].
+    /// Clears the receive interrupt, like [`Lan9118::acknowledge`].
     pub fn acknowledge(&mut self) {
         clear_arrival(&mut self.port.registers);
     }

@@ -1,7 +1,7 @@
-//! Ethernet controllers: the part of their drivers that needs no access to hardware.
+//! Ethernet controllers: the part of their drivers that does not access hardware.
 //!
-//! A driver here talks to a small register trait, so that its logic is safe code and is tested on the host against a model
-//! of the chip; a board supplies the volatile accesses.
+//! A driver uses a small register trait, so that its logic is safe code and is tested on the host against a model of
+//! the chip; a board provides the volatile accesses.
 
 pub mod descriptors;
 pub mod lan9118;

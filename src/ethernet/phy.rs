@@ -1,16 +1,16 @@
-//! A PHY over the management interface: one transaction at a time, never waited for.
+//! A PHY on the management interface, driven without waiting: one transaction at a time.
 //!
-//! A register access takes some 30 us on the wire. Each step collects the transaction that the step before started and
-//! starts the next, so that no step blocks, a PHY that is missing or dies costs nothing, and one that comes back is found
-//! again. The PHY offers 100 Mbit/s full duplex alone, all that EtherCAT knows, so a MAC set to it always agrees.
+//! A register access takes some 30 us on the wire. Each step collects the result of the previous step's transaction and
+//! starts the next one, so no step blocks, a missing PHY does no harm, and a PHY that returns is found again. The PHY
+//! offers only 100 Mbit/s full duplex, which EtherCAT requires, so a MAC set to it always agrees.
 //!
-//! Registers: IEEE 802.3 clause 22; nothing here is particular to one PHY.
+//! Registers: IEEE 802.3 clause 22; independent of the type of PHY.
 
 use crate::board::PortState;
 
 /// Addresses on the management bus.
 pub const ADDRESSES: u8 = 32;
-/// Steps between two looks at the link.
+/// Steps between two checks of the link.
 pub const POLL_PERIOD_STEPS: u8 = 10;
 /// Steps after which a transaction counts as lost.
 pub const TRANSACTION_STEPS_MAX: u8 = 5;
@@ -20,29 +20,29 @@ const BASIC_STATUS: u8 = 1;
 const IDENTIFIER_1: u8 = 2;
 const ADVERTISEMENT: u8 = 4;
 
-/// Auto-negotiation on, and begun anew.
+/// Enable and restart auto-negotiation.
 const NEGOTIATE: u16 = 1 << 12 | 1 << 9;
 /// 100BASE-TX full duplex, selector IEEE 802.3.
 const FULL_DUPLEX_100: u16 = 1 << 8 | 1;
 const LINK_UP: u16 = 1 << 2;
 const NEGOTIATED: u16 = 1 << 5;
 
-/// The management interface of a MAC: clause 22 transactions that run by themselves.
+/// The management interface of a MAC: clause 22 transactions that run in hardware.
 pub trait Management {
     /// Starts to read `register` (0 to 31) of the PHY at `address` (0 to 31).
     fn start_read(&mut self, address: u8, register: u8);
     /// Starts to write `value` to `register` of the PHY at `address`.
     fn start_write(&mut self, address: u8, register: u8, value: u16);
-    /// What the transaction that was started last read, once it has ended; anything after a write.
+    /// Value read by the last transaction, once it has ended; any value after a write.
     fn result(&mut self) -> Option<u16>;
 }
 
-/// What a step found out.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A PHY answers at this address.
     Found(u8),
-    /// The PHY does not answer any more; the link is down.
+    /// The PHY no longer answers; the link is down.
     Lost,
     /// The link came up.
     LinkUp,
@@ -52,13 +52,13 @@ pub enum Event {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum State {
-    /// Asking one address after the other for its identifier.
+    /// Reads the identifier at one address after the other.
     Searching,
     Advertising,
     Negotiating,
     /// Reading the status.
     Polling,
-    /// This many steps until the next look.
+    /// Number of steps until the next check.
     Resting(u8),
 }
 
@@ -67,7 +67,7 @@ pub struct Phy {
     state: State,
     address: u8,
     link_is_up: bool,
-    /// Steps since the transaction under way was started; none is under way without a value.
+    /// Steps since the current transaction was started; `None` without a transaction.
     waited: Option<u8>,
 }
 
@@ -78,7 +78,7 @@ impl Default for Phy {
 }
 
 impl Phy {
-    /// Knows no PHY yet: the first steps search for one, beginning at address 0.
+    /// A state machine that knows no PHY yet: the first steps search for one from address 0 on.
     pub const fn new() -> Self {
         Self {
             state: State::Searching,
@@ -88,12 +88,12 @@ impl Phy {
         }
     }
 
-    /// Whether the link was up, negotiated, at the last look.
+    /// Whether the link was up and negotiated at the last check.
     pub const fn link_is_up(&self) -> bool {
         self.link_is_up
     }
 
-    /// What is known of the port.
+    /// Known state of the port.
     pub fn port(&self) -> PortState {
         match (self.state, self.link_is_up) {
             (State::Searching, _) => PortState::NoPhy,
@@ -120,7 +120,7 @@ impl Phy {
         self.finish(value)
     }
 
-    /// Starts the transaction of the state.
+    /// Starts the transaction of the present state.
     fn start(&mut self, bus: &mut impl Management) {
         match self.state {
             State::Searching => bus.start_read(self.address, IDENTIFIER_1),
@@ -135,9 +135,9 @@ impl Phy {
         self.waited = Some(0);
     }
 
-    /// Takes the result of the state's transaction.
+    /// Takes the result of the present state's transaction.
     fn finish(&mut self, value: u16) -> Option<Event> {
-        // The data line is pulled up: where nobody answers, ones are read. No identifier is zero.
+        // The data line is pulled up: an address without a PHY reads as ones. No identifier is zero.
         let answers = value != u16::MAX;
         match self.state {
             State::Searching if !answers || value == 0 => self.search_next(),
@@ -169,7 +169,7 @@ impl Phy {
         Some(if up { Event::LinkUp } else { Event::LinkDown })
     }
 
-    /// Gives the address up and goes on with the next.
+    /// Leaves the present address and continues with the next.
     fn search_next(&mut self) -> Option<Event> {
         let was_known = self.state != State::Searching;
         *self = Self {

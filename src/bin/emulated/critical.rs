@@ -1,9 +1,9 @@
-//! Critical sections that never hold back the critical tasks.
+//! Critical sections that never delay the critical tasks.
 //!
-//! The usual implementation stops every interrupt. This one raises BASEPRI to the level just under the tasks of the
-//! 1 kHz loop, so that logging, queues and wakers of everything below them cannot make a frame late. The price is a rule:
-//! a critical task must use nothing that takes a critical section. `start_up_check` is the other half: it refuses to run
-//! when an interrupt outside the list of critical ones could preempt a critical section.
+//! The default implementation masks every interrupt. This one raises BASEPRI to the level just below the tasks of the 1
+//! kHz loop, so that logging, queues and wakers of lower tasks cannot make a frame late. The price is a rule: a
+//! critical task must not use anything that takes a critical section. `start_up_check` enforces the other half: it
+//! refuses to run if an interrupt outside the list of critical ones could preempt a critical section.
 
 use crate::device::{INTERRUPTS, Interrupt, NVIC_PRIO_BITS};
 use core::sync::atomic::{Ordering, compiler_fence};
@@ -25,7 +25,7 @@ const fn hardware_priority(logical: u8) -> u8 {
     ((1 << NVIC_PRIO_BITS) - logical) << (8 - NVIC_PRIO_BITS)
 }
 
-/// The variant for measurements shows what this one is for: see `primask`.
+/// The variant for measurements shows the effect of this implementation: see `primask`.
 #[cfg_attr(feature = "primask", allow(dead_code))]
 struct BelowCritical;
 #[cfg(not(feature = "primask"))]

@@ -1,7 +1,7 @@
-//! What RTIC and the vector table need to know of the machine.
+//! Device definitions of the machine for RTIC and the vector table.
 //!
-//! Interrupt numbers are those of QEMU's `mps2-an500`; the numbers named `FREE` are connected to nothing and are pended
-//! by software. Every entry of the table that no task binds ends in the default handler (see `device.x`).
+//! Interrupt numbers are those of QEMU's `mps2-an500`; the numbers named `FREE` are not connected and are pended by
+//! software. Every table entry without a task ends in the default handler (see `device.x`).
 
 // The start-up code and the first entries of the vector table come from here.
 use cortex_m_rt as _;

@@ -1,4 +1,4 @@
-//! A line in the log once a second: load, swallowed periods, overruns.
+//! Health report, once a second in the log: load, missed periods, overruns.
 
 use crate::load;
 use crate::timer::PERIOD_COUNTS;
@@ -15,7 +15,7 @@ pub(crate) static PERIODS_MISSED: AtomicU32 = AtomicU32::new(0);
 /// Frames that were damaged or not sent.
 pub(crate) static FRAMES_FAILED: AtomicU32 = AtomicU32::new(0);
 
-/// What the last report left behind.
+/// Counters of the last report.
 pub(crate) struct Health {
     next_ms: u32,
     slept_counts: u32,

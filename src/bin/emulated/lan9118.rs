@@ -1,4 +1,4 @@
-//! Where the Ethernet controller is: volatile access to its registers.
+//! Volatile access to the Ethernet controller's registers.
 
 use core::arch::global_asm;
 use etherpen::ethernet::lan9118::{self, Register, Registers, WORD_BYTES};
@@ -115,7 +115,7 @@ pub(crate) fn free_run() -> u32 {
     read(Register::FreeRun)
 }
 
-/// Frames that wait in the controller. Reading the level changes nothing, so it needs no owner.
+/// Number of frames waiting in the controller. Reading the level changes nothing, so it needs no owner.
 pub(crate) fn frames_waiting() -> u32 {
     lan9118::frames_waiting(read(Register::RxFifoInf))
 }

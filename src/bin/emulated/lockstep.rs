@@ -1,9 +1,9 @@
-//! Keeping in step with the host through files in the emulator's working directory.
+//! Lockstep with the host, through files in the emulator's working directory.
 //!
-//! After every Ethernet frame the firmware waits for the host's token, every millisecond it exchanges the serial link's
-//! bytes; both waits cost no virtual time (see `semihosting`). The host answers in that order, so that what the firmware
-//! sees never depends on the host's speed. If the host has made no `link.down`, the firmware runs free: the link goes
-//! through UART0 and no token is awaited.
+//! After every Ethernet frame the firmware waits for the host's token; every millisecond it exchanges the serial link's
+//! bytes. Neither wait takes virtual time (see `semihosting`). The host answers in that order, so the firmware's
+//! behaviour never depends on the host's speed. If the host has made no `link.down`, the firmware runs free: the link
+//! uses UART0, and the firmware does not wait for tokens.
 //!
 //! | file | direction | record |
 //! |---|---|---|
@@ -55,7 +55,7 @@ pub(crate) fn open() -> Option<(Bus, Link)> {
 }
 
 impl Bus {
-    /// Says that a frame went out at `time_us`, waits until its replies are on their way, and gives their number.
+    /// Reports a frame sent at `time_us`, waits until its replies are on their way, and returns their number.
     pub(crate) fn frame_sent(&self, time_us: u64) -> u8 {
         let mut token = [0];
         let exchange = self.up.write(&time_us.to_le_bytes());
@@ -65,7 +65,8 @@ impl Bus {
 }
 
 impl Link {
-    /// Sends what `fill` puts into the buffer, of which it gives the length, and gives what the host had to send.
+    /// Sends the bytes that `fill` writes into the buffer (it returns their number), and returns the bytes from the
+    /// host.
     pub(crate) fn exchange(&mut self, ms: u32, fill: impl FnOnce(&mut [u8]) -> usize) -> &[u8] {
         let (header, bytes) = self.sent.split_at_mut(LINK_UP_HEADER_BYTES);
         let length = fill(bytes).min(LINK_BYTES_MAX);
@@ -81,7 +82,7 @@ impl Link {
     }
 }
 
-/// Without its host the firmware ends: an emulator must not outlive the program that started it.
+/// Ends the firmware if the host has gone: an emulator must not outlive the program that started it.
 fn or_end<T>(result: Result<T, Closed>) -> T {
     result.unwrap_or_else(|Closed| semihosting::fail(EXIT_HOST_GONE, format_args!("the host closed the lockstep")))
 }

@@ -1,7 +1,8 @@
-//! Log lines on their way to the host: a defmt logger into a ring that a task of the lowest priority empties.
+//! Log output to the host: a defmt logger that writes into a ring, which a task of the lowest priority empties.
 //!
-//! A frame is entered whole or not at all; one that finds no room is counted, and the count is logged when there is room
-//! again. Nothing waits. Critical tasks must not log: a frame is written inside a critical section, which they ignore.
+//! A frame is entered whole or not at all. A frame that finds no room is counted, and the count is logged when there is
+//! room again. The logger never waits. Critical tasks must not log: a frame is written inside a critical section, which
+//! does not mask them.
 
 use crate::semihosting::File;
 use core::cell::UnsafeCell;
@@ -62,7 +63,7 @@ impl Ring {
     }
 }
 
-/// What the logger keeps while a frame is being written.
+/// State of the logger while a frame is being written.
 struct State {
     encoder: defmt::Encoder,
     ring: Ring,
@@ -149,7 +150,7 @@ impl Drain {
         }
     }
 
-    /// Writes what is in the ring; what the host does not take is gone.
+    /// Writes the content of the ring to the host's file; bytes that the host does not take are lost.
     pub(crate) fn run(&mut self) {
         let mut bytes = [0; DRAIN_BYTES];
         loop {

@@ -1,7 +1,8 @@
-//! Polls a future once every millisecond, whatever the future thinks of wakers.
+//! Polls a future once every millisecond, without wakers.
 //!
-//! The supervisor and the IP stack are written as sequences of waits for the next look. They register no waker, because the
-//! tasks they wait for must take no critical section; so they are looked at in every tick of a task that may.
+//! The supervisor and the IP stack are written as sequences of waits for the next poll. They register no waker, because
+//! the tasks that they wait for must not take a critical section. They are therefore polled in every tick of a task
+//! that may take one.
 
 use core::cell::Cell;
 use core::future::poll_fn;

@@ -1,6 +1,6 @@
-//! The end of the firmware: the cause goes to the emulator's console, and the emulator ends with a failure.
+//! End of the firmware: prints the cause on the emulator's console and ends the emulator with a failure.
 //!
-//! No logger and no queue takes part, since one of them may be the cause. One last telegram tells the drives to stop; cyclic
+//! No logger and no queue is used, since one of them may be the cause. One last telegram stops the drives. The cyclic
 //! frames end with the emulator, and the drives' own watchdogs stop the motors.
 
 use crate::semihosting::{EXIT_PANIC, exit, say};
@@ -12,7 +12,7 @@ use cortex_m_rt::{ExceptionFrame, exception};
 
 fn end(cause: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
-    // Before anything else can go wrong.
+    // First, before any further failure.
     say(cause);
     // SAFETY: interrupts are masked, and nothing returns from here.
     unsafe { last_word::say(&CRITICAL, Wire::wait_no_more) };

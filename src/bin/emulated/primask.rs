@@ -1,7 +1,7 @@
-//! The usual critical section, which masks every interrupt: what the firmware would be without its own.
+//! The default critical section, which masks every interrupt, for comparison with the firmware's own.
 //!
-//! Only the variant with the feature `primask` has it, for `etherpen bench latency --isolation primask`: there a log line
-//! or a queue of the lowest priority holds back the critical tasks.
+//! Only the variant with the feature `primask` uses it, for `etherpen bench latency --isolation primask`: with it a log
+//! line or a queue of the lowest priority delays the critical tasks.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 use cortex_m::register::primask;

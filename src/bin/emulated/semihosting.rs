@@ -1,9 +1,9 @@
-//! Calls to the emulator: files in its working directory, its console, its end.
+//! Semihosting calls to the emulator: files in its working directory, its console, its exit.
 //!
-//! A call runs in the emulated processor's own thread and costs no virtual time, however long the host takes: that is what
-//! keeps a busy host from making frames late. Operations and their parameter blocks: "Semihosting for AArch32 and AArch64"
-//! (Arm). File names are fixed and there are no arguments, so that the count of executed instructions never depends on
-//! where or how the emulator was started.
+//! A call runs in the emulated processor's own thread and takes no virtual time, however long the host takes, so a busy
+//! host cannot make frames late. Operations and their parameter blocks: "Semihosting for AArch32 and AArch64" (Arm).
+//! File names are fixed and there are no arguments, so that the number of executed instructions never depends on where
+//! or how the emulator was started.
 
 use core::ffi::CStr;
 use core::fmt::{self, Write};
@@ -29,7 +29,7 @@ pub(crate) struct File {
     handle: u32,
 }
 
-/// The host did not take or give all bytes: its end of the file is closed.
+/// The host did not transfer all bytes: its end of the file is closed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Closed;
 
@@ -59,7 +59,7 @@ impl File {
         if missing == 0 { Ok(()) } else { Err(Closed) }
     }
 
-    /// Reads what is there, at least one byte, waiting for it; gives how many.
+    /// Reads the available bytes, at least one, waiting for it; returns how many.
     pub(crate) fn read(self, bytes: &mut [u8]) -> Result<usize, Closed> {
         let length = bytes.len();
         let block = [self.handle, bytes.as_mut_ptr() as u32, length as u32];
@@ -81,19 +81,19 @@ pub(crate) fn exit(code: u32) -> ! {
     }
 }
 
-/// Says `message` on the emulator's console and ends it with `code`.
+/// Prints `message` on the emulator's console and ends the emulator with `code`.
 pub(crate) fn fail(code: u32, message: fmt::Arguments) -> ! {
     say(message);
     exit(code)
 }
 
-/// Says `message` on the emulator's console.
+/// Prints `message` on the emulator's console.
 pub(crate) fn say(message: fmt::Arguments) {
     let mut text = Text {
         bytes: [0; TEXT_BYTES],
         length: 0,
     };
-    // A text that is too long is cut; what fits is still said.
+    // A text that is too long is cut and printed up to there.
     let _ = text.write_fmt(message);
     let _ = text.write_str("\n");
     // SAFETY: the last byte of the text is never written, so the host finds the terminating zero inside the array.

@@ -1,11 +1,11 @@
-//! The serial link's way to the host: the lockstep's files or UART0.
+//! The serial link to the host: the lockstep's files or UART0.
 
 use crate::disturb::Noise;
 use crate::lockstep::Link;
 use crate::uart::Uart;
 use etherpen::controller::HostBytes;
 
-/// Where the link's bytes go.
+/// Route of the link's bytes.
 pub(crate) enum Route {
     /// Through files, once a millisecond.
     Lockstep(Link),
@@ -13,13 +13,13 @@ pub(crate) enum Route {
     Uart(Uart),
 }
 
-/// The link's bytes and their way.
+/// The link's bytes and their route.
 pub(crate) struct Serial {
     bytes: HostBytes<'static>,
     route: Route,
-    /// What is made up instead of what the host could send.
+    /// Generates artificial traffic from the host.
     noise: Noise,
-    /// Whether the host's last message to the firmware has ended, and the firmware's to the host.
+    /// Whether the host's last message to the firmware has ended, and the firmware's last message to the host.
     received_whole: bool,
     sent_whole: bool,
 }
@@ -35,7 +35,7 @@ impl Serial {
         }
     }
 
-    /// The exchange of millisecond `ms`; `flood` fills what the firmware leaves free of it.
+    /// The exchange of millisecond `ms`; `flood` fills the capacity that the firmware leaves free.
     pub(crate) fn exchange(&mut self, ms: u32, flood: bool) {
         let Self {
             bytes,
@@ -71,14 +71,14 @@ impl Serial {
         }
     }
 
-    /// Takes a byte of noise, as if the line had brought it, unless it would spoil a message of the host's.
+    /// Takes a byte of noise as if it came from the line, unless it would damage a message of the host.
     pub(crate) fn noise(&mut self) {
         if self.received_whole {
             self.bytes.received(&[self.noise.next()]);
         }
     }
 
-    /// A byte has come to the UART.
+    /// Handles a byte received by the UART.
     pub(crate) fn on_received(&mut self) {
         if let Route::Uart(uart) = &mut self.route
             && let Some(byte) = uart.on_received()
@@ -87,7 +87,7 @@ impl Serial {
         }
     }
 
-    /// A byte has left the UART.
+    /// Handles a byte sent by the UART.
     pub(crate) fn on_sent(&mut self) {
         if let Route::Uart(uart) = &mut self.route {
             uart.on_sent();

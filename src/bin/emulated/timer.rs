@@ -1,8 +1,8 @@
-//! The millisecond: three alarms and the clock they follow.
+//! The millisecond: three alarms and the clock that they follow.
 //!
-//! All moments are readings of the Ethernet controller's free-running counter, and an alarm is set to a moment, not to a
-//! period: a late task cannot shift the next release, and the alarms can be taken out and put back (`pause`, `resume`)
-//! without losing a count. That is what lets virtual time stand still while a reply is on its way (see `wire`).
+//! All times are readings of the Ethernet controller's free-running counter. An alarm is set to a time, not to a
+//! period: a late task cannot shift the next release, and the alarms can be removed and restored (`pause`, `resume`)
+//! without losing a count. Virtual time can therefore stop while a reply is on its way (see `wire`).
 
 use crate::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
 use crate::disturb;
@@ -30,7 +30,7 @@ const _: () = assert!(DEADLINE_COUNTS < PERIOD_COUNTS);
 // Input and output reply arrive before the deadline.
 const _: () = assert!(2 * DELIVERY_COUNTS < DEADLINE_COUNTS);
 
-/// Where a timer's registers are, and the value of its control register that makes it run and interrupt.
+/// Addresses of a timer's registers, and the value of its control register that starts it with its interrupt.
 ///
 /// "Cortex-M System Design Kit Technical Reference Manual": APB timer, APB dual-input timers.
 struct Layout {
@@ -55,8 +55,8 @@ const DUAL_TIMER: Layout = Layout {
     reload: None,
 };
 
-/// The load register of the watchdog, which the machine lets run from its reset on. It interrupts nobody, but virtual time
-/// stands still only when no timer runs at all; one that has nothing to count is stopped.
+/// Load register of the watchdog, which the machine starts at reset. It causes no interrupt, but virtual time only
+/// stops when no timer runs at all; a watchdog with a load of 0 is stopped.
 const WATCHDOG_LOAD: usize = 0x4000_8000;
 
 const fn apb_timer(base: usize) -> Layout {
@@ -71,7 +71,7 @@ const fn apb_timer(base: usize) -> Layout {
     }
 }
 
-/// A timer that interrupts at a moment.
+/// A timer that interrupts at a given time.
 pub(crate) struct Alarm {
     layout: &'static Layout,
     interrupt: Interrupt,
@@ -98,14 +98,14 @@ impl Alarm {
         unsafe { core::ptr::write_volatile((self.layout.base + register) as *mut u32, value) };
     }
 
-    /// Interrupts at `due`, at once if that has passed.
+    /// Interrupts at `due`, or at once if that time has passed.
     fn set(&mut self, due: u32) {
         self.pause();
         self.due = Some(due);
         self.resume();
     }
 
-    /// Clears the interrupt; true if the alarm was due, false if the interrupt belongs to a moment that was given up.
+    /// Clears the interrupt; returns true if the alarm was due, false if the interrupt belongs to a cancelled time.
     pub(crate) fn acknowledge(&mut self) -> bool {
         self.write(self.layout.clear, 1);
         let due = self.due.is_some_and(|due| !is_before(free_run(), due));
@@ -115,12 +115,12 @@ impl Alarm {
         due
     }
 
-    /// Stops the timer; `due` stays.
+    /// Stops the timer and keeps `due`.
     fn pause(&self) {
         self.write(self.layout.control, 0);
     }
 
-    /// Runs the timer for what is left until `due`.
+    /// Restarts the timer for the time left until `due`.
     fn resume(&self) {
         let Some(due) = self.due else {
             return;
@@ -152,11 +152,11 @@ pub(crate) struct Clock {
     released_at: u32,
     /// Counts from that release to the next one.
     period: u32,
-    /// When the next delivery is due, if not after the usual time.
+    /// Time of the next delivery, if it differs from the default delay.
     next_delivery: Option<u32>,
     /// Counts from the first nominal release to that of the present millisecond.
     counts: u64,
-    /// What the bus clock asks for.
+    /// Correction requested by the bus clock.
     correction: CountCorrection,
     /// Nominal releases so far, the first included.
     releases: u32,
@@ -189,8 +189,7 @@ impl Clock {
         clock
     }
 
-    /// Begins the next millisecond, which is to be longer by `correction_ns`; call it first thing in the task that
-    /// `sample` releases.
+    /// Begins the next millisecond, lengthened by `correction_ns`; call it first in the task that `sample` releases.
     pub(crate) fn release(&mut self, correction_ns: i32) {
         self.sample.acknowledge();
         self.advance();
@@ -212,7 +211,7 @@ impl Clock {
         self.releases = self.releases.wrapping_add(1);
     }
 
-    /// Takes the alarms out, so that virtual time stands still while the core sleeps.
+    /// Removes the alarms, so that virtual time stops while the core sleeps.
     pub(crate) fn pause(&mut self) {
         self.sample.pause();
         self.deadline.pause();
@@ -220,7 +219,7 @@ impl Clock {
         disturb::pause();
     }
 
-    /// Puts the alarms back and sets the one of a reply that has just come.
+    /// Restores the alarms and sets the one for a reply that has just arrived.
     pub(crate) fn resume_and_deliver(&mut self) {
         self.sample.resume();
         self.deadline.resume();
@@ -229,7 +228,7 @@ impl Clock {
         disturb::resume();
     }
 
-    /// Lets the next frame's replies arrive `after` counts behind the moment that is `before` counts ahead of the next
+    /// Makes the next frame's replies arrive `after` counts after the time that is `before` counts ahead of the next
     /// release.
     pub(crate) fn deliver_around_release(&mut self, before: u32, after: u32) {
         let release = self.released_at.wrapping_add(self.period);

@@ -1,8 +1,8 @@
-//! UART0, the serial link of free-running play.
+//! UART0, the serial link of the free-running mode.
 //!
-//! The CMSDK UART has one byte of buffer each way and the emulator gives it no baud rate, so the pace comes from here: at
-//! most [`LINK_BYTES_MAX`] bytes are sent in a millisecond, the next when the one before has left. In lockstep the link
-//! does not come this way (see `lockstep`).
+//! The CMSDK UART has a one-byte buffer in each direction, and the emulator gives it no baud rate. The rate is
+//! therefore limited here: at most [`LINK_BYTES_MAX`] bytes are sent in a millisecond, each one when the previous one
+//! has left. In lockstep the link does not use the UART (see `lockstep`).
 
 use crate::lockstep::LINK_BYTES_MAX;
 
@@ -59,7 +59,7 @@ impl Uart {
         uart
     }
 
-    /// Sends what `fill` puts into the buffer, unless the last millisecond's bytes have not all left.
+    /// Sends the bytes that `fill` writes into the buffer, unless the last millisecond's bytes have not all left.
     pub(crate) fn send(&mut self, fill: impl FnOnce(&mut [u8]) -> usize) {
         if self.next == self.end {
             self.next = 0;
@@ -74,7 +74,7 @@ impl Uart {
         self.transmit();
     }
 
-    /// Clears the interrupt of a byte that has come and gives it.
+    /// Clears the interrupt of a received byte and returns the byte.
     pub(crate) fn on_received(&mut self) -> Option<u8> {
         self.clear(INTERRUPT_RX);
         if self.state() & STATE_RX_FULL == 0 {

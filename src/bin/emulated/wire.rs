@@ -1,12 +1,12 @@
-//! The Ethernet port as the critical tasks see it: controller, clock and lockstep together.
+//! The Ethernet port for the critical tasks: controller, clock and lockstep together.
 //!
-//! In lockstep, sending a frame includes waiting for its replies while virtual time stands still: the host's token says how
-//! many there are, then all alarms are taken out and the core sleeps. The emulator cannot advance its clock to a next alarm
-//! when there is none, so it has nothing to do but to deliver the replies to the controller, however long a busy host takes.
-//! Then the alarms are put back, and one more releases `bus_frame` after a fixed delay of the wire. So a reply is never
-//! late, and two runs see the same times to the count.
+//! In lockstep, sending a frame includes waiting for its replies while virtual time is stopped. The host's token gives
+//! the number of replies; then all alarms are removed and the core sleeps. Without an alarm the emulator cannot advance
+//! its clock, so it only delivers the replies to the controller, however long a busy host takes. Then the alarms are
+//! restored, and one more releases `bus_frame` after a fixed delay of the wire. A reply is therefore never late, and
+//! every run has the identical times to the count.
 //!
-//! Everything here is owned by the tasks of the critical priority and takes no critical section.
+//! All of this is owned by the tasks of the critical priority and takes no critical section.
 
 use crate::critical;
 use crate::device::Interrupt;
@@ -44,12 +44,12 @@ impl Wire {
         self.mac.acknowledge();
     }
 
-    /// Counts spent on the lockstep since the last call: no firmware on silicon has that work.
+    /// Counts spent on the lockstep since the last call; firmware on silicon does not have this work.
     pub(crate) fn take_lockstep_counts(&mut self) -> u32 {
         core::mem::take(&mut self.lockstep_counts)
     }
 
-    /// From here on no reply is waited for: the firmware ends, and what waits would let tasks run again.
+    /// Stops waiting for replies: the firmware is ending, and a wait would let tasks run again.
     pub(crate) fn wait_no_more(&mut self) {
         self.waits = false;
     }
@@ -99,7 +99,7 @@ impl Driver for Wire {
     }
 }
 
-/// The right to send one frame and to wait for its token.
+/// Permission to send one frame and to wait for its token.
 pub(crate) struct TxToken<'a> {
     inner: lan9118::TxToken<'a, Mmio>,
     lockstep_counts: &'a mut u32,
@@ -121,7 +121,7 @@ impl TxToken<'_> {
             self.clear_arrival();
             frames_waiting() >= wanted
         });
-        // The last of several may have come between the two looks; `bus_frame` is released by the clock, not by it.
+        // The last of several may have arrived between two checks; the clock releases `bus_frame`, not this interrupt.
         self.clear_arrival();
         self.clock.resume_and_deliver();
     }

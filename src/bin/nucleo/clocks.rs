@@ -1,18 +1,18 @@
 //! Clock tree: 480 MHz core, 240 MHz buses and timers, 120 MHz peripherals.
 //!
-//! 480 MHz at voltage scale 0 rather than 400 MHz at scale 1: the critical path's share of a millisecond is the figure
-//! that counts here, and the board's revision V silicon at room temperature is specified for it. Scale 0 limits the
-//! junction to 105 degrees C; a hotter cabinet takes scale 1, multiplier 100 and `CORE_HZ` 400 MHz, nothing else.
-//! Revision Y cannot run at scale 0 and is refused by its identity before the clocks change.
+//! The clock is 480 MHz at voltage scale 0 instead of 400 MHz at scale 1, because the critical path's share of a
+//! millisecond matters most, and the board's revision V silicon at room temperature is specified for it. Scale 0 limits
+//! the junction to 105 degrees C; a hotter cabinet needs scale 1, multiplier 100 and `CORE_HZ` 400 MHz, no other
+//! change. Revision Y cannot run at scale 0 and is rejected by its identity before the clocks change.
 //!
-//! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle then is as exact as
-//! a crystal, which the internal oscillator (1 %) is not. A board that is fed by E5V has them late, or only when a computer
-//! is plugged in. So the start waits two seconds for them, then runs on the internal oscillator, says so, and lets no
-//! drive have power. When they come later, the firmware starts again on them: no drive has power then, and a
-//! start is the one way into this clock tree that is tried at every power-up. When they stop, the clock security system
-//! ends the firmware (`panic.rs`).
+//! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle is then as precise
+//! as a crystal, unlike the internal oscillator (1 %). A board powered through E5V gets the 8 MHz late, or only when a
+//! computer is plugged in. The start-up therefore waits two seconds for them, then runs on the internal oscillator,
+//! reports that, and keeps the drives without power. When the 8 MHz appear later, the firmware restarts on them: no
+//! drive has power then, and the start-up is the only path into this clock tree, tested at every power-up. When they
+//! stop, the clock security system ends the firmware (`panic.rs`).
 //!
-//! Every register is written before what it feeds runs, and every wait has an end (`start_up.rs`).
+//! Every register is written before the unit that depends on it runs, and every wait is bounded (`start_up.rs`).
 //! CSI feeds the compensation cell of fast outputs, HSI48 the USB.
 //!
 //! Registers: RM0433, chapters "PWR", "RCC" and "FLASH".
@@ -36,11 +36,11 @@ pub(crate) const HSI_HZ: u32 = 64_000_000;
 
 const HSE_HZ: u32 = 8_000_000;
 const PLL_MULTIPLIER: u32 = 120;
-/// The internal oscillator by this is as fast as the 8 MHz.
+/// Divider that makes the internal oscillator as fast as the 8 MHz.
 const HSI_DIVIDER: u32 = 8;
 const _: () = assert!(HSE_HZ * PLL_MULTIPLIER / 2 == CORE_HZ && HSI_HZ / HSI_DIVIDER == HSE_HZ);
 
-/// Time that the 8 MHz have to come, ms.
+/// Longest wait for the 8 MHz, ms.
 const HSE_WAIT_MS: u32 = 2_000;
 /// Wait states of the flash memory at 240 MHz and voltage scale 0, and its programming delay (RM0433, FLASH_ACR).
 const FLASH_LATENCY: u8 = 4;
@@ -48,20 +48,20 @@ const FLASH_PROGRAMMING_DELAY: u8 = 2;
 /// `REV_ID` of DBGMCU_IDC for revision Y (RM0433, debug chapter).
 const REVISION_Y: u16 = 0x1003;
 
-/// Where the clocks come from.
+/// Source of the clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
-    /// The ST-LINK's 8 MHz, as exact as a crystal.
+    /// The ST-LINK's 8 MHz, as precise as a crystal.
     Exact,
     /// The internal oscillator.
     Substitute,
 }
 
-/// Starts the clocks and gives where they come from. The chip must be as after a reset, but for its lamps.
+/// Starts the clocks and returns their source. The chip must be in its reset state, except for the lamps.
 ///
 /// # Panics
 ///
-/// On revision Y silicon, and when something that has to get ready does not.
+/// On revision Y silicon, and when a required part does not get ready.
 pub(crate) fn start(waits: &mut Waits) -> Source {
     assert!(
         DBGMCU.idc().read().rev_id() != REVISION_Y,
@@ -106,7 +106,8 @@ fn start_voltage(waits: &mut Waits) {
     waits.must("voltage scale 0 (VOSRDY)", || PWR.d3cr().read().vosrdy());
 }
 
-/// All oscillators: what the PLL runs on is given; the HSE stays on in any case, so that it is seen when it comes.
+/// Starts all oscillators and returns the source of the PLL. The HSE stays on in any case, so that its appearance is
+/// detected.
 fn start_oscillators(waits: &mut Waits) -> Source {
     waits.must("internal oscillator (HSIRDY)", || RCC.cr().read().hsirdy());
     // The bypass may be chosen only while the oscillator is off.
@@ -157,7 +158,7 @@ fn start_pll(waits: &mut Waits, source: Source) {
     );
 }
 
-/// From the internal oscillator to the PLL: slower buses and more wait states first.
+/// Switches from the internal oscillator to the PLL; slower buses and more wait states come first.
 fn switch_over(waits: &mut Waits) {
     RCC.d1cfgr().modify(|dividers| {
         dividers.set_d1cpre(Hpre::DIV1);

@@ -1,11 +1,12 @@
 //! Fills the tightly coupled memories before anything runs from them.
 //!
-//! The critical tasks' code lies in ITCM and their own data in DTCM, where every access takes the same time whatever the
-//! caches and the other masters of the buses do. `build.rs` says what goes there. The code is kept in flash memory and
-//! copied by the start code, before Rust's memory is initialised: copying and clearing memory are among it. What a debug
-//! probe reads of the log lies in DTCM, too, because no cache is between it and the probe.
+//! The critical tasks' code is in ITCM and their own data in DTCM, where every access takes a constant time,
+//! independent of the caches and the other bus masters. `build.rs` lists the content. The code is kept in flash memory
+//! and copied by the start code before Rust's memory is initialised, because the functions that copy and clear memory
+//! are part of it. The log memory that a debug probe reads is in DTCM too, because no cache is between it and the
+//! probe.
 //!
-//! Invariant: nothing of ITCM is called, and nothing of DTCM but the stack is read, before this has run.
+//! Invariant: no code in ITCM is called, and nothing in DTCM but the stack is read, before this function has run.
 
 use core::arch::global_asm;
 

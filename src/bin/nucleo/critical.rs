@@ -1,11 +1,12 @@
-//! Critical sections that never hold back the critical tasks.
+//! Critical sections that never delay the critical tasks.
 //!
-//! The usual implementation stops every interrupt. This one raises BASEPRI to the level just under the tasks of the
-//! 1 kHz loop, so that logging, wakers and the HAL cannot make a frame late. The price is a rule: a critical task uses
-//! nothing that takes a critical section. `start_up_check` is the other half: it refuses to run when an interrupt
-//! that is not critical could preempt a critical section, which is where a HAL's defaults would put it.
+//! The default implementation masks every interrupt. This one raises BASEPRI to the level just below the tasks of the 1
+//! kHz loop, so that logging, wakers and the HAL cannot make a frame late. The price is a rule: a critical task must
+//! not use anything that takes a critical section. `start_up_check` enforces the other half: it refuses to run if an
+//! interrupt that is not critical could preempt a critical section, which is where a HAL's defaults would put it.
 //!
-//! The Cortex-M7 of the STM32H743 is r1p1; the erratum of r0p1, where a write to BASEPRI takes effect late, is not in it.
+//! The Cortex-M7 of the STM32H743 is r1p1; it does not have the erratum of r0p1, in which a write to BASEPRI takes
+//! effect late.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 use cortex_m::peripheral::{NVIC, SYST, syst::SystClkSource};

@@ -1,15 +1,15 @@
 //! Ethernet MAC and DMA of the STM32H743: descriptor rings behind the network driver trait.
 //!
-//! The critical tasks own this driver, so nothing here locks, blocks, logs or can panic. Frames are built and read in the
-//! DMA's own buffers; a token lends the buffer of one descriptor and hands it over when it is consumed. No interrupt
-//! tells of a sent frame, and wakers are ignored: the caller polls from the interrupt of a received frame. Which
-//! descriptors are whose is the library's `ethernet::descriptors`; here are the memory, the registers and their order.
+//! The critical tasks own this driver, so it never locks, blocks, logs or panics. Frames are built and read in the
+//! DMA's own buffers; a token lends the buffer of one descriptor and passes it on when the token is consumed. There is
+//! no interrupt for a sent frame, and wakers are ignored: the caller polls from the interrupt of a received frame. The
+//! library's `ethernet::descriptors` manages the ownership of descriptors; memory, registers and their order are here.
 //!
-//! Foreign frames. What the MAC's filter lets through is what EtherCAT's own master has sent (`keep_foreign_frames_out`);
-//! with EtherCAT in UDP, where other frames are wanted, a run of `bus_frame` takes at most a ring of them, and the timer's
-//! tasks come first: of interrupts of one priority that wait, the core takes the one with the lower number, and ETH's
-//! is higher than both of TIM1's. So foreign frames cost a critical task at most one such run, and a reply that they push out
-//! of the ring is a lost frame like any other.
+//! Foreign frames: the MAC's filter only passes frames that EtherCAT's own master has sent (`keep_foreign_frames_out`).
+//! With EtherCAT in UDP, other frames are needed; a run of `bus_frame` then takes at most a ring of them, and the
+//! timer's tasks come first: among waiting interrupts of one priority the core takes the lowest number, and ETH's
+//! number is higher than both of TIM1's. Foreign frames thus cost a critical task at most one such run, and a reply
+//! that they push out of the ring is a lost frame like any other.
 //!
 //! Register layouts: RM0433, chapter "Ethernet (ETH)".
 
@@ -23,7 +23,7 @@ use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethernet::descriptors::{DESCRIPTOR_BYTES, Descriptor, Place, ReceiveRing, Received, TransmitRing};
 use stm32_metapac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
 
-/// Descriptors of a ring. A cycle exchanges two frames; the rest is room for foreign frames until the next interrupt.
+/// Descriptors of a ring. A cycle exchanges two frames; the rest is for foreign frames until the next interrupt.
 const RING_LENGTH: usize = 8;
 /// Bytes of a buffer: a frame of full length, its check sequence, rounded up to whole cache lines.
 const BUFFER_SIZE: usize = 1536;
@@ -41,10 +41,10 @@ const _: () = assert!(FRAME_LENGTH_MAX + 4 <= BUFFER_SIZE && BUFFER_SIZE.is_mult
 pub(crate) static FRAMES_DROPPED: AtomicU32 = AtomicU32::new(0);
 /// Times the receive ring was full, so that frames were lost in the MAC.
 pub(crate) static RING_EXHAUSTED: AtomicU32 = AtomicU32::new(0);
-/// Fatal errors of the DMA on the bus; each resets the MAC, which starts anew with empty rings.
+/// Fatal bus errors of the DMA; each resets the MAC, which restarts with empty rings.
 pub(crate) static BUS_ERRORS: AtomicU32 = AtomicU32::new(0);
 
-/// All of them. Safe in any task.
+/// Sum of all errors. Safe in any task.
 pub(crate) fn errors() -> u32 {
     [&FRAMES_DROPPED, &RING_EXHAUSTED, &BUS_ERRORS]
         .iter()
@@ -108,7 +108,7 @@ struct Rings {
 /// The MAC, its DMA and both rings. One exists.
 pub(crate) struct Ethernet {
     hardware_address: [u8; 6],
-    /// Whether frames that did not begin here are dropped.
+    /// Whether frames of other senders are dropped.
     own_frames_only: bool,
     /// None until the DMA's reset has ended.
     rings: Option<Rings>,
@@ -140,8 +140,8 @@ impl Ethernet {
         }
     }
 
-    /// Whether frames that the EtherCAT master has not sent itself are dropped by the MAC: they then cost no descriptor, no
-    /// interrupt and no time of a critical task. Nothing else has business on a wire that EtherCAT has for itself.
+    /// Sets whether the MAC drops frames that the EtherCAT master has not sent itself: these then need no descriptor,
+    /// no interrupt and no time of a critical task. A dedicated EtherCAT wire has no use for other frames.
     pub(crate) fn keep_foreign_frames_out(&mut self, own_frames_only: bool) {
         if self.own_frames_only != own_frames_only {
             self.own_frames_only = own_frames_only;
@@ -149,8 +149,8 @@ impl Ethernet {
         }
     }
 
-    /// Own address and broadcast, which EtherCAT frames have; of these, where it is asked for, only frames whose sender is
-    /// the master: a slave sets a bit of the sender's first byte, so that byte is not compared. Multicast has no use here,
+    /// Accepts the own address and broadcast, which EtherCAT frames use; if requested, only frames whose sender is the
+    /// master. A slave sets a bit of the sender's first byte, so that byte is not compared. Multicast is not needed,
     /// and the check sequence is always verified.
     fn filter(&self) {
         ETH.ethernet_mac()
@@ -158,8 +158,8 @@ impl Ethernet {
             .write(|filter| filter.set_saf(self.own_frames_only));
     }
 
-    /// Ends the interrupt's request and counts what went wrong. Call before looking for frames, so that none that
-    /// arrives meanwhile goes without an interrupt of its own.
+    /// Ends the interrupt's request and counts errors. Call it before checking for frames, so that a frame that arrives
+    /// meanwhile raises another interrupt.
     pub(crate) fn acknowledge(&mut self) {
         let status = ETH.ethernet_dma().dmacsr();
         let seen = status.read();
@@ -187,7 +187,7 @@ impl Ethernet {
     /// Sets MAC, queues and DMA up after their reset. Bounded: register writes and one pass over the rings.
     fn start(&self) -> Rings {
         let mac = ETH.ethernet_mac();
-        // The register has bits that are set after a reset and belong to nobody: they are kept.
+        // The register has reserved bits that are set after a reset: they are kept.
         mac.maccr().modify(|control| {
             control.set_fes(true);
             control.set_dm(true);
@@ -272,7 +272,7 @@ fn start_dma() -> Rings {
         enable.set_rbue(true);
         enable.set_fbee(true);
     });
-    // The descriptors are in memory before the DMA is told.
+    // The descriptors are in memory before the DMA is notified.
     cortex_m::asm::dsb();
     dma.dmactx_dtpr().write(|tail| tail.0 = sent.descriptors);
     dma.dmacrx_dtpr().write(|tail| tail.0 = rings.receive.first_tail());
@@ -284,7 +284,7 @@ fn start_dma() -> Rings {
 /// Returns the receive descriptor in turn to the DMA.
 fn give_back(ring: &mut Receive) {
     let tail = ring.give_back();
-    // The descriptor is in memory before the DMA is told.
+    // The descriptor is in memory before the DMA is notified.
     cortex_m::asm::dsb();
     ETH.ethernet_dma().dmacrx_dtpr().write(|register| register.0 = tail);
 }
@@ -378,7 +378,7 @@ impl embassy_net_driver::TxToken for TxToken<'_> {
         let frame = unsafe { core::slice::from_raw_parts_mut(buffer, length) };
         let result = build(frame);
         let tail = self.ring.hand_over(length);
-        // Frame and descriptor are in memory before the DMA is told.
+        // Frame and descriptor are in memory before the DMA is notified.
         cortex_m::asm::dsb();
         ETH.ethernet_dma().dmactx_dtpr().write(|register| register.0 = tail);
         result

@@ -1,7 +1,7 @@
-//! What a critical task may note in passing, and the log lines that a slow task makes of it.
+//! Counters that critical tasks may update, and the log lines that a slow task makes from them.
 //!
-//! Everything noted is a plain atomic. The log is written by the task that polls the PHY; nothing is logged while nothing
-//! changes but the load, once a second.
+//! All counters are plain atomics. The task that polls the PHY writes the log; while nothing changes, only the load is
+//! logged, once a second.
 
 use crate::timer::{PERIOD_COUNTS, free_run};
 use crate::{eth, load, serial};
@@ -28,7 +28,7 @@ impl Periods {
         Periods { last: None }
     }
 
-    /// Call at each release of the sample; gives the periods missed since the start.
+    /// Counts the release; call it at each release of the sample. Returns the periods missed since start-up.
     pub(crate) fn released(&mut self) -> u32 {
         let now = free_run();
         if let Some(last) = self.last.replace(now) {
@@ -57,7 +57,7 @@ pub(crate) fn trajectory_runs(body: impl FnOnce()) {
     TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);
 }
 
-/// What was counted, in the order of the log line.
+/// The counts in the order of the log line.
 type Counts = [u32; 6];
 
 fn counts() -> Counts {
@@ -72,7 +72,7 @@ fn counts() -> Counts {
     .map(|counter| counter.load(Ordering::Relaxed))
 }
 
-/// What the last report left behind.
+/// Counters of the last report.
 pub(crate) struct Health {
     counts: Counts,
     steps: u32,

@@ -1,6 +1,6 @@
-//! What memory keeps over a reset: what ended the firmware, the last fault, and how far a start came.
+//! Data kept in memory across a reset: the cause of the firmware's end, the last fault, and the progress of a start-up.
 //!
-//! Invariant: a record is either whole or none: its mark is removed first and written last.
+//! Invariant: a record is either complete or absent: its mark is removed first and written last.
 
 use core::cell::UnsafeCell;
 use core::fmt;
@@ -19,7 +19,7 @@ const STEP_BYTES_MAX: usize = 16;
 /// Distinguishes a written record from memory after power-on.
 const WRITTEN: u32 = 0x7061_6E63;
 
-/// A record as it lies in memory; cache lines of its own, so that cleaning writes nothing else back.
+/// A record in memory; it has its own cache lines, so that cleaning writes nothing else back.
 #[derive(Clone, Copy)]
 #[repr(C, align(32))]
 struct Record<const BYTES: usize> {
@@ -54,7 +54,7 @@ impl<const BYTES: usize> Kept<BYTES> {
         unsafe { ptr::read_volatile(&raw const (*self.record()).written) == WRITTEN }
     }
 
-    /// The record, which is then none.
+    /// Takes the record, which is then absent.
     ///
     /// # Safety
     /// No other context may reach the record meanwhile.
@@ -128,8 +128,7 @@ static FAULT: Kept<FAULT_BYTES_MAX> = Kept::new();
 #[unsafe(link_section = ".uninit.kept_step")]
 static STEP: Kept<STEP_BYTES_MAX> = Kept::new();
 
-/// What is known of the run before this one, and whether it ended while it was starting. Call once, before interrupts are
-/// enabled.
+/// State of the previous run, and whether it ended during start-up. Call it once, before interrupts are enabled.
 pub(crate) fn take() -> (PreviousRun, bool) {
     let flags = RCC.rsr().read();
     RCC.rsr().modify(|status| status.set_rmvf(true));

@@ -1,4 +1,4 @@
-//! The board's three lamps: LD1 green, LD2 yellow, LD3 red. What they mean is `etherpen::board::Lamps`.
+//! The board's three lamps: LD1 green, LD2 yellow, LD3 red. `etherpen::board::Lamps` defines their meaning.
 
 use crate::pins;
 use etherpen::board::Lamps;
@@ -8,7 +8,7 @@ use stm32_metapac::{GPIOB, GPIOE};
 /// Port and bit of LD1, LD2 and LD3 (UM2407, LEDs).
 const PLACES: [(Gpio, u8); 3] = [(GPIOB, 0), (GPIOE, 1), (GPIOB, 14)];
 
-/// Makes them outputs; the first thing of a start.
+/// Makes the lamps' pins outputs; the first step of a start-up.
 pub(crate) fn start() {
     pins::clock_ports();
     for (port, bit) in PLACES {
@@ -16,7 +16,7 @@ pub(crate) fn start() {
     }
 }
 
-/// Shows them; one write for each, which changes no other pin.
+/// Shows the lamps; one register write for each, which changes no other pin.
 pub(crate) fn show(lamps: Lamps) {
     for ((port, bit), on) in PLACES.into_iter().zip([lamps.green, lamps.yellow, lamps.red]) {
         // The lower half sets, the upper half resets.

@@ -1,4 +1,4 @@
-//! Memory attributes: what the Ethernet DMA shares is not cached, the rest is.
+//! Memory attributes: memory shared with the Ethernet DMA is not cached, the rest is.
 //!
 //! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain D2,
 //! and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere, unaligned
@@ -36,7 +36,7 @@ const REGION_ENABLE: u32 = 1;
 /// Start of the ITCM, whose 64 KiB hold the critical path's code.
 const ITCM_START: u32 = 0;
 const ITCM_SIZE: u32 = 64 * 1024;
-/// Read-only, instructions may be fetched, otherwise as above but not shared.
+/// Read-only, instructions may be fetched; otherwise normal memory, cached, not shared.
 const READ_ONLY_CODE: u32 = 0b110 << 24 | 0b001 << 19;
 /// The whole address space in eighths, of which the fourth and the fifth count: 0x6000_0000 to 0x9FFF_FFFF.
 const ALL_ADDRESSES: u32 = 31 << 1;

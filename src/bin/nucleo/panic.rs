@@ -1,8 +1,9 @@
-//! The end of the firmware: its cause is kept in memory, the drives are told to stop, the chip is reset.
+//! End of the firmware: keeps the cause in memory, stops the drives, resets the chip.
 //!
-//! No logger and no lock takes part: whatever ended the firmware may hold any of them. The reset ends the cyclic frames,
-//! and the drives' own watchdogs stop the motors; that watchdog is the guarantee, this only makes the cause known and the
-//! stop earlier. The first cause survives until it is taken: a second one while starting does not replace it.
+//! No logger and no lock is used, because the failed code may hold any of them. The reset ends the cyclic frames, and
+//! the drives' own watchdogs stop the motors. These watchdogs are the guarantee; this code only reports the cause and
+//! stops the drives earlier. The first cause is kept until it is taken: a second one during start-up does not replace
+//! it.
 
 use crate::clocks::CORE_HZ;
 use crate::{CRITICAL, kept, last_word};
@@ -15,7 +16,7 @@ use stm32_metapac::RCC;
 /// Time for the last frame to leave: the longest takes 123 us at 100 Mbit/s.
 const FRAME_CYCLES: u32 = CORE_HZ / 5_000;
 
-/// Ends the firmware: its cause is kept, the drives are told to stop, the chip starts again.
+/// Ends the firmware: keeps the cause, stops the drives, and restarts the chip.
 pub(crate) fn end(cause: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
     // SAFETY: interrupts are masked, and nothing returns from here.

@@ -1,6 +1,6 @@
 //! The MAC's management interface, and the port's state for the other tasks.
 //!
-//! The task that polls the PHY publishes the state in an atomic; the Ethernet driver reads it and waits for nobody.
+//! The task that polls the PHY publishes the state in an atomic; the Ethernet driver reads it without waiting.
 
 use crate::clocks::BUS_HZ;
 use core::sync::atomic::{AtomicU8, Ordering};
@@ -29,7 +29,7 @@ pub(crate) fn port() -> PortState {
         .unwrap_or(PortState::NoPhy)
 }
 
-/// Tells the driver and the link task the port's state.
+/// Publishes the port's state for the driver and the link task.
 pub(crate) fn publish(port: PortState) {
     PORT.store(port as u8, Ordering::Relaxed);
 }

@@ -1,4 +1,4 @@
-//! Pins of the NUCLEO-H743ZI2 (UM2407): which pin is what, and nothing else.
+//! Pin assignment of the NUCLEO-H743ZI2 (UM2407).
 //!
 //! | pins | signal | function |
 //! |---|---|---|
@@ -52,7 +52,7 @@ pub(crate) fn clock_ports() {
     let _ = RCC.ahb4enr().read();
 }
 
-/// Gives every pin but the lamps' to its peripheral, for good.
+/// Assigns every pin but the lamps' to its peripheral, permanently.
 pub(crate) fn start() {
     for pin in ETHERNET {
         assign(pin, ETHERNET_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
@@ -68,14 +68,14 @@ pub(crate) fn start() {
     port.moder().modify(|modes| modes.set_moder(pin, Moder::INPUT));
 }
 
-/// Gives the serial line its pins.
+/// Assigns the serial line's pins.
 pub(crate) fn start_serial() {
     assign(SERIAL_TRANSMIT, SERIAL_FUNCTION, Ospeedr::HIGH_SPEED, Pupdr::FLOATING);
     // Pulled up: an open line reads idle instead of a stream of breaks.
     assign(SERIAL_RECEIVE, SERIAL_FUNCTION, Ospeedr::LOW_SPEED, Pupdr::PULL_UP);
 }
 
-/// Makes a pin an output that shows what its port's output register says.
+/// Makes a pin an output with the level of its port's output register.
 pub(crate) fn output(port: Gpio, bit: u8) {
     port.moder()
         .modify(|modes| modes.set_moder(usize::from(bit), Moder::OUTPUT));

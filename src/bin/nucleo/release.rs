@@ -1,7 +1,8 @@
 //! Releases an async task from a task of higher priority, once per call.
 //!
-//! The library's supervisor is polled every millisecond and never asks to be woken. Its task leaves its waker here at
-//! each poll; the millisecond takes it and wakes. Not for critical tasks: the waker lies behind a critical section.
+//! The library's supervisor is polled every millisecond and never requests a wake-up. Its task stores its waker here at
+//! each poll; the millisecond task takes and calls it. Not for critical tasks: the waker is protected by a critical
+//! section.
 
 use core::cell::Cell;
 use core::task::Waker;
@@ -15,7 +16,7 @@ impl Release {
         Release(Mutex::new(Cell::new(None)))
     }
 
-    /// Leaves the waker for the next [`Release::now`].
+    /// Stores the waker for the next [`Release::now`].
     pub(crate) fn wait(&self, waker: &Waker) {
         let waker = waker.clone();
         critical_section::with(|section| self.0.borrow(section).set(Some(waker)));

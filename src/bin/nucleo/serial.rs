@@ -1,8 +1,8 @@
 //! USART3 on the ST-LINK's virtual serial port: bytes between its FIFOs and the link's queues.
 //!
-//! The interrupt comes when the receive FIFO is half full or the line falls idle, and when the transmit FIFO is empty
-//! while bytes wait: eight times fewer interrupts than bytes. Errors of the line are counted, never waited for; the
-//! link's check sums find what they damaged.
+//! The interrupt occurs when the receive FIFO is half full or the line becomes idle, and when the transmit FIFO is
+//! empty while bytes wait: eight times fewer interrupts than bytes. Line errors are counted, never waited for; the
+//! link's checksums detect the damage.
 
 use crate::clocks::{HSI_HZ, PERIPHERAL_HZ};
 use crate::pins;
@@ -35,7 +35,7 @@ const fn divider(hz: u32) -> u32 {
     (hz + BAUD / 2) / BAUD
 }
 
-/// Clocks the port, and puts it into the state after a reset.
+/// Clocks the port and resets it.
 fn clock_and_reset() {
     RCC.apb1lenr().modify(|enable| enable.set_usart3en(true));
     // The clock enable takes effect two bus cycles later; a read back spends them.
@@ -44,7 +44,7 @@ fn clock_and_reset() {
     RCC.apb1lrstr().modify(|reset| reset.set_usart3rst(false));
 }
 
-/// Opens the port for [`put`] while the chip runs as after a reset.
+/// Opens the port for [`put`] while the chip runs on its reset clocks.
 pub(crate) fn open_on_internal_oscillator() {
     pins::start_serial();
     clock_and_reset();
@@ -126,7 +126,7 @@ impl Serial {
         let mut waiting = true;
         for _ in 0..2 * FIFO_DEPTH {
             let mut byte = [0];
-            // With the FIFO on, TXE says that it is not full.
+            // With the FIFO on, TXE means that the FIFO is not full.
             if !USART3.isr().read().txe() {
                 break;
             }

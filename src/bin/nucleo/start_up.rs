@@ -1,31 +1,31 @@
-//! The start-up: waits that end, and what is shown when a start fails.
+//! Start-up: bounded waits, and the indication of a failed start.
 //!
-//! Nothing of the start-up can hang for ever. A wait of ours has a bound in milliseconds and panics by name; whatever else
-//! hangs (a driver's own wait, a bus that does not answer) is ended by the watchdog, which runs from the first lines on.
-//! Either way the chip is reset, and memory keeps what did not come (`kept.rs`). The next start tells it
-//! before it tries again: at that moment the chip runs on its internal oscillator with everything else off, so lamps and
-//! serial line need nothing that may have failed.
+//! No step of the start-up can hang for ever. The firmware's own waits have a limit in milliseconds and panic with a
+//! name. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs from the
+//! first lines on. In both cases the chip is reset, and memory keeps which step failed (`kept.rs`). The next start-up
+//! reports that before it tries again: at that moment the chip runs on its internal oscillator with everything else
+//! off, so lamps and serial line do not depend on the failed part.
 
 use crate::clocks::HSI_HZ;
 use crate::{lamps, serial, watchdog};
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use etherpen::board::Lamps;
 
-/// Time for everything that gets ready in less than a millisecond, ms.
+/// Longest wait for parts that get ready in less than a millisecond, ms.
 const READY_MS: u32 = 100;
-/// Time that a failed start is shown before the next one, and of one step of its pattern, ms.
+/// Time for which a failed start is shown before the next one, and duration of one step of its pattern, ms.
 const TOLD_MS: u32 = 4_000;
 const PATTERN_MS: u32 = 250;
 /// Time for a byte to leave the serial line, ms.
 const BYTE_MS: u32 = 2;
 
-/// All lamps: the firmware is starting, and none of them is broken.
+/// All lamps on: the firmware is starting. This also tests the lamps.
 pub(crate) const STARTING: Lamps = Lamps {
     green: true,
     yellow: true,
     red: true,
 };
-/// A start that failed: red and yellow in turn.
+/// Pattern of a failed start: red and yellow in turn.
 const FAILED: [Lamps; 2] = [
     Lamps {
         green: false,
@@ -53,7 +53,7 @@ impl<'a> Waits<'a> {
         waits
     }
 
-    /// Tells how fast the core runs from here on, Hz.
+    /// Sets the frequency of the core from now on, Hz.
     pub(crate) fn clocked_at(&mut self, hz: u32) {
         self.timer.set_reload(hz / 1_000 - 1);
         self.timer.clear_current();
@@ -74,16 +74,16 @@ impl<'a> Waits<'a> {
         true
     }
 
-    /// Waits for what has to get ready.
+    /// Waits until a required part is ready.
     ///
     /// # Panics
     ///
-    /// When it does not.
+    /// When it does not get ready in time.
     pub(crate) fn must(&mut self, what: &str, ready: impl Fn() -> bool) {
         assert!(self.comes(READY_MS, ready), "start-up: {what} does not come");
     }
 
-    /// Shows that the last start failed, and says why on the serial line, for some seconds.
+    /// Shows that the last start failed, and sends the cause on the serial line, for some seconds.
     ///
     /// The chip must run on its internal oscillator.
     pub(crate) fn tell(&mut self, cause: &str) {

@@ -1,8 +1,8 @@
 //! TIM1 releases the sample every millisecond and the bus deadline 300 us after it.
 //!
-//! TIM1 has separate interrupt vectors for update and compare, so the two releases are two tasks. Time since the release
-//! is the counter itself: one read, the same clock that made the release, no other timer to agree with. TIM2 runs free
-//! on the same clock and measures what is longer than a period.
+//! TIM1 has separate interrupt vectors for update and compare, so the two releases are two tasks. The time since the
+//! release is the counter itself: one read of the clock that caused the release. TIM2 runs free on that clock and
+//! measures times longer than a period.
 
 use crate::clocks::TIMER_HZ;
 use etherpen::ethercat::clock::steering::{CORRECTION_MAX_NS, CountCorrection};
@@ -72,15 +72,15 @@ pub(crate) fn start() {
     TIM1.cr1().modify(|control| control.set_cen(true));
 }
 
-/// Lengthens the running period by what the bus clock asks for; call it first thing in the task that the sample releases,
-/// when the counter has not come far.
+/// Adjusts the running period by the correction of the bus clock; call it first in the task that the sample releases,
+/// while the counter is still low.
 pub(crate) fn steer(correction: &mut CountCorrection, correction_ns: i32) {
     let ticks = TICKS_PER_SAMPLE.saturating_add_signed(correction.take(correction_ns));
     // Without preload the new end counts at once.
     TIM1.arr().write(|reload| reload.set_arr((ticks - 1) as u16));
 }
 
-/// What is owed to the timer of the sample by the bus clock.
+/// The correction of the sample's timer that is still to be applied.
 pub(crate) const fn correction() -> CountCorrection {
     CountCorrection::new(TICKS_PER_US)
 }
@@ -90,8 +90,8 @@ pub(crate) fn elapsed_ns() -> u32 {
     u32::from(TIM1.cnt().read().cnt()) * NS_NUMERATOR / NS_DENOMINATOR
 }
 
-/// Counts of a clock of `TIMER_HZ` that never stops, wrapping after 17 s: what durations are measured with, since the
-/// core's own cycle counter stands still while the core sleeps. Safe in a critical task.
+/// Counts of a clock of `TIMER_HZ` that never stops, wrapping after 17 s. Durations are measured with it, because the
+/// core's own cycle counter stops while the core sleeps. Safe in a critical task.
 pub(crate) fn free_run() -> u32 {
     TIM2.cnt().read()
 }

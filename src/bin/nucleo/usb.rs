@@ -1,16 +1,17 @@
 //! The board's own USB connector as a second port of the link: a CDC-ACM serial port on OTG_FS.
 //!
 //! `usb-device` and `usbd-serial` are the protocol, `synopsys-usb-otg` the controller's registers; here are clock, supply,
-//! names, and how bytes pass between packets and the link's queues. All of it runs at the link's priority. The controller's
-//! flag registers decide what there is to do, and a millisecond has room for `EVENTS_PER_MS_MAX` events: whatever a
-//! host sends, the rest waits in the controller, which tells the host to try again. A packet is taken only when the queue
-//! has room for it, so nothing is lost; what waits for a host that has gone is thrown away. The driver waits for
-//! the controller without a limit only while it empties a FIFO or is reset, some of its clocks; should that never end, the
-//! watchdog resets the chip, as for any task that hangs, also at the start (`start_up.rs`).
+//! `usb-device` and `usbd-serial` implement the protocol, `synopsys-usb-otg` the controller's registers; clock, supply,
+//! names, and the transfer of bytes between packets and the link's queues are here. All of it runs at the link's
+//! priority. At most `EVENTS_PER_MS_MAX` events reported by the controller's flag registers are served in a
+//! millisecond: if the host sends more, the rest waits in the controller, which makes the host retry. A packet is taken
+//! only when the queue has room for it, so nothing is lost; data for a host that has gone are discarded. The driver
+//! waits for the controller without a limit only while it empties a FIFO or is reset, for a few clocks. If such a wait
+//! never ended, the watchdog would reset the chip, as for any task that hangs, also during start-up (`start_up.rs`).
 //!
-//! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs no PLL and not the
-//! ST-LINK's 8 MHz: a board that lacks those can say so here. The connector's supply is not watched (its sense pin is left
-//! alone): a pulled cable is a bus without frames, and a new one begins with a reset of the bus.
+//! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs neither a PLL nor the
+//! ST-LINK's 8 MHz, so a board without these can report that over USB. The connector's supply is not monitored (its
+//! sense pin is not used): a pulled cable is a bus without frames, and a new connection begins with a bus reset.
 //!
 //! Registers: RM0433, chapters "OTG_HS", "CRS" and "PWR".
 
@@ -28,12 +29,13 @@ use usb_device::device::{StringDescriptors, UsbDevice, UsbDeviceBuilder, UsbDevi
 use usb_device::{LangID, UsbError};
 use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 
-/// Vendor and product number: pid.codes' first one for tests. It is nobody's own, so it stays where the firmware is built.
+/// Vendor and product number: the first test number of pid.codes. It is not assigned to any product, so it must not be
+/// used outside of development.
 const VENDOR_PRODUCT: UsbVidPid = UsbVidPid(0x1209, 0x0001);
 /// What the host shows. `etherpen doctor` knows the port by them and the numbers above.
 const MANUFACTURER: &str = "etherpen";
 const PRODUCT: &str = "etherpen robot controller";
-/// Most that it draws from the connector, mA; it has a supply of its own.
+/// Largest current drawn from the connector, mA; the board has its own supply.
 const CURRENT_MAX_MA: usize = 100;
 
 /// Longest packet of an endpoint at full speed, bytes.
@@ -48,13 +50,13 @@ const EVENTS_PER_MS_MAX: u32 = 32;
 const CONTROL_OUT: u8 = 0;
 /// Speed code (OTG_DSTS) that neither this controller nor its driver knows.
 const LOW_SPEED: u8 = 0b10;
-/// Time that the supply's detector has before the port is started without its word, ms.
+/// Longest wait for the supply detector before the port is started anyway, ms.
 const SUPPLY_WAIT_MS: u32 = 10;
 /// The start of frame of OTG_FS as the source of the clock recovery (CRS_CFGR, revision V): the value that the register
 /// description leaves unnamed; the one named "USB" is OTG_HS.
 const FRAMES_OF_OTG_FS: Syncsrc = Syncsrc::from_bits(0b11);
 
-/// Events left of this millisecond.
+/// Events left in this millisecond.
 static EVENTS_LEFT: AtomicU32 = AtomicU32::new(0);
 
 /// The controller.
@@ -80,7 +82,7 @@ unsafe impl UsbPeripheral for Otg {
     }
 }
 
-/// What the port keeps for good.
+/// Permanent memory of the port.
 pub(crate) struct Memory {
     packets: [u32; MEMORY_WORDS],
     bus: MaybeUninit<UsbBusAllocator<UsbBus<Otg>>>,
@@ -104,7 +106,7 @@ pub(crate) struct Usb {
     device: UsbDevice<'static, UsbBus<Otg>>,
     port: CdcAcmClass<'static, UsbBus<Otg>>,
     bytes: &'static mut HostBytes<'static>,
-    /// What could not be sent yet.
+    /// Bytes that could not be sent yet.
     packet: [u8; SENT_PACKET_BYTES],
     packet_bytes: usize,
     open: bool,
@@ -152,7 +154,7 @@ impl Usb {
         })
     }
 
-    /// Serves what the controller reports, as many events as are left of this millisecond.
+    /// Serves the events that the controller reports, as many as are left in this millisecond.
     pub(crate) fn service(&mut self) {
         let mut left = EVENTS_LEFT.load(Ordering::Relaxed);
         loop {
@@ -222,7 +224,7 @@ fn reports() -> bool {
     USB_OTG_FS.gintsts().read().0 & USB_OTG_FS.gintmsk().read().0 != 0
 }
 
-/// Takes off the controller what it cannot mean; the driver would end the firmware over it.
+/// Removes invalid states from the controller, at which the driver would panic.
 fn drop_nonsense() {
     let flags = USB_OTG_FS.gintsts().read();
     if flags.rxflvl() && usize::from(USB_OTG_FS.grxstsr().read().epnum()) >= Otg::ENDPOINT_COUNT {

@@ -1,11 +1,11 @@
 //! Copying and clearing memory, eight words at a time.
 //!
-//! The compiler calls these functions by name for every value that is too long to be moved in registers. Those it brings
-//! along copy word by word and, where source and destination are aligned differently, put every word together from two;
-//! the critical tasks copy a telegram and a report several times a millisecond. A Cortex-M7 loads and stores eight aligned
-//! words with one instruction each, and single words at any address of normal memory.
+//! The compiler calls these functions by name for every value that is too long for registers. Its own versions copy
+//! word by word and, where source and destination are aligned differently, assemble every word from two; the critical
+//! tasks copy a telegram and a report several times a millisecond. A Cortex-M7 loads and stores eight aligned words
+//! with one instruction each, and single words at any address of normal memory.
 //!
-//! Invariant: what is copied or cleared is exactly the bytes asked for; nothing else is read or written.
+//! Invariant: exactly the requested bytes are copied or cleared; no other byte is read or written.
 
 use core::arch::global_asm;
 

@@ -1,8 +1,9 @@
-//! The last telegram: when the firmware ends, the drives are told to stop before their watchdogs find out.
+//! The last telegram: when the firmware ends, stops the drives before their watchdogs expire.
 //!
-//! Best effort, bounded, without a lock: the watchdogs are the guarantee. The critical tasks own the sampler and the port;
-//! they contain no panic (a test reads the machine code), so when a panic, a fault or a failed clock ends the firmware
-//! they either are not running, and never will again, or are what was interrupted, and then nothing is said.
+//! Best effort, bounded, without a lock: the watchdogs are the guarantee. The critical tasks own the sampler and the
+//! port and contain no panic (a test reads the machine code). When a panic, a fault or a failed clock ends the
+//! firmware, they are either not running and never will again, or were interrupted themselves; in the latter case no
+//! telegram is sent.
 
 use crate::Port;
 use core::ptr;
@@ -15,14 +16,14 @@ use etherpen::ethercat::transport::raw::RawTransport;
 static SAMPLER: AtomicPtr<Sampler<'static>> = AtomicPtr::new(ptr::null_mut());
 static TRANSPORT: AtomicPtr<RawTransport<Port>> = AtomicPtr::new(ptr::null_mut());
 
-/// Notes what the last word is said with; for statics of the critical tasks only. Safe in a critical task.
+/// Stores what is needed for the last telegram; for statics of the critical tasks only. Safe in a critical task.
 pub(crate) fn prepare(sampler: &mut Sampler<'static>, transport: &mut RawTransport<Port>) {
     SAMPLER.store(sampler, Ordering::Relaxed);
     TRANSPORT.store(transport, Ordering::Relaxed);
 }
 
-/// Says it, once, unless one of the `critical` tasks was interrupted; `before` is done to the port first. Whether
-/// something was said.
+/// Sends one final quick-stop telegram, after calling `before` on the port. Does nothing if a `critical` task was
+/// interrupted or if the telegram was already sent. Returns whether it was sent.
 ///
 /// # Safety
 ///

@@ -1,7 +1,7 @@
-//! How much of the time the core sleeps.
+//! CPU load: the share of the time in which the core does not sleep.
 //!
-//! The idle task notes when it goes to sleep; the first task that an interrupt releases notes when that ended. Both are
-//! plain atomics, so a critical task may call `woke`.
+//! The idle task records when it goes to sleep; the first task released by an interrupt records when the sleep ended.
+//! Both are plain atomics, so a critical task may call `woke`.
 
 use crate::timer::free_run;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -20,7 +20,7 @@ pub(crate) fn sleep() {
     cortex_m::asm::wfi();
 }
 
-/// Notes that the core is awake; the first thing in every task that an interrupt of the hardware releases.
+/// Records that the core is awake; call it first in every task that a hardware interrupt releases.
 pub(crate) fn woke() {
     if ASLEEP.load(Ordering::Relaxed) {
         ASLEEP.store(false, Ordering::Relaxed);
@@ -35,8 +35,8 @@ pub(crate) fn slept_counts() -> u32 {
     SLEPT_COUNTS.load(Ordering::Relaxed)
 }
 
-/// Runs a task's body whose priority lies between the critical tasks' and the trajectory's, and counts how long it takes
-/// itself: `critical_counts` says how long critical tasks have run.
+/// Runs the body of a task whose priority is between the critical tasks' and the trajectory's, and counts its own run
+/// time. `critical_counts` returns how long critical tasks have run.
 pub(crate) fn urgent(critical_counts: impl Fn() -> u32, body: impl FnOnce()) {
     let (began_at, before) = (free_run(), critical_counts());
     body();

@@ -2,7 +2,7 @@
 
 use etherpen::application::{Fault, Mode};
 
-/// What was logged last.
+/// State last logged.
 pub(crate) struct Modes {
     mode: Mode,
     fault: Option<Fault>,
@@ -16,7 +16,7 @@ impl Modes {
         }
     }
 
-    /// Logs what has changed; gives a fault that has come.
+    /// Logs changes; returns a new fault.
     pub(crate) fn watch(&mut self, mode: Mode, fault: Option<Fault>) -> Option<Fault> {
         if mode != self.mode {
             self.mode = mode;

@@ -1,7 +1,7 @@
-//! Time for the IP stack: milliseconds, counted by the task that runs it.
+//! Time base of the IP stack: milliseconds, counted by the task that runs it.
 //!
-//! embassy's own drivers interrupt at a priority that nothing masks, above every critical task. The stack is polled every
-//! millisecond whether it asks for it or not, so nothing has to be woken and no interrupt is needed.
+//! embassy's own drivers interrupt at a priority that cannot be masked, above every critical task. The stack is polled
+//! every millisecond in any case, so no wake-up and no interrupt is needed.
 
 use core::cell::Cell;
 use core::task::Waker;
@@ -24,7 +24,7 @@ impl Driver for Milliseconds {
     fn schedule_wake(&self, _at: u64, _waker: &Waker) {}
 }
 
-/// A millisecond has passed.
+/// Counts a millisecond.
 pub(crate) fn tick() {
     critical_section::with(|section| {
         let milliseconds = MILLISECONDS.0.borrow(section);
