@@ -1,4 +1,4 @@
-//! The virtual cell with an eye on its wire: every frame, both ways, goes into a capture.
+//! The virtual cell with packet capture: every frame in both directions goes into a capture.
 
 use crate::cell::Cell;
 use crate::cell::capture::{Capture, Direction};
@@ -13,10 +13,10 @@ pub struct CapturedCell {
 }
 
 impl CapturedCell {
-    /// A cell whose frames go into a pcapng file, or nowhere.
+    /// A cell that captures its frames into a pcapng file, or does not capture without a sink.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn new(cell: Cell, sink: Option<Box<dyn Write + Send>>) -> io::Result<Self> {
         let capture = sink.map(Capture::new).transpose()?;
         Ok(Self {
@@ -26,10 +26,10 @@ impl CapturedCell {
         })
     }
 
-    /// Completes the capture and gives the cell back.
+    /// Completes the capture and returns the cell.
     ///
     /// # Errors
-    /// The first thing that went wrong while the capture was written.
+    /// The first error while the capture was written.
     pub fn finish(self) -> io::Result<Cell> {
         match (self.failure, self.capture) {
             (Some(failure), _) => Err(failure),

@@ -1,9 +1,10 @@
-//! The log of drawings: one small file each, kept up to date while it is drawn, so that a broken one can go on.
+//! The log of drawings: one small file for each, updated during the drawing, so that an interrupted drawing can be
+//! resumed.
 //!
-//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all; its
-//! beginning and its end are synced, the progress between them is not, so that a slow disk holds up nothing.
+//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
+//! Its beginning and its end are synced; the progress in between is not, so a slow disk causes no delay.
 //!
-//! Invariant: `executed` never says more than the firmware has reported.
+//! Invariant: `executed` never exceeds what the firmware has reported.
 
 use crate::link::progress::Progress;
 use crate::output_file::OutputFile;
@@ -16,32 +17,32 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// One drawing.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
-    /// When it was begun, s since 1970.
+    /// Start time, s since 1970.
     pub begun_unix_s: u64,
-    /// When this was last written, s since 1970.
+    /// Time of the last update, s since 1970.
     pub changed_unix_s: u64,
-    /// What was drawn.
+    /// The file that was drawn.
     pub file: PathBuf,
-    /// With which options it became strokes; null in a log of a program that did not note them.
+    /// Options of the conversion into strokes; null in a log of a program that did not record them.
     #[serde(default)]
     pub options: serde_json::Value,
-    /// Where.
+    /// The port.
     pub port: String,
-    /// Board and firmware that drew, once they have answered.
+    /// Board and firmware, once they have answered.
     pub board: String,
     /// Hash of the path, 16 hexadecimal digits.
     pub path_hash: String,
-    /// Hash of the configuration, the same.
+    /// Hash of the configuration, 16 hexadecimal digits.
     pub config_hash: String,
-    /// Number under which the path, or what was left of it, was given to the firmware.
+    /// Number under which the path, or its remainder, was sent to the firmware.
     pub number: u16,
-    /// Vertices of the path that were executed before the firmware was given the rest; 0 for a whole path.
+    /// Vertices of the path executed before the remainder was sent to the firmware; 0 for a whole path.
     pub given_from: u32,
     /// Vertices executed.
     pub executed: u32,
     /// Vertices of the path.
     pub vertices: u32,
-    /// Strokes begun.
+    /// Strokes started.
     pub strokes: u32,
     /// Strokes of the path.
     pub strokes_total: u32,
@@ -49,14 +50,14 @@ pub struct Entry {
     pub pen_down_mm: f64,
     /// Time drawn, s.
     pub drawn_s: f64,
-    /// Whether all was executed.
+    /// Whether the whole path was executed.
     pub completed: bool,
-    /// How it ended; absent while it is drawn, and where its program was killed.
+    /// Result of the drawing; absent while it is being drawn, or if its program was killed.
     pub result: Option<String>,
 }
 
 impl Entry {
-    /// Takes over how far the whole path is.
+    /// Takes the progress of the whole path.
     pub fn progress(&mut self, progress: &Progress) {
         self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
         self.strokes = progress.strokes;
@@ -64,7 +65,7 @@ impl Entry {
     }
 }
 
-/// A hash as it is written.
+/// A hash in its written form.
 #[must_use]
 pub fn hash_text(hash: u64) -> String {
     format!("{hash:016x}")
@@ -74,15 +75,15 @@ pub fn hash_text(hash: u64) -> String {
 #[derive(Clone, Debug)]
 pub struct Record {
     path: PathBuf,
-    /// What is in it.
+    /// Content of the file.
     pub entry: Entry,
 }
 
 impl Record {
-    /// Begins a drawing's file.
+    /// Creates a drawing's file.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn begin(folder: &Path, mut entry: Entry) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -107,18 +108,18 @@ impl Record {
         self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// Writes what is known, to the disk.
+    /// Writes the entry to the disk.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn save(&mut self) -> io::Result<()> {
         self.written()?.commit()
     }
 
-    /// Writes what is known without waiting for the disk.
+    /// Writes the entry without waiting for the disk.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn save_unsynced(&mut self) -> io::Result<()> {
         self.written()?.commit_unsynced()
     }
@@ -135,7 +136,7 @@ impl Record {
 /// The folder of the log.
 ///
 /// # Errors
-/// There is neither `XDG_STATE_HOME` nor `HOME`.
+/// Neither `XDG_STATE_HOME` nor `HOME` is set.
 pub fn folder() -> io::Result<PathBuf> {
     let from = |name: &str| {
         std::env::var_os(name)
@@ -155,7 +156,7 @@ pub fn folder() -> io::Result<PathBuf> {
 /// All drawings, the oldest first. Files that cannot be read are left out.
 ///
 /// # Errors
-/// The folder cannot be read; one that does not exist is an empty log.
+/// The folder cannot be read; a folder that does not exist is an empty log.
 pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
     let files = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),

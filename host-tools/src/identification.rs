@@ -1,18 +1,18 @@
-//! What the drives' answers tell about delay and gain, from the telemetry of a test motion.
+//! Identification of delay and gain of the drives from the telemetry of a test motion.
 //!
-//! The position controller's command is computed again from the telemetry, by the controller itself. A drive answers
-//! with a velocity w(t) = g u(t - D): the regression of w on the command and its first three derivatives and a
-//! constant gives the gain g and the mean delay D, whatever the shape of the answer, because slow signals feel only its
-//! first moments. From these follow, per axis,
+//! The position controller itself recomputes its commands from the telemetry. A drive answers with a velocity w(t) = g
+//! u(t - D). The regression of w on the command, its first three derivatives and a constant gives the gain g and the
+//! mean delay D for any shape of the response, because slow signals depend only on its first moments. These give for
+//! each axis
 //!
 //! - feed-forward gain Kff = 1 / g;
-//! - feed-forward lead tau = D - age - 0.5 ms: the command must be as early as its answer is late, and the measurement
-//!   is compared with the reference of its age; 0.5 ms is the centre of a 1 ms difference;
+//! - feed-forward lead tau = D - age - 0.5 ms: the command has to be as early as its response is late, and the
+//! measurement is compared with the reference of its age; 0.5 ms is the centre of a 1 ms difference;
 //! - feedback gain Kfb = (pi / 6) / (D - 0.5 ms) / g: the loop of an integrator and a delay has a phase margin of 60
 //!   degrees there (Åström and Murray, *Feedback Systems*, 2nd ed., 10.3).
 //!
-//! The three arms share one lead and one Kfb, so that the platform lags straight. Commands and answers pass the same
-//! low-pass before the regression, which changes neither g nor D.
+//! The three arms share one lead and one Kfb, so that the platform's lag is along its path. Commands and responses pass
+//! identical low-pass filters before the regression, which changes neither g nor D.
 //!
 //! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
 
@@ -30,16 +30,16 @@ const RADIUS_MM: f64 = 40.0;
 const CLEARANCE_MM: f64 = 25.0;
 /// How far the circles rise and fall, mm.
 const WAVE_MM: f64 = 15.0;
-/// Rises and falls on one turn; no whole number, so that every turn moves the arms otherwise.
+/// Rises and falls in one turn; not a whole number, so that every turn moves the arms differently.
 const WAVES_PER_TURN: f64 = 2.4;
 /// Turns, and vertices on each.
 const TURNS: usize = 5;
 const VERTICES_PER_TURN: usize = 72;
-/// Figures of eight after them, on which the path's direction swings to and fro: it is the fourth axis' motion.
+/// Figures of eight after the circles; there the path's direction swings to and fro, which moves the fourth axis.
 const EIGHTS: usize = 4;
 /// Strokes up and down at the end.
 const STROKES_UP: usize = 4;
-/// Highest speed and acceleration of the test motion, mm/s and mm/s2; the configuration's where they are lower.
+/// Highest speed and acceleration of the test motion, mm/s and mm/s2, unless the configuration's are lower.
 const SPEED_MAX_MM_S: f64 = 400.0;
 const ACCELERATION_MAX_MM_S2: f64 = 8_000.0;
 
@@ -53,7 +53,7 @@ const PARTS: usize = 8;
 const PART_SAMPLES_MIN: usize = 100;
 /// Smallest root mean square of a command's change that counts as motion, rad/s2.
 const CHANGE_MIN_RAD_S2: f64 = 0.5;
-/// Largest part of the answer that the model may leave unexplained (root mean square).
+/// Largest part of the response that the model may leave unexplained (root mean square).
 const UNEXPLAINED_MAX: f64 = 0.1;
 
 /// A value with its standard uncertainty.
@@ -65,7 +65,7 @@ pub struct Measured {
     pub uncertainty: f64,
 }
 
-/// What one axis' answers tell.
+/// Identified response of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Answer {
     /// Samples used.
@@ -74,9 +74,9 @@ pub struct Answer {
     pub delay_ms: Measured,
     /// Measured velocity for a commanded one.
     pub gain: Measured,
-    /// The lead that the delay asks for, ms.
+    /// Lead that results from the delay, ms.
     pub lead_ms: Measured,
-    /// The feed-forward gain that the gain asks for.
+    /// Feed-forward gain that results from the gain.
     pub feed_forward_gain: Measured,
     /// The feedback gain with a phase margin of 60 degrees, 1/s.
     pub feedback_gain_per_s: f64,
@@ -86,13 +86,13 @@ pub struct Answer {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoAnswer {
-    /// The axis follows a torque: lead and gain of a velocity mean nothing to its drive.
+    /// The axis is in torque mode: lead and gain of a velocity have no meaning for its drive.
     Torque,
     /// The axis has hardly moved.
     Still,
-    /// Too few samples in a row.
+    /// Too few consecutive samples.
     Samples,
-    /// The answers are not those of a delay and a gain.
+    /// The response does not fit a delay and a gain.
     Model,
 }
 
@@ -107,12 +107,12 @@ impl std::fmt::Display for NoAnswer {
     }
 }
 
-/// Least deviation of commanded from measured motion that the test motion allows, rad: the delay by which motion is
-/// predicted is not known yet.
+/// Least limit of the feedback deviation during the test motion, rad: the delay by which the motion is predicted is not
+/// known yet.
 const FEEDBACK_DEVIATION_RAD: f64 = 0.03;
 
-/// The configuration that the test motion is driven with: the given one, no faster than a test should be, with the fourth
-/// axis along the path, and with room for a delay that is not known yet in the supervision of the feedback.
+/// The configuration for the test motion: the given one with a limited speed, with the fourth axis along the path, and
+/// with a tolerance in the feedback supervision for the delay that is not known yet.
 pub fn test_config(config: &Config) -> Config {
     let mut test = config.clone();
     let motion = &mut test.motion;
@@ -126,8 +126,8 @@ pub fn test_config(config: &Config) -> Config {
     test
 }
 
-/// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with the
-/// pen lifted.
+/// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with
+/// the pen lifted.
 pub fn test_path(config: &Config) -> Vec<PathVertex> {
     let paper = &config.paper;
     let [x_mm, y_mm] = paper.centre_mm;
@@ -167,8 +167,8 @@ pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer
     std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
 }
 
-/// Puts estimates into a configuration. `only` limits what changes to one axis; lead and feedback gain of the arms change
-/// together, to their mean and to their smallest.
+/// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the arms change
+/// together, to their mean and to their smallest value.
 pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) {
     let wanted = |axis: usize| only.is_none_or(|only| only == axis);
     let arms: Vec<&Answer> = answers
@@ -176,7 +176,7 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
         .take(ARMS)
         .filter_map(|answer| answer.as_ref().ok())
         .collect();
-    // A lead that one arm does not know is not shared: its lag would not be straight.
+    // If one arm has no estimate, no lead is shared: the platform would lag beside its path.
     let arms_wanted = (0..ARMS).any(wanted) && arms.len() == ARMS;
     let lead_ms = arms.iter().map(|arm| arm.lead_ms.value).sum::<f64>() / ARMS as f64;
     let feedback = arms
@@ -203,7 +203,7 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
 /// Gain, delay in ms, and the solution they come from.
 type Estimate = (f64, f64, [f64; TERMS]);
 
-/// Equations of the regression: what stands beside the answer, and the answer.
+/// One equation of the regression: the terms, and the response.
 type Equation = ([f64; TERMS], f64);
 
 fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answer, NoAnswer> {
@@ -238,7 +238,7 @@ fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answe
     if !fits || lead_ms < 0.0 || delay_ms <= 0.5 {
         return Err(NoAnswer::Model);
     }
-    // A part of one speed does not tell gain from delay and gives no estimate.
+    // A part at one constant speed cannot separate gain from delay and gives no estimate.
     let parts: Vec<_> = equations
         .chunks_exact(equations.len() / PARTS)
         .take(PARTS)
@@ -268,7 +268,7 @@ fn moves(sample: &Sample) -> bool {
     sample.mode == Mode::Drawing
 }
 
-/// The equations of one run of samples: filtered answers on the filtered command `shift` milliseconds before.
+/// The equations of one run of samples: filtered responses on the filtered command `shift` milliseconds earlier.
 fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Equation> {
     let mut controller = PositionController::new(axis);
     let command = |k: usize| {
@@ -283,7 +283,7 @@ fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Eq
     let commands: Vec<f64> = (0..run.len()).map(command).collect();
     let answers: Vec<f64> = run.iter().map(|sample| sample.measured_rad_s[number].into()).collect();
     let (commands, answers) = (low_pass(&commands), low_pass(&answers));
-    // References at the run's end are not known, nor commands before its begin.
+    // References after the run's end are not known, nor commands before its beginning.
     let last = answers.len().saturating_sub(REFERENCES_AHEAD);
     let first = shift + 2 + etherpen::control::position::AGE_MAX_MS;
     (first..last)
@@ -302,7 +302,7 @@ fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Eq
         .collect()
 }
 
-/// Moving average with the weights of a raised cosine; both ends, where it does not fit, are cut off.
+/// Moving average with raised-cosine weights; both ends, where the window does not fit, are cut off.
 fn low_pass(values: &[f64]) -> Vec<f64> {
     let width = 2 * FILTER_HALF_MS + 1;
     let weight = |k: usize| 1.0 - (TAU * (k + 1) as f64 / (width + 1) as f64).cos();
@@ -329,7 +329,7 @@ fn least_squares(equations: &[Equation]) -> Option<[f64; TERMS]> {
             }
         }
     }
-    // Terms of very different size: each is divided by its own.
+    // The terms differ greatly in size: each is divided by its own size.
     let sizes: [f64; TERMS] = std::array::from_fn(|k| rows[k][k].sqrt());
     if sizes.iter().any(|size| !(*size > 0.0 && size.is_finite())) {
         return None;

@@ -1,11 +1,11 @@
 //! The project's EtherCAT master on this computer, by the wall clock, over any transport.
 //!
-//! A thread of its own exchanges frames once a millisecond and polls the supervisor. An ordinary computer is no
-//! controller: a cycle waits for its replies as long as [`REPLY_WAIT`], so a late reply costs time and not the request,
-//! and the supervisor's milliseconds are those of the wall clock, whatever a cycle takes. Outputs are zeros, with which
-//! no drive moves.
+//! A separate thread exchanges frames once a millisecond and polls the supervisor. An ordinary computer is not a
+//! real-time controller: a cycle waits up to [`REPLY_WAIT`] for its replies, so a late reply costs time but not the
+//! request. The supervisor's milliseconds follow the wall clock, whatever the duration of a cycle. Outputs are zeros,
+//! with which no drive moves.
 //!
-//! Invariant: the thread ends with its owner, with the transport, or with a bring-up that failed.
+//! Invariant: the thread ends with its owner, with the transport, or after a failed bring-up.
 
 use crate::transport::Transport;
 use etherpen::controller::MASTER_ADDRESS;
@@ -28,9 +28,9 @@ use std::time::{Duration, Instant};
 
 /// Period of the exchange.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Longest wait for a reply while replies come.
+/// Longest wait for a reply while replies arrive.
 pub const REPLY_WAIT: Duration = Duration::from_millis(50);
-/// Longest wait for a reply when none has come for some cycles.
+/// Longest wait for a reply after some cycles without any.
 const SILENT_WAIT: Duration = Duration::from_millis(1);
 /// Cycles without a reply after which the bus counts as silent.
 const SILENT_CYCLES: u32 = 10;
@@ -42,35 +42,35 @@ const SLAVES_MAX: usize = 32;
 
 type HostExchange<'a> = Exchange<'a, SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
-/// Why the master cannot work, or not any more.
+/// Why the master cannot work.
 #[derive(Debug)]
 pub enum MasterError {
     /// The bus was not brought up.
     Refused {
-        /// The slave it is about, if it is about one, from 0.
+        /// The slave concerned, if any, from 0.
         position: Option<u8>,
-        /// What was tried.
+        /// The step that failed.
         step: Step,
         /// Why it failed.
         error: BusError,
     },
-    /// The way to the segment was lost.
+    /// The transport to the segment was lost.
     Transport(io::Error),
-    /// No answer came.
+    /// No answer arrived.
     Silent {
-        /// How long was waited.
+        /// Time waited.
         waited: Duration,
     },
 }
 
-/// What the thread says.
+/// Report of the thread.
 enum Report {
     Event(BusEvent),
     Answer(Box<ServiceResult>),
     Lost(io::Error),
 }
 
-/// A master at work.
+/// A running master.
 pub struct Master {
     requests: Sender<ServiceRequest>,
     reports: Receiver<Report>,
@@ -81,18 +81,18 @@ pub struct Master {
 }
 
 impl Master {
-    /// Looks at the bus only: the slaves stay as they are until a request changes one.
+    /// Opens the bus for requests only: the slaves keep their state until a request changes it.
     ///
     /// # Errors
-    /// The system has no thread left.
+    /// No thread can be created.
     pub fn look(transport: Box<dyn Transport>) -> Result<Self, MasterError> {
         Self::new(transport, None)
     }
 
-    /// Brings the bus up as `setup` says; `wait` is the longest time for it.
+    /// Brings the bus up according to `setup`; `wait` is the time limit.
     ///
     /// # Errors
-    /// The step that failed, or that the transport was lost.
+    /// The step that failed, or the loss of the transport.
     pub fn start(transport: Box<dyn Transport>, setup: BusSetup, wait: Duration) -> Result<Self, MasterError> {
         let mut master = Self::new(transport, Some(setup))?;
         let until = Instant::now() + wait;
@@ -136,12 +136,12 @@ impl Master {
         })
     }
 
-    /// Asks something of the bus and waits for the answer, at most `wait`.
+    /// Sends a request to the bus and waits for the answer, at most `wait`.
     ///
     /// # Errors
-    /// That the transport was lost, or that no answer came.
+    /// The transport was lost, or no answer arrived.
     pub fn request(&mut self, request: ServiceRequest, wait: Duration) -> Result<ServiceResult, MasterError> {
-        // A thread that has ended says so in its reports.
+        // A thread that has ended has reported why.
         let _ = self.requests.send(request);
         let until = Instant::now() + wait;
         loop {
@@ -153,7 +153,7 @@ impl Master {
         }
     }
 
-    /// What the supervisor has reported since the last call.
+    /// Events of the supervisor since the last call.
     pub fn events(&mut self) -> Vec<BusEvent> {
         while let Ok(report) = self.reports.try_recv() {
             if let Report::Event(event) = report {
@@ -163,7 +163,7 @@ impl Master {
         std::mem::take(&mut self.events)
     }
 
-    /// What the exchange has counted.
+    /// Counters of the exchange.
     pub fn counters(&self) -> BusCounters {
         *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -181,7 +181,7 @@ impl Drop for Master {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // What it had to say is in its reports.
+            // The reports contain the reason.
             let _ = thread.join();
         }
     }
@@ -238,7 +238,7 @@ impl Worker {
         }
     }
 
-    /// Inputs, then outputs; lasts until `until` at least.
+    /// Exchanges inputs, then outputs; lasts until `until` at least.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
         self.transact(exchange, HostExchange::input_telegram, Arrival::Input)?;
         self.transact(exchange, HostExchange::output_telegram, Arrival::Output)?;
@@ -248,7 +248,7 @@ impl Worker {
             if left.is_zero() {
                 return Ok(());
             }
-            // What comes now is late, doubled or foreign, and counted.
+            // A frame that arrives now is late, doubled or foreign, and is counted.
             if let Some(length) = self.transport.receive(&mut frame, left)? {
                 exchange.receive(frame.get(..length).unwrap_or(&[]));
             }

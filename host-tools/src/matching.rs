@@ -1,9 +1,9 @@
-//! Positions matched with the line they were to follow, in order along both.
+//! Matches positions with the line that they should follow, in order along both.
 //!
-//! A position near a stroke may be near several parts of it: parallel legs, a way back over the way there, the next turn
-//! of a spiral. Which part is its own follows from the order alone. Positions are matched with the line so that neither
-//! goes back and the largest distance is the least possible: the Fréchet distance of two polylines, found by halving
-//! between distances that are enough and distances that are not (Alt and Godau, 1995).
+//! A position near a stroke may be near several parts of it: parallel legs, a line back over itself, the next turn of a
+//! spiral. Only the order tells which part belongs to it. Positions are matched with the line so that neither goes back
+//! and the largest distance is as small as possible: the Fréchet distance of two polylines, found by bisection between
+//! distances that are sufficient and distances that are not (Alt and Godau, 1995).
 //!
 //! Invariant: places along the line never decrease from one position to the next, except across a break, by at most
 //! `BACK_MM`.
@@ -13,20 +13,20 @@ use etherpen::robot::Position;
 /// How far back along the line positions may go on after a break, mm: a pen that is set down again touches a little
 /// before the place where it was lifted.
 const BACK_MM: f64 = 0.5;
-/// The distance is found to this precision, mm.
+/// Precision of the distance, mm.
 const PRECISION_MM: f64 = 1e-4;
 /// Smallest distance tried first, mm.
 const FIRST_MM: f64 = 0.02;
 /// Largest distance tried, mm.
 const LARGEST_MM: f64 = 1e5;
 
-/// Distance of two places, mm.
+/// Distance between two positions, mm.
 #[must_use]
 pub fn distance(a: &Position, b: &Position) -> f64 {
     ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
 }
 
-/// The place at a part of the way from `a` to `b`.
+/// The point at a fraction of the segment from `a` to `b`.
 #[must_use]
 pub fn between(a: &Position, b: &Position, part: f64) -> Position {
     Position {
@@ -36,7 +36,7 @@ pub fn between(a: &Position, b: &Position, part: f64) -> Position {
     }
 }
 
-/// The part of the way from `a` to `b` that is nearest to a place, 0 to 1.
+/// The fraction of the segment from `a` to `b` that is nearest to a position, 0 to 1.
 fn nearest_part(place: &Position, a: &Position, b: &Position) -> f64 {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
     let squared = dx * dx + dy * dy + dz * dz;
@@ -47,7 +47,7 @@ fn nearest_part(place: &Position, a: &Position, b: &Position) -> f64 {
     (along / squared).clamp(0.0, 1.0)
 }
 
-/// The parts of the way from `a` to `b` that are within a distance of a place: from and to, 0 to 1.
+/// The part of the segment from `a` to `b` that is within a distance of a position: from and to, 0 to 1.
 fn within(place: &Position, a: &Position, b: &Position, reach_mm: f64) -> Option<[f64; 2]> {
     let foot = nearest_part(place, a, b);
     let away_mm = distance(place, &between(a, b, foot));
@@ -58,7 +58,7 @@ fn within(place: &Position, a: &Position, b: &Position, reach_mm: f64) -> Option
     if length_mm == 0.0 {
         return Some([0.0, 1.0]);
     }
-    // The foot on the whole straight line is where both roots are symmetrical.
+    // The foot on the infinite straight line is where both roots are symmetrical.
     let along = ((place.x_mm - a.x_mm) * (b.x_mm - a.x_mm)
         + (place.y_mm - a.y_mm) * (b.y_mm - a.y_mm)
         + (place.z_mm - a.z_mm) * (b.z_mm - a.z_mm))
@@ -68,35 +68,35 @@ fn within(place: &Position, a: &Position, b: &Position, reach_mm: f64) -> Option
     Some([(along - half).clamp(0.0, foot), (along + half).clamp(foot, 1.0)])
 }
 
-/// A polyline that is to be followed.
+/// A polyline to be followed.
 #[derive(Clone, Debug, Default)]
 pub struct Line {
     points: Vec<Position>,
-    /// How far along the line each of its points lies, mm.
+    /// Distance of each point along the line, mm.
     along_mm: Vec<f64>,
 }
 
-/// A position, and how it comes after the one before.
+/// A position, and its relation to the previous one.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
-    /// Where.
+    /// The position.
     pub position: Position,
-    /// How far along the line the motion may have come unseen since the position before, mm; `None` where nothing is
-    /// missing in between.
+    /// Distance along the line that the motion may have covered unseen since the previous position, mm; `None` if
+    /// nothing is missing in between.
     pub unseen_mm: Option<f64>,
 }
 
-/// How positions fit to a line.
+/// Match of positions with a line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Match {
-    /// The least possible largest distance, in both directions: of positions from the line, and of the line between the
-    /// first and the last position's place from the positions, mm.
+    /// Smallest possible largest distance, in both directions, mm: of the positions from the line, and of the line
+    /// between the places of the first and the last position from the positions.
     pub distance_mm: f64,
     /// The place of each position along the line, mm.
     pub places_mm: Vec<f64>,
 }
 
-/// Parts of the line that can be reached by one position: leg, and from and to in shares of it.
+/// Parts of the line that one position can reach: leg, and from and to as fractions of the leg.
 type Reach = Vec<(usize, [f64; 2])>;
 
 impl Line {
@@ -118,7 +118,8 @@ impl Line {
         self.along_mm.last().copied().unwrap_or(0.0)
     }
 
-    /// Distance from a place to the part of the line between two places along it, mm; infinite for a line of no leg.
+    /// Distance from a position to the part of the line between two places along it, mm; infinite for a line without a
+    /// leg.
     #[must_use]
     pub fn distance_between(&self, place: &Position, low_mm: f64, high_mm: f64) -> f64 {
         let (low_mm, high_mm) = (
@@ -139,13 +140,13 @@ impl Line {
         nearest_mm
     }
 
-    /// The leg that a place along the line lies on.
+    /// The leg at a place along the line.
     fn leg_at(&self, mm: f64) -> usize {
         let after = self.along_mm.partition_point(|along_mm| *along_mm <= mm);
         after.saturating_sub(1).min(self.points.len().saturating_sub(2))
     }
 
-    /// A place along the line as a share of a leg.
+    /// A place along the line as a fraction of a leg.
     fn share(&self, leg: usize, mm: f64) -> f64 {
         let length_mm = self.along_mm[leg + 1] - self.along_mm[leg];
         if length_mm > 0.0 {
@@ -159,14 +160,14 @@ impl Line {
         between(&self.points[leg], &self.points[leg + 1], share)
     }
 
-    /// A share of a leg as a place along the line, mm.
+    /// A fraction of a leg as a place along the line, mm.
     fn along(&self, leg: usize, share: f64) -> f64 {
         self.along_mm[leg] + share * (self.along_mm[leg + 1] - self.along_mm[leg])
     }
 
-    /// Matches positions with the line in order, the first one anywhere between two places along it, mm.
+    /// Matches positions with the line in order; the first one may be anywhere between two places along the line, mm.
     ///
-    /// A line of no leg, or no position, gives an empty match at an infinite distance.
+    /// A line without a leg, or no position, gives an empty match at an infinite distance.
     #[must_use]
     pub fn follow(&self, steps: &[Step], first_mm: [f64; 2]) -> Match {
         let nothing = Match {
@@ -198,7 +199,7 @@ impl Line {
         }
     }
 
-    /// What each position can reach of the line within a distance; `None` where one of them reaches nothing.
+    /// The parts of the line that each position can reach within a distance; `None` if one position reaches nothing.
     fn reach(&self, steps: &[Step], first_mm: [f64; 2], reach_mm: f64) -> Option<Vec<Reach>> {
         let mut reached: Vec<Reach> = Vec::with_capacity(steps.len());
         for (index, step) in steps.iter().enumerate() {
@@ -245,11 +246,11 @@ impl Line {
         result
     }
 
-    /// What can be reached by the next position, through the cells between two positions and the line's legs.
+    /// The parts that the next position can reach, through the cells between two positions and the line's legs.
     fn advance(&self, last: &Reach, from: &Position, to: &Position, reach_mm: f64) -> Reach {
         let mut result = Reach::new();
         let mut starts = last.iter().peekable();
-        // The earliest part of the motion from which the leg's first point can be reached, from the leg before.
+        // The earliest part of the motion from which the leg's first point can be reached from the previous leg.
         let mut below: Option<f64> = None;
         let mut leg = starts.peek().map_or(0, |(leg, _)| *leg);
         while leg + 1 < self.points.len() {
@@ -279,7 +280,8 @@ impl Line {
         result
     }
 
-    /// From the last position back: for each the nearest place that it can reach and that does not come after the next's.
+    /// Backwards from the last position: for each the nearest reachable place that is not after the next position's
+    /// place.
     fn places(&self, steps: &[Step], reached: &[Reach]) -> Vec<f64> {
         let mut places_mm = vec![0.0; steps.len()];
         let mut limit_mm = f64::INFINITY;
@@ -293,7 +295,7 @@ impl Line {
                 let high = high.min(self.share(leg, limit_mm.min(self.along_mm[leg + 1]))).max(low);
                 let part = nearest_part(&step.position, &self.points[leg], &self.points[leg + 1]).clamp(low, high);
                 let away_mm = distance(&step.position, &self.at(leg, part));
-                // The later one of two equal places leaves more room for those before.
+                // The later one of two equal places leaves more room for the earlier positions.
                 if away_mm <= best.0 + PRECISION_MM * 0.01 {
                     best = (away_mm, self.along(leg, part));
                 }

@@ -1,11 +1,11 @@
-//! Output files: whole or not at all.
+//! Output files, written completely or not at all.
 //!
 //! A file that a command writes keeps its last good content until the new content is complete and on the disk. The new
-//! content lies beside it in a hidden file, is synced, and takes the name by a rename. A full disk, a kill or a power cut
-//! leaves the old file as it was. The hidden file is locked while its program lives; the next program that writes the same
-//! name removes one that a killed program has left.
+//! content is written to a hidden file in the same folder, synced, and renamed. A full disk, a kill or a power cut
+//! leaves the old file unchanged. The hidden file is locked while its program runs; the next program that writes this
+//! file removes the hidden file of a killed program.
 //!
-//! Devices, pipes, and what a file descriptor names (`/dev/stdout`) are written directly: they have no content to lose.
+//! Devices, pipes, and paths of file descriptors (`/dev/stdout`) are written directly: they have no content to lose.
 
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
@@ -19,17 +19,17 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const LINKS_MAX: usize = 40;
 /// Longest part of the output's name in the hidden file's name, bytes.
 const NAME_BYTES_MAX: usize = 180;
-/// End of the hidden files' names.
+/// Suffix of the hidden files' names.
 const BESIDE: &str = ".part";
 
-/// A file that is being written. Dropping it leaves the last good content in place; [`commit`](Self::commit) replaces it.
+/// A file being written. Dropping it keeps the last good content; [`commit`](Self::commit) replaces it.
 #[derive(Debug)]
 pub struct OutputFile {
     out: BufWriter<File>,
     beside: Option<Beside>,
 }
 
-/// A hidden file, removed with its owner unless it took its name.
+/// A hidden file, removed when dropped unless it was renamed.
 #[derive(Debug)]
 struct Beside {
     path: PathBuf,
@@ -44,11 +44,11 @@ impl Drop for Beside {
 }
 
 impl OutputFile {
-    /// Begins an output. A symbolic link stays, and what it points to is replaced. Owner and permissions of a file that
-    /// exists are kept.
+    /// Starts an output. A symbolic link stays, and its target is replaced. Owner and permissions of an existing file
+    /// are kept.
     ///
     /// # Errors
-    /// The folder or the present file cannot be written.
+    /// The folder or the existing file cannot be written.
     pub fn create(path: &Path) -> io::Result<Self> {
         let target = followed(path)?;
         let present = match fs::metadata(&target) {
@@ -57,7 +57,7 @@ impl OutputFile {
             Err(error) => return Err(error),
         };
         if present.as_ref().is_some_and(|present| !present.is_file()) || is_descriptor(&target) {
-            // Appending leaves alone what a shell's redirection has kept.
+            // Append mode keeps what a shell's redirection has already written.
             let file = OpenOptions::new().append(true).open(&target)?;
             return Ok(Self::direct(file));
         }
@@ -68,7 +68,7 @@ impl OutputFile {
         let (file, beside) = create_beside(target)?;
         if let Some(present) = present {
             file.set_permissions(present.permissions())?;
-            // Only root may give a file away.
+            // Only root may change a file's owner.
             let _ = fchown(&file, Some(present.uid()), Some(present.gid()));
         }
         Ok(Self {
@@ -77,7 +77,7 @@ impl OutputFile {
         })
     }
 
-    /// Begins an output, on standard output for `-`.
+    /// Starts an output; `-` is standard output.
     ///
     /// # Errors
     /// As [`create`](Self::create).
@@ -96,8 +96,7 @@ impl OutputFile {
         }
     }
 
-    /// A second handle for a stream that grows. What is written with it goes into the same file, before and after
-    /// [`commit`](Self::commit).
+    /// A second handle for a stream that grows. It writes into this file, before and after [`commit`](Self::commit).
     ///
     /// # Errors
     /// There are no more file descriptors.
@@ -105,7 +104,7 @@ impl OutputFile {
         self.out.get_ref().try_clone()
     }
 
-    /// Completes the output: the file has its new content from now on.
+    /// Completes the output: the file has its new content from then on.
     ///
     /// # Errors
     /// The content is not on the disk; the last good content stays.
@@ -120,7 +119,8 @@ impl OutputFile {
         Ok(())
     }
 
-    /// Completes the output without waiting for the disk: a program that ends loses nothing, a power cut may lose the file.
+    /// Completes the output without waiting for the disk: the content survives the end of the program, but a power cut
+    /// may lose it.
     ///
     /// # Errors
     /// As [`commit`](Self::commit).
@@ -153,7 +153,7 @@ pub fn write(path: &Path, content: &[u8]) -> io::Result<()> {
     out.commit()
 }
 
-/// Whether two names are one regular file: the same name, a symbolic or a hard link. `-` names standard input or output.
+/// Whether two paths are one regular file: equal paths, a symbolic or a hard link. `-` is standard input or output.
 #[must_use]
 pub fn is_same_file(output: &Path, input: &Path) -> bool {
     let named = |path: &Path, standard: &str| {
@@ -170,7 +170,7 @@ pub fn is_same_file(output: &Path, input: &Path) -> bool {
     }
 }
 
-/// Where a name leads by its symbolic links, which may end where no file is yet; links to descriptors are not followed.
+/// The target of a path's symbolic links, which may not exist yet; links to descriptors are not followed.
 fn followed(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..LINKS_MAX {
@@ -195,7 +195,7 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Beginning of the names of a target's hidden files.
+/// Prefix of the names of a target's hidden files.
 fn stem(target: &Path) -> io::Result<String> {
     let name = target.file_name().ok_or(ErrorKind::IsADirectory)?.to_string_lossy();
     let mut end = name.len().min(NAME_BYTES_MAX);
@@ -219,14 +219,14 @@ fn create_beside(target: PathBuf) -> io::Result<(File, Beside)> {
         // Some file systems have no locks; nothing is removed there.
         let locked = flock(&file, FlockOperation::NonBlockingLockExclusive) != Err(rustix::io::Errno::WOULDBLOCK);
         let is_there = fs::metadata(&path).is_ok_and(|there| file.metadata().is_ok_and(|own| own.ino() == there.ino()));
-        // Between its making and its locking the file may have looked left behind to another program.
+        // Another program may have taken the file for a stale one before it was locked.
         if locked && is_there {
             return Ok((file, Beside { path, target }));
         }
     }
 }
 
-/// Removes hidden files of this target whose programs have been killed.
+/// Removes this target's hidden files of killed programs.
 fn remove_left_behind(folder: &Path, stem: &str) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
@@ -241,7 +241,7 @@ fn remove_left_behind(folder: &Path, stem: &str) {
         let unlocked =
             File::open(entry.path()).is_ok_and(|file| flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok());
         if unlocked {
-            // One that cannot be removed is in nobody's way.
+            // A file that cannot be removed does no harm.
             let _ = fs::remove_file(entry.path());
         }
     }

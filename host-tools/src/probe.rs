@@ -1,7 +1,7 @@
-//! The board on USB: its debug probe, the ST-LINK, the program probe-rs that talks to it, and its serial ports.
+//! The board on USB: its debug probe (ST-LINK), the program probe-rs, and its serial ports.
 //!
-//! Linux shows USB devices as folders (sysfs); what stands there is read without any right, so that a probe that is
-//! there but may not be opened is told from one that is not there.
+//! Linux shows USB devices as folders (sysfs), which can be read without permissions. A probe that cannot be opened can
+//! thus be distinguished from a missing one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 const VENDOR: &str = "0483";
 /// Product numbers of the ST-LINKs, V2 to V3: 3744 to 375f (ST's own udev rules name them one by one).
 const PRODUCTS: std::ops::RangeInclusive<u16> = 0x3744..=0x375f;
-/// Vendor and product number of the firmware's own USB port, pid.codes' first pair for tests, and the name that it gives
-/// itself, since others test with that pair too (`src/bin/nucleo/usb.rs`).
+/// Vendor and product number of the firmware's own USB port (the first test pair of pid.codes) and its product name,
+/// because other devices use that pair too (`src/bin/nucleo/usb.rs`).
 const FIRMWARE: (&str, u16, &str) = ("1209", 0x0001, "etherpen robot controller");
 /// Where Linux lists serial ports.
 pub const SERIAL_PORTS: &str = "/sys/class/tty";
@@ -19,7 +19,7 @@ pub const SERIAL_PORTS: &str = "/sys/class/tty";
 pub const USB_DEVICES: &str = "/sys/bus/usb/devices";
 /// The command that installs probe-rs.
 pub const INSTALL: &str = "cargo install probe-rs-tools --locked";
-/// What lets a person open the probe: a file for udev and how to put it in force.
+/// Gives the user access to the probe: a udev file and how to activate it.
 pub const UDEV_RULE: &str = "\
 put this line into /etc/udev/rules.d/70-st-link.rules:
   SUBSYSTEM==\"usb\", ATTRS{idVendor}==\"0483\", ATTRS{idProduct}==\"37[45]?\", MODE=\"0660\", GROUP=\"plugdev\", TAG+=\"uaccess\"
@@ -30,31 +30,31 @@ then: sudo udevadm control --reload && sudo udevadm trigger, and plug the board 
 pub struct StLink {
     /// Product number.
     pub product: u16,
-    /// Name that it gives itself.
+    /// Its product name.
     pub name: String,
-    /// Serial number, to tell it from others.
+    /// Its serial number.
     pub serial: String,
-    /// The file through which it is opened.
+    /// Its device file.
     pub node: PathBuf,
 }
 
 impl StLink {
-    /// Whether this user may open it.
+    /// Whether the user may open the probe.
     ///
     /// # Errors
-    /// What the system says.
+    /// Error of the operating system.
     pub fn access(&self) -> io::Result<()> {
         let opened = std::fs::OpenOptions::new().read(true).write(true).open(&self.node);
         opened.map(drop)
     }
 
-    /// As probe-rs wants it to be named: `VID:PID:SERIAL`.
+    /// Its selector for probe-rs: `VID:PID:SERIAL`.
     pub fn selector(&self) -> String {
         format!("{VENDOR}:{:04x}:{}", self.product, self.serial)
     }
 }
 
-/// The ST-LINKs below a folder such as [`USB_DEVICES`]; none where there is no such folder.
+/// The ST-LINKs below a folder such as [`USB_DEVICES`]; none if the folder does not exist.
 pub fn st_links(devices: &Path) -> Vec<StLink> {
     let entries = std::fs::read_dir(devices).into_iter().flatten().flatten();
     let mut found: Vec<StLink> = entries.filter_map(|entry| st_link(&entry.path())).collect();
@@ -62,7 +62,7 @@ pub fn st_links(devices: &Path) -> Vec<StLink> {
     found
 }
 
-/// A way to the firmware.
+/// A port to the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoardPort {
     /// The ST-LINK's serial line.
@@ -71,9 +71,9 @@ pub enum BoardPort {
     Firmware,
 }
 
-/// Which of the board's ports a serial port is, below a folder such as [`SERIAL_PORTS`]; `None` for any other.
+/// The board's port that a serial port belongs to, below a folder such as [`SERIAL_PORTS`]; `None` for any other.
 pub fn board_port(ports: &Path, name: &str) -> Option<BoardPort> {
-    // What a port is linked to is one of its device's interfaces.
+    // A port's link points to one of its device's interfaces.
     let device = ports.join(name).join("device/..");
     let (vendor, product) = numbers(&device)?;
     if vendor == VENDOR && PRODUCTS.contains(&product) {

@@ -1,7 +1,7 @@
-//! One drawing against the virtual cell: by the tasks in virtual time, or by a firmware image in the emulator.
+//! One drawing against the virtual cell: with the tasks in virtual time, or with a firmware image in the emulator.
 //!
-//! Both runs take the same job to the same cell and leave the same evidence; only what executes the firmware's tasks
-//! differs. Neither depends on the wall clock.
+//! Both runs give the job to the cell and leave equal evidence; they differ only in how the firmware's tasks are
+//! executed. Neither depends on the wall clock.
 
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions};
@@ -18,15 +18,15 @@ use std::time::Duration;
 
 /// Longest simulated time, ms: a day.
 const LIMIT_MS: u32 = 86_400_000;
-/// Virtual milliseconds between two looks at the job in a simulation.
+/// Virtual milliseconds between two checks of the job in a simulation.
 const LOOK_MS: u32 = 100;
-/// Wall time between two looks at the job in the emulator.
+/// Wall time between two checks of the job in the emulator.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Where a capture goes.
+/// Destination of a capture.
 pub type Sink = Box<dyn Write + Send>;
 
-/// What is to be drawn in which cell.
+/// A drawing and its cell.
 #[derive(Clone, Debug)]
 pub struct Task {
     /// The configuration.
@@ -47,39 +47,39 @@ impl Task {
     }
 }
 
-/// What a run leaves behind.
+/// Result of a run.
 pub struct Drawn {
-    /// What the job collected.
+    /// Data collected by the job.
     pub job: JobReport,
-    /// How the job ended; `None` when it did not.
+    /// Result of the job; `None` if it did not end.
     pub outcome: Option<Result<(), JobError>>,
     /// The cell with its ink.
     pub cell: Cell,
-    /// What a run in virtual time cost.
+    /// Cost of a run in virtual time.
     pub cost: Option<Cost>,
 }
 
-/// What a run in virtual time cost this process.
+/// Cost of a run in virtual time for this process.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {
-    /// Virtual time that passed, s.
+    /// Virtual time elapsed, s.
     pub virtual_s: f64,
-    /// Processor time of the whole process meanwhile, s.
+    /// Processor time of the whole process, s.
     pub processor_s: f64,
 }
 
-/// Processor time that this process has used, s.
+/// Processor time used by this process so far, s.
 fn processor_s() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// Why a run left nothing behind.
+/// Why a run has no result.
 #[derive(Debug)]
 pub enum RunError {
     /// The capture could not be written.
     Capture(io::Error),
-    /// The emulator.
+    /// The emulator failed.
     Emulator(EmulatorError),
 }
 
@@ -112,7 +112,7 @@ impl Host for SimulatedHost<'_> {
     }
 }
 
-/// Draws in virtual time in this process; `look` is shown the job ten times a virtual second.
+/// Draws in virtual time in this process; `look` gets the job ten times a virtual second.
 ///
 /// # Errors
 /// The capture cannot be written.
@@ -148,7 +148,7 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Draws with a firmware image in the emulator; `look` is shown the job twenty times a second of wall time.
+/// Draws with a firmware image in the emulator; `look` gets the job twenty times a second of wall time.
 ///
 /// # Errors
 /// The emulator cannot be started or ended before the job did, or the capture cannot be written.

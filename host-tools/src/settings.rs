@@ -1,10 +1,10 @@
-//! A configuration file that a command changes: single values, everything else left as it was written.
+//! Changes single values of a configuration file and leaves everything else unchanged.
 //!
-//! Comments, order and the values nobody asked to change stay. A file that does not exist is made from the sample that
-//! lists all values; a file without axes gets the sample's.
+//! Comments, order and all other values stay. A file that does not exist is created from the sample that lists all
+//! values; a file without axes gets the sample's axes.
 //!
-//! Invariant: what is written is a configuration that can be read and is within its bounds; the file is replaced as a
-//! whole or not at all.
+//! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
+//! all.
 
 use etherpen::config::{Config, ConfigError};
 use std::io;
@@ -17,18 +17,18 @@ const SAMPLE: &str = include_str!("../../samples/etherpen.toml");
 /// Why a file was not changed.
 #[derive(Debug)]
 pub enum SettingsError {
-    /// It cannot be read or written.
+    /// The file cannot be read or written.
     File(io::Error),
-    /// It is no TOML.
+    /// The file is not valid TOML.
     Syntax(TomlError),
-    /// The value's place does not exist in it.
+    /// The file has no place for the value.
     Place {
-        /// Which axis, from 0.
+        /// Axis, from 0.
         axis: usize,
         /// Name of the value.
         field: &'static str,
     },
-    /// It would be no configuration.
+    /// The result would not be a valid configuration.
     Configuration(toml::de::Error),
     /// A value would be outside its bounds.
     Bounds(ConfigError),
@@ -54,7 +54,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Reads a file; one that does not exist begins as the sample.
+    /// Reads a file; a file that does not exist starts as the sample.
     ///
     /// # Errors
     /// [`SettingsError::File`] and [`SettingsError::Syntax`].
@@ -103,10 +103,10 @@ impl Settings {
         Ok(())
     }
 
-    /// Stores the values of the axes in which a configuration differs from what the file says; gives how many.
+    /// Stores the axes' values in which a configuration differs from the file; returns how many.
     ///
     /// # Errors
-    /// [`SettingsError`]; nothing was written.
+    /// [`SettingsError`]; nothing is written.
     pub fn store_axes(&mut self, wanted: &Config) -> Result<usize, SettingsError> {
         let now = self.config()?;
         let mut changed = 0;
@@ -139,7 +139,7 @@ impl Settings {
         Ok(changed)
     }
 
-    /// The configuration as it would be read.
+    /// The configuration that reading the changed file would give.
     ///
     /// # Errors
     /// [`SettingsError::Configuration`] and [`SettingsError::Bounds`].
@@ -152,7 +152,7 @@ impl Settings {
     /// Writes the file.
     ///
     /// # Errors
-    /// [`SettingsError`]; the file is as it was.
+    /// [`SettingsError`]; the file is unchanged.
     pub fn save(&self, path: &Path) -> Result<(), SettingsError> {
         self.config()?;
         crate::output_file::write(path, self.document.to_string().as_bytes()).map_err(SettingsError::File)

@@ -1,6 +1,6 @@
-//! What the commands need on a machine: the Rust target, QEMU, the firmware image.
+//! Prerequisites of the commands: the Rust target, QEMU, the firmware image.
 //!
-//! A newcomer runs one command; whatever is missing is installed, or the exact command to install it is named.
+//! A new user runs one command; missing parts are installed, or the exact command to install them is shown.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 /// The emulator's program.
 pub const QEMU: &str = "qemu-system-arm";
-/// Oldest major version of QEMU the emulated board was tried with.
+/// Oldest tested major version of QEMU.
 pub const QEMU_MAJOR_MIN: u32 = 7;
 
 /// What could not be set up.
 #[derive(Debug)]
 pub struct SetupError {
-    /// What is missing and what to do about it.
+    /// What is missing, and what to do.
     pub message: String,
 }
 
@@ -35,11 +35,11 @@ fn error<T>(message: impl Into<String>) -> Result<T, SetupError> {
     })
 }
 
-/// Environment variable that names etherpen's sources where they are not found by themselves.
+/// Environment variable with the path of etherpen's sources, if they are not found automatically.
 const SOURCES: &str = "ETHERPEN_SOURCES";
 
-/// Root of etherpen's sources: what `ETHERPEN_SOURCES` names, else the folder from which this program was built, else, where
-/// that has gone, the checkout around the current folder.
+/// Root of etherpen's sources: the path in `ETHERPEN_SOURCES`, else the folder from which this program was built, else,
+/// if that no longer exists, the checkout around the current folder.
 pub fn workspace() -> PathBuf {
     let built_from = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new("."));
     if let Some(named) = std::env::var_os(SOURCES) {
@@ -58,10 +58,10 @@ fn has_sources(folder: &Path) -> bool {
     manifest.contains("name = \"etherpen\"") && folder.join("host-tools/Cargo.toml").is_file()
 }
 
-/// Makes sure that etherpen's sources are there: firmware, samples and benchmarks are made from them.
+/// Makes sure that etherpen's sources exist: firmware, samples and benchmarks are made from them.
 ///
 /// # Errors
-/// Where they were looked for, and what to try.
+/// Where the sources were searched, and what to try.
 pub fn ensure_sources() -> Result<PathBuf, SetupError> {
     let folder = workspace();
     if has_sources(&folder) {
@@ -74,7 +74,7 @@ pub fn ensure_sources() -> Result<PathBuf, SetupError> {
     ))
 }
 
-/// Where cargo puts what it builds: `CARGO_TARGET_DIR` or `target` in the workspace.
+/// Output folder of cargo: `CARGO_TARGET_DIR`, or `target` in the workspace.
 pub fn target_dir() -> PathBuf {
     match std::env::var_os("CARGO_TARGET_DIR") {
         Some(dir) if Path::new(&dir).is_absolute() => PathBuf::from(dir),
@@ -94,7 +94,7 @@ pub(crate) fn cargo() -> Command {
     command
 }
 
-/// rustup, with the toolchain of the sources where they are there.
+/// rustup, with the toolchain of the sources if they exist.
 fn rustup() -> Command {
     let mut command = Command::new("rustup");
     if let Ok(folder) = ensure_sources() {
@@ -103,7 +103,7 @@ fn rustup() -> Command {
     command
 }
 
-/// What a command prints, if it succeeds.
+/// The output of a command; `None` if it fails.
 pub(crate) fn output(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     output
@@ -142,7 +142,7 @@ pub fn ensure_target() -> Result<(), SetupError> {
     }
     eprintln!("etherpen: adding the Rust target {TARGET}");
     match rustup().args(["target", "add", TARGET]).status() {
-        // rustup has no lock: another one may have added the target at the same time.
+        // rustup has no lock: another process may have added the target meanwhile.
         Ok(status) if status.success() || has_target() => Ok(()),
         Ok(status) => error(format!(
             "the Rust target {TARGET} could not be added (rustup: {status}).\nTry: rustup target add {TARGET}"
@@ -173,7 +173,7 @@ pub fn ensure_component(component: &str) -> Result<(), SetupError> {
     }
 }
 
-/// Debian packages by program.
+/// The Debian package of a program.
 fn package(program: &str) -> &str {
     match program {
         QEMU => "qemu-system-arm",
@@ -182,7 +182,7 @@ fn package(program: &str) -> &str {
     }
 }
 
-/// Installs a program's Debian package where the program is missing and the machine allows it.
+/// Installs a missing program's Debian package, if the machine allows it.
 ///
 /// # Errors
 /// The command that has to be run by hand.
@@ -204,8 +204,8 @@ pub fn ensure_program(program: &str) -> Result<(), SetupError> {
     }
 }
 
-/// Installs a Debian package where the machine has such packages and allows it; otherwise why not, where there is more to
-/// say than that it cannot.
+/// Installs a Debian package, if the machine has such packages and allows it; the error is the reason, if there is one
+/// to report.
 fn install(package: &str) -> Result<(), Option<String>> {
     if !is_installed("apt-get") {
         return Err(None);
@@ -223,7 +223,7 @@ fn install(package: &str) -> Result<(), Option<String>> {
             let environment = ["env", "LC_ALL=C", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-q"];
             let mut words = prefix.iter().chain(&environment).chain(arguments);
             let mut command = Command::new(words.next().unwrap_or(&"env"));
-            // Data goes to stdout; what a package manager says is no data.
+            // Data goes to stdout; the messages of a package manager are not data.
             command.args(words).stdin(Stdio::inherit()).stdout(Stdio::null());
             match command.stderr(Stdio::piped()).output() {
                 Ok(output) if output.status.success() => Ok(()),
@@ -245,11 +245,11 @@ fn install(package: &str) -> Result<(), Option<String>> {
 
 /// Longest wait for another package manager to end. A fresh system updates itself for several minutes.
 const LOCK_MAX: Duration = Duration::from_secs(900);
-/// Time between two attempts meanwhile.
+/// Time between two attempts.
 const LOCK_LOOK: Duration = Duration::from_secs(2);
 
-/// Runs apt-get again while another package manager holds one of its locks, until `wait` says that it took too long; what
-/// apt-get has said if it failed.
+/// Repeats apt-get while another package manager holds one of its locks, until `wait` reports that the time is over;
+/// the error is apt-get's output.
 fn unlocked(mut attempt: impl FnMut() -> Result<(), String>, mut wait: impl FnMut() -> bool) -> Result<(), String> {
     let mut told = String::new();
     loop {
@@ -271,7 +271,7 @@ fn unlocked(mut attempt: impl FnMut() -> Result<(), String>, mut wait: impl FnMu
     }
 }
 
-/// Who keeps apt-get from its locks, if that is why it failed.
+/// The program that holds apt-get's lock, if that is why apt-get failed.
 fn lock_holder(said: &str) -> Option<String> {
     let line = said
         .lines()
@@ -285,10 +285,10 @@ fn lock_holder(said: &str) -> Option<String> {
 
 /// The version of vpype that the drawing is compared with.
 const VPYPE: &str = "vpype==1.15.0";
-/// The version of unicorn, a Cortex-M7 of its own, that the board's start-up is run on.
+/// The version of unicorn, a Cortex-M7 emulator, on which the board's start-up is run.
 const UNICORN: &str = "unicorn==2.1.4";
 
-/// A Python that has vpype, in a folder of its own below the target folder; it is set up where it is missing.
+/// A Python with vpype, in its own folder below the target folder; installed if it is missing.
 ///
 /// # Errors
 /// What is missing and how to get it.
@@ -296,7 +296,7 @@ pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
     ensure_python("vpype", VPYPE, "; or leave vpype out: --subject etherpen")
 }
 
-/// A Python that has unicorn, in a folder of its own below the target folder; it is set up where it is missing.
+/// A Python with unicorn, in its own folder below the target folder; installed if it is missing.
 ///
 /// # Errors
 /// What is missing and how to get it.
@@ -304,7 +304,7 @@ pub fn ensure_unicorn() -> Result<PathBuf, SetupError> {
     ensure_python("unicorn", UNICORN, "")
 }
 
-/// A Python that has a module of PyPI's package of the same name in the given version.
+/// A Python with `module` from the given version of PyPI's `package`.
 fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf, SetupError> {
     let dir = target_dir().join(module);
     let python = dir.join("bin/python");
@@ -330,7 +330,7 @@ fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf
         "--disable-pip-version-check",
         package,
     ]);
-    // Data goes to stdout; what a package manager says is no data.
+    // Data goes to stdout; the messages of a package manager are not data.
     let installed = pip.stdin(Stdio::null()).stdout(Stdio::null()).status();
     if installed.is_ok_and(|status| status.success()) && is_there() {
         return Ok(python);
@@ -349,7 +349,7 @@ fn sudo_needs_no_password() -> bool {
     output(Command::new("sudo").args(["-n", "true"])).is_some()
 }
 
-/// The first line of what a program says about its version; `None` when it cannot be started.
+/// The first line of a program's version output; `None` when the program cannot be started.
 pub fn version_line(program: &str) -> Option<String> {
     let text = output(Command::new(program).arg("--version"))?;
     text.lines().next().map(str::to_owned)
@@ -380,13 +380,13 @@ pub fn ensure_qemu() -> Result<(), SetupError> {
 /// Builds the firmware of a board and returns the image's path.
 ///
 /// # Errors
-/// That the build failed; the compiler has said why.
+/// The build failed; the compiler has shown why.
 pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
     build(board, board, &target_dir())
 }
 
-/// Builds a board's firmware with more features, in a folder of its own so that the board's image stays what it is;
-/// without any, the board's image itself.
+/// Builds a board's firmware with additional features, in a separate folder so that the board's image is kept; without
+/// additional features, builds the board's image itself.
 ///
 /// # Errors
 /// As for [`build_firmware`].

@@ -1,7 +1,8 @@
 //! The whole cell in virtual time in one process: the firmware's task bodies against the virtual cell.
 //!
-//! A millisecond of a board is a sequence of calls here, in the order of the board's priorities; no task body knows
-//! the difference. Nothing waits for a clock, so a run is as fast as the machine and the same on every machine.
+//! A millisecond of a board is a sequence of calls here, in the order of the board's priorities; the task bodies are
+//! those of a board. Nothing waits for a clock, so a run is as fast as the computer, and its result is identical on
+//! every computer.
 
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
@@ -13,37 +14,37 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::task::{Context, Poll, Waker};
 
-/// What is said to the firmware and heard from it in one millisecond, at most this many bytes each way.
+/// Most bytes to and from the firmware in one millisecond, in each direction.
 pub const LINE_BYTES_PER_MS: usize = etherpen::link::device::LINE_BYTES_PER_MS;
-/// Length of a millisecond that nobody corrects, ns.
+/// Length of an uncorrected millisecond, ns.
 const MILLISECOND_NS: u64 = 1_000_000;
-/// When the reply to a telegram is there, us after the telegram.
+/// Arrival of the reply after a telegram, us.
 const ROUND_TRIP_US: u64 = 50;
-/// When the input reply is given up, us after the release.
+/// Deadline for the input reply after the release, us.
 const DEADLINE_US: u64 = 300;
 
-/// What a board meets beside bus and link.
+/// Conditions of a board beside bus and link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surroundings {
     /// Whether the emergency-stop input reads open.
     pub stop_shows_open: bool,
     /// Whether the board runs on its substitute clock.
     pub substitute_clock: bool,
-    /// Whether something keeps the trajectory task from running.
+    /// Whether the trajectory task is prevented from running.
     pub trajectory_waits: bool,
-    /// What the board sees of itself.
+    /// State of the board.
     pub board: BoardState,
 }
 
 /// The host's end of the link.
 pub trait Host {
-    /// One millisecond: takes what the firmware sent and appends what it is to receive, at most `room` bytes.
+    /// Advances by one millisecond: takes the firmware's bytes and appends at most `room` bytes for the firmware.
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize);
 
-    /// What the exchange with the bus has counted by the end of a millisecond, the last telegrams not yet settled.
+    /// Takes the counters of the bus exchange at the end of a millisecond, before the last telegrams are settled.
     fn counted(&mut self, _counters: &BusCounters) {}
 
-    /// What the board meets in this millisecond.
+    /// Conditions of the board in this millisecond.
     fn surroundings(&mut self) -> Surroundings {
         Surroundings::default()
     }
@@ -122,7 +123,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         mut sampler,
         mut trajectory,
         mut host_bytes,
-        // The host speaks on the serial line.
+        // The host uses the serial line.
         usb_bytes: _,
         mut link,
         mut supervisor,
@@ -140,7 +141,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];
     let mut release_ns = 0;
-    // Releases that come while one is owed merge, as those of an interrupt do.
+    // Releases merge while one is pending, as those of an interrupt do.
     let mut trajectory_due = false;
     let mut emergency_stop = EmergencyStopInput::new();
     for ms in 1..=limit_ms {

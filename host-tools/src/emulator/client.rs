@@ -1,11 +1,11 @@
-//! One client at the host's end of the virtual serial line, whatever carries its bytes.
+//! One client at the host's end of the virtual serial line, over any stream.
 //!
-//! Invariant: a client that does not read costs a bounded amount of memory, and nobody waits for it.
+//! Invariant: a client that does not read takes a bounded amount of memory, and nothing waits for it.
 
 use super::LINK_BYTES_MAX;
 use std::io::{self, ErrorKind, Read, Write};
 
-/// Bytes that may wait for a client that does not read; older ones are dropped, as a serial line would.
+/// Most bytes queued for a client that does not read; older ones are dropped, as on a serial line.
 const WAITING_BYTES_MAX: usize = 1 << 20;
 
 /// A place for one client, whose stream does not block.
@@ -26,13 +26,13 @@ impl<S: Read + Write> ClientSlot<S> {
         self.client.is_none()
     }
 
-    /// Takes a client in place of the one before; what that one has not read is forgotten.
+    /// Takes a client and replaces the previous one; bytes that the previous one has not read are discarded.
     pub(crate) fn take(&mut self, client: S) {
         self.waiting.clear();
         self.client = Some(client);
     }
 
-    /// Moves bytes both ways, at most `room` of them to the firmware; false when the client has gone.
+    /// Moves bytes in both directions, at most `room` of them to the firmware; returns false when the client has gone.
     pub(crate) fn exchange(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) -> bool {
         if self.client.is_some() {
             self.waiting.extend_from_slice(from_firmware);

@@ -1,4 +1,4 @@
-//! What can go wrong around the emulator, each with what to try.
+//! Errors of the emulator, each with what to try.
 
 use std::fmt;
 use std::io;
@@ -6,55 +6,55 @@ use std::path::PathBuf;
 use std::process::ExitStatus;
 use std::time::Duration;
 
-/// Why an emulator could not be started or did not go on.
+/// Why an emulator could not be started or continued.
 #[derive(Debug)]
 pub enum EmulatorError {
     /// The program is not installed.
     QemuMissing {
-        /// What was looked for.
+        /// The program searched for.
         program: PathBuf,
     },
     /// The firmware image cannot be read.
     Image {
         /// Its path.
         path: PathBuf,
-        /// What reading or parsing said.
+        /// Why it could not be read or parsed.
         cause: String,
     },
-    /// Making the working directory, its FIFOs or sockets, or using them failed.
+    /// Making or using the working directory, its FIFOs or sockets failed.
     Io {
-        /// What was tried.
+        /// The operation that failed.
         what: String,
-        /// The system's answer.
+        /// Error of the operating system.
         cause: io::Error,
     },
     /// The emulator ended by itself; the firmware ends it when it panics.
     Ended {
         /// How it ended.
         status: ExitStatus,
-        /// Its last words: the panic message, or the emulator's complaint about its arguments.
+        /// The end of its output: the panic message, or the emulator's error message.
         said: String,
         /// The last lines of the firmware's log.
         log: Vec<String>,
     },
-    /// The firmware did not come to its next millisecond.
+    /// The firmware did not reach its next millisecond.
     Silent {
-        /// How long it was waited for, wall time.
+        /// Time waited, wall time.
         waited: Duration,
-        /// Milliseconds it had come to.
+        /// Milliseconds reached.
         milliseconds: u32,
-        /// What the emulator said.
+        /// Output of the emulator.
         said: String,
         /// The last lines of the firmware's log.
         log: Vec<String>,
     },
-    /// The firmware sent a record that is none.
+    /// The firmware sent an invalid record.
     Record {
-        /// The file it came by.
+        /// The file with the record.
         file: &'static str,
-        /// What is wrong with it.
+        /// Length found.
         length: usize,
-        /// The most that would be right.
+        /// Largest valid length.
         length_max: usize,
     },
     /// A peer's code panicked.

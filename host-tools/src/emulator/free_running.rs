@@ -1,7 +1,7 @@
 //! The firmware image in QEMU without lockstep: virtual time follows wall time, the link is UART0 at a TCP port.
 //!
-//! For playing by hand, not for figures: a busy machine makes frames late and swallows milliseconds, which the firmware
-//! counts and survives.
+//! For manual use, not for measurements: a busy computer makes frames late and skips milliseconds, which the firmware
+//! counts and tolerates.
 
 use super::error::EmulatorError;
 use super::lockstep::Incoming;
@@ -19,10 +19,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The Ethernet cable to a network of the emulator's own: 10.0.2.0/24 with a DHCP server, where 10.0.2.2 is this
-/// computer's loopback interface.
+/// The Ethernet cable to the emulator's user network: 10.0.2.0/24 with a DHCP server, where 10.0.2.2 is this computer's
+/// loopback interface.
 const USER_NETWORK: &str = "user,id=cable";
-/// How long to wait for a frame before looking after the log and the emulator.
+/// Time to wait for a frame before the log and the emulator are checked.
 const RECEIVE_TIMEOUT: Duration = Duration::from_millis(20);
 const FRAME_BYTES_MAX: usize = 2048;
 
@@ -56,8 +56,8 @@ impl FreeRunning {
         Self::start_at(image, qemu, port, directory, &cable(), Some(wire), line)
     }
 
-    /// The same at the emulator's own network, for EtherCAT in UDP: the firmware reaches a segment that listens on this
-    /// computer's loopback interface as 10.0.2.2.
+    /// Starts the firmware `image` on the emulator's user network, for EtherCAT in UDP: the firmware reaches a segment
+    /// that listens on this computer's loopback interface as 10.0.2.2.
     ///
     /// # Errors
     /// As [`Self::start`].
@@ -93,8 +93,8 @@ impl FreeRunning {
         let port = free_port(port).map_err(EmulatorError::io(format!("TCP port {port}")))?;
         let mut arguments = machine(image, cable)?;
         let uart = format!("socket,id=uart,host=127.0.0.1,port={port},server=on,wait=off");
-        // Counted instructions keep the firmware's tasks in proportion when the machine is busy; the clock still follows
-        // wall time.
+        // Counted instructions keep the firmware's tasks in proportion when the computer is busy; the clock still
+        // follows wall time.
         let clock = ["-icount", "shift=3,sleep=on"];
         arguments.extend(
             clock
@@ -126,7 +126,7 @@ impl FreeRunning {
         self.port
     }
 
-    /// Whether the emulator still runs; if not, [`FreeRunning::stop`] says why.
+    /// Whether the emulator still runs; if not, [`FreeRunning::stop`] returns why.
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
@@ -134,7 +134,7 @@ impl FreeRunning {
     /// Ends the emulator.
     ///
     /// # Errors
-    /// What went wrong before, if anything did.
+    /// An earlier error, if there was one.
     pub fn stop(mut self) -> Result<(), EmulatorError> {
         self.join()
     }
@@ -150,17 +150,18 @@ impl FreeRunning {
 
 impl Drop for FreeRunning {
     fn drop(&mut self) {
-        // The outcome is of no interest to an owner that did not ask for it.
+        // The owner did not ask for the result.
         let _ = self.join();
     }
 }
 
-/// The port asked for, or a free one for 0. Another program may take it before the emulator does, which then says so.
+/// The requested port, or a free one for 0. If another program takes it before the emulator does, the emulator reports
+/// that.
 fn free_port(port: u16) -> io::Result<u16> {
     Ok(TcpListener::bind(("127.0.0.1", port))?.local_addr()?.port())
 }
 
-/// What the thread owns; the emulator ends with it.
+/// Data owned by the thread; the emulator ends with it.
 struct Peer<S> {
     process: Process,
     log: Incoming,
@@ -176,7 +177,7 @@ struct Wire<S> {
     started: Instant,
 }
 
-/// Stands where no segment hangs on the cable.
+/// Placeholder for a cable without a segment.
 enum NoSegment {}
 
 impl Segment for NoSegment {
@@ -220,7 +221,7 @@ impl<S: Segment> Peer<S> {
 }
 
 impl<S: Segment> Wire<S> {
-    /// Answers one frame, or lets time pass.
+    /// Answers one frame, or advances the time.
     fn answer(&mut self) -> io::Result<()> {
         let mut frame = [0; FRAME_BYTES_MAX];
         let received = self.socket.recv(&mut frame);
@@ -239,7 +240,7 @@ impl<S: Segment> Wire<S> {
         }
     }
 
-    /// Sends a reply; an emulator that has just ended no longer takes it, which `run` finds out next.
+    /// Sends a reply; an emulator that has just ended does not take it, which `run` detects next.
     fn send(&self, reply: &[u8]) -> io::Result<()> {
         match self.socket.send_to(reply, &self.firmware) {
             Ok(_) => Ok(()),

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long to wait for a record before looking whether the emulator still lives.
+/// Time to wait for a record before checking whether the emulator still runs.
 const POLL_PERIOD: Timespec = Timespec {
     tv_sec: 0,
     tv_nsec: 50_000_000,
@@ -51,7 +51,7 @@ impl Files {
         })
     }
 
-    /// Waits until the firmware has written something, its end was closed, or the period is over.
+    /// Waits until the firmware has written something, has closed its end, or the period is over.
     fn wait(&self) -> io::Result<()> {
         let mut waited =
             [&self.bus_up, &self.link_up, &self.log].map(|incoming| PollFd::new(&incoming.file, PollFlags::IN));
@@ -62,7 +62,7 @@ impl Files {
     }
 }
 
-/// A FIFO and the bytes of it that are not yet a record.
+/// A FIFO with bytes that are not a complete record yet.
 pub(super) struct Incoming {
     file: File,
     bytes: Vec<u8>,
@@ -76,7 +76,7 @@ impl Incoming {
         }
     }
 
-    /// Takes what is there; false if nothing is.
+    /// Reads the available bytes; returns false if there are none.
     pub(super) fn read(&mut self) -> io::Result<bool> {
         let mut bytes = [0; 4096];
         match self.file.read(&mut bytes) {
@@ -100,13 +100,13 @@ impl Incoming {
     }
 }
 
-/// What the thread is told.
+/// Options of the thread.
 pub(super) struct Options {
     pub(super) pace: Pace,
     pub(super) answer_within: Duration,
 }
 
-/// Everything the thread owns; the emulator ends with it.
+/// Data owned by the thread; the emulator ends with it.
 pub(super) struct Lockstep<S, L> {
     process: Process,
     files: Files,
@@ -117,7 +117,7 @@ pub(super) struct Lockstep<S, L> {
     options: Options,
     stop: Arc<AtomicBool>,
     traffic: Traffic,
-    /// The latest time the segment knows, us.
+    /// The latest time passed to the segment, us.
     time_us: u64,
     started: Instant,
     answered: Instant,
@@ -148,7 +148,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         }
     }
 
-    /// Answers until the emulator ends or is told to.
+    /// Answers until the emulator ends or the thread is asked to stop.
     pub(super) fn run(
         mut self,
         table: Option<&Table>,
@@ -167,7 +167,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         Ok(self.traffic)
     }
 
-    /// Answers one record of each kind; false if there was none.
+    /// Answers one record of each kind; returns false if there was none.
     fn answer(&mut self) -> Result<bool, EmulatorError> {
         let bus = self.answer_bus().map_err(failed("answering"))?;
         let link = self.answer_link()?;
@@ -206,8 +206,8 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         Ok(true)
     }
 
-    /// Sends without waiting, since the emulator reads nothing while the firmware waits for its token; false if the frame
-    /// would not reach the controller, for which the firmware must not wait.
+    /// Sends without waiting, since the emulator reads nothing while the firmware waits for its token; returns false if
+    /// the frame would not reach the controller, so that the firmware must not wait for it.
     fn send(&mut self, reply: &[u8]) -> io::Result<bool> {
         if !REPLY_BYTES.contains(&reply.len()) {
             return Ok(false);
@@ -258,14 +258,14 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         }
     }
 
-    /// Takes what the firmware has logged; false if it has not.
+    /// Takes new log data of the firmware; returns false if there are none.
     fn log(&mut self, decoder: &mut Decoder, line: &mut dyn FnMut(&LogLine)) -> Result<bool, EmulatorError> {
         let some = self.files.log.read().map_err(failed("reading the log of"))?;
         decoder.take(&self.files.log.take(), line);
         Ok(some)
     }
 
-    /// Why the emulator will not go on, if it will not.
+    /// Why the emulator will not continue, if so.
     fn trouble(&mut self, decoder: &Decoder) -> Option<EmulatorError> {
         if let Some(status) = self.process.ended() {
             return Some(EmulatorError::Ended {

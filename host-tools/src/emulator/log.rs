@@ -5,7 +5,7 @@ use defmt_decoder::{DecodeError, Table};
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Lines an error shows.
+/// Log lines shown in an error.
 const LINES_KEPT: usize = 10;
 
 /// One line of the firmware's log.
@@ -25,7 +25,7 @@ impl std::fmt::Display for LogLine {
     }
 }
 
-/// Reads the table of log texts from a firmware image; an image without one logs nothing.
+/// Reads the table of log texts from a firmware image; an image without a table logs nothing.
 pub(crate) fn table(image: &Path) -> Result<Option<Table>, EmulatorError> {
     let error = |cause: String| EmulatorError::Image {
         path: image.to_owned(),
@@ -35,7 +35,7 @@ pub(crate) fn table(image: &Path) -> Result<Option<Table>, EmulatorError> {
     Table::parse(&elf).map_err(|cause| error(cause.to_string()))
 }
 
-/// Decodes the bytes of the log as they come.
+/// Decodes log bytes as they arrive.
 pub(crate) struct Decoder<'t> {
     stream: Option<Box<dyn defmt_decoder::StreamDecoder + Send + Sync + 't>>,
     last: VecDeque<String>,
@@ -49,7 +49,7 @@ impl<'t> Decoder<'t> {
         }
     }
 
-    /// Takes bytes and hands the lines they complete to `line`; damaged frames are skipped.
+    /// Takes bytes and passes the completed lines to `line`; damaged frames are skipped.
     pub(crate) fn take(&mut self, bytes: &[u8], line: &mut dyn FnMut(&LogLine)) {
         let Some(stream) = &mut self.stream else {
             return;

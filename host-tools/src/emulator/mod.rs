@@ -1,11 +1,11 @@
 //! The firmware image in QEMU, with a virtual EtherCAT segment and a serial peer.
 //!
-//! Virtual time stands still while this side thinks, so a busy machine cannot make a frame late: after each Ethernet frame
-//! and in each millisecond the firmware waits for an answer, in a call that costs it no time. One thread gives all answers
-//! in the order in which the firmware asks, hence two runs see the same records. The records are described beside the
-//! firmware's half, `src/bin/emulated/lockstep.rs`.
+//! Virtual time is stopped while this side works, so a busy computer cannot make a frame late: after each Ethernet
+//! frame and in each millisecond the firmware waits for an answer, in a call that takes no virtual time. One thread
+//! gives all answers in the order in which the firmware asks, so the records are identical in every run. The records
+//! are documented with the firmware's half, `src/bin/emulated/lockstep.rs`.
 //!
-//! [`Emulator::start`] runs in lockstep; [`free_running`] runs without, to play with the UART by hand.
+//! [`Emulator::start`] runs in lockstep; [`free_running`] runs without it, for manual use of the UART.
 
 mod client;
 mod error;
@@ -34,20 +34,21 @@ pub const LINK_BYTES_MAX: usize = 92;
 const FIRMWARE_SOCKET: &str = "firmware.sock";
 const HOST_SOCKET: &str = "host.sock";
 
-/// What is at the other end of the Ethernet cable.
+/// The other end of the Ethernet cable.
 pub trait Segment {
-    /// Takes a frame that the firmware sent at `time_us` (since its first sample) and gives the frames that come back.
+    /// Takes a frame that the firmware sent at `time_us` (since its first sample) and returns the frames that come
+    /// back.
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>>;
-    /// Takes a frame that the firmware sent at `time_ns` and gives the frames that come back. Segments that keep time
+    /// Takes a frame that the firmware sent at `time_ns` and returns the frames that come back. Segments that keep time
     /// in nanoseconds implement this; the default rounds down to microseconds.
     fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.frame(time_ns / 1_000, frame)
     }
-    /// Time has come to `time_us`, also when no frames are sent.
+    /// Advances the segment to `time_us`, even when no frames are sent.
     fn advance_to(&mut self, time_us: u64);
 }
 
-/// What is at the other end of the serial line.
+/// The other end of the serial line.
 pub trait Link {
     /// Takes the bytes that came in millisecond `ms` and appends up to [`LINK_BYTES_MAX`] for the firmware to `to_device`.
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>);
@@ -77,10 +78,10 @@ impl<L: Link> Link for Arc<Mutex<L>> {
     }
 }
 
-/// How fast virtual time may go.
+/// Pace of virtual time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// As fast as the machine can.
+    /// As fast as the computer can.
     Max,
     /// Never ahead of wall time.
     RealTime,
@@ -89,15 +90,15 @@ pub enum Pace {
 /// How to run the emulator.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The emulator's program, looked for in the search path.
+    /// The emulator's program, searched in the search path.
     pub qemu: PathBuf,
     /// One instruction takes 2^shift ns of virtual time.
     pub instruction_shift: u8,
-    /// How fast virtual time may go.
+    /// Pace of virtual time.
     pub pace: Pace,
-    /// Whether the firmware's log is decoded; else it is taken and thrown away.
+    /// Whether the firmware's log is decoded; otherwise it is discarded.
     pub decode_log: bool,
-    /// An emulator that does not come to its next millisecond within this wall time is given up.
+    /// Longest wall time for the emulator to reach its next millisecond.
     pub answer_within: Duration,
 }
 
@@ -113,18 +114,18 @@ impl Default for Options {
     }
 }
 
-/// What went through the emulator's attachments.
+/// Traffic of the emulator's attachments.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Traffic {
-    /// Milliseconds the firmware has come to.
+    /// Milliseconds reached by the firmware.
     pub milliseconds: u32,
     /// Frames the firmware sent.
     pub frames: u64,
     /// Frames the segment sent back.
     pub replies: u64,
-    /// Replies that the emulator had no room for, or that are no Ethernet frames.
+    /// Replies dropped because the emulator had no room, or because they were not Ethernet frames.
     pub replies_dropped: u64,
-    /// Frames that were announced and not found in the socket.
+    /// Frames that were announced but not found in the socket.
     pub frames_missing: u64,
 }
 
@@ -137,10 +138,10 @@ pub struct Emulator {
 impl Emulator {
     /// Starts the firmware `image` in lockstep with `segment` and `link`; `log` gets the lines of the firmware's log.
     ///
-    /// The peers are called from a thread of the emulator's. To look at them later, hand in an `Arc<Mutex<_>>`.
+    /// The peers are called from a thread of the emulator. To access them later, pass an `Arc<Mutex<_>>`.
     ///
     /// # Errors
-    /// A missing image or emulator, or a working directory that cannot be made. What goes wrong later is told by
+    /// A missing image or emulator, or a working directory that cannot be made. Later errors are returned by
     /// [`Emulator::stop`] and [`Emulator::wait`].
     pub fn start(
         image: &Path,
@@ -178,7 +179,7 @@ impl Emulator {
         })
     }
 
-    /// Whether the emulator still runs; if not, [`Emulator::wait`] says why.
+    /// Whether the emulator still runs; if not, [`Emulator::wait`] returns why.
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
@@ -186,16 +187,16 @@ impl Emulator {
     /// Ends the emulator.
     ///
     /// # Errors
-    /// What went wrong before, if anything did.
+    /// An earlier error, if there was one.
     pub fn stop(mut self) -> Result<Traffic, EmulatorError> {
         self.stop.store(true, Ordering::Relaxed);
         self.join()
     }
 
-    /// Waits until the emulator ends by itself, which a firmware does only when something is wrong.
+    /// Waits until the emulator ends by itself, which happens only after an error.
     ///
     /// # Errors
-    /// What went wrong.
+    /// The error.
     pub fn wait(mut self) -> Result<Traffic, EmulatorError> {
         self.join()
     }
@@ -211,7 +212,7 @@ impl Emulator {
 impl Drop for Emulator {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        // The outcome is of no interest to an owner that did not ask for it.
+        // The owner did not ask for the result.
         let _ = self.join();
     }
 }

@@ -1,8 +1,9 @@
 //! The emulator's process and its working directory; neither outlives its owner.
 //!
-//! They end with [`Process`], with a signal that ends this program, and with anything else that ends it: a guard, a shell
-//! that waits for the end of its input, then ends the emulator and removes the directory. The firmware in lockstep finds
-//! its files closed as well, but only once it has opened them: an emulator that still starts would wait for ever.
+//! Both end when [`Process`] is dropped, when a signal ends this program, and when anything else ends it: a guard,
+//! which is a shell that waits for the end of its input, then ends the emulator and removes the directory. The firmware
+//! in lockstep detects closed files too, but only after it has opened them: an emulator that is still starting would
+//! wait for ever.
 
 use super::error::EmulatorError;
 use rustix::fs::{CWD, FileType, Mode, mknodat};
@@ -19,15 +20,15 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, Once, PoisonError};
 
-/// File that takes the emulator's own output, in its working directory.
+/// File for the emulator's own output, in its working directory.
 const OUTPUT_FILE: &str = "qemu.out";
-/// How much of that output an error shows, bytes.
+/// Length of that output shown in an error, bytes.
 const OUTPUT_SHOWN: usize = 2000;
 
-/// The guard's script: its input ends with this program, however that ends.
+/// The guard's script: its input ends when this program ends for any reason.
 const GUARD: &str = "read -r _; kill -9 \"$1\"; rm -rf \"$2\"";
 
-/// What a signal has to clean up.
+/// Emulators and directories that a signal handler has to clean up.
 static LIVE: Mutex<Vec<Live>> = Mutex::new(Vec::new());
 static NUMBER: AtomicU32 = AtomicU32::new(0);
 
@@ -40,7 +41,7 @@ fn live() -> std::sync::MutexGuard<'static, Vec<Live>> {
     LIVE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A temporary directory that is removed with its owner.
+/// A temporary directory that is removed when dropped.
 pub(crate) struct Directory {
     path: PathBuf,
 }
@@ -105,7 +106,7 @@ impl Directory {
 impl Drop for Directory {
     fn drop(&mut self) {
         live().retain(|entry| entry.directory != self.path);
-        // Nothing can be done about a directory that cannot be removed.
+        // A directory that cannot be removed is left behind.
         let _ = fs::remove_dir_all(&self.path);
     }
 }
@@ -118,8 +119,8 @@ pub(crate) struct Process {
 }
 
 impl Process {
-    /// Starts `program` with `arguments` in `directory`, in a process group of its own so that the terminal's Ctrl-C comes
-    /// to this program only.
+    /// Starts `program` with `arguments` in `directory`, in its own process group, so that the terminal's Ctrl-C only
+    /// reaches this program.
     pub(crate) fn start(program: &Path, arguments: &[OsString], directory: Directory) -> Result<Self, EmulatorError> {
         let output = directory.join(OUTPUT_FILE);
         let open = || -> io::Result<(Stdio, Stdio)> {
@@ -149,7 +150,7 @@ impl Process {
                 entry.child = Some(child.id());
             }
         }
-        // From here on the emulator ends with its owner, also when the guard cannot be started.
+        // From here on the emulator ends with its owner, even if the guard cannot be started.
         let mut process = Self {
             child,
             guard: None,
@@ -159,7 +160,7 @@ impl Process {
         Ok(process)
     }
 
-    /// Starts the guard, in a process group of its own: what ends this program must not end it as well.
+    /// Starts the guard, in its own process group: what ends this program must not end the guard as well.
     fn guard(&self) -> io::Result<Child> {
         Command::new("/bin/sh")
             .args(["-c", GUARD, "guard", &self.child.id().to_string()])
@@ -171,12 +172,12 @@ impl Process {
             .spawn()
     }
 
-    /// How it ended, if it has.
+    /// Exit status of the emulator, if it has ended.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().ok().flatten()
     }
 
-    /// The end of what it has written to its output.
+    /// The end of the emulator's output.
     pub(crate) fn said(&self) -> String {
         let bytes = fs::read(self.directory.join(OUTPUT_FILE)).unwrap_or_default();
         let start = bytes.len().saturating_sub(OUTPUT_SHOWN);
@@ -208,7 +209,7 @@ fn watch_signals() -> Result<(), EmulatorError> {
                 std::thread::spawn(move || {
                     for signal in signals.forever() {
                         end_all();
-                        // Ends this program the way the signal would have without this watch.
+                        // Ends this program as the signal would have without this handler.
                         let _ = signal_hook::low_level::emulate_default_handler(signal);
                     }
                 });

@@ -1,23 +1,23 @@
-//! Who calls whom, and the stack that takes.
+//! Call graph of an image, and the stack depth that follows from it.
 
 use super::thumb::{self, Effect};
 use super::{Function, Image, LONG_BRANCH};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Calls through a register that may nest within one task.
+/// Most nested calls through a register within one task.
 ///
-/// Such a call is taken for one of the deepest function whose address stands in the image. The firmware makes them for
-/// wakers, formatting and serialisation only.
+/// Such a call counts as a call of the deepest function whose address is in the image. The firmware makes such calls
+/// for wakers, formatting and serialisation only.
 pub const INDIRECT_NESTING: u32 = 3;
 
-/// What one function does.
+/// Properties of one function.
 #[derive(Clone, Debug, Default)]
 struct Node {
-    /// Bytes of its own frame: the sum of all that any path through it takes.
+    /// Bytes of its own frame: the sum over everything that any path through it allocates.
     stack_bytes: u32,
     stack_unknown: bool,
     calls: BTreeSet<u32>,
-    /// Functions whose address it forms.
+    /// Functions whose address it takes.
     takes: BTreeSet<u32>,
     indirect: bool,
     masks: bool,
@@ -28,19 +28,19 @@ struct Node {
 pub enum StackBound {
     /// At most so many bytes.
     Bytes(u32),
-    /// There is none: a function calls itself in the end.
+    /// Unbounded: a function calls itself directly or indirectly.
     Recursive {
         /// Its name.
         function: String,
     },
-    /// There is none: the stack pointer is written in a way that is not understood.
+    /// Unknown: the stack pointer is written in a way that is not understood.
     Unknown {
         /// In this function.
         function: String,
     },
 }
 
-/// The calls of an image.
+/// The call graph of an image.
 #[derive(Clone, Debug)]
 pub struct CallGraph<'a> {
     image: &'a Image,
@@ -51,10 +51,10 @@ pub struct CallGraph<'a> {
 }
 
 impl<'a> CallGraph<'a> {
-    /// Walks over all functions of an image.
+    /// Analyses all functions of an image.
     ///
-    /// What has one of the parts `last` in its name ends the program with all interrupts masked: it runs once, whatever it
-    /// has interrupted, so its stack counts for none of its callers.
+    /// A function whose name contains one of the parts `last` ends the program with all interrupts masked: it runs
+    /// once, whatever it has interrupted, so its stack is not added to that of its callers.
     #[must_use]
     pub fn new(image: &'a Image, last: &[&str]) -> Self {
         let nodes = image
@@ -86,7 +86,7 @@ impl<'a> CallGraph<'a> {
         graph
     }
 
-    /// Functions whose address is formed by code or stands in the image as data, beside the interrupt handlers.
+    /// Functions whose address is taken by code or stored in the image as data, beside the interrupt handlers.
     fn taken(&self) -> BTreeSet<u32> {
         let formed = self.nodes.values().flat_map(|node| node.takes.iter().copied());
         let mut taken: BTreeSet<u32> = formed.filter(|address| self.nodes.contains_key(address)).collect();
@@ -104,7 +104,8 @@ impl<'a> CallGraph<'a> {
         taken
     }
 
-    /// Every function that may run when the one at `root` is called, without those called through registers; the first
+    /// All functions that may run when the function at `root` is called, except those called through registers; the
+    /// first is `root`.
     /// is `root`.
     #[must_use]
     pub fn reachable(&self, root: &Function) -> Vec<&Function> {
@@ -125,7 +126,7 @@ impl<'a> CallGraph<'a> {
             .collect()
     }
 
-    /// A shortest chain of calls from `root` to a function, both included; empty when there is none.
+    /// A shortest chain of calls from `root` to a function, including both; empty if there is none.
     #[must_use]
     pub fn chain(&self, root: &Function, to: &Function) -> Vec<&Function> {
         let mut before = BTreeMap::from([(root.address, root.address)]);
@@ -278,7 +279,7 @@ fn node(image: &Image, function: &Function) -> Node {
     node
 }
 
-/// Where the function begins that a call leads into.
+/// The beginning of the function that a call enters.
 fn entry(image: &Image, target: u32) -> u32 {
     image.function_at(target).map_or(target, |function| function.address)
 }

@@ -1,8 +1,8 @@
-//! A firmware image as it was linked: what lies where, who calls whom, how deep the stack gets.
+//! A linked firmware image: memory layout, call graph and stack depth.
 //!
-//! The critical tasks' promises (no panic, no critical section, no log, a bounded stack) hold in the machine code or not at
-//! all, so they are read from the machine code: functions and sections from the ELF file, calls and stack from a walk
-//! over its instructions.
+//! The guarantees of the critical tasks (no panic, no critical section, no log, a bounded stack) depend on the machine
+//! code, so they are checked in the machine code: functions and sections from the ELF file, calls and stack from an
+//! analysis of its instructions.
 
 mod calls;
 mod thumb;
@@ -15,19 +15,19 @@ use object::{Endianness, Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::fmt;
 use std::path::Path;
 
-/// An image that cannot be read.
+/// Why an image cannot be read.
 #[derive(Debug)]
 pub enum ImageError {
-    /// The file.
+    /// The file cannot be read.
     File {
         /// Its name.
         path: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It is no ELF file for a 32-bit processor.
+    /// The file is not an ELF file for a 32-bit processor.
     Format {
-        /// What is wrong with it.
+        /// The reason.
         reason: String,
     },
 }
@@ -67,7 +67,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// Whether an address lies in it.
+    /// Whether the section contains an address.
     #[must_use]
     pub fn contains(&self, address: u32) -> bool {
         address
@@ -76,20 +76,20 @@ impl Section {
     }
 }
 
-/// Beginning of the names that the linker gives to its own functions for branches that reach too far: they load the
-/// address of the function whose name follows into r12 and go on there.
+/// Prefix of the names of the functions that the linker generates for branches beyond the range of an instruction: they
+/// load the address of the function whose name follows into r12 and jump there.
 pub const LONG_BRANCH: &str = "__Thumbv7ABSLongThunk_";
-/// MOVW, MOVT and BX; the linker says no length.
+/// Length of MOVW, MOVT and BX; the linker gives no length.
 const LONG_BRANCH_BYTES: u32 = 10;
 
-/// An image that was read.
+/// A parsed image.
 #[derive(Clone, Debug)]
 pub struct Image {
     sections: Vec<Section>,
     /// In the order of their addresses; of several names for one address the first.
     functions: Vec<Function>,
     symbols: Vec<Function>,
-    /// Addresses at which data begin within code, and code begins again.
+    /// Addresses at which data begin within code, and at which code begins again.
     code_begins: Vec<(u32, bool)>,
     loads: Vec<Load>,
     attributes: Vec<u8>,
@@ -108,7 +108,7 @@ impl Image {
     /// Reads an ELF file.
     ///
     /// # Errors
-    /// [`ImageError`] for a file that cannot be read or is none.
+    /// [`ImageError`] for a file that cannot be read or is not an image.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let bytes = std::fs::read(path).map_err(|source| ImageError::File {
             path: path.display().to_string(),
@@ -205,14 +205,14 @@ impl Image {
         &self.functions
     }
 
-    /// The function of this name; a task's name is its interrupt's.
+    /// The function with a name; a task's name is that of its interrupt.
     #[must_use]
     pub fn function(&self, name: &str) -> Option<&Function> {
         let named = self.symbols.iter().find(|symbol| symbol.name == name)?;
         self.function_at(named.address)
     }
 
-    /// The function an address lies in.
+    /// The function that contains an address.
     #[must_use]
     pub fn function_at(&self, address: u32) -> Option<&Function> {
         let index = self.functions.partition_point(|function| function.address <= address);
@@ -221,7 +221,7 @@ impl Image {
     }
 
     /// Whether the code may use double-precision instructions of an ARMv8-M or Cortex-M7 floating-point unit: the build
-    /// attribute `Tag_FP_arch` (6 in the public part) says FPv5 with 16 double registers.
+    /// attribute `Tag_FP_arch` (6 in the public part) is FPv5 with 16 double registers.
     #[must_use]
     pub fn has_double_precision(&self) -> bool {
         attribute(&self.attributes, TAG_FP_ARCH) == Some(FP_ARMV8_16)
@@ -235,7 +235,7 @@ impl Image {
         Some(u16::from_le_bytes([*bytes.first()?, *bytes.get(1)?]))
     }
 
-    /// The word at an address of the running program; `None` where the image holds nothing.
+    /// The word at an address of the running program; `None` if the image has no content there.
     #[must_use]
     pub fn word(&self, address: u32) -> Option<u32> {
         let low = self.halfword(address)?;
@@ -243,7 +243,7 @@ impl Image {
         Some(u32::from(high) << 16 | u32::from(low))
     }
 
-    /// Whether an address within a function holds an instruction and not data.
+    /// Whether an address within a function contains an instruction and not data.
     fn is_code(&self, address: u32) -> bool {
         let index = self.code_begins.partition_point(|(begin, _)| *begin <= address);
         index
@@ -260,7 +260,7 @@ fn symbols(file: &ElfFile32<'_>) -> Symbols {
     let (mut functions, mut names, mut begins) = (Vec::new(), Vec::new(), Vec::new());
     for symbol in file.symbols() {
         let Ok(name) = symbol.name() else { continue };
-        // The lowest bit of a function's address says that it is Thumb code.
+        // The lowest bit of a function's address marks Thumb code.
         let address = symbol.address() as u32 & !1;
         match name {
             "$t" => begins.push((address, true)),
@@ -297,7 +297,7 @@ fn symbols(file: &ElfFile32<'_>) -> Symbols {
 const TAG_FP_ARCH: u8 = 10;
 /// FPv5 (ARMv8 FP) with 16 double-precision registers.
 const FP_ARMV8_16: u64 = 8;
-/// Tags 4, 5 and 67 are strings; of the others in use none is above 127.
+/// Tags 4, 5 and 67 are strings; all other tags in use are at most 127.
 const TEXT_TAGS: [u8; 3] = [4, 5, 67];
 /// Format version, length, `aeabi` and its end, tag and length of the file's part.
 const ATTRIBUTES_HEADER: usize = 1 + 4 + 6 + 1 + 4;

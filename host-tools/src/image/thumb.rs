@@ -1,33 +1,33 @@
-//! Thumb-2 instructions, as far as calls and the stack are concerned.
+//! Decoder for Thumb-2 instructions that affect calls and the stack.
 //!
-//! Encodings: "ARMv7-M Architecture Reference Manual" (DDI 0403), chapter A7. Whatever is not decoded here neither calls nor
-//! moves the stack pointer down, but for arithmetic on a copy of the stack pointer, which
+//! Encodings: "ARMv7-M Architecture Reference Manual" (DDI 0403), chapter A7. Instructions that are not decoded here
+//! neither call nor move the stack pointer down, except arithmetic on a copy of the stack pointer, which
 //! [`Effect::StackFrom`] then cannot trace.
 
-/// What an instruction does.
+/// Effect of an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
-    /// Takes this many bytes of the stack.
+    /// Allocates this many bytes of the stack.
     Stack(u32),
-    /// Lets a register point so many bytes below the stack pointer.
+    /// Makes a register point this many bytes below the stack pointer.
     Below(u8, u32),
-    /// Clears so many of a register's lowest bits.
+    /// Clears this many of a register's lowest bits.
     Align(u8, u32),
     /// Sets the stack pointer to a register.
     StackFrom(u8),
     /// Calls the function at an address.
     Call(u32),
-    /// Goes on at an address: within the function, or in another one that returns in its place.
+    /// Continues at an address: within the function, or in another function that returns in its place.
     Jump(u32),
-    /// Calls, or goes on, where a register points.
+    /// Calls the address in a register, or continues there.
     Indirect,
     /// Loads a 16-bit constant into a register; the flag says into the upper half.
     Constant(u8, u16, bool),
-    /// Takes the register's value of bytes of the stack.
+    /// Allocates as many bytes of the stack as a register contains.
     StackRegister(u8),
     /// Masks interrupts: CPSID, or a write to PRIMASK, BASEPRI or FAULTMASK.
     Mask,
-    /// Nothing of interest.
+    /// No relevant effect.
     Other,
 }
 
@@ -38,7 +38,7 @@ pub(super) fn length(first: u16) -> u32 {
     if first >> 11 >= 0b11101 { 4 } else { 2 }
 }
 
-/// What the instruction at `address` does; `second` is the halfword behind `first`.
+/// Effect of the instruction at `address`; `second` is the halfword behind `first`.
 pub(super) fn decode(address: u32, first: u16, second: u16) -> Effect {
     match length(first) {
         2 => decode_16(address, first),
@@ -134,7 +134,7 @@ fn branch(address: u32, first: u16, second: u16) -> Effect {
     }
 }
 
-/// The destination of a 16-bit MOV, whose highest bit stands apart.
+/// The destination of a 16-bit MOV, whose highest bit is separate.
 fn low_register(code: u16) -> u8 {
     (code & 7 | code >> 4 & 8) as u8
 }

@@ -1,6 +1,6 @@
-//! What a planned path makes of its limits: peaks, violations, deviation.
+//! Analysis of a planned path: peaks, violations of limits, deviation.
 //!
-//! Speeds, accelerations and jerks are differences of the 1 ms references, nothing else: what the drives are asked for.
+//! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are asked for.
 
 use super::track::Track;
 use super::{Run, Sample};
@@ -10,13 +10,13 @@ use etherpen::robot::AXES;
 use etherpen::robot::vector::{Vector, length, subtract};
 use serde::Serialize;
 
-/// Relative excess over a limit that counts as none.
+/// Relative excess over a limit that is tolerated.
 const EXCESS: f64 = 1.0e-3;
-/// Violations that are listed; all are counted.
+/// Most violations listed; all are counted.
 const LISTED_MAX: usize = 1_000;
 /// One millisecond, s.
 const TICK_S: f64 = 1.0e-3;
-/// Difference of heights that is none, mm.
+/// Difference of heights that counts as zero, mm.
 const LEVEL_MM: f64 = 1.0e-6;
 /// Rounding of the forward kinematics in an acceleration, mm/s2.
 const ROUNDING_MM_S2: f64 = 0.1;
@@ -26,30 +26,31 @@ const _: () = assert!(
     "a run ends with enough references at rest for the last differences"
 );
 
-/// The limits that are in force.
+/// The limits in force.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Limits {
-    /// Of each axis, rad/s.
+    /// Speed of each axis, rad/s.
     pub joint_speed_rad_s: [f64; AXES],
-    /// Of each axis, rad/s2.
+    /// Acceleration of each axis, rad/s2.
     pub joint_acceleration_rad_s2: [f64; AXES],
-    /// Of each axis, rad/s3: twice the acceleration over the moving average's length; absent without an average.
+    /// Jerk of each axis, rad/s3: twice the acceleration over the moving average's length; absent without an average.
     pub joint_jerk_rad_s3: Option<[f64; AXES]>,
-    /// With the pen down, mm/s.
+    /// Path speed with the pen down, mm/s.
     pub speed_mm_s: f64,
-    /// With the pen up, mm/s.
+    /// Path speed with the pen up, mm/s.
     pub travel_speed_mm_s: f64,
-    /// Of the platform, mm/s2.
+    /// Acceleration of the platform, mm/s2.
     pub acceleration_mm_s2: f64,
-    /// Vertical, where the pen is lifted or lowered, mm/s; absent where the limits of all motion are enough.
+    /// Vertical speed where the pen is lifted or lowered, mm/s; absent where only the limits of all motion apply.
     pub pen_speed_mm_s: Option<f64>,
-    /// Vertical, where the pen is lifted or lowered, mm/s2; absent where the limits of all motion are enough.
+    /// Vertical acceleration where the pen is lifted or lowered, mm/s2; absent where only the limits of all motion
+    /// apply.
     pub pen_acceleration_mm_s2: Option<f64>,
     /// Distance from the path with the pen down, mm.
     pub tolerance_mm: f64,
     /// Distance from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
-    /// Length of the moving average that the planner takes, ms.
+    /// Length of the planner's moving average, ms.
     pub jerk_window_ms: u16,
 }
 
@@ -76,38 +77,38 @@ impl Limits {
 /// The largest values that occurred.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Peaks {
-    /// Of each axis, rad/s.
+    /// Speed of each axis, rad/s.
     pub joint_speed_rad_s: [f64; AXES],
-    /// Of each axis, rad/s2.
+    /// Acceleration of each axis, rad/s2.
     pub joint_acceleration_rad_s2: [f64; AXES],
-    /// Of each axis, rad/s3.
+    /// Jerk of each axis, rad/s3.
     pub joint_jerk_rad_s3: [f64; AXES],
-    /// Of the platform with the pen down, mm/s.
+    /// Speed of the platform with the pen down, mm/s.
     pub speed_mm_s: f64,
-    /// Of the platform with the pen up, mm/s.
+    /// Speed of the platform with the pen up, mm/s.
     pub travel_speed_mm_s: f64,
-    /// Of the platform, mm/s2.
+    /// Acceleration of the platform, mm/s2.
     pub acceleration_mm_s2: f64,
-    /// Vertical, where the pen is lifted or lowered, mm/s.
+    /// Vertical speed where the pen is lifted or lowered, mm/s.
     pub pen_speed_mm_s: f64,
-    /// Vertical, where the pen is lifted or lowered, mm/s2.
+    /// Vertical acceleration where the pen is lifted or lowered, mm/s2.
     pub pen_acceleration_mm_s2: f64,
-    /// Of the platform, mm/s3.
+    /// Jerk of the platform, mm/s3.
     pub jerk_mm_s3: f64,
 }
 
 /// A value over its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Violation {
-    /// When; absent where it is no matter of one millisecond.
+    /// Time; absent if the violation does not belong to one millisecond.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub t_ms: Option<u64>,
-    /// Which limit.
+    /// The limited quantity.
     pub limit_of: &'static str,
-    /// Which axis, from 1.
+    /// The axis, from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<usize>,
-    /// Which vertex, from 0.
+    /// The vertex, from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertex: Option<usize>,
     /// The value.
@@ -116,12 +117,12 @@ pub struct Violation {
     pub limit: f64,
 }
 
-/// What was found.
+/// Result of the analysis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Findings {
-    /// From rest at the first vertex to rest at the last, s.
+    /// Duration from rest at the first vertex to rest at the last, s.
     pub duration_s: f64,
-    /// Length of the path as it is listed, mm.
+    /// Length of the listed path, mm.
     pub length_mm: f64,
     /// Largest distance of a reference from the path, mm.
     pub deviation_max_mm: f64,
@@ -135,9 +136,9 @@ pub struct Findings {
     pub limits: Limits,
     /// Values over their limits, the first thousand.
     pub violations: Vec<Violation>,
-    /// How many there are in all.
+    /// Number of all violations.
     pub violation_count: u64,
-    /// Times that the path did not come in time.
+    /// Times that path data did not arrive in time.
     pub underruns: u32,
     /// Most points of the planner's grid computed in one period of 12 ms.
     pub planner_points_max: u32,
@@ -154,12 +155,12 @@ struct Last {
     change: Vector,
 }
 
-/// Looks at a path's references one after the other.
+/// Analyses a path's references one after the other.
 pub struct Analysis {
     limits: Limits,
     motion: Motion,
     track: Track,
-    /// What is drawn is level, so that all vertical motion lifts or lowers the pen.
+    /// Whether all strokes are level, so that all vertical motion lifts or lowers the pen.
     level: bool,
     peaks: Peaks,
     violations: Vec<Violation>,
@@ -169,7 +170,7 @@ pub struct Analysis {
 }
 
 impl Analysis {
-    /// For a path under the limits of a configuration; `jerk_window_ms` is the moving average that the planner takes.
+    /// An analysis under the limits of a configuration; `jerk_window_ms` is the length of the planner's moving average.
     #[must_use]
     pub fn new(config: &Config, path: &[Vertex], jerk_window_ms: u16) -> Self {
         Self {
@@ -251,7 +252,7 @@ impl Analysis {
             &mut self.peaks.jerk_mm_s3,
             length(&subtract(&here.change, &last.change)) / TICK_S,
         );
-        // The millisecond in which the pen changes belongs to both.
+        // The millisecond in which the pen changes belongs to both strokes.
         let drawn = here.pen == Pen::Down && last.pen == Pen::Down;
         if self.level || !drawn {
             let vertical = [here.speed, here.change].map(|[_, _, z]| z.abs());
@@ -300,11 +301,11 @@ impl Analysis {
         }
     }
 
-    /// Ends the looking.
+    /// Ends the analysis.
     #[must_use]
     pub fn finish(mut self, run: &Run) -> Findings {
         let corners = self.track.corners();
-        // Between two references the motion is no straight line.
+        // Between two references the motion is not a straight line.
         let bow_mm = self.peaks.acceleration_mm_s2 * TICK_S * TICK_S / 8.0;
         let Motion {
             tolerance_mm,
@@ -335,7 +336,7 @@ impl Analysis {
 }
 
 fn raise(peak: &mut f64, value: f64) {
-    // A value that is no number stays.
+    // A NaN is kept.
     if value > *peak || value.is_nan() {
         *peak = value;
     }

@@ -1,9 +1,9 @@
-//! A path through the firmware's planner, millisecond by millisecond, without a robot.
+//! Runs a path through the firmware's planner, millisecond by millisecond, without a robot.
 //!
-//! The trajectory stage is the firmware's own, and it is fed as the firmware feeds it: vertices while there is room, then
-//! twelve references. Nothing is stored, so a path may be as long as its file.
+//! The trajectory stage is the firmware's own, and gets its input as in the firmware: vertices while there is room,
+//! then twelve references. Nothing is stored, so a path may be as long as its file.
 //!
-//! Invariant: a run ends: at rest at the path's end, with a refusal, when it makes no progress, or when it has taken a day.
+//! Invariant: every run ends: at rest at the path's end, with a refusal, without progress, or after a day.
 
 mod analysis;
 mod track;
@@ -17,7 +17,7 @@ use etherpen::robot::{ARMS, Delta, GeometryError, JointAngles, KinematicsError};
 
 /// Longest motion, ms: a day.
 const DURATION_MAX_MS: u64 = 86_400_000;
-/// Horizontal part of a leg from which it has a direction.
+/// Horizontal part of a unit tangent from which a leg has a direction.
 const HORIZONTAL_MIN: f64 = 0.1;
 
 /// One millisecond of a planned path.
@@ -27,43 +27,43 @@ pub struct Sample {
     pub t_ms: u64,
     /// The reference, as the position controllers get it.
     pub reference: Reference,
-    /// Where it puts the platform, mm.
+    /// Position of the platform, mm.
     pub point: Vector,
 }
 
-/// How a run went.
+/// Summary of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
     /// Time from rest at the first vertex to rest at the last, ms.
     pub duration_ms: u64,
-    /// Times that the path did not come in time.
+    /// Times that path data did not arrive in time.
     pub underruns: u32,
     /// Most points of the planner's grid computed in one period.
     pub work_max: u32,
-    /// Length of the moving average that the planner takes, ms; 0 where there is none.
+    /// Length of the planner's moving average, ms; 0 without an average.
     pub jerk_window_ms: u16,
 }
 
 /// Why a path was not planned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlanningError {
-    /// The configured geometry is no delta robot.
+    /// The configured dimensions do not form a valid delta robot.
     Geometry(GeometryError),
-    /// A path has two vertices at least.
+    /// The path has fewer than two vertices.
     TooShort {
-        /// How many there are.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// The robot cannot stand at the first vertex.
+    /// The robot cannot reach the first vertex.
     Start(KinematicsError),
-    /// The planner did not take a vertex.
+    /// The planner refused a vertex.
     Vertex {
         /// Its index in the path.
         index: usize,
-        /// Why.
+        /// The refusal.
         refusal: MotionRefusal,
     },
-    /// The planner did not take a command.
+    /// The planner refused a command.
     Command(MotionRefusal),
     /// The motion would take longer than a day.
     Endless,
@@ -72,11 +72,11 @@ pub enum PlanningError {
         /// Vertices executed.
         vertex: u32,
     },
-    /// A reference is no pose of the robot.
+    /// A reference is not a possible pose of the robot.
     Reference {
-        /// Which millisecond.
+        /// Time of the reference, ms.
         t_ms: u64,
-        /// Why.
+        /// The reason.
         cause: KinematicsError,
     },
 }
@@ -104,8 +104,8 @@ impl std::fmt::Display for PlanningError {
 
 impl std::error::Error for PlanningError {}
 
-/// Plans a path from rest at its first vertex to rest at its last; `observe` sees every millisecond with the run so
-/// far, the first at rest at 0 ms, and a few at rest at the end.
+/// Plans a path from rest at its first vertex to rest at its last; `observe` gets every millisecond with the run so
+/// far: the first at rest at 0 ms, and a few at rest at the end.
 ///
 /// # Errors
 /// Why the path was not planned.
@@ -173,7 +173,8 @@ pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &
     Err(PlanningError::Endless)
 }
 
-/// Angle of axis 4 with which the path begins, rad: its direction where the axis follows it, so that no turn comes first.
+/// Angle of axis 4 at the beginning, rad: the direction of the path if the axis follows it, so that there is no initial
+/// turn.
 fn first_angle(config: &Config, path: &[Vertex]) -> f64 {
     if config.motion.orientation == Orientation::Constant {
         return 0.0;
@@ -189,7 +190,7 @@ fn first_angle(config: &Config, path: &[Vertex]) -> f64 {
     angle.unwrap_or(0.0)
 }
 
-/// Hands vertices on while there is room.
+/// Passes vertices on while there is room.
 fn fill<'p>(
     trajectory: &mut Trajectory,
     feed: &mut (impl ExactSizeIterator<Item = (usize, &'p Vertex)> + 'p),

@@ -1,19 +1,19 @@
-//! How far references lie from their path, and the path's corners from the references.
+//! Distances of references from their path, and of the path's corners from the references.
 //!
-//! A reference names the vertex that the motion has reached; only legs near it, measured along the path, are looked at:
-//! a place that happens to pass near another part of the path does not count as being on it. Between two references the
+//! A reference names the vertex that the motion has reached. Only legs near that vertex, measured along the path, are
+//! considered: a position near another part of the path does not count as being on it. Between two references the
 //! motion is taken as straight, which is wrong by at most a t^2 / 8.
 
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::vector::{Vector, add_scaled, dot, length, subtract};
 
-/// Length of path looked at on both sides of a reference at least, mm.
+/// Least length of path considered on both sides of a reference, mm.
 const REACH_MIN_MM: f64 = 3.0;
-/// Length of path looked at on both sides of a reference, as a multiple of the distance that the references cover in a
+/// Length of path considered on both sides of a reference, as a multiple of the distance that the references cover in a
 /// millisecond: longer than any moving average.
 const REACH_STEPS: f64 = 36.0;
 
-/// A path, and what has been found out about it.
+/// A path, and the distances found so far.
 pub(super) struct Track {
     points: Vec<Vector>,
     /// Length of the path up to each vertex, mm.
@@ -29,9 +29,9 @@ pub(super) struct Track {
 /// Distances from corners to the line of the references, mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Corners {
-    /// Of vertices that are drawn: the largest, and its vertex.
+    /// For drawn vertices: the largest distance, and its vertex.
     pub(super) drawn: (f64, usize),
-    /// Of vertices passed with the pen up.
+    /// For vertices passed with the pen up: the largest distance, and its vertex.
     pub(super) travel: (f64, usize),
 }
 
@@ -67,7 +67,7 @@ impl Track {
         self.step_max_mm = self.step_max_mm.max(length(&subtract(point, &before)));
         let reach_mm = REACH_MIN_MM.max(REACH_STEPS * self.step_max_mm);
         let last = self.points.len().saturating_sub(1);
-        // Vertices executed: the leg under way leads to this one.
+        // Number of vertices executed: the current leg leads to this vertex.
         let here = vertex.min(last);
         let from_mm = self.along.get(here.saturating_sub(1)).copied().unwrap_or(0.0) - reach_mm;
         let to_mm = self.along.get(here).copied().unwrap_or(0.0) + reach_mm;
@@ -95,7 +95,7 @@ impl Track {
         distance
     }
 
-    /// The corners that the references stay farthest from.
+    /// The largest distances of corners from the references.
     pub(super) fn corners(&self) -> Corners {
         let mut corners = Corners::default();
         for (index, nearest) in self.nearest.iter().enumerate() {
