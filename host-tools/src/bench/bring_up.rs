@@ -1,8 +1,9 @@
-//! How many frames a master needs until four identical drives are in OP.
+//! Number of frames that a master needs until four identical drives are in OP.
 //!
-//! Both masters meet the same virtual cell, fresh from power-up. Ours also writes ten objects to each drive in the count;
-//! ethercrab only does what it does by itself. The cell's time passes with the frames: a millisecond for each of our
-//! cycles, a round trip of 100 us for each frame of ethercrab, which waits for nothing but replies.
+//! Both masters use a freshly powered-up virtual cell of one kind. This project's master also writes ten objects to
+//! each drive, which count; ethercrab only does its default steps. The cell's time advances with the frames: a
+//! millisecond for each cycle of this master, a round trip of 100 us for each frame of ethercrab, which waits for
+//! replies only.
 
 use super::{BenchError, programs};
 use crate::cell::{AlState, Cell, CellOptions};
@@ -34,7 +35,7 @@ fn all_operational(cell: &Cell) -> bool {
     !slaves.is_empty() && slaves.iter().all(|slave| slave.al_state == AlState::Operational)
 }
 
-/// Frames of our bring-up, those of the cyclic exchange among them.
+/// Frames of this project's bring-up, including the cyclic exchange.
 pub(super) fn etherpen() -> Result<u64, BenchError> {
     let config = Config::default();
     let mut cell = Cell::new(&config, CellOptions::default());
@@ -76,7 +77,7 @@ pub(super) fn etherpen() -> Result<u64, BenchError> {
     Err(failed("etherpen", "the drives did not get to OP"))
 }
 
-/// Frames of ethercrab's bring-up; its program has been built.
+/// Frames of ethercrab's bring-up; its program has already been built.
 pub(super) fn ethercrab() -> Result<u64, BenchError> {
     let mut cell = Cell::new(&Config::default(), CellOptions::default());
     let mut child = programs::start("bring_up")?;
@@ -94,7 +95,7 @@ pub(super) fn ethercrab() -> Result<u64, BenchError> {
     }
 }
 
-/// Lets frames pass the cell until there are no more.
+/// Passes frames through the cell until there are no more.
 fn exchange(cell: &mut Cell, mut from: impl Read, mut to: impl Write) -> Result<(), BenchError> {
     let error = |cause: std::io::Error| failed("ethercrab", cause);
     for number in 0..FRAMES_MAX {

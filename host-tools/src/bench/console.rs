@@ -1,7 +1,7 @@
-//! How long a stop takes through a console under hostile load, and how much memory the console needs meanwhile.
+//! Delay of a stop through a console under hostile load, and the console's memory.
 //!
-//! The console is a process of its own in front of a simulated robot; between the two, this process looks at every byte
-//! and takes the time at which the stop's telegram passes. The loads are this process' threads.
+//! The console is a separate process in front of a simulated robot. This process relays all bytes between the two and
+//! records the time at which the stop's telegram passes. The loads are threads of this process.
 
 use super::{BenchError, Report, Row, Selection};
 use crate::cell::CellOptions;
@@ -27,25 +27,25 @@ const DELAY_MAX_MS: f64 = 100.0;
 const MEMORY_MAX_MIB: f64 = 256.0;
 /// Time after which a stop counts as lost.
 const LOST: Duration = Duration::from_secs(60);
-/// Time before a load is under way, and between two stops.
+/// Time until a load is fully active, and between two stops.
 const UNDER_WAY: Duration = Duration::from_secs(1);
 const BETWEEN: Duration = Duration::from_millis(25);
-/// Telemetry that there is to ask for before the loads begin.
+/// Amount of telemetry to record before the loads begin.
 const TELEMETRY: Duration = Duration::from_secs(10);
 
-/// What the console is burdened with.
+/// Load on the console.
 #[derive(Clone, Copy)]
 enum Load {
     Idle,
-    /// Viewers without the token that ask for the whole past without a pause, and read the answers.
+    /// Viewers without the token that request the whole history continuously and read the answers.
     Flood(usize),
-    /// Viewers without the token that only look.
+    /// Viewers without the token that only watch.
     Viewers(usize),
     /// Requests whose heads never end.
     Halves(usize),
     /// Files without the token, a few bytes at a time.
     Uploads(usize),
-    /// Viewers that ask for the whole past and never read.
+    /// Viewers that request the whole history and never read.
     SlowReaders(usize),
 }
 
@@ -67,7 +67,7 @@ fn failed(cause: impl std::fmt::Display) -> BenchError {
     }
 }
 
-/// Measures with the program at `program`, so many stops of each kind under each load.
+/// Measures with the program at `program`: `stops` stops of each kind under each load.
 ///
 /// # Errors
 /// The console does not start, or a stop does not come through within a minute.
@@ -98,7 +98,7 @@ pub fn run(selection: &Selection, program: &Path, stops: usize, progress: impl F
     Ok(Report { bench: "console", rows })
 }
 
-/// A console, what it talks to, and an operator.
+/// A console, its simulated robot, and an operator.
 struct Bench {
     child: Child,
     _cell: VirtualCell,
@@ -111,7 +111,7 @@ struct Bench {
 
 impl Drop for Bench {
     fn drop(&mut self) {
-        // What has ended or gone already needs no more.
+        // A process that has already ended needs no kill.
         let _ = self.child.kill();
         let _ = self.child.wait();
         let _ = std::fs::remove_file(&self.place);
@@ -202,7 +202,7 @@ impl Bench {
         loop {
             let passed = self.passed.recv_timeout(LOST);
             let passed = passed.map_err(|_| io::Error::other("a stop did not come through within a minute"))?;
-            // A repetition of the stop before is not this one.
+            // A repetition of the previous stop does not count.
             if let Some(delay) = passed.checked_duration_since(sent) {
                 return Ok(delay.as_secs_f64() * 1_000.0);
             }
@@ -210,7 +210,7 @@ impl Bench {
     }
 }
 
-/// Resident memory of a process, MiB; not a number where there is no /proc.
+/// Resident memory of a process, MiB; NaN if there is no /proc.
 fn memory_mib(process: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -218,7 +218,7 @@ fn memory_mib(process: u32) -> f64 {
     kilobytes.map_or(f64::NAN, |kilobytes| kilobytes / 1_024.0)
 }
 
-/// Carries what console and robot say to each other, and tells when a stop passes.
+/// Relays the bytes between console and robot, and reports when a stop passes.
 fn tap(listener: &UnixListener, robot: &Path, tell: &Sender<Instant>) {
     for console in listener.incoming().flatten() {
         let Ok(robot) = UnixStream::connect(robot) else { return };
@@ -239,7 +239,7 @@ fn tap(listener: &UnixListener, robot: &Path, tell: &Sender<Instant>) {
                     command: Told::Stop, ..
                 }) = decode::<HostMessage>(payload)
                 {
-                    // Nobody listens any more once the figures are there.
+                    // The receiver is gone once the measurement has ended.
                     let _ = tell.send(Instant::now());
                 }
             }
@@ -295,7 +295,7 @@ const ALL_OF_IT: &str = r#"{"type":"range","id":1,"signals":[0,1,2,3,4,5,6,7,8,9
 
 type Burden = (TcpStream, Option<JoinHandle<()>>);
 
-/// Begins a load; it ends with its flag and its connections.
+/// Starts a load; it ends with its flag and its connections.
 fn begin(load: Load, address: &str, ended: &Arc<AtomicBool>) -> io::Result<Vec<Burden>> {
     let idle = |stream: TcpStream| (stream, None);
     let reading = |stream: TcpStream| -> io::Result<Burden> {
@@ -325,7 +325,7 @@ fn begin(load: Load, address: &str, ended: &Arc<AtomicBool>) -> io::Result<Vec<B
         Load::Halves(count) => {
             for _ in 0..count {
                 let mut stream = TcpStream::connect(address)?;
-                // One that is closed already is what is measured.
+                // A connection that is already closed is part of the measurement.
                 let _ = write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\nX-Half: ");
                 burdens.push(idle(stream));
             }

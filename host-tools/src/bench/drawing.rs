@@ -1,9 +1,9 @@
-//! The drawing's figures: the vectoriser on photographs, the order of strokes beside vpype's.
+//! Benchmarks of drawings: the vectoriser on photographs, and the order of strokes compared with vpype's.
 //!
-//! Both order the same files in this run, reading and writing left out; the fastest of three runs counts everywhere. The
-//! best tour known is this program's own with forty times the effort, or vpype's where that is shorter. Seconds depend on
-//! the computer; the target is a share of what vpype takes on it. Drawing times are the firmware's planner's, at its
-//! default limits; vpype reads curves as lines of its own.
+//! Both programs order the same files in one run, without reading and writing; the fastest of three runs counts. The
+//! best known tour is this program's own with forty times the effort, or vpype's if that is shorter. Seconds depend on
+//! the computer; the target is a share of vpype's time on it. Drawing times come from the firmware's planner at its
+//! default limits; vpype converts curves into its own lines.
 
 use super::{BenchError, Report, Row, Selection};
 use crate::commands::prepare::planned_s;
@@ -28,16 +28,16 @@ const VECTORS: [&str; 4] = ["contours.svg", "grass.svg", "portrait.svg", "street
 const RUNS: usize = 3;
 /// Effort of the search for the best tour.
 const BEST_EFFORT: usize = 40;
-/// The mean of the ways may be this many times the best ones known; none may be longer than as given.
+/// Largest mean ratio of the travel lengths to the best known ones; no travel may be longer than the given one.
 const PEN_UP_RATIO_MAX: f64 = 1.10;
 /// Share of vpype's time that the order may take.
 const TIME_SHARE_MAX: f64 = 0.1;
 /// linedraw's tone on portraits of this size is 0.83 to 0.94.
 const TONE_MIN: f64 = 0.83;
-/// A photograph of a megapixel may take about a second, and any photograph this.
+/// A photograph of a megapixel may take about a second; any photograph may take this long.
 const SECONDS_PER_MEGAPIXEL: f64 = 1.0;
 const SECONDS_MIN: f64 = 1.0;
-/// Gaps that are closed on both sides, mm: vpype's default.
+/// Largest gap closed by both programs, mm: vpype's default.
 const JOIN_MM: f64 = 0.05;
 /// Width of the pen's line and scale of the compared drawing.
 const PEN_MM: f64 = 0.5;
@@ -60,7 +60,7 @@ for path in sys.argv[1:]:
     print(json.dumps({'seconds': best, 'strokes': lines, 'pen_up_mm': ordered.pen_up_length() * mm}))
 "#;
 
-/// What vpype did to a file.
+/// Result of vpype for a file.
 #[derive(Clone, Debug, Deserialize)]
 struct Peer {
     seconds: f64,
@@ -75,10 +75,10 @@ fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
     }
 }
 
-/// Measures what is wanted; `progress` is told what is being done.
+/// Runs the selected benchmarks; `progress` gets a description of each step.
 ///
 /// # Errors
-/// A sample cannot be read, or vpype cannot be set up or does not do its work.
+/// A sample cannot be read, or vpype cannot be set up or fails.
 pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, BenchError> {
     let mut rows = Vec::new();
     let wants = |file: &str, names: &[&str], subject: &str| {
@@ -163,7 +163,7 @@ fn photograph(file: &str, rows: &mut Vec<Row>) -> Result<(), BenchError> {
     Ok(())
 }
 
-/// The drawing as a picture of the photograph's part of the sheet.
+/// The drawing as an image of the photograph's part of the sheet.
 fn rendered(
     picture: &RgbImage,
     drawing: &Drawing,
@@ -234,7 +234,7 @@ fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<Row>) -> Result<(), B
     Ok(())
 }
 
-/// What the planner takes for the strokes as ordered here, as given and as ordered by the peer, s, with the target.
+/// Planned duration of the strokes as ordered here, as given and as ordered by the peer, s, with the target.
 fn drawing_times(given: &Drawing, ordered: &Drawing, peer: Option<&Peer>) -> Vec<(&'static str, f64, Option<f64>)> {
     let config = Config::default();
     let planned_s = |drawing: &Drawing| planned_s(&config, &travelling(drawing, &config));
@@ -253,7 +253,7 @@ fn drawing_times(given: &Drawing, ordered: &Drawing, peer: Option<&Peer>) -> Vec
     [ours].into_iter().chain(others).collect()
 }
 
-/// The mean over all vector files of the way with the pen up, in best ones known.
+/// The mean ratio of travel length to the best known length, over all vector files.
 fn mean_ratio(rows: &mut Vec<Row>) {
     for subject in ["etherpen", "vpype"] {
         let ratio = |row: &Row| {

@@ -1,10 +1,11 @@
-//! What the EtherCAT master costs: instructions of a cycle, memory, code, frames of a bring-up; ethercrab beside it.
+//! Cost of the EtherCAT master: instructions of a cycle, memory, code size, frames of a bring-up; compared with
+//! ethercrab.
 
 use super::programs::{self, Machine};
 use super::{BenchError, Report, Row, Selection, bring_up};
 
 const SUBJECTS: [&str; 2] = ["etherpen", "ethercrab"];
-/// Cyclic exchanges of four drives, as the benchmarks' crate names them.
+/// Cyclic exchanges of four drives, by their names in the crate `benchmarks`.
 const CYCLIC: [&str; 6] = [
     "cyclic/lrw",
     "cyclic/lrw+frmw+brd",
@@ -20,7 +21,7 @@ const RAM_BYTES_MAX: f64 = 32_768.0;
 /// Most frames until four identical drives are in OP.
 const BRING_UP_FRAMES_MAX: f64 = 400.0;
 
-/// A row that is wanted and not yet measured.
+/// A row that is selected but not measured yet.
 struct Wanted {
     case: String,
     subject: &'static str,
@@ -29,7 +30,7 @@ struct Wanted {
     measure: Measure,
 }
 
-/// How a row is measured.
+/// Method of measurement.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Measure {
     /// A line of the program in the emulator, by the case's name there.
@@ -84,10 +85,10 @@ fn rows() -> Vec<Wanted> {
     rows
 }
 
-/// Measures the wanted rows; `progress` hears what is being done.
+/// Measures the selected rows; `progress` gets a description of each step.
 ///
 /// # Errors
-/// The first thing that did not work.
+/// The first failure.
 pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Report, BenchError> {
     let mut wanted = rows();
     wanted.retain(|row| selection.wants(&row.case, row.subject));
@@ -139,7 +140,7 @@ pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Repo
     })
 }
 
-/// Builds what the wanted rows need.
+/// Builds the programs for the selected rows.
 fn build(wanted: &[Wanted], progress: &mut impl FnMut(&str)) -> Result<(), BenchError> {
     let any = |needs: fn(&Wanted) -> bool| wanted.iter().any(needs);
     let mut emulated = Vec::new();

@@ -1,9 +1,9 @@
-//! The figures that the project claims, measured beside those of its peers.
+//! Benchmarks: the figures that the project claims, measured together with those of its peers.
 //!
-//! Instructions, bytes, frames and virtual time are counted: no figure with a target depends on how fast or how busy the
-//! computer is.
+//! Instructions, bytes, frames and virtual time are counted: no figure with a target depends on the speed or load of
+//! the computer.
 //!
-//! Invariant: a row is measured in this run or left out; none is remembered.
+//! Invariant: every row is measured in this run or left out; no value is stored.
 
 mod bring_up;
 pub mod console;
@@ -17,13 +17,13 @@ pub mod recording;
 use crate::setup::SetupError;
 use serde::Serialize;
 
-/// Units of figures that should be large.
+/// Units of figures for which larger is better.
 const MORE_IS_BETTER: [&str; 2] = ["correlation", "share"];
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// What was measured, and where: `cyclic/lrw@host`.
+    /// The measured case and its platform: `cyclic/lrw@host`.
     pub case: String,
     /// `etherpen`, or the peer.
     pub subject: &'static str,
@@ -31,7 +31,7 @@ pub struct Row {
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// The most it may be, where that was decided; the least, where more is better ([`Row::is_more_better`]).
+    /// Upper limit, if there is one; lower limit where larger is better ([`Row::is_more_better`]).
     pub target: Option<f64>,
 }
 
@@ -49,7 +49,7 @@ impl Row {
         self.target.map(is_met)
     }
 
-    /// Whether a larger figure is a better one.
+    /// Whether a larger figure is better.
     #[must_use]
     pub fn is_more_better(&self) -> bool {
         MORE_IS_BETTER.contains(&self.unit)
@@ -59,23 +59,23 @@ impl Row {
 /// The figures of one benchmark.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Which one.
+    /// Name of the benchmark.
     pub bench: &'static str,
     /// Its figures.
     pub rows: Vec<Row>,
 }
 
-/// What of a benchmark is wanted.
+/// Selection of a benchmark's cases.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
-    /// Only cases with this in their names.
+    /// Only cases whose names contain this.
     pub case: Option<String>,
     /// Only this subject.
     pub subject: Option<String>,
 }
 
 impl Selection {
-    /// Whether the figure of this case and subject is wanted.
+    /// Whether the figure of this case and subject is selected.
     #[must_use]
     pub fn wants(&self, case: &str, subject: &str) -> bool {
         self.wants_case(case) && self.wants_subject(subject)
@@ -95,11 +95,11 @@ impl Selection {
 pub enum BenchError {
     /// A tool is missing, or a build failed.
     Setup(SetupError),
-    /// A program of the benchmark did not do its work.
+    /// A program of the benchmark failed.
     Program {
-        /// Which one.
+        /// The program.
         program: String,
-        /// What it said, or what was wrong with that.
+        /// Its output, or what was wrong with the output.
         cause: String,
     },
 }

@@ -1,6 +1,6 @@
-//! The programs of the crate `benchmarks`: built, run in QEMU or under valgrind, weighed.
+//! The programs of the crate `benchmarks`: builds them, runs them in QEMU or under valgrind, and measures their size.
 //!
-//! They are built in a folder of their own below the target folder, by the lock file that lies beside them.
+//! They are built in a separate folder below the target folder, with their own lock file.
 
 use super::BenchError;
 use crate::setup::{self, QEMU, TARGET};
@@ -9,13 +9,13 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 
-/// Cycles that a program under valgrind says it has run are at most this many.
+/// Largest number of cycles that a program under valgrind may report.
 const CYCLES_MAX: u64 = 1 << 20;
 
 /// The program with copp, and the feature that it needs.
 pub(super) const OPTIMUM: &str = "optimum";
 
-/// Where a program runs.
+/// Platform of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Machine {
     /// This computer.
@@ -69,7 +69,7 @@ pub(super) fn build(machine: Machine, programs: &[&str]) -> Result<(), BenchErro
     }
 }
 
-/// Runs a program in the emulator to its end; gives what it printed.
+/// Runs a program in the emulator to its end; returns its output.
 pub(super) fn emulate(program: &str) -> Result<String, BenchError> {
     setup::ensure_qemu()?;
     let mut command = Command::new(QEMU);
@@ -105,7 +105,7 @@ pub(super) fn callgrind(subject: &str, case: &str) -> Result<u64, BenchError> {
     command.arg(path(Machine::Host, "callgrind")).args([subject, case]);
     let printed = output("valgrind", &mut command);
     let profile = std::fs::read_to_string(&file);
-    // A file that stays costs nothing but its room.
+    // A file that cannot be removed only takes space.
     let _ = std::fs::remove_file(&file);
     let cycles: u64 = printed?
         .trim()
@@ -148,7 +148,7 @@ pub(super) fn start(program: &str) -> Result<Child, BenchError> {
         .map_err(|cause| failed(program, cause))
 }
 
-/// Runs a program on this computer to its end with `input` as its standard input; gives what it printed.
+/// Runs a program on this computer to its end with `input` as its standard input; returns its output.
 pub(super) fn answer(program: &str, input: &str) -> Result<String, BenchError> {
     let mut command = Command::new(path(Machine::Host, program));
     command
@@ -157,7 +157,7 @@ pub(super) fn answer(program: &str, input: &str) -> Result<String, BenchError> {
         .stderr(Stdio::piped());
     let mut child = command.spawn().map_err(|cause| failed(program, cause))?;
     if let Some(mut pipe) = child.stdin.take() {
-        // It reads all of it before it prints, and says itself what it lacks.
+        // The program reads all input before it prints, and reports missing input itself.
         let _ = pipe.write_all(input.as_bytes());
     }
     finished(program, child.wait_with_output())

@@ -1,4 +1,4 @@
-//! A long recording in a short time: samples through writer and reader, and the memory that takes.
+//! Benchmark of a long recording: samples through writer and reader, and the memory used.
 //!
 //! One thread records, the other reads what it writes from a pipe: as many bytes as a day has need no disk. Every sample
 //! is looked for; memory is this process' resident size at the end against the one after the first minute.
@@ -13,10 +13,10 @@ use etherpen::motion::Pen;
 use etherpen::robot::AXES;
 use std::io::{self, BufReader, PipeWriter};
 
-/// Samples after which memory is measured for the first time: a minute.
+/// Number of samples before the first measurement of memory: a minute.
 const WARM_SAMPLES: u32 = 60_000;
-/// The most that memory may grow, MB for each hour: the recorder's table of chunks, 3 600 of some 70 bytes, and what the
-/// allocator adds when the table moves.
+/// Largest growth of memory, MB for each hour: the recorder's table of chunks, 3 600 of some 70 bytes, plus the
+/// allocator's overhead when the table moves.
 const GROWTH_MAX_MB_PER_HOUR: f64 = 1.0;
 
 /// Records this many hours and reads them back.
@@ -84,7 +84,7 @@ fn record(pipe: PipeWriter, samples: u32) -> io::Result<(u64, f64)> {
     Ok((written.bytes, warm_mb))
 }
 
-/// A robot that moves: no two samples are alike.
+/// Samples of a moving robot, all different.
 fn sample(t_ms: u32) -> Sample {
     let t = f64::from(t_ms) / 1_000.0;
     let angle = |axis: usize, lag: f64| (0.4 + 0.2 * (t - lag + axis as f64).sin()) as f32;
@@ -103,7 +103,7 @@ fn sample(t_ms: u32) -> Sample {
     }
 }
 
-/// Resident memory of this process, MB, as proc(5) tells it; not a number where there is no /proc.
+/// Resident memory of this process, MB, from proc(5); NaN if there is no /proc.
 fn memory_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));

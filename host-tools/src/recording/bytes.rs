@@ -1,7 +1,7 @@
-//! Little-endian numbers out of bytes, one after the other.
+//! Reads consecutive little-endian numbers from bytes.
 //!
-//! MCAP's records and CDR's messages differ in where a number begins, not in how it is read. Invariant: what is not there is
-//! `None`.
+//! MCAP's records and CDR's messages differ in the position of a number, not in its format. Invariant: missing bytes
+//! give `None`.
 
 /// Bytes that are read from the front.
 pub(super) trait Numbers {

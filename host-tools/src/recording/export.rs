@@ -1,6 +1,6 @@
-//! A recording as a table: CSV as `telemetry.csv` has it, or Parquet.
+//! A recording as a table: CSV with the columns of `telemetry.csv`, or Parquet.
 //!
-//! Invariant: one row for each sample that arrived, in order; a value that is missing is an empty field.
+//! Invariant: one row for each sample that arrived, in order; a missing value is an empty field.
 
 use super::mcap::Source;
 use super::parquet;
@@ -8,16 +8,16 @@ use super::signals::{Evaluator, Signal, Value, columns};
 use super::{Entry, Playback};
 use std::io::{self, Write};
 
-/// What was exported.
+/// Result of an export.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Exported {
-    /// Rows of the table.
+    /// Number of rows.
     pub rows: u64,
-    /// Samples that are missing between them.
+    /// Number of samples missing between the rows.
     pub missing: u64,
 }
 
-/// The columns of a table: the device's time, then what was asked for; everything if nothing was.
+/// The columns of a table: the device's time, then the requested signals, or all signals if none were requested.
 pub fn table_columns(signals: Option<Vec<Signal>>) -> Vec<Signal> {
     let all = columns();
     let Some(chosen) = signals else {
@@ -31,7 +31,7 @@ pub fn table_columns(signals: Option<Vec<Signal>>) -> Vec<Signal> {
 /// Writes a table as CSV.
 ///
 /// # Errors
-/// The recording cannot be read, or the table not be written.
+/// The recording cannot be read, or the table cannot be written.
 pub fn write_csv<R: Source>(
     playback: &mut Playback<R>,
     columns: &[Signal],
@@ -63,7 +63,7 @@ pub fn write_csv<R: Source>(
 /// Writes a table as Parquet.
 ///
 /// # Errors
-/// The recording cannot be read, or the table not be written.
+/// The recording cannot be read, or the table cannot be written.
 pub fn write_parquet<R: Source>(
     playback: &mut Playback<R>,
     columns: &[Signal],
@@ -93,7 +93,7 @@ fn parquet_column(signal: &Signal) -> (String, parquet::Kind) {
     (signal.name.clone(), kind)
 }
 
-/// Why there is no table.
+/// Why the table could not be exported.
 #[derive(Debug)]
 pub enum ExportError {
     /// The recording cannot be read any further.
@@ -102,7 +102,7 @@ pub enum ExportError {
     Write(io::Error),
 }
 
-/// Gives the values of each sample to `row`.
+/// Passes the values of each sample to `row`.
 fn each_row<R: Source>(
     playback: &mut Playback<R>,
     columns: &[Signal],

@@ -1,10 +1,10 @@
 //! The messages of a recording: their ROS 2 definitions and their bytes (CDR, little-endian).
 //!
-//! Foxglove and PlotJuggler read such messages by the definitions in the file; a sample is 108 bytes, a quarter of what
-//! it would be as JSON, and its numbers are the firmware's, bit by bit. Fields are named as the columns of
+//! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 108 bytes, a quarter
+//! of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are named like the columns of
 //! `telemetry.csv`, units last. Every message is one struct; only the primitive types of CDR are used.
 //!
-//! Invariant: bytes that are no message give `None`, never a wrong one of another length.
+//! Invariant: bytes that are not a valid message give `None`.
 
 use super::bytes::Numbers;
 use super::mcap::Topic;
@@ -13,30 +13,30 @@ use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::Pen;
 use etherpen::robot::{AXES, Position};
 
-/// One millisecond; its stroke and pen are those of the reference that the measured position answers to.
+/// One millisecond; its stroke and pen are those of the reference to which the measured position belongs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// What the firmware sent.
+    /// The firmware's sample.
     pub sample: Sample,
     /// Measured position of the platform, mm.
     pub position: Position,
 }
 
-/// Samples that are missing.
+/// A gap in the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
     /// Device time of the last sample before the gap, ms.
     pub before_ms: u32,
     /// Device time of the first sample after the gap, ms.
     pub t_ms: u32,
-    /// How many are missing.
+    /// Number of missing samples.
     pub missing: u32,
 }
 
-/// Where the controller stood.
+/// State of the controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
-    /// Device time of the last sample before, ms.
+    /// Device time of the last sample before this state, ms.
     pub t_ms: u32,
     /// Operating mode.
     pub mode: Mode,
@@ -44,39 +44,39 @@ pub struct State {
     pub referenced: bool,
     /// Path speed override, percent.
     pub override_percent: u8,
-    /// What the firmware has counted.
+    /// Counters of the firmware.
     pub counters: Counters,
     /// AL state and AL status code of each slave, and its CiA 402 status word.
     pub slaves: Vec<[u16; 3]>,
-    /// The latched fault, empty without one.
+    /// The latched fault; empty without a fault.
     pub fault: String,
 }
 
-/// How much an event matters, as `rcl_interfaces/msg/Log` counts it.
+/// Severity of an event, numbered as in `rcl_interfaces/msg/Log`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
-    /// For the record.
+    /// An ordinary event.
     Info = 20,
-    /// Something to look at.
+    /// A condition that needs attention.
     Warning = 30,
     /// A fault.
     Error = 40,
 }
 
-/// Something that happened.
+/// An event.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Event {
     /// Time of the message, ns.
     pub time_ns: u64,
-    /// How much it matters.
+    /// Severity.
     pub level: Level,
-    /// What kind of event: `link`, `mode`, `fault`, `gap`, `job`.
+    /// Kind of event: `link`, `mode`, `fault`, `gap`, `job`.
     pub name: String,
     /// What happened.
     pub text: String,
 }
 
-/// Channel numbers.
+/// Channel of the samples.
 pub const SAMPLE: u16 = 1;
 /// Channel of the gaps.
 pub const GAP: u16 = 2;

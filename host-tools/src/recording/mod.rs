@@ -1,11 +1,11 @@
-//! Recordings: everything the firmware sends, in one MCAP file, and what can be made of it.
+//! Recordings: all data from the firmware in one MCAP file, and their evaluation.
 //!
-//! [`Recorder`] writes, [`Playback`] reads; [`export`], [`plot`] and [`statistics`] are made of what a playback gives, one
-//! sample after the other. Foxglove and PlotJuggler open the same files: the schemas are in them, and units are in the
-//! names of the signals.
+//! [`Recorder`] writes, [`Playback`] reads; [`export`], [`plot`] and [`statistics`] process the samples of a playback
+//! one after the other. Foxglove and PlotJuggler open these files too: the file contains the schemas, and the names of
+//! the signals contain the units.
 //!
-//! Invariant: memory does not depend on how long a recording is, but for the recorder's table of chunks, one for each second:
-//! `etherpen bench recording --hours 24` measures 2.7 MB.
+//! Invariant: memory does not depend on the length of a recording, except for the recorder's table of chunks, with one
+//! entry for each second: `etherpen bench recording --hours 24` measures 2.7 MB.
 
 mod bytes;
 pub mod export;

@@ -1,8 +1,8 @@
 //! Writes a flat table as Apache Parquet: required columns, plain encoding, no compression.
 //!
-//! Written after the format's specification (<https://parquet.apache.org/docs/file-format/>, metadata in Thrift's compact
-//! protocol). The `parquet` crate without its default features still brings fifty crates for what are two hundred lines
-//! here. Invariant: memory holds one group of rows and the places of the groups before.
+//! Written after the format's specification (<https://parquet.apache.org/docs/file-format/>, metadata in Thrift's
+//! compact protocol). Even without its default features, the `parquet` crate adds fifty crates for what takes two
+//! hundred lines here. Invariant: memory holds one group of rows and the positions of the earlier groups.
 
 use std::io::{self, Write};
 
@@ -10,7 +10,7 @@ use std::io::{self, Write};
 const GROUP_ROWS: usize = 1 << 16;
 const MAGIC: &[u8; 4] = b"PAR1";
 
-/// What a column holds.
+/// Type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Unsigned integers, 32 bits.
@@ -41,7 +41,7 @@ struct Column {
     values: Vec<u8>,
 }
 
-/// Where a column of a group is.
+/// Position of a column in a group.
 struct Chunk {
     offset: u64,
     length: u64,
@@ -62,10 +62,10 @@ pub struct Writer<W> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins a table.
+    /// Starts a table.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn new(mut out: W, columns: Vec<(String, Kind)>) -> io::Result<Self> {
         out.write_all(MAGIC)?;
         let column = |(name, kind)| Column {
@@ -82,10 +82,11 @@ impl<W: Write> Writer<W> {
         })
     }
 
-    /// Adds a row: a value for each column.
+    /// Adds a row: one value for each column.
     ///
     /// # Errors
-    /// Those of the sink; [`io::ErrorKind::InvalidInput`] for a value of another kind, or for too few or too many.
+    /// Errors of the sink; [`io::ErrorKind::InvalidInput`] for a value of the wrong kind, or for too few or too many
+    /// values.
     pub fn row(&mut self, fields: impl IntoIterator<Item = Field>) -> io::Result<()> {
         let mut fields = fields.into_iter();
         for column in &mut self.columns {
@@ -150,10 +151,10 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Writes what is left and the end of the file.
+    /// Writes the rest and the end of the file.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn finish(mut self) -> io::Result<W> {
         self.end_group()?;
         let metadata = self.metadata();
@@ -231,7 +232,7 @@ impl Kind {
         }
     }
 
-    /// Number of what it means, where that is more.
+    /// Number of the logical type, if there is one beside the physical type.
     fn converted(self) -> Option<i64> {
         match self {
             Self::Text => Some(0),
@@ -250,7 +251,7 @@ mod thrift {
     pub(super) const STRUCT: u8 = 12;
 }
 
-/// Appends the fields of a struct in Thrift's compact protocol; numbers of fields must rise.
+/// Appends the fields of a struct in Thrift's compact protocol; field numbers have to ascend.
 #[derive(Default)]
 struct Struct {
     bytes: Vec<u8>,
@@ -302,7 +303,8 @@ impl Struct {
         self
     }
 
-    /// A list of structs: `fill` puts the fields of the first and calls [`next`](Self::next) before those of each other.
+    /// A list of structs: `fill` writes the fields of the first and calls [`next`](Self::next) before those of each
+    /// further one.
     fn list(&mut self, number: u8, count: usize, fill: impl FnOnce(&mut Self)) -> &mut Self {
         self.field(number, thrift::LIST);
         self.list_head(count, thrift::STRUCT);
@@ -319,7 +321,7 @@ impl Struct {
         self.last = last;
     }
 
-    /// Ends a struct of a list and begins the one after it.
+    /// Ends a struct of a list and starts the next one.
     fn next(&mut self) {
         self.bytes.push(0);
         self.last = 0;
@@ -343,7 +345,7 @@ impl Struct {
         self.varint((value << 1 ^ value >> 63) as u64);
     }
 
-    /// Seven bits a byte, the lowest first.
+    /// Encodes seven bits in each byte, the lowest first.
     fn varint(&mut self, mut value: u64) {
         while value >= 0x80 {
             self.bytes.push(value as u8 | 0x80);

@@ -1,6 +1,6 @@
-//! Reads a recording, entry after entry.
+//! Reads a recording, entry by entry.
 //!
-//! Invariant: what cannot be read is counted and told, what can be read is given.
+//! Invariant: unreadable parts are counted and reported; all readable parts are returned.
 
 use super::mcap::{Ending, Notice, Reader, Source};
 use super::messages::{Event, Gap, Moment, State, TOPICS};
@@ -14,18 +14,18 @@ use std::path::Path;
 pub enum Entry {
     /// A millisecond.
     Moment(Moment),
-    /// Samples are missing here.
+    /// A gap: samples are missing here.
     Gap(Gap),
-    /// Where the controller stood.
+    /// State of the controller.
     State(State),
-    /// Something happened.
+    /// An event.
     Event(Event),
 }
 
-/// A recording that is being read.
+/// A recording being read.
 pub struct Playback<R> {
     reader: Reader<R>,
-    /// Messages that are none of a recording's.
+    /// Number of messages that do not belong to a recording.
     foreign: u64,
 }
 
@@ -33,7 +33,7 @@ impl Playback<BufReader<File>> {
     /// Opens a file.
     ///
     /// # Errors
-    /// It cannot be read, or is no MCAP file without compression.
+    /// The file cannot be read, or is not an uncompressed MCAP file.
     pub fn open(path: &Path) -> io::Result<Self> {
         Self::new(BufReader::new(File::open(path)?))
     }
@@ -50,9 +50,9 @@ impl<R: Source> Playback<R> {
         Ok(Self { reader, foreign: 0 })
     }
 
-    /// Leaves out what is earlier or later, s since the beginning of the recording.
+    /// Leaves out earlier and later entries, s since the beginning of the recording.
     pub fn select(&mut self, from_s: Option<f64>, to_s: Option<f64>) {
-        // The conversion ends at the largest number there is.
+        // The conversion saturates at the largest number.
         let ns = |seconds: f64| (seconds * 1e9).round() as u64;
         self.reader.select(from_s.map_or(0, ns), to_s.map_or(u64::MAX, ns));
     }
@@ -63,7 +63,7 @@ impl<R: Source> Playback<R> {
         toml::from_str(text).ok()
     }
 
-    /// A fact about the recording: `source`, `config_hash`, `program`.
+    /// A property of the recording: `source`, `config_hash`, `program`.
     pub fn fact(&self, name: &str) -> Option<&str> {
         let all = self.reader.metadata().iter().flat_map(|(_, entries)| entries);
         all.into_iter()
@@ -74,7 +74,7 @@ impl<R: Source> Playback<R> {
     /// The next entry and its time, s since the beginning of the recording; `None` at the end.
     ///
     /// # Errors
-    /// The file cannot be read any further.
+    /// The rest of the file cannot be read.
     pub fn next_entry(&mut self) -> io::Result<Option<(f64, Entry)>> {
         loop {
             let start_ns = self.reader.start_ns();
@@ -91,7 +91,7 @@ impl<R: Source> Playback<R> {
         }
     }
 
-    /// What was wrong with the file, in words; once there are no more entries.
+    /// Damage found in the file, in words; complete once there are no more entries.
     pub fn notices(&self) -> Vec<String> {
         let start_ns = self.reader.start_ns().unwrap_or(0);
         let seconds = |ns: u64| ns.saturating_sub(start_ns) as f64 / 1e9;
@@ -120,7 +120,7 @@ impl<R: Source> Playback<R> {
         notices
     }
 
-    /// Whether the file ends as it should, once there are no more entries.
+    /// Whether the file has its regular end, once there are no more entries.
     pub fn is_complete(&self) -> bool {
         self.reader.ending() == Some(Ending::Complete)
     }

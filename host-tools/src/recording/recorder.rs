@@ -1,9 +1,9 @@
-//! Writes what the firmware sends, as it comes.
+//! Writes the firmware's data as they arrive.
 //!
-//! Times in the file are the device's, on a time axis that begins when the recording does; a firmware that starts again
-//! goes on behind what there is. A chunk is closed for each second, so that a recorder that is killed has written all
-//! but the last one. Invariants: samples are written in order, each once; where some are missing, the file says so
-//! before the next one.
+//! Times in the file are the device's, on a time axis that starts with the recording; after a restart the firmware's
+//! samples continue behind the existing ones. A chunk is closed every second, so a recorder that is killed has written
+//! all but the last one. Invariants: samples are written in order, each once; a gap is recorded before the sample that
+//! follows it.
 
 use super::mcap::Writer;
 use super::messages::{EVENT, Event, GAP, Gap, Level, Moment, SAMPLE, STATUS, State, TOPICS};
@@ -17,18 +17,18 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, BufWriter, PipeWriter, Seek, SeekFrom, Write};
 
-/// Longest time in a chunk, ns.
+/// Longest duration of a chunk, ns.
 const CHUNK_NS: u64 = 1_000_000_000;
 /// Most bytes in a chunk.
 const CHUNK_BYTES: usize = 1 << 20;
 const MILLISECOND_NS: u64 = 1_000_000;
 
-/// Where a recording goes.
+/// Destination of a recording.
 pub trait Storage: Write {
-    /// Cuts off what could only be written in part.
+    /// Cuts off a partial write.
     ///
     /// # Errors
-    /// It cannot be cut.
+    /// The storage cannot be cut.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -52,7 +52,7 @@ impl Storage for BufWriter<File> {
     }
 }
 
-/// What went into a pipe cannot be taken back; the reader leaves out a record that does not end.
+/// Data written into a pipe cannot be taken back; the reader leaves out an incomplete record.
 impl Storage for PipeWriter {
     fn cut(&mut self, _: u64) -> io::Result<()> {
         Err(io::ErrorKind::Unsupported.into())
@@ -66,25 +66,25 @@ impl Storage for Vec<u8> {
     }
 }
 
-/// What a recording is of.
+/// Description of a recording.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// The configuration, which is stored in the file.
     pub config: &'a Config,
-    /// Where the samples come from: a port's name, `simulation`.
+    /// Source of the samples: a port's name, or `simulation`.
     pub source: &'a str,
-    /// When the recording begins, ns since 1970; 0 in virtual time, where the device's clock is the time axis.
+    /// Start time, ns since 1970; 0 in virtual time, where the device's clock is the time axis.
     pub begin_ns: u64,
 }
 
-/// What a recorder has written.
+/// Counters of a recorder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Written {
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples that did not come.
+    /// Number of missing samples.
     pub missing: u64,
-    /// Places where samples are missing.
+    /// Number of gaps.
     pub gaps: u64,
     /// Length of the file, bytes.
     pub bytes: u64,
@@ -98,25 +98,26 @@ pub struct Recorder<S> {
     age: usize,
     /// Stroke and pen of the last references, the oldest first.
     causes: VecDeque<(u32, Pen)>,
-    /// Device time of the last sample, ms, and where it is on the file's axis, ns.
+    /// Device time of the last sample, ms, and its place on the file's time axis, ns.
     last: Option<(u32, u64)>,
-    /// Where events are on the axis now, ns: as far behind the last sample as the wall's clock has gone since it came.
+    /// Present time on the file's axis for events, ns: the last sample's time plus the wall-clock time since its
+    /// arrival.
     now_ns: u64,
-    /// The wall's time now and when the last sample came, ns.
+    /// Wall-clock time now and at the arrival of the last sample, ns.
     wall_ns: [u64; 2],
     mode: Option<Mode>,
     fault: Option<Fault>,
-    /// What was taken, and what of it is in the file.
+    /// Data taken, and the part of it that is in the file.
     taken: Written,
     written: Written,
     message: Vec<u8>,
 }
 
 impl<S: Storage> Recorder<S> {
-    /// Begins a recording.
+    /// Starts a recording.
     ///
     /// # Errors
-    /// Those of the storage.
+    /// Errors of the storage.
     pub fn new(storage: S, about: &About) -> io::Result<Self> {
         let library = concat!("etherpen ", env!("CARGO_PKG_VERSION"));
         let mut writer = Writer::new(storage, &TOPICS, library)?;
@@ -150,7 +151,7 @@ impl<S: Storage> Recorder<S> {
         })
     }
 
-    /// Tells the time of the wall, ns since 1970, before what comes now. In virtual time it is not called.
+    /// Sets the wall-clock time, ns since 1970, for the following data. Not called in virtual time.
     pub fn set_time(&mut self, wall_ns: u64) {
         let [_, at_sample_ns] = self.wall_ns;
         self.wall_ns = [wall_ns, at_sample_ns];
@@ -160,10 +161,10 @@ impl<S: Storage> Recorder<S> {
         };
     }
 
-    /// Writes samples that follow each other; `missing` are known to be lost before them.
+    /// Writes consecutive samples; `missing` samples before them are known to be lost.
     ///
     /// # Errors
-    /// Those of the storage; what was written before stays readable.
+    /// Errors of the storage; data written before stay readable.
     pub fn samples(&mut self, missing: u32, samples: &[Sample]) -> io::Result<()> {
         for (k, sample) in samples.iter().enumerate() {
             self.sample(if k == 0 { missing } else { 0 }, sample)?;
@@ -198,10 +199,10 @@ impl<S: Storage> Recorder<S> {
         Ok(())
     }
 
-    /// The sample's place on the time axis, after what is to be said about it: a gap, a start of the firmware.
+    /// The sample's place on the time axis, after recording a gap or a restart of the firmware.
     fn place(&mut self, missing: u32, sample: &Sample) -> io::Result<u64> {
         let Some((last_ms, last_ns)) = self.last else {
-            // In virtual time the axis is the device's.
+            // In virtual time the device's time is the axis.
             let begin_ns = if self.now_ns == 0 {
                 u64::from(sample.t_ms) * MILLISECOND_NS
             } else {
@@ -254,10 +255,10 @@ impl<S: Storage> Recorder<S> {
         self.now_ns = time_ns;
     }
 
-    /// Writes where the controller stands.
+    /// Writes the state of the controller.
     ///
     /// # Errors
-    /// Those of the storage.
+    /// Errors of the storage.
     pub fn status(&mut self, status: &Status) -> io::Result<()> {
         let fault = status.fault.as_ref().map_or_else(String::new, text::fault);
         if self.fault != status.fault {
@@ -283,10 +284,10 @@ impl<S: Storage> Recorder<S> {
         self.put(STATUS, self.now_ns)
     }
 
-    /// Writes that something has happened.
+    /// Writes an event.
     ///
     /// # Errors
-    /// Those of the storage.
+    /// Errors of the storage.
     pub fn event(&mut self, level: Level, name: &str, text: &str) -> io::Result<()> {
         self.event_at(self.now_ns, level, name, text)
     }
@@ -302,7 +303,7 @@ impl<S: Storage> Recorder<S> {
         self.put(EVENT, time_ns)
     }
 
-    /// Puts the message that was encoded into its channel.
+    /// Puts the encoded message into its channel.
     fn put(&mut self, channel: u16, time_ns: u64) -> io::Result<()> {
         let (bytes, begin_ns) = self.writer.open_chunk();
         let long = begin_ns.is_some_and(|begin_ns| time_ns.saturating_sub(begin_ns) >= CHUNK_NS);
@@ -317,32 +318,32 @@ impl<S: Storage> Recorder<S> {
         Ok(())
     }
 
-    /// Writes what there is.
+    /// Writes all pending data.
     ///
     /// # Errors
-    /// Those of the storage; what was written before stays readable.
+    /// Errors of the storage; data written before stay readable.
     pub fn flush(&mut self) -> io::Result<()> {
         let result = self.writer.flush();
         self.keep_whole(result)
     }
 
-    /// Writes what is left and the end of the file; nothing may follow. Also after an error, to leave a whole file where
-    /// there is room for its end.
+    /// Writes the rest and the end of the file; nothing may follow. Also called after an error, to leave a complete
+    /// file if there is room for its end.
     ///
     /// # Errors
-    /// Those of the storage; what was written before stays readable.
+    /// Errors of the storage; data written before stay readable.
     pub fn finish(&mut self) -> io::Result<Written> {
         self.flush()?;
         let whole = self.writer.whole_bytes();
         if let Err(error) = self.writer.finish() {
-            // A storage that cannot be cut ends with a part of a record, which readers leave out.
+            // A storage that cannot be cut ends with a partial record, which readers leave out.
             let _ = self.writer.sink_mut().cut(whole);
             return Err(error);
         }
         Ok(self.written())
     }
 
-    /// What is in the file.
+    /// Counters of the data in the file.
     pub fn written(&self) -> Written {
         Written {
             bytes: self.writer.whole_bytes(),
@@ -350,7 +351,7 @@ impl<S: Storage> Recorder<S> {
         }
     }
 
-    /// What was taken: with what is not in the file yet, or never will be.
+    /// Counters of the data taken, including data that are not yet in the file, or never will be.
     pub fn taken(&self) -> Written {
         self.taken
     }

@@ -1,7 +1,8 @@
-//! The signals of a recording by their names, which are the columns of `telemetry.csv`, and what follows from them.
+//! The signals of a recording by name: the columns of `telemetry.csv`, and values derived from them.
 //!
-//! Beside the columns there is `q1_error_rad` and so on: the reference that a measured angle answers to minus the angle,
-//! which is what the controller acts on. Invariant: a value that needs samples before a gap is missing, not wrong.
+//! Beside the columns there are `q1_error_rad` and so on: the reference to which a measured angle belongs minus the
+//! angle, which is the input of the controller. Invariant: a value that needs samples from before a gap is missing, not
+//! wrong.
 
 use super::messages::{Moment, axes, mode_number};
 use etherpen::application::Mode;
@@ -10,12 +11,12 @@ use etherpen::motion::Pen;
 use etherpen::robot::AXES;
 use std::collections::VecDeque;
 
-/// Difference between the firmware's speed and that of the positions at which the position has jumped, rad/s.
+/// Difference between the firmware's speed and that of the positions above which the position counts as jumped, rad/s.
 const JUMP_RAD_S: f32 = 2.0;
 /// Place of the measured speed among the columns of an axis.
 const MEASURED_SPEED: usize = 3;
 
-/// What a signal is.
+/// Quantity of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Quantity {
     Time,
@@ -33,9 +34,9 @@ enum Quantity {
 /// One signal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Signal {
-    /// Its name, with its unit at the end.
+    /// Name, with the unit at the end.
     pub name: String,
-    /// Its unit, empty for a number or a state.
+    /// Unit; empty for a number or a state.
     pub unit: &'static str,
     quantity: Quantity,
 }
@@ -47,9 +48,9 @@ pub enum Value {
     Whole(u32),
     /// An operating mode.
     Mode(Mode),
-    /// A measurement, with the decimals it is written with.
+    /// A measurement, with its number of decimals.
     Real(f64, usize),
-    /// It needs samples that are missing.
+    /// The value needs samples that are missing.
     Missing,
 }
 
@@ -74,22 +75,22 @@ impl Signal {
         }
     }
 
-    /// Whether it is a state: its values are no quantities between which there are others.
+    /// Whether the signal is a state, whose values cannot be interpolated.
     pub fn is_state(&self) -> bool {
         matches!(self.quantity, Quantity::Mode | Quantity::Stroke | Quantity::Pen)
     }
 
-    /// Whether it is the operating mode.
+    /// Whether the signal is the operating mode.
     pub fn is_mode(&self) -> bool {
         self.quantity == Quantity::Mode
     }
 
-    /// Whether it is the device's time.
+    /// Whether the signal is the device's time.
     pub fn is_time(&self) -> bool {
         self.quantity == Quantity::Time
     }
 
-    /// The axis whose measured speed it is.
+    /// The axis of a measured speed.
     pub fn measured_speed(&self) -> Option<usize> {
         match self.quantity {
             Quantity::Axis(axis, MEASURED_SPEED) => Some(axis),
@@ -97,12 +98,12 @@ impl Signal {
         }
     }
 
-    /// Whether it is a count or a state, without a fraction.
+    /// Whether the signal is a count or a state, without a fraction.
     pub fn is_whole(&self) -> bool {
         self.is_time() || self.is_state()
     }
 
-    /// Whether its values are measured or referenced in single precision.
+    /// Whether its values are measured or reference values in single precision.
     pub fn is_single(&self) -> bool {
         matches!(self.quantity, Quantity::Axis(..))
     }
@@ -142,7 +143,7 @@ pub fn errors() -> [Signal; AXES] {
 /// The signals with these names, separated by commas; `*` stands for any characters.
 ///
 /// # Errors
-/// A name that no signal has, with all names there are.
+/// An unknown name, with all known names.
 pub fn named(list: &str) -> Result<Vec<Signal>, String> {
     let all: Vec<Signal> = columns().into_iter().chain(errors()).collect();
     let mut chosen: Vec<Signal> = Vec::new();
@@ -164,7 +165,7 @@ pub fn named(list: &str) -> Result<Vec<Signal>, String> {
     Ok(chosen)
 }
 
-/// Whether a name is the pattern, in which `*` stands for any characters.
+/// Whether a name matches the pattern, in which `*` stands for any characters.
 fn matches(pattern: &str, name: &str) -> bool {
     let Some((before, after)) = pattern.split_once('*') else {
         return pattern == name;
@@ -175,7 +176,7 @@ fn matches(pattern: &str, name: &str) -> bool {
     (0..=rest.len()).any(|skipped| rest.get(skipped..).is_some_and(|tail| matches(after, tail)))
 }
 
-/// Gives the values of signals, sample after sample.
+/// Computes the values of signals, sample by sample.
 pub struct Evaluator {
     /// Age of each axis' measurement when it is compared with its reference, samples.
     ages: [usize; AXES],
@@ -186,7 +187,7 @@ pub struct Evaluator {
 }
 
 impl Evaluator {
-    /// Values under this configuration; the built-in one where a file has none.
+    /// An evaluator for this configuration; the built-in one if the file has none.
     pub fn new(config: Option<&Config>) -> Self {
         let default = Config::default();
         let axes = &config.unwrap_or(&default).axes;
@@ -201,14 +202,14 @@ impl Evaluator {
         }
     }
 
-    /// Samples are missing here.
+    /// Takes that samples are missing here.
     pub fn interrupt(&mut self) {
         self.references_rad.clear();
         self.measured_rad = None;
     }
 
-    /// Takes the next sample. Where a position jumps without a speed, its reference was taken: references from before
-    /// stand for other angles.
+    /// Takes the next sample. Where a position jumps without a speed, a reference was taken: earlier references belong
+    /// to other angles.
     pub fn take(&mut self, moment: &Moment) {
         let sample = &moment.sample;
         let has_jumped = |before_rad: &[f32; AXES]| {
@@ -225,7 +226,7 @@ impl Evaluator {
         self.references_rad.truncate(oldest + 1);
     }
 
-    /// The value of a signal in the sample that was taken last.
+    /// The value of a signal in the last sample.
     pub fn value(&self, signal: &Signal, moment: &Moment) -> Value {
         let sample = &moment.sample;
         match signal.quantity {

@@ -1,7 +1,7 @@
-//! What a recording amounts to: duration, gaps, extremes of every signal, following errors, time in each mode.
+//! Statistics of a recording: duration, gaps, extremes of every signal, following errors, time in each mode.
 //!
-//! Invariants: one pass, and memory that does not depend on the length; a jump of a measured position, as where a
-//! reference is taken, is no speed.
+//! Invariants: one pass, with memory independent of the length; a jump of a measured position, as when a reference is
+//! taken, does not count as a speed.
 
 use super::mcap::Source;
 use super::messages::{MODES, Moment, mode_number};
@@ -13,7 +13,7 @@ use etherpen::robot::AXES;
 use serde::Serialize;
 use std::io;
 
-/// Figures of one signal.
+/// Statistics of one signal.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SignalStatistics {
     /// Its name.
@@ -30,39 +30,39 @@ pub struct SignalStatistics {
     pub rms: f64,
 }
 
-/// Time in one mode.
+/// Time spent in one mode.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ModeDuration {
-    /// Which.
+    /// The mode.
     pub mode: Mode,
     /// Time, s: a millisecond for each sample.
     pub seconds: f64,
 }
 
-/// Figures of a recording.
+/// Statistics of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Statistics {
-    /// Where the samples came from.
+    /// Source of the samples.
     pub source: String,
-    /// From the first to the last sample, s.
+    /// Duration from the first to the last sample, s.
     pub duration_s: f64,
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples that are missing.
+    /// Number of missing samples.
     pub missing: u64,
-    /// Places where samples are missing.
+    /// Number of gaps.
     pub gaps: u64,
-    /// Status messages.
+    /// Number of status messages.
     pub statuses: u64,
-    /// Events.
+    /// Number of events.
     pub events: u64,
-    /// Whether the file ends as it should.
+    /// Whether the file has its regular end.
     pub complete: bool,
     /// Largest following error of each axis while the robot follows a path or a move, rad.
     pub following_error_max_rad: [f64; AXES],
     /// Time in each mode that occurred.
     pub modes: Vec<ModeDuration>,
-    /// Figures of each measured and referenced signal.
+    /// Statistics of each measured and reference signal.
     pub signals: Vec<SignalStatistics>,
 }
 
@@ -108,13 +108,13 @@ impl Sums {
     }
 }
 
-/// Accelerations of a jump: so many times what the axis is planned with.
+/// Acceleration of a jump, as a multiple of the axis's planned acceleration.
 const JUMP: f64 = 8.0;
 /// Time between two samples, s.
 const SAMPLE_S: f64 = 0.001;
 
-/// Finds samples in which a measured position jumps: its speed is away from those before and after, in the same direction,
-/// farther than any motor accelerates. Each sample comes out when the next one is known.
+/// Finds samples in which a measured position jumps: its speed differs from those before and after, in one direction,
+/// by more than any motor can accelerate. Each sample is returned when the next one is known.
 struct Jumps {
     limits_rad_s: [f64; AXES],
     before_rad_s: Option<[f32; AXES]>,
@@ -134,14 +134,14 @@ impl Jumps {
         }
     }
 
-    /// Takes the next sample; gives the one before it.
+    /// Takes the next sample; returns the previous one.
     fn take(&mut self, time_s: f64, moment: Moment) -> Option<Settled> {
         let settled = self.settle(Some(moment.sample.measured_rad_s));
         self.held = Some((time_s, moment));
         settled
     }
 
-    /// No sample follows at once; gives the last.
+    /// Handles a gap after the last sample; returns that sample.
     fn interrupt(&mut self) -> Option<Settled> {
         let settled = self.settle(None);
         self.before_rad_s = None;
@@ -164,7 +164,7 @@ impl Jumps {
     }
 }
 
-/// What is counted up.
+/// Accumulators of the statistics.
 struct Counting {
     evaluator: Evaluator,
     signals: Vec<Signal>,
@@ -178,7 +178,7 @@ impl Counting {
         figures.samples += 1;
         self.span_s = Some((self.span_s.map_or(time_s, |(first, _)| first), time_s));
         if jumped.contains(&true) {
-            // References from before stand for other angles.
+            // Earlier references belong to other angles.
             self.evaluator.interrupt();
         }
         self.evaluator.take(&moment);
@@ -202,10 +202,10 @@ impl Counting {
     }
 }
 
-/// Computes the figures of what is left of a recording.
+/// Computes the statistics of the rest of a recording.
 ///
 /// # Errors
-/// The recording cannot be read any further.
+/// The rest of the recording cannot be read.
 pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistics> {
     let config = playback.config();
     let signals = columns().into_iter().filter(|signal| !signal.is_whole());

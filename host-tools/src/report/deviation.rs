@@ -1,7 +1,7 @@
-//! How far points lie from the strokes they were meant to draw, and where ink is missing.
+//! Distances of points from the strokes that they should draw, and missing ink.
 //!
-//! A point is compared with its own stroke, in order along it ([`matching`](crate::matching)): a drawing whose lines lie
-//! close together, or on top of each other, would otherwise find a neighbour near every point.
+//! A point is compared with its own stroke, in order along it ([`matching`](crate::matching)); in a drawing with lines
+//! close together, or on top of each other, every point would otherwise be near some neighbour.
 //!
 //! Invariant: no distance is taken to a stroke other than the point's own.
 
@@ -9,30 +9,30 @@ use crate::matching::{Line, Match, Step, distance};
 use etherpen::robot::Position;
 use std::collections::HashMap;
 
-/// Intended ink counts as missing where no ink is within this distance, mm.
+/// Distance within which there has to be ink, mm; otherwise the intended ink counts as missing.
 const INK_REACH_MM: f64 = 0.5;
-/// Distance of the points at which intended ink is looked for, mm.
+/// Distance between the points at which intended ink is checked, mm.
 const INK_STEP_MM: f64 = 0.1;
 /// Points of a line of ink are at most this far apart where ink is looked for, mm.
 const INK_DENSE_MM: f64 = 0.25;
-/// A part of a stroke between two points counts as left out when it is farther than this from the straight way between
-/// them, mm: corners are rounded by less.
+/// Distance from the straight line between two points beyond which a part of a stroke counts as left out, mm: corners
+/// are rounded by less.
 const LEFT_OUT_MM: f64 = 0.3;
-/// Points that begin within this distance of their stroke's begin are taken to begin there, mm; others go on somewhere
-/// along it, where a hold had interrupted them.
+/// Distance of points from the beginning of their stroke within which they are taken to begin there, mm; others
+/// continue somewhere along the stroke after a hold.
 const BEGIN_MM: f64 = 2.0;
-/// Distance within which a line of ink looks for its stroke first, mm, and how much farther each further look goes.
+/// Distance within which a line of ink first searches its stroke, mm, and the increase of each further search.
 const INK_NEAR_MM: f64 = 1.0;
 const INK_FARTHER: f64 = 4.0;
-/// Distance beyond which no line of ink looks, mm.
+/// Largest search distance of a line of ink, mm.
 const INK_FAR_MM: f64 = 1e4;
-/// How far back along its stroke a line of ink may begin behind the end of the one before, mm.
+/// How far back along its stroke a line of ink may begin behind the end of the previous one, mm.
 const INK_BACK_MM: f64 = 0.5;
 
 /// A drawn polyline with its stroke's number.
 pub type NumberedStroke = (u32, Vec<Position>);
 
-/// Largest distance and root of the mean square, mm; not a number where there was no point.
+/// Largest distance and root of the mean square, mm; NaN without any point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Deviation {
     pub(super) max_mm: f64,
@@ -78,7 +78,7 @@ impl Distances {
     }
 }
 
-/// A moment of a stroke: where the platform was to be, and where it was.
+/// One millisecond of a stroke: commanded and measured position of the platform.
 #[derive(Clone, Copy)]
 pub(super) struct Moment {
     /// Milliseconds since the firmware started.
@@ -89,7 +89,7 @@ pub(super) struct Moment {
 }
 
 /// Distances of references and of measured positions from their strokes. `speed_mm_s` is the largest speed along a
-/// stroke: it bounds how far the motion came where moments are missing.
+/// stroke: it bounds the distance covered where moments are missing.
 pub(super) fn deviation(moments: &[Moment], strokes: &[NumberedStroke], speed_mm_s: f64) -> (Deviation, Deviation) {
     let (mut references, mut measured) = (Distances::default(), Distances::default());
     let lines: HashMap<u32, &Vec<Position>> = strokes.iter().rev().map(|(stroke, points)| (*stroke, points)).collect();
@@ -123,7 +123,7 @@ fn steps(moments: &[Moment], place: fn(&Moment) -> Position, speed_mm_s: f64) ->
     moments.iter().map(&mut step).collect()
 }
 
-/// Where along a line positions may begin: at its begin, or anywhere if they do not begin near that.
+/// Where along a line positions may begin: at its beginning, or anywhere if they do not begin near that.
 fn beginning(line: &Line, steps: &[Step]) -> [f64; 2] {
     let is_at_begin = |step: &Step| line.distance_between(&step.position, 0.0, 0.0) <= BEGIN_MM;
     match steps.first().is_some_and(is_at_begin) {
@@ -132,13 +132,13 @@ fn beginning(line: &Line, steps: &[Step]) -> [f64; 2] {
     }
 }
 
-/// A line of ink on a stroke that it may belong to.
+/// A stroke to which a line of ink may belong.
 struct Candidate {
     stroke: usize,
     matched: Match,
     /// Sum of the squares of this line's and all earlier lines' distances, mm2; infinite where their order forbids it.
     sum_mm2: f64,
-    /// Which candidate of the line before goes with it.
+    /// Candidate of the previous line that goes with this one.
     before: usize,
 }
 

@@ -1,16 +1,16 @@
-//! The virtual cell, and a station on its cable that speaks another protocol.
+//! The virtual cell, with a foreign station on its cable.
 
 use crate::cell::{Cell, Script};
 use crate::emulator::Segment;
 
-/// Where the EtherType is in an Ethernet frame, bytes.
+/// Position of the EtherType in an Ethernet frame, bytes.
 const ETHER_TYPE: std::ops::Range<usize> = 12..14;
 /// The EtherType of the firmware's requests for foreign frames.
 const REQUEST: [u8; 2] = [0x88, 0xB5];
-/// EtherTypes of the frames that are sent in answer: ARP, IPv4, and the one for local experiments.
+/// EtherTypes of the frames sent as answers: ARP, IPv4, and the one for local experiments.
 const ANSWERS: [[u8; 2]; 3] = [[0x08, 0x06], [0x08, 0x00], REQUEST];
 
-/// A frame of another protocol before every reply, if wanted.
+/// A foreign frame before every reply, if requested.
 pub(super) fn faults(foreign: bool) -> Script {
     let script = if foreign { "every 1 foreign" } else { "" };
     script.parse().unwrap_or_default()

@@ -1,8 +1,9 @@
-//! How late the critical tasks ever are: the firmware in the emulator, at rest and under every load it can make itself.
+//! Latency of the critical tasks: the firmware in the emulator, at rest and under every load that it can generate.
 //!
-//! Repeats the measurement of *Using Real-time Java for Industrial Robot Control*: the fraction of the requests that are
-//! not serviced within a time, without and with disturbance. The firmware measures itself (`etherpen::measurement`), its
-//! histograms are read over the link at the end, and nothing depends on the speed of this computer.
+//! Repeats the measurement of *Using Real-time Java for Industrial Robot Control*: the fraction of the requests that
+//! are not serviced within a time, without and with disturbance. The firmware measures itself
+//! (`etherpen::measurement`), its histograms are read over the link at the end, and no result depends on the speed of
+//! this computer.
 //!
 //! Invariant: a run counts only if it kept its period: every millisecond had a release.
 
@@ -27,21 +28,21 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// What the firmware is loaded with.
+/// Artificial loads of the firmware.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Disturbance {
     /// The serial link full in both directions.
     pub serial: bool,
     /// The planner on a path that keeps its window full.
     pub planner: bool,
-    /// Log lines all the time.
+    /// Continuous log output.
     pub log: bool,
     /// Foreign frames around every release.
     pub network: bool,
 }
 
 impl Disturbance {
-    /// All of them.
+    /// All loads.
     pub const ALL: Self = Self {
         serial: true,
         planner: true,
@@ -49,7 +50,7 @@ impl Disturbance {
         network: true,
     };
 
-    /// What the firmware is asked for.
+    /// Bits of the request to the firmware.
     fn bits(self) -> u8 {
         let bit = |on: bool, bit: u8| if on { bit } else { 0 };
         bit(self.serial, disturbance::SERIAL)
@@ -82,27 +83,27 @@ impl std::str::FromStr for Disturbance {
     }
 }
 
-/// What keeps the critical tasks from being held back.
+/// Isolation of the critical tasks from the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Isolation {
     /// Critical sections mask everything but the critical tasks.
     Basepri,
-    /// Critical sections mask everything: nothing.
+    /// Critical sections mask everything; the critical tasks are not isolated.
     Primask,
 }
 
-/// What is to be measured.
+/// Plan of the measurement.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Cycles of each run.
     pub cycles: u64,
     /// The load of the second run.
     pub disturbance: Disturbance,
-    /// Whether the firmware is measured without any load, too.
+    /// Whether to measure the firmware without load too.
     pub at_rest: bool,
-    /// With `Primask` the loaded run is repeated without protection.
+    /// With `Primask` the loaded run is repeated without isolation.
     pub isolation: Isolation,
-    /// The highest loop rate that is tried, kHz: 1, 2, 4 or 8.
+    /// Highest loop rate to try, kHz: 1, 2, 4 or 8.
     pub rate_khz: u32,
     /// One instruction takes 2^shift ns of virtual time.
     pub instruction_shift: u8,
@@ -116,26 +117,26 @@ pub(crate) struct Case {
     pub(crate) rate_khz: u32,
 }
 
-/// What a run came to.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) case: Case,
     pub(crate) readings: Readings,
-    /// What was counted during the measurement alone.
+    /// Counters of the measurement alone.
     pub(crate) counters: Counters,
 }
 
-/// Time the firmware gets to settle under its load before it is measured, ms.
+/// Settling time of the firmware under its load before the measurement, ms.
 const SETTLE_MS: u32 = 1_000;
 /// Wall time without any progress after which a run is given up.
 const ANSWER_WITHIN: Duration = Duration::from_secs(60);
-/// Wall time between two looks at a run.
+/// Wall time between two checks of a run.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Measures; `progress` is told what is being done.
+/// Runs the measurements; `progress` gets a description of each step.
 ///
 /// # Errors
-/// A tool is missing, the emulator ended, or the firmware came to a fault.
+/// A tool is missing, the emulator ended, or the firmware had a fault.
 pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport, BenchError> {
     setup::ensure_qemu()?;
     let mut runs = Vec::new();
@@ -159,7 +160,7 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport,
         };
         runs.push(measure(plan, unprotected, &mut progress)?);
     }
-    // The path is planned for a loop of 1 kHz: faster, it would be driven faster than the drives follow.
+    // The path is planned for a loop of 1 kHz: at a higher rate it would be too fast for the drives.
     case.disturbance.planner = false;
     for rate_khz in [2, 4, 8].into_iter().filter(|rate_khz| *rate_khz <= plan.rate_khz) {
         let faster = measure(plan, Case { rate_khz, ..case }, &mut progress)?;
@@ -172,7 +173,7 @@ pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport,
     Ok(rows::report(plan, &runs))
 }
 
-/// Builds the image of a case: the emulated board, or a variant of it in a folder of its own.
+/// Builds the image of a case: the emulated board, or a variant of it in a separate folder.
 fn image(case: Case) -> Result<PathBuf, BenchError> {
     let rate = format!("rate-{}khz", case.rate_khz);
     let mut features = Vec::new();
@@ -210,7 +211,7 @@ fn measure_image(
     let peer = Arc::new(Mutex::new(Peer::new(config, case.disturbance, SETTLE_MS, milliseconds)));
     let emulator_options = EmulatorOptions {
         instruction_shift: plan.instruction_shift,
-        // The log is a load here, not a text.
+        // The log is only a load here; it is not decoded.
         decode_log: !case.disturbance.log,
         answer_within: ANSWER_WITHIN,
         ..EmulatorOptions::default()

@@ -1,7 +1,7 @@
-//! The host of a measured firmware: brings the robot to work, waits, and reads the histograms.
+//! The host of a measured firmware: prepares the robot, waits, and reads the histograms.
 //!
-//! Invariant: what is counted covers all of what is in the histograms: it begins at the last status before the reset and
-//! ends at the first status behind the measurement.
+//! Invariant: the counters cover everything in the histograms: they start at the last status before the reset and end
+//! at the first status after the measurement.
 
 use super::Disturbance;
 use crate::emulator::{LINK_BYTES_MAX, Link};
@@ -16,11 +16,11 @@ use std::sync::Arc;
 
 /// Time between two inquiries, ms.
 const INQUIRE_MS: u32 = 50;
-/// Time before a refused command is tried again, ms.
+/// Time before a refused command is repeated, ms.
 const RETRY_MS: u32 = 100;
-/// Longest time of every step but the measurement, ms.
+/// Time limit of every step except the measurement, ms.
 const STEP_MAX_MS: u32 = 60_000;
-/// Vertices of the path that keeps the planner busy; it is drawn again and again.
+/// Vertices of the path that keeps the planner busy; it is drawn repeatedly.
 const PATH_VERTICES: usize = 4_000;
 /// Longest leg of that path, micrometres.
 const LEG_MAX_UM: u64 = 600;
@@ -32,17 +32,17 @@ const DOWN_UM: i32 = -850_000;
 /// Seed of the path.
 const SEED: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub(super) enum Outcome {
-    /// What was measured and counted.
+    /// The run was measured.
     Measured {
         /// The histograms.
         readings: Readings,
         /// The counters' growth.
         counters: Counters,
     },
-    /// Why nothing was.
+    /// The run failed, with the reason.
     Failed(String),
 }
 
@@ -107,7 +107,7 @@ impl Peer {
         }
     }
 
-    /// How the run ended, once.
+    /// Result of the run; returned once.
     pub(super) fn take_outcome(&mut self) -> Option<Outcome> {
         self.outcome.take()
     }
@@ -270,7 +270,7 @@ impl Link for Peer {
     }
 }
 
-/// What was counted between two readings.
+/// Increase of the counters between two readings.
 fn growth(before: &Counters, after: &Counters) -> Counters {
     Counters {
         cycles: after.cycles.wrapping_sub(before.cycles),
@@ -287,7 +287,7 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
     }
 }
 
-/// Short legs in directions without a pattern: many corners in the planner's window, each with its own speed.
+/// Short legs in random directions: many corners in the planner's window, each with its own speed.
 fn path() -> Vec<PathVertex> {
     let mut state = SEED;
     let mut random = |below: u64| {

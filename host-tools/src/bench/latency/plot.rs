@@ -1,7 +1,7 @@
-//! The fraction of requests not serviced within a time, as a picture with logarithmic axes.
+//! Plot of the fraction of requests not serviced within a time, with logarithmic axes.
 //!
-//! Two panels: from the release to the reply served, as in the paper's figures 7 and 8, and the delay of the release
-//! itself, where a critical section that masks too much shows first.
+//! Two panels: from the release until the reply is served, as in the paper's figures 7 and 8, and the delay of the
+//! release itself, where a critical section that masks too much shows first.
 
 use super::{Curve, LatencyReport};
 use std::fmt::Write;
@@ -16,9 +16,9 @@ const LEGEND_LINE: f64 = 22.0;
 const BOTTOM: f64 = 64.0;
 /// Colours that differ for most eyes and in grey print (Okabe and Ito, 2008).
 const COLOURS: [&str; 6] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"];
-/// Lines of different runs may lie on each other; dashes let both be seen.
+/// Curves of different runs may coincide; dashes keep both visible.
 const DASHES: [&str; 6] = ["", "9 5", "2 4", "12 4 2 4", "5 3", "1 3"];
-/// Times below this share the left edge, ns: a count of the board's timer.
+/// Times below this are drawn at the left edge, ns: a count of the board's timer.
 const FLOOR_NS: f64 = 40.0;
 const PANELS: [(&str, &str); 2] = [
     ("total_delay", "Release to reply served"),
@@ -86,7 +86,7 @@ pub fn svg(report: &LatencyReport) -> String {
 fn panel(text: &mut String, top: f64, title: &str, curves: &[&Curve]) {
     let points = || curves.iter().flat_map(|curve| curve.points.iter());
     let times = || points().map(|(ns, _)| ns.max(FLOOR_NS).log10());
-    // A curve that begins at the edge would lie on it.
+    // A curve that begins at the edge would coincide with it.
     let from = (times().fold(f64::INFINITY, f64::min) - 0.15).floor();
     let to = times().fold(f64::NEG_INFINITY, f64::max);
     if !from.is_finite() || !to.is_finite() {

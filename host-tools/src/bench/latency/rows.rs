@@ -1,4 +1,4 @@
-//! From histograms and counters to figures with their bounds.
+//! Converts histograms and counters into figures with their bounds.
 //!
 //! Invariant: every bound is checked against the largest value that occurred, never against a mean or a quantile.
 
@@ -8,25 +8,25 @@ use crate::link::measurement::Distribution;
 use etherpen::measurement::Quantity;
 use serde::Serialize;
 
-/// Most instructions by which the release may move when foreign frames are on the wire: one run of `bus_frame`.
+/// Most instructions by which a release may move with foreign frames on the wire: one run of `bus_frame`.
 pub(super) const JITTER_FOREIGN_MAX_INSTRUCTIONS: f64 = 1_500.0;
 /// Most instructions of all critical tasks in a millisecond.
 const CRITICAL_PATH_MAX_INSTRUCTIONS: f64 = 4_000.0;
 /// Most instructions of the trajectory task in a release.
 const PLANNER_MAX_INSTRUCTIONS: f64 = 900_000.0;
-/// An output telegram is late when it is not with the MAC after this share of the period: 500 us at 1 kHz.
+/// Share of the period after which an output telegram that the MAC does not have is late: 500 us at 1 kHz.
 const LATE_SHARE: f64 = 0.5;
-/// A release was left out when the time between two is longer than this many periods.
+/// Time between two releases, in periods, beyond which a release counts as missed.
 const LEFT_OUT: f64 = 1.5;
 const NS_PER_MS: f64 = 1e6;
 const NS_PER_S: f64 = 1e9;
 
-/// A measured distribution, ready to be drawn.
+/// A measured distribution, ready to plot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
     /// The run.
     pub label: String,
-    /// What was measured: `total_delay`, `send_delay`, `round_trip`, `release_delay`.
+    /// The quantity: `total_delay`, `send_delay`, `round_trip`, `release_delay`.
     pub quantity: &'static str,
     /// A time, ns, and the fraction of the requests not serviced within it.
     pub points: Vec<(f64, f64)>,
@@ -47,7 +47,7 @@ pub struct LatencyReport {
     pub curves: Vec<Curve>,
 }
 
-/// The run for people, and behind the names of its figures.
+/// Name of the run, for display and as a suffix of its figures.
 pub(crate) fn name(case: Case) -> String {
     let Disturbance {
         serial,
@@ -84,7 +84,7 @@ fn period_ns(case: Case) -> f64 {
     NS_PER_MS / f64::from(case.rate_khz)
 }
 
-/// Cycles whose output was late, and releases that were left out.
+/// Cycles with late output, plus missed releases.
 pub(crate) fn late(measured: &Measured) -> u64 {
     let above = |quantity, limit_ns: f64| {
         measured.readings.of(quantity).map_or(0, |distribution| {
@@ -97,7 +97,7 @@ pub(crate) fn late(measured: &Measured) -> u64 {
     seen.max(measured.counters.cycles_late.into())
 }
 
-/// By how much the releases moved, instructions; at the resolution of the board's counter.
+/// Range by which the releases moved, instructions; at the resolution of the board's counter.
 pub(crate) fn jitter_instructions(measured: &Measured, shift: u8) -> Option<f64> {
     let delay = measured.readings.of(Quantity::ReleaseDelay)?;
     Some(instructions(delay, delay.largest - delay.smallest, shift))
@@ -117,7 +117,7 @@ fn jitter_target(measured: &Measured, shift: u8) -> Option<f64> {
     })
 }
 
-/// What follows the names of a run's figures; nothing for the run that was asked for.
+/// Suffix of a run's figures; empty for the requested run.
 fn suffix(plan: &Plan, case: Case) -> String {
     if case.rate_khz > 1 {
         return format!("/{}khz", case.rate_khz);
@@ -199,7 +199,7 @@ fn run_rows(plan: &Plan, measured: &Measured, rows: &mut Vec<Row>) {
             row(case, ns(distribution, distribution.largest.into()), "ns", None);
         }
     }
-    // Counted with its lateness: 0 when none was late.
+    // Counted in its lateness: 0 when none was late.
     if let Some(lateness) = readings.of(Quantity::Lateness) {
         row("lateness_max_ns", ns(lateness, lateness.largest.into()), "ns", None);
     }
@@ -241,7 +241,7 @@ fn curves(measured: &Measured, curves: &mut Vec<Curve>) {
 /// All figures and curves.
 pub(super) fn report(plan: &Plan, runs: &[Measured]) -> LatencyReport {
     let (mut rows, mut all) = (Vec::new(), Vec::new());
-    // The run that was asked for comes first.
+    // The requested run comes first.
     let order = |measured: &&Measured| !suffix(plan, measured.case).is_empty();
     let mut ordered: Vec<&Measured> = runs.iter().collect();
     ordered.sort_by_key(order);

@@ -1,25 +1,25 @@
 //! Peers that plan with junction deviation: Klipper's and grbl's formulas, on the polyline itself.
 //!
-//! Both take corners at the speed at which a circle that leaves the corner by a given distance has the given centripetal
-//! acceleration, and change speed between corners with constant acceleration along the legs. Klipper bounds the corner's
-//! speed by circles that fit half of either leg as well and looks over the whole path; grbl looks over sixteen legs. The
-//! implementation is this project's, from the published formulas (Klipper, docs/Kinematics.md, "Look-ahead"; grbl,
-//! planner.c, junction deviation).
+//! Both pass corners at the speed at which a circle that leaves the corner by a given distance has the given
+//! centripetal acceleration, and change speed between corners with constant acceleration along the legs. Klipper also
+//! bounds the corner's speed by circles that fit half of either leg, and looks ahead over the whole path; grbl looks
+//! ahead over sixteen legs. The implementation is this project's, from the published formulas (Klipper,
+//! docs/Kinematics.md, "Look-ahead"; grbl, planner.c, junction deviation).
 //!
-//! Invariant: a profile that is called legal keeps every limit in its 1 ms references, by the measure that the planner's
-//! own references are checked with.
+//! Invariant: a profile reported as legal keeps every limit in its 1 ms references, by the measure with which the
+//! planner's own references are checked.
 
 use etherpen::config::Config;
 use etherpen::robot::vector::{Vector, add_scaled, dot, length, scale, subtract};
 use etherpen::robot::{ARMS, Delta};
 
-/// Legs that grbl looks over.
+/// Look-ahead of grbl, legs.
 const GRBL_LEGS: usize = 16;
-/// Relative excess over a limit that counts as none.
+/// Relative excess over a limit that is tolerated.
 const EXCESS: f64 = 1.0e-3;
-/// Distance of the places where the joints' slopes are looked at, mm.
+/// Distance between the places at which the joints' slopes are evaluated, mm.
 const SLOPE_STEP_MM: f64 = 1.0;
-/// Accelerations tried, each this part of the one before.
+/// Ratio of each acceleration tried to the previous one.
 const ACCELERATION_STEP: f64 = 0.85;
 const ACCELERATIONS: usize = 14;
 /// Halvings between the smallest and the largest deviation tried.
@@ -31,7 +31,7 @@ const DEVIATION_MAX: f64 = 20.0;
 /// One millisecond, s.
 const TICK_S: f64 = 1.0e-3;
 
-/// Whose formula.
+/// Formula of a peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
     /// Klipper.
@@ -44,7 +44,7 @@ impl Rule {
     /// Both.
     pub(super) const ALL: [Self; 2] = [Self::Klipper, Self::Grbl];
 
-    /// The peer's name.
+    /// Name of the peer.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Klipper => "klipper",
@@ -53,7 +53,7 @@ impl Rule {
     }
 }
 
-/// What such a planner is configured with.
+/// Settings of such a planner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tuning {
     speed: f64,
@@ -79,7 +79,7 @@ pub(super) struct Profile {
     acceleration: f64,
 }
 
-/// How a profile does.
+/// Result of a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Result {
     /// Duration, s.
@@ -88,7 +88,7 @@ pub(super) struct Result {
     pub(super) peak_ratio: f64,
 }
 
-/// A path for the peers, with the limits that they have to keep.
+/// A path for the peers, with the limits to keep.
 pub(super) struct Task<'a> {
     config: &'a Config,
     delta: &'a Delta,
@@ -97,7 +97,7 @@ pub(super) struct Task<'a> {
 }
 
 impl<'a> Task<'a> {
-    /// A path of at least two different points.
+    /// A task for a path of at least two different points.
     pub(super) fn new(config: &'a Config, delta: &'a Delta, points: &'a [Vector]) -> Self {
         let mut task = Self {
             config,
@@ -109,7 +109,8 @@ impl<'a> Task<'a> {
         task
     }
 
-    /// Speed and acceleration along the path that no joint limits anywhere on a straight line, and the configured ones.
+    /// Largest speed and acceleration along the path at which no joint limit is reached on any straight line, and the
+    /// configured ones.
     fn largest(&self) -> (f64, f64) {
         let motion = &self.config.motion;
         let (mut speed, mut acceleration) = (motion.speed_mm_s, motion.acceleration_mm_s2);
@@ -131,7 +132,7 @@ impl<'a> Task<'a> {
         (speed, acceleration)
     }
 
-    /// With the limits and the tolerance as they are.
+    /// Result with the given limits and tolerance.
     pub(super) fn raw(&self, rule: Rule) -> Result {
         self.try_tuning(
             rule,
@@ -143,7 +144,7 @@ impl<'a> Task<'a> {
         )
     }
 
-    /// The shortest that keeps all limits.
+    /// Shortest result that keeps all limits.
     pub(super) fn tuned(&self, rule: Rule) -> Option<Result> {
         let mut best: Option<Result> = None;
         let mut next = self.tops.1;
@@ -267,7 +268,7 @@ impl Profile {
             .sum()
     }
 
-    /// Gives the place of every millisecond, two of them at rest before and behind.
+    /// Passes the position of every millisecond to `take`, with two at rest before and after.
     fn sample(&self, mut take: impl FnMut(&Vector)) {
         let (Some(first), Some(last)) = (self.legs.first(), self.legs.last()) else {
             return;
@@ -296,7 +297,7 @@ impl Profile {
 }
 
 impl Leg {
-    /// Times of speeding up, constant speed and slowing down, s.
+    /// Durations of acceleration, constant speed and deceleration, s.
     fn phases(&self, acceleration: f64) -> [f64; 3] {
         let up_mm = (self.cruise.powi(2) - self.start.powi(2)) / (2.0 * acceleration);
         let down_mm = (self.cruise.powi(2) - self.end.powi(2)) / (2.0 * acceleration);

@@ -1,9 +1,10 @@
-//! The planner beside its peers: durations, peaks, planning times; what a period of it costs the emulated Cortex-M7.
+//! The planner compared with its peers: durations, peaks, planning times; and the cost of a period on the emulated
+//! Cortex-M7.
 //!
-//! Every path is planned twice: under the joints' limits alone (25 rad/s, 250 rad/s2), and with 1 m/s and 10 m/s2 for the
-//! platform as well (`PATH@10`); 0.1 mm tolerance, without the moving average, which no peer has. The optimum is copp's
-//! TOPP2-RA on the very curve that the planner shapes. Klipper's and grbl's formulas run on the polyline: `raw` with the
-//! same limits, and tuned down until their 1 ms references keep them.
+//! Every path is planned twice: under the joints' limits alone (25 rad/s, 250 rad/s2), and with 1 m/s and 10 m/s2 for
+//! the platform as well (`PATH@10`); 0.1 mm tolerance, without the moving average, which no peer has. The optimum is
+//! copp's TOPP2-RA on the curve that the planner shapes. Klipper's and grbl's formulas run on the polyline: `raw` with
+//! these limits, and with limits reduced until their 1 ms references keep the given ones.
 
 mod junction;
 mod paths;
@@ -19,19 +20,19 @@ use junction::{Rule, Task};
 use paths::Named;
 use std::fmt::Write;
 
-/// Most that the planner's duration may be of the optimum's.
+/// Largest ratio of the planner's duration to the optimum's.
 const OPTIMUM_RATIO_MAX: f64 = 1.01;
-/// Most that it may be of the best legal peer's.
+/// Largest ratio of the planner's duration to the best legal peer's.
 const PEER_RATIO_MAX: f64 = 1.0;
-/// Most of a limit that a 1 ms reference may use.
+/// Largest ratio of a 1 ms reference to its limit.
 const PEAK_RATIO_MAX: f64 = 1.001;
-/// Instructions of a period at most: a third of 12 ms at 480 MHz with 2.2 cycles each.
+/// Most instructions of a period: a third of 12 ms at 480 MHz with 2.2 cycles each.
 const PERIOD_INSTRUCTIONS_MAX: f64 = 900_000.0;
 
 /// The limits of one comparison.
 #[derive(Clone, Copy)]
 struct LimitSet {
-    /// What is appended to the path's name.
+    /// Suffix of the path's name.
     suffix: &'static str,
     speed_mm_s: f64,
     acceleration_mm_s2: f64,
@@ -64,10 +65,10 @@ impl LimitSet {
     }
 }
 
-/// Measures the wanted rows; `quick` leaves out generated paths, the second set of limits and the emulator.
+/// Measures the selected rows; `quick` leaves out generated paths, the second set of limits and the emulator.
 ///
 /// # Errors
-/// The first thing that did not work.
+/// The first failure.
 pub fn run(selection: &Selection, quick: bool, mut progress: impl FnMut(&str)) -> Result<Report, BenchError> {
     let mut paths = paths::samples()?;
     if !quick {
@@ -189,7 +190,7 @@ fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
     }
 }
 
-/// The planner's figures.
+/// Figures of this project's planner.
 struct Own {
     duration_s: f64,
     peak_ratio: f64,
@@ -218,8 +219,8 @@ fn own(name: &str, path: &[Vertex], config: &Config) -> Result<Own, BenchError> 
     })
 }
 
-/// Part of the last millisecond in which the motion rests already, s: it ends with constant deceleration, so the way that
-/// is left grows with the square of the time.
+/// Part of the last millisecond in which the motion is already at rest, s. The motion ends with constant deceleration,
+/// so the remaining distance grows with the square of the time.
 fn unused_s(points: &[Vector]) -> f64 {
     let [.., before, last, end] = points else { return 0.0 };
     let (two, one) = (
@@ -254,7 +255,7 @@ fn peak_ratio(findings: &Findings) -> f64 {
     .fold(0.0, f64::max)
 }
 
-/// What the program with copp says.
+/// Result of the program with copp.
 struct Optimum {
     duration_s: f64,
     planning_s: f64,
@@ -297,7 +298,7 @@ fn optimum(path: &[Vertex], config: &Config) -> Result<Optimum, BenchError> {
     })
 }
 
-/// The worst period of all loads, and of each.
+/// The worst period of all loads, and the worst of each load.
 fn periods(lines: &str) -> Result<Vec<Row>, BenchError> {
     let row = |case: String, value: f64| Row {
         case,

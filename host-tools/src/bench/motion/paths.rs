@@ -1,4 +1,4 @@
-//! The paths that the planners are compared on: the samples, and generated ones.
+//! The paths for the comparison of planners: the samples, and generated ones.
 //!
 //! All are in the robot's frame, 750 mm below the shoulders. Random paths carry their seed in the name.
 
@@ -114,7 +114,7 @@ fn star() -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Stretches of short, bending legs and of long, turning ones.
+/// Sections of short, bending legs and of long, turning ones.
 fn random(seed: u64) -> Vec<[f64; 2]> {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut number = || {

@@ -1,8 +1,9 @@
-//! The MCAP container: chunks of time-stamped messages, with their schemas, in a file that needs no end.
+//! The MCAP container: chunks of time-stamped messages with their schemas, in a file that is readable without its end.
 //!
-//! Written after the format's specification, version 0 (<https://mcap.dev/spec>). The part a recording needs is small:
-//! uncompressed chunks, one writer, one reader from the front. The `mcap` crate (0.26) would bring twenty crates that nothing
-//! else here uses, two of them C libraries. Chunks are not compressed: a chunk that was cut off can be read up to the cut.
+//! Written after the format's specification, version 0 (<https://mcap.dev/spec>). A recording needs only a small part:
+//! uncompressed chunks, one writer, one reader from the front. The `mcap` crate (0.26) would add twenty crates that are
+//! not used otherwise, two of them C libraries. Chunks are not compressed, so a chunk that was cut off can be read up
+//! to the cut.
 //!
 //! Invariant: everything written before the last [`Writer::flush`] can be read, whatever happens afterwards.
 
@@ -16,7 +17,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
 /// First and last bytes of a file.
 pub const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// Bytes before the content of a record: its kind and its length.
+/// Bytes before the content of a record: its kind and length.
 const RECORD_HEAD: usize = 9;
 /// The checksum of chunks, attachments and the summary.
 const CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
@@ -40,7 +41,7 @@ mod kind {
     pub(super) const DATA_END: u8 = 0x0f;
 }
 
-/// A channel and the schema of its messages; its number is its place in the list of topics, from 1.
+/// A channel and the schema of its messages; the channel's number is its place in the list of topics, from 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Topic {
     /// Name of the channel, `/sample`.

@@ -1,22 +1,22 @@
-//! Reads a file from its front, whether it has an end or not.
+//! Reads an MCAP file from the front, with or without its end.
 //!
-//! Every chunk that was written can be read, and of the last one what there is of it. Chunks outside of the wanted time
-//! are skipped by their heads. Invariant: no content of a file makes it fail but by an error, and memory holds one chunk.
+//! Every complete chunk can be read, and the last one as far as it was written. Chunks outside the selected time are
+//! skipped by their headers. Invariant: invalid content only causes an error, and memory holds one chunk.
 
 use super::super::bytes::Numbers;
 use super::{CRC, MAGIC, kind};
 use std::fs::File;
 use std::io::{self, BufReader, PipeReader, Read};
 
-/// Longest record that is taken into memory, bytes; what is longer is no recording.
+/// Longest record read into memory, bytes; a recording has no longer ones.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
 
-/// What a file is read from.
+/// Source of a file.
 pub trait Source: Read {
-    /// Leaves bytes out.
+    /// Skips bytes.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Errors of the source.
     fn skip(&mut self, bytes: u64) -> io::Result<()>;
 }
 
@@ -44,7 +44,7 @@ impl Source for &[u8] {
 /// One message.
 #[derive(Clone, Copy, Debug)]
 pub struct Message<'a> {
-    /// Its channel's name; empty if the file does not tell.
+    /// Name of its channel; empty if the file does not define it.
     pub topic: &'a str,
     /// Its time, ns.
     pub time_ns: u64,
@@ -55,23 +55,23 @@ pub struct Message<'a> {
 /// How a file ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// As it should.
+    /// With its regular end.
     Complete,
     /// In the middle: the recorder was killed or the disk was full.
     CutOff,
 }
 
-/// What is wrong with a file that can be read all the same.
+/// Damage in a file that is readable otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// A chunk's bits have changed; its messages are left out.
+    /// A chunk's checksum is wrong; its messages are left out.
     DamagedChunk {
         /// First time in it, ns.
         start_ns: u64,
         /// Last time in it, ns.
         end_ns: u64,
     },
-    /// A record is not what it says to be.
+    /// A record is malformed.
     Malformed {
         /// Its kind.
         kind: u8,
@@ -81,7 +81,7 @@ pub enum Notice {
 /// Reads one file.
 pub struct Reader<R> {
     source: R,
-    /// Time before and after which messages are left out, ns since the file's first.
+    /// Selected time, ns since the file's first message.
     range_ns: (u64, u64),
     /// First time of the file, ns.
     start_ns: Option<u64>,
@@ -89,14 +89,14 @@ pub struct Reader<R> {
     topics: Vec<(u16, String)>,
     attachments: Vec<(String, Vec<u8>)>,
     metadata: Vec<(String, Vec<(String, String)>)>,
-    /// Records of the open chunk, and what of them has been read.
+    /// Records of the open chunk, and how far they have been read.
     chunk: Vec<u8>,
     read: usize,
     notices: Vec<Notice>,
     ending: Option<Ending>,
 }
 
-/// Channel, time and place of a message in the chunk.
+/// Channel, time and position of a message in the chunk.
 struct Found {
     channel: u16,
     time_ns: u64,
@@ -105,10 +105,10 @@ struct Found {
 }
 
 impl<R: Source> Reader<R> {
-    /// Begins to read.
+    /// Starts reading.
     ///
     /// # Errors
-    /// Those of the source; [`io::ErrorKind::InvalidData`] when it is no MCAP file.
+    /// Errors of the source; [`io::ErrorKind::InvalidData`] when the source is not an MCAP file.
     pub fn new(mut source: R) -> io::Result<Self> {
         let mut magic = Vec::new();
         (&mut source).take(MAGIC.len() as u64).read_to_end(&mut magic)?;
@@ -129,7 +129,7 @@ impl<R: Source> Reader<R> {
         })
     }
 
-    /// Reads on to the first chunk: attachments and metadata lie before it.
+    /// Reads up to the first chunk: attachments and metadata come before it.
     ///
     /// # Errors
     /// As [`next_message`](Self::next_message).
@@ -140,7 +140,7 @@ impl<R: Source> Reader<R> {
         Ok(())
     }
 
-    /// Leaves out what is earlier or later, ns since the file's first message.
+    /// Leaves out earlier and later messages, ns since the file's first message.
     pub fn select(&mut self, from_ns: u64, to_ns: u64) {
         self.range_ns = (from_ns, to_ns);
     }
@@ -150,18 +150,18 @@ impl<R: Source> Reader<R> {
         self.start_ns
     }
 
-    /// A file in the file that has been read so far.
+    /// An attachment, if it has been read already.
     pub fn attachment(&self, name: &str) -> Option<&[u8]> {
         let found = self.attachments.iter().find(|(its_name, _)| its_name == name);
         found.map(|(_, data)| data.as_slice())
     }
 
-    /// Names and values of the metadata that have been read so far.
+    /// Names and values of the metadata read so far.
     pub fn metadata(&self) -> &[(String, Vec<(String, String)>)] {
         &self.metadata
     }
 
-    /// What was wrong so far.
+    /// Damage found so far.
     pub fn notices(&self) -> &[Notice] {
         &self.notices
     }
@@ -174,7 +174,7 @@ impl<R: Source> Reader<R> {
     /// The next message, `None` at the end.
     ///
     /// # Errors
-    /// Those of the source; [`io::ErrorKind::InvalidData`] for a compressed chunk or a record that is impossibly long.
+    /// Errors of the source; [`io::ErrorKind::InvalidData`] for a compressed chunk or a record that is too long.
     pub fn next_message(&mut self) -> io::Result<Option<Message<'_>>> {
         let found = loop {
             match self.next_in_chunk() {
@@ -192,7 +192,7 @@ impl<R: Source> Reader<R> {
         }))
     }
 
-    /// Whether a time is in the range; the first time there is begins the range.
+    /// Whether a time is in the selected range; the first time read is the origin of the range.
     fn wants(&mut self, time_ns: u64) -> bool {
         let since = time_ns.saturating_sub(*self.start_ns.get_or_insert(time_ns));
         (self.range_ns.0..=self.range_ns.1).contains(&since)
@@ -264,7 +264,7 @@ impl<R: Source> Reader<R> {
                 Some(metadata) => self.metadata.push(metadata),
                 None => self.notices.push(Notice::Malformed { kind }),
             },
-            // A message outside of a chunk is a chunk of its own.
+            // A message outside of a chunk counts as a chunk of its own.
             _ => {
                 self.chunk = [head, content].concat();
                 self.read = 0;
@@ -272,14 +272,14 @@ impl<R: Source> Reader<R> {
         }
     }
 
-    /// As many bytes as there are, up to a number.
+    /// Up to `count` bytes, as many as there are.
     fn bytes(&mut self, count: u64) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         (&mut self.source).take(count).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
 
-    /// The content of a record, `None` where the file ends before it does.
+    /// The content of a record; `None` if the file ends inside it.
     fn content(&mut self, length: u64) -> io::Result<Option<Vec<u8>>> {
         if length > RECORD_BYTES_MAX {
             return Err(invalid(format!("a record of {length} bytes is not one of a recording")));
@@ -388,7 +388,7 @@ fn metadata(content: &[u8]) -> Option<(String, Vec<(String, String)>)> {
     Some((name, entries))
 }
 
-/// Reads little-endian fields one after the other.
+/// Reads consecutive little-endian fields.
 struct Fields<'a> {
     bytes: &'a [u8],
     place: usize,

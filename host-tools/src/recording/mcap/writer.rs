@@ -1,7 +1,7 @@
-//! Writes a file chunk by chunk.
+//! Writes an MCAP file chunk by chunk.
 //!
-//! A chunk is put together in memory and goes out with its message indexes in one write; nothing of the file is changed
-//! afterwards, so any sink that takes bytes will do. Invariant: memory grows by one [`ChunkEntry`] a chunk, nothing else.
+//! A chunk is assembled in memory and written with its message indexes in one write. The file is never changed
+//! afterwards, so any sink for bytes can be used. Invariant: memory grows by one [`ChunkEntry`] for each chunk only.
 
 use super::{CRC, MAGIC, MESSAGE_ENCODING, RECORD_HEAD, SCHEMA_ENCODING, Topic, kind};
 use std::io::{self, Write};
@@ -17,11 +17,11 @@ struct Channel {
     /// Number of the next message.
     sequence: u32,
     messages: u64,
-    /// Time and place of the messages in the open chunk.
+    /// Times and positions of the messages in the open chunk.
     index: Vec<(u64, u64)>,
 }
 
-/// What the summary says about a chunk.
+/// Entry of a chunk in the summary.
 struct ChunkEntry {
     start_ns: u64,
     end_ns: u64,
@@ -31,7 +31,7 @@ struct ChunkEntry {
     messages: Box<[u32]>,
 }
 
-/// What the summary says about an attachment or a metadata record.
+/// Entry of an attachment or a metadata record in the summary.
 struct NamedEntry {
     offset: u64,
     length: u64,
@@ -43,7 +43,7 @@ struct NamedEntry {
 /// Writes one file.
 pub struct Writer<W> {
     out: W,
-    /// Bytes in the file.
+    /// Length of the file so far, bytes.
     length: u64,
     channels: Vec<Channel>,
     /// Records of the open chunk.
@@ -55,10 +55,10 @@ pub struct Writer<W> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins a file: schemas and channels come first, so that a file without an end can be read.
+    /// Starts a file with schemas and channels, so that a file without its end can be read.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn new(out: W, topics: &[Topic], library: &str) -> io::Result<Self> {
         let mut writer = Self {
             out,
@@ -105,10 +105,10 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// Puts a file into the file.
+    /// Adds an attachment.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn attach(&mut self, name: &str, media_type: &str, data: &[u8], time_ns: u64) -> io::Result<()> {
         let mut bytes = Vec::new();
         record(&mut bytes, kind::ATTACHMENT, |content| {
@@ -126,10 +126,10 @@ impl<W: Write> Writer<W> {
         self.write_named(&bytes, name, Some(details))
     }
 
-    /// Names and values about the whole file.
+    /// Adds names and values about the whole file.
     ///
     /// # Errors
-    /// Those of the sink.
+    /// Errors of the sink.
     pub fn metadata(&mut self, name: &str, entries: &[(&str, String)]) -> io::Result<()> {
         let mut bytes = Vec::new();
         record(&mut bytes, kind::METADATA, |content| {
@@ -156,7 +156,7 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Adds a message to the open chunk; a channel that does not exist takes nothing. Nothing is written before
+    /// Adds a message to the open chunk; ignored if the channel does not exist. Nothing is written before
     /// [`flush`](Self::flush).
     pub fn message(&mut self, channel: u16, time_ns: u64, data: &[u8]) {
         let place = usize::from(channel).wrapping_sub(1);
@@ -177,12 +177,12 @@ impl<W: Write> Writer<W> {
         self.times_ns = Some((first.min(time_ns), last.max(time_ns)));
     }
 
-    /// Bytes of the open chunk, and the time of its first message, ns.
+    /// Length of the open chunk, bytes, and the time of its first message, ns.
     pub fn open_chunk(&self) -> (usize, Option<u64>) {
         (self.records.len(), self.times_ns.map(|(first, _)| first))
     }
 
-    /// Length of the file up to the end of its last whole record, bytes.
+    /// Length of the file up to the end of its last complete record, bytes.
     pub fn whole_bytes(&self) -> u64 {
         self.length
     }
@@ -192,10 +192,10 @@ impl<W: Write> Writer<W> {
         &mut self.out
     }
 
-    /// Ends the open chunk and writes it; without messages nothing happens.
+    /// Ends the open chunk and writes it; does nothing without messages.
     ///
     /// # Errors
-    /// Those of the sink. The chunk is lost then.
+    /// Errors of the sink. The chunk is lost then.
     pub fn flush(&mut self) -> io::Result<()> {
         let Some((start_ns, end_ns)) = self.times_ns.take() else {
             return Ok(());
@@ -223,7 +223,7 @@ impl<W: Write> Writer<W> {
         for (channel, count) in self.channels.iter_mut().zip(&messages) {
             channel.messages += u64::from(*count);
         }
-        // The memory of the chunk that was written is the next one's.
+        // The memory of the written chunk is used for the next one.
         head.clear();
         self.records = head;
         self.chunks.push(ChunkEntry {
@@ -236,10 +236,10 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Writes what is left, the summary and the end; nothing may follow.
+    /// Writes the rest, the summary and the end; nothing may follow.
     ///
     /// # Errors
-    /// Those of the sink; the file can be read all the same.
+    /// Errors of the sink; the file remains readable.
     pub fn finish(&mut self) -> io::Result<()> {
         self.flush()?;
         let mut data_end = Vec::new();
@@ -278,8 +278,8 @@ impl<W: Write> Writer<W> {
         self.out.flush()
     }
 
-    /// One kind of records in the summary, and where they are. Channels follow their schemas in one group, which the
-    /// offsets name in two.
+    /// Writes one kind of records into the summary, with their offset. Channels follow their schemas in one group, for
+    /// which there are two offsets.
     fn put_group(
         &self,
         summary: &mut Vec<u8>,
@@ -410,7 +410,7 @@ fn put_message_index(out: &mut Vec<u8>, id: u16, entries: &[(u64, u64)]) {
     });
 }
 
-/// One record around what `fill` appends.
+/// Writes one record with the content that `fill` appends.
 fn record(out: &mut Vec<u8>, kind: u8, fill: impl FnOnce(&mut Vec<u8>)) {
     out.push(kind);
     let place = out.len();
@@ -423,7 +423,7 @@ fn record(out: &mut Vec<u8>, kind: u8, fill: impl FnOnce(&mut Vec<u8>)) {
     }
 }
 
-/// An array or a map with its length in bytes in front.
+/// Writes an array or a map, preceded by its length in bytes.
 fn sized(out: &mut Vec<u8>, fill: impl FnOnce(&mut Vec<u8>)) {
     let place = out.len();
     out.extend(0_u32.to_le_bytes());

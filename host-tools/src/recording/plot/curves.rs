@@ -1,19 +1,19 @@
-//! The curves of a plot while a recording goes by: extremes of short times, few enough for a picture.
+//! The curves of a plot, collected in one pass: extremes of short intervals, few enough for a picture.
 //!
-//! Invariants: no extreme is lost however long the recording is; memory is bounded; where samples are missing a curve is
-//! interrupted.
+//! Invariants: no extreme is lost however long the recording is; memory is bounded; a curve is interrupted where
+//! samples are missing.
 
 use crate::recording::mcap::Source;
 use crate::recording::signals::{Evaluator, Signal};
 use crate::recording::{Entry, Playback};
 use std::io;
 
-/// Most times into which a recording is divided; then two become one.
+/// Most intervals of a recording; beyond that every two are merged.
 const BINS_MAX: usize = 2_048;
-/// Length of a time at first, s: a sample.
+/// Initial length of an interval, s: a sample.
 const BIN_S: f64 = 0.001;
 
-/// Smallest and largest value in a time, each with when it was, s.
+/// Smallest and largest value in an interval, each with its time, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Extremes {
     min: [f64; 2],
@@ -37,22 +37,22 @@ impl Extremes {
     }
 }
 
-/// What was collected.
+/// The collected curves.
 pub(super) struct Curves {
     /// First and last time, s.
     pub(super) span_s: [f64; 2],
     /// Times without samples, s.
     pub(super) gaps_s: Vec<[f64; 2]>,
     bin_s: f64,
-    /// Extremes of each signal in each time.
+    /// Extremes of each signal in each interval.
     bins: Vec<Vec<Option<Extremes>>>,
 }
 
 impl Curves {
-    /// Reads what is left of a recording; `None` when there is no sample.
+    /// Reads the rest of a recording; `None` if there is no sample.
     ///
     /// # Errors
-    /// The recording cannot be read any further.
+    /// The rest of the recording cannot be read.
     pub(super) fn collect<R: Source>(playback: &mut Playback<R>, signals: &[Signal]) -> io::Result<Option<Self>> {
         let mut evaluator = Evaluator::new(playback.config().as_ref());
         let mut curves: Option<Self> = None;
@@ -111,7 +111,7 @@ impl Curves {
         ((time_s - self.span_s[0]) / self.bin_s) as usize
     }
 
-    /// Samples are missing up to a time.
+    /// Starts a gap up to a time.
     fn interrupt(&mut self, until_s: f64) {
         let from_s = self.span_s[1];
         match self.gaps_s.last_mut() {
@@ -126,8 +126,8 @@ impl Curves {
         bins.copied().reduce(Extremes::join).map(|all| [all.min[1], all.max[1]])
     }
 
-    /// The curve of a signal in pieces between gaps: times, s, and values. The curve of a state keeps its value until it
-    /// has the next.
+    /// The curve of a signal, in pieces between gaps: times, s, and values. The curve of a state keeps its value until
+    /// the next one.
     pub(super) fn pieces(&self, signal: usize, state: bool) -> Vec<Vec<[f64; 2]>> {
         let mut pieces: Vec<Vec<[f64; 2]>> = vec![Vec::new()];
         let mut gaps = self.gaps_s.iter().peekable();
@@ -154,7 +154,7 @@ impl Curves {
     }
 }
 
-/// Joins every two neighbours.
+/// Merges every two neighbours.
 fn halve(bins: &mut Vec<Option<Extremes>>) {
     let joined = bins
         .chunks(2)

@@ -1,7 +1,7 @@
 //! Signals of a recording as a picture: one panel for each unit, over one time axis.
 //!
-//! The legend stands above a panel, where no curve crosses it; times without samples are shaded and no line crosses
-//! them. Invariant: every scale has its unit.
+//! The legend is above a panel, where no curve crosses it. Times without samples are shaded and no line crosses them.
+//! Invariant: every scale has its unit.
 
 mod curves;
 mod picture;
@@ -28,7 +28,7 @@ const FOOT: f64 = 40.0;
 const LEGEND_LINE: f64 = 26.0;
 /// Width of a curve.
 const CURVE: f64 = 1.3;
-/// Narrowest gap that is shown, units of the picture.
+/// Narrowest gap shown, units of the picture.
 const GAP_WIDTH_MIN: f64 = 1.5;
 
 const INK: Colour = [34, 34, 34];
@@ -54,10 +54,10 @@ pub enum Form {
     Png,
 }
 
-/// Draws signals of what is left of a recording; `None` when there is no sample.
+/// Plots signals of the rest of a recording; `None` if there is no sample.
 ///
 /// # Errors
-/// The recording cannot be read any further, or the picture not be encoded.
+/// The rest of the recording cannot be read, or the picture cannot be encoded.
 pub fn plot<R: Source>(playback: &mut Playback<R>, signals: &[Signal], form: Form) -> io::Result<Option<Vec<u8>>> {
     let Some(curves) = Curves::collect(playback, signals)? else {
         return Ok(None);
@@ -69,13 +69,13 @@ pub fn plot<R: Source>(playback: &mut Playback<R>, signals: &[Signal], form: For
     }
 }
 
-/// A panel's signals: their places in the list.
+/// A panel's signals: their indices in the list.
 struct Panel<'a> {
     title: String,
     signals: Vec<(usize, &'a Signal)>,
 }
 
-/// Signals of one unit in one panel; states have one each.
+/// Groups signals of one unit into one panel; each state has its own panel.
 fn panels(signals: &[Signal]) -> Vec<Panel<'_>> {
     let mut panels: Vec<Panel> = Vec::new();
     for (k, signal) in signals.iter().enumerate() {
@@ -121,7 +121,7 @@ fn entry_width(name: &str) -> f64 {
     LEGEND_LINE + (name.len() as f64 + 4.0) * LETTER_WIDTH
 }
 
-/// Places of the panel's signals in the rows of its legend.
+/// Indices of the panel's signals in the rows of its legend.
 fn legend_rows(panel: &Panel) -> Vec<Vec<usize>> {
     let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
     let mut used = 0.0;
@@ -167,10 +167,10 @@ fn range(curves: &Curves, panel: &Panel) -> [f64; 2] {
     with_room(all.unwrap_or([0.0, 1.0]))
 }
 
-/// Some room around the values; what does not change needs a scale, too, and what is all but zero one of its own.
+/// Adds a margin around the values; a constant needs a scale too, and a value that is almost zero its own scale.
 fn with_room([low, high]: [f64; 2]) -> [f64; 2] {
     let (room, tenth) = (0.06 * (high - low), 0.1 * high.abs());
-    // Less than this is the rounding of what was computed.
+    // A smaller difference is the rounding error of the computation.
     let is_flat = high - low <= 1e-10 * high.abs().max(low.abs()) + 1e-11;
     let room = match (!is_flat, tenth > 1e-4) {
         (true, _) => room,
@@ -227,7 +227,7 @@ fn draw_panel(picture: &mut Picture, curves: &Curves, panel: &Panel, top: f64) {
     }
 }
 
-/// Marks of a panel's scale and their texts; those of the mode are names.
+/// Marks of a panel's scale and their texts; marks of the mode are names.
 fn scale(panel: &Panel, low: f64, high: f64) -> Vec<(f64, String)> {
     if panel.signals.iter().any(|(_, signal)| signal.is_mode()) {
         let named = (0_u8..).zip(MODES).map(|(k, mode)| (f64::from(k), format!("{mode:?}")));

@@ -1,8 +1,8 @@
-//! A picture of boxes, curves and text, as SVG or as PNG, without a display and without fonts on the machine.
+//! A picture of boxes, curves and text, as SVG or PNG, without a display and without installed fonts.
 //!
-//! Text is set in a font of fixed pitch in both: in PNG it is Noto Sans Mono's raster from the crate
-//! `noto-sans-mono-bitmap`, the leanest way to readable letters (no dependencies, one size built in). Invariant: both
-//! forms show the same shapes at the same places.
+//! Text is set in a fixed-pitch font in both formats. In PNG it is the raster of Noto Sans Mono from the crate
+//! `noto-sans-mono-bitmap`, which has no dependencies and one built-in size. Invariant: both formats show equal shapes
+//! at equal places.
 
 use crate::drawing::{Plane, draw_line};
 use image::{ImageFormat, Rgb, RgbImage};
@@ -17,17 +17,17 @@ pub(super) type Colour = [u8; 3];
 const SCALE: f64 = 2.0;
 /// Height of the raster of a letter, pixels.
 const RASTER: RasterHeight = RasterHeight::Size32;
-/// From the top of a letter's raster to the line it stands on, pixels.
+/// Distance from the top of a letter's raster to the baseline, pixels.
 const RASTER_ASCENT: f64 = 25.0;
 /// Width of a letter, units.
 pub(super) const LETTER_WIDTH: f64 = get_raster_width(FontWeight::Regular, RASTER) as f64 / SCALE;
-/// Size of the font in SVG: letters of the usual fonts with a fixed pitch are 0.6 of it wide.
+/// Size of the font in SVG: letters of common fixed-pitch fonts are 0.6 of it wide.
 const FONT_SIZE: f64 = LETTER_WIDTH / 0.6;
 
-/// Farthest that a line covers anything from its points, pixels.
+/// Largest distance at which a line covers pixels, from its points, pixels.
 const LINE_REACH: f64 = 8.0;
 
-/// Which part of a text is at its place.
+/// Part of a text that is at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -66,7 +66,7 @@ impl Picture {
         self.shapes.push(Shape::Curve(points, width, colour));
     }
 
-    /// A line of text that stands at a height.
+    /// A line of text on a baseline.
     pub(super) fn text(&mut self, place: [f64; 2], anchor: Anchor, text: impl Into<String>, colour: Colour) {
         self.shapes.push(Shape::Text(place, anchor, text.into(), colour));
     }
@@ -121,7 +121,7 @@ impl Picture {
     /// The picture as the bytes of a PNG file.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// The picture cannot be encoded.
     pub(super) fn png(&self) -> io::Result<Vec<u8>> {
         let side = |units: f64| (units * SCALE).round().clamp(1.0, 20_000.0) as u32;
         let mut image = RgbImage::new(side(self.width), side(self.height));
@@ -152,7 +152,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-/// Mixes a colour over a pixel; outside of the image nothing happens.
+/// Blends a colour over a pixel; ignored outside of the image.
 fn blend(image: &mut RgbImage, x: i64, y: i64, colour: Colour, share: f32) {
     let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y)) else {
         return;
@@ -165,7 +165,7 @@ fn blend(image: &mut RgbImage, x: i64, y: i64, colour: Colour, share: f32) {
     }
 }
 
-/// Puts what a line covers into the image, and clears it. A line is within a few pixels of its points.
+/// Draws the pixels covered by a line into the image, and clears them. A line is within a few pixels of its points.
 fn ink(image: &mut RgbImage, covered: &mut Plane, points: &[[f64; 2]], colour: Colour) {
     let span = |axis: usize, end: u32| {
         let values = || points.iter().filter_map(|point| point.get(axis).copied());
