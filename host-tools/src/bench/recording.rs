@@ -1,7 +1,7 @@
 //! Benchmark of a long recording: samples through writer and reader, and the memory used.
 //!
-//! One thread records, the other reads what it writes from a pipe: as many bytes as a day has need no disk. Every sample
-//! is looked for; memory is this process' resident size at the end against the one after the first minute.
+//! One thread records, another reads the output from a pipe, so a day of data needs no disk. Every sample is checked.
+//! Memory is this process's resident size at the end, compared with that after the first minute.
 
 use super::{BenchError, Report, Row};
 use crate::recording::statistics::statistics;

@@ -1,7 +1,7 @@
-//! Strokes with a page of their own, before they are laid on a sheet.
+//! Strokes with their own page, before they are placed on a sheet.
 //!
-//! A vector file says how large it is; where it lies on the robot's sheet, at which scale and how turned, is said when it
-//! is drawn. Layers stay apart until then, because each may be another pen's.
+//! A vector file defines its size. Position, scale and rotation on the robot's sheet are set when it is drawn. Layers
+//! stay separate until then, because each may need a different pen.
 //!
 //! Invariant: every stroke has two points or more, all finite.
 
@@ -9,10 +9,10 @@ use super::line::Point;
 use super::{Drawing, DrawingError, Stroke};
 use serde::{Deserialize, Serialize};
 
-/// A pen position this far beyond the sheet's edge is rounding, mm.
+/// Distance beyond the sheet's edge within which a pen position counts as rounding, mm.
 const EDGE_MM: f64 = 0.01;
 
-/// Strokes that belong together: a layer of the file, or all of one colour.
+/// Strokes that belong together: a layer of the file, or all strokes of one colour.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Layer {
     /// The layer's label, or its colour as `#rrggbb`.
@@ -30,27 +30,27 @@ pub struct LayerStroke {
     pub stroke: Stroke,
 }
 
-/// What a vector file holds.
+/// Content of a vector file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Artwork {
-    /// Width and height of the page, mm; `None` where the file names no page.
+    /// Width and height of the page, mm; `None` if the file has no page size.
     pub page_mm: Option<[f64; 2]>,
     /// The layers, in the order in which they first appear.
     pub layers: Vec<Layer>,
     /// All strokes in the file's order.
     pub strokes: Vec<LayerStroke>,
-    /// How the file's own coordinates follow from millimetres, and what it says about its size; for writing it again.
+    /// Relation of the file's own coordinates to millimetres, and its size attributes; for writing the file again.
     pub user_space: UserSpace,
-    /// What a person should know: what was left out, what was assumed.
+    /// Warnings for the user: what was left out, what was assumed.
     pub warnings: Vec<String>,
 }
 
 /// The coordinates in which a file was written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UserSpace {
-    /// The attributes width, height and viewBox of the file's root, those that it has.
+    /// The attributes width, height and viewBox of the file's root, as far as present.
     pub attributes: Vec<(&'static str, String)>,
-    /// User units of a millimetre.
+    /// User units per millimetre.
     pub units_per_mm: [f64; 2],
     /// The page's top left corner in user units.
     pub origin: [f64; 2],
@@ -67,7 +67,7 @@ impl Default for UserSpace {
     }
 }
 
-/// Where artwork goes on the sheet.
+/// Placement of artwork on the sheet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Placement {
     /// Scale the page to the sheet inside its margin, instead of keeping its true size.
@@ -76,9 +76,9 @@ pub struct Placement {
     pub size_mm: Option<[f64; 2]>,
     /// White border of the sheet that `fit` leaves, mm.
     pub margin_mm: f64,
-    /// Turned clockwise, degrees.
+    /// Clockwise rotation, degrees.
     pub rotate_deg: f64,
-    /// Where the page's top left corner lies on the sheet, mm; without it the page is centred.
+    /// Position of the page's top left corner on the sheet, mm; without it the page is centred.
     pub origin_mm: Option<[f64; 2]>,
     /// Only the layers of these names or numbers (the first is 1); empty: all.
     pub layers: Vec<String>,
@@ -98,13 +98,13 @@ impl Default for Placement {
 }
 
 impl Artwork {
-    /// The smallest upright rectangle around all strokes: left, top, width, height, mm.
+    /// The smallest axis-aligned rectangle around all strokes: left, top, width, height, mm.
     #[must_use]
     pub fn bounds_mm(&self) -> [f64; 4] {
         bounds(self.strokes.iter().flat_map(|stroke| &stroke.stroke.points))
     }
 
-    /// Whether a layer, by its index, is one of those named; all are when none is named.
+    /// Whether a layer, by its index, is selected by `names`; all are if `names` is empty.
     fn is_wanted(&self, layer: usize, names: &[String]) -> bool {
         let is_named = |name: &String| {
             let number = name.parse() == Ok(layer + 1);
@@ -117,8 +117,8 @@ impl Artwork {
         names.is_empty() || names.iter().any(is_named)
     }
 
-    /// Lays the wanted layers on a sheet: one drawing for each of them, with the layer's name and the size of the whole
-    /// page on the sheet, mm.
+    /// Places the selected layers on a sheet: one drawing for each of them, with the layer's name and the size of the
+    /// whole page on the sheet, mm.
     ///
     /// # Errors
     /// [`DrawingError::BadOptions`], [`DrawingError::NoSuchLayer`] or [`DrawingError::NothingDrawn`].
@@ -200,7 +200,7 @@ pub struct Placed {
     pub scale: f64,
 }
 
-/// The first point of a stroke that does not lie on the sheet.
+/// The first point of a stroke that is not on the sheet.
 #[must_use]
 pub fn off_sheet(stroke: &Stroke, sheet_mm: [f64; 2]) -> Option<[f64; 2]> {
     let is_off =
@@ -208,7 +208,7 @@ pub fn off_sheet(stroke: &Stroke, sheet_mm: [f64; 2]) -> Option<[f64; 2]> {
     stroke.points.iter().find(is_off).copied()
 }
 
-/// How a point of the page becomes one of the sheet.
+/// Transformation from the page to the sheet.
 struct Frame {
     middle: Point,
     direction: Point,
@@ -228,7 +228,7 @@ impl Frame {
     }
 }
 
-/// The smallest upright rectangle around points: left, top, width, height; zero without points.
+/// The smallest axis-aligned rectangle around points: left, top, width, height; zero without points.
 pub(super) fn bounds<'a>(points: impl Iterator<Item = &'a Point>) -> [f64; 4] {
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];

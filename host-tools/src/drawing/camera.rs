@@ -1,9 +1,9 @@
 //! One photograph from a camera.
 //!
-//! A camera is a V4L2 device, or what was recorded from one: a file or pipe of JPEG pictures one after the other (Motion
-//! JPEG). The first pictures of a camera are too dark or too bright, so a later one is taken.
+//! A camera is a V4L2 device, or a recording of one: a file or pipe of consecutive JPEG pictures (Motion JPEG). The
+//! first pictures of a camera are too dark or too bright, so a later one is used.
 //!
-//! Invariant: a camera that delivers nothing, or nothing whole, ends in an error and not in waiting.
+//! Invariant: a camera that delivers no complete picture causes an error, not an endless wait.
 
 use super::photo::decode;
 use image::{ImageFormat, RgbImage};
@@ -16,11 +16,11 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::Duration;
 
-/// Pictures until the camera's exposure has settled; the last of them is taken.
+/// Number of pictures until the camera's exposure has settled; the last one is used.
 const PICTURES: usize = 12;
-/// Longest wait for them.
+/// Longest wait for the pictures.
 const PATIENCE: Duration = Duration::from_secs(15);
-/// Size that is asked for, pixels; the camera takes what is nearest.
+/// Requested size, pixels; the camera selects the nearest one.
 const SIZE: [u32; 2] = [1280, 960];
 /// Most bytes read of a recorded stream.
 const STREAM_BYTES_MAX: u64 = 64 << 20;
@@ -31,17 +31,17 @@ const JPEG_END: [u8; 2] = [0xFF, 0xD9];
 /// Why a camera gave no photograph.
 #[derive(Debug)]
 pub enum CameraError {
-    /// There is no such device; these are there.
+    /// The device does not exist; these devices do.
     Missing(Vec<PathBuf>),
-    /// This user may not open it.
+    /// The user may not open the device.
     Denied,
-    /// A device that takes no pictures.
+    /// The device cannot capture pictures.
     NoCamera,
-    /// Pictures of a format that is not known.
+    /// The pictures have an unknown format.
     Format(String),
-    /// No whole picture came in time.
+    /// No complete picture arrived in time.
     NoPicture,
-    /// Anything else that the system says.
+    /// Any other error of the operating system.
     System(io::Error),
 }
 
@@ -112,7 +112,7 @@ pub fn take_photograph(device: impl AsRef<Path>) -> Result<RgbImage, CameraError
         } else {
             from_stream(&device)
         };
-        // Nobody listens any more when it took too long.
+        // The receiver is gone if this took too long.
         let _ = sender.send(picture);
     };
     std::thread::Builder::new().name("camera".into()).spawn(work)?;
@@ -210,7 +210,7 @@ fn from_stream(path: &Path) -> Result<RgbImage, CameraError> {
     }
 }
 
-/// The first picture of a stream, and what is behind it.
+/// The first picture of a stream, and the bytes behind it.
 fn next_picture(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let begin = find(bytes, &JPEG_BEGIN, 0)?;
     let end = find(bytes, &JPEG_END, begin)? + JPEG_END.len();

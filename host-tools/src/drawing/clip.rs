@@ -1,12 +1,12 @@
-//! Lines cut at the outlines of regions.
+//! Clips lines at the outlines of regions.
 //!
-//! A line is cut where it crosses an outline, and each piece is kept or dropped by where its middle lies: exact for any
-//! shape, with holes and islands, at the cost of looking at every edge. The work is counted, so that a file cannot ask
-//! for too much of it.
+//! A line is cut where it crosses an outline, and each piece is kept or dropped depending on its middle. This is exact
+//! for any shape, with holes and islands, but checks every edge. The work is counted and limited, so that no file can
+//! cause too much of it.
 
 use super::line::{self, Point};
 
-/// Most pairs of a line's piece and an outline's edge looked at for one file.
+/// Most pairs of a line's piece and an outline's edge checked for one file.
 const STEPS_MAX: usize = 400_000_000;
 
 /// An area inside closed lines.
@@ -49,7 +49,7 @@ impl Region {
     }
 }
 
-/// The parts of a line that lie in one of the regions; `None` when that is too much work.
+/// The parts of a line inside one of the regions; `None` if that is too much work.
 pub(crate) fn clip(points: &[Point], regions: &[Region], steps: &mut usize) -> Option<Vec<Vec<Point>>> {
     if *steps > STEPS_MAX {
         return None;
@@ -87,7 +87,7 @@ pub(crate) fn clip(points: &[Point], regions: &[Region], steps: &mut usize) -> O
     Some(parts)
 }
 
-/// Where along a piece of a line an edge crosses it, 0 to 1.
+/// Position along a line's piece at which an edge crosses it, 0 to 1.
 fn crossing(pair: &[Point], edge: &[Point; 2]) -> Option<f64> {
     let (a, b) = (pair[0], pair[1]);
     let (along, across) = (

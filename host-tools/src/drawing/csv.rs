@@ -1,7 +1,7 @@
 //! Lists of coordinates: strokes on a sheet, or a path in the robot's frame.
 //!
-//! The heading says which of the two it is. A pen of 1 means that the leg leading to the point is drawn; a first drawn
-//! point starts where it is, so a list of drawn points alone is one stroke. Errors name the line.
+//! The heading distinguishes the two. A pen of 1 means that the leg to the point is drawn. If the first point is drawn,
+//! the stroke starts there, so a list of drawn points alone is one stroke. Errors contain the line.
 
 use super::input::Input;
 use super::plot::PLACE_MAX_MM;
@@ -13,20 +13,20 @@ use etherpen::robot::Position;
 const SHEET_HEADING: [&str; 3] = ["x_mm", "y_mm", "pen"];
 /// Heading of a path in the robot's frame.
 const ROBOT_HEADING: [&str; 4] = ["x_mm", "y_mm", "z_mm", "pen"];
-/// Width and height of the sheet when a list of coordinates names none, mm.
+/// Default width and height of the sheet for a list of coordinates, mm.
 const SHEET_MM: [f64; 2] = [200.0, 200.0];
 
 /// A path in the robot's frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path3d {
-    /// The path's corners in order.
+    /// Vertices of the path, in order.
     pub vertices: Vec<Vertex>,
-    /// The line of the file that each of them stands on; the first is 1.
+    /// Line of the file for each vertex, from 1.
     pub lines: Vec<usize>,
 }
 
-/// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot). A path of the robot may
-/// have any number of vertices, and none of them drawn.
+/// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot). A robot path may have
+/// any number of vertices, and none of them need be drawn.
 ///
 /// # Errors
 ///

@@ -1,9 +1,9 @@
 //! Dark lines and edges of a picture as open lines along their centres.
 //!
-//! A difference of Gaussians across the picture's flow answers once to a dark line, in its middle, and once to a step,
-//! on its dark side (Kang, Lee, Chui, *Coherent Line Drawing*, 2007); an outline around a line never appears. The answer
-//! is thinned to one pixel by suppressing what is no maximum (Canny), kept by two thresholds, and traced into lines that
-//! go straight on where several meet.
+//! A difference of Gaussians across the picture's flow responds once to a dark line, in its middle, and once to a step,
+//! on its dark side (Kang, Lee, Chui, *Coherent Line Drawing*, 2007); it never produces an outline around a line. The
+//! response is thinned to one pixel by non-maximum suppression (Canny), filtered with two thresholds, and traced into
+//! lines that continue straight where several meet.
 
 use super::line::{self, Point};
 use super::raster::Plane;
@@ -12,7 +12,7 @@ use super::raster::Plane;
 const FLOW_REACH: usize = 6;
 /// Width of the surround of the difference of Gaussians, times that of its centre.
 const SURROUND_RATIO: f32 = 1.6;
-/// A continuation turns by less than the angle of this cosine.
+/// Cosine of the largest turn of a continuation.
 const TURN_COSINE_MIN: f64 = 0.3;
 
 /// Orientation of the picture's lines at each pixel: the structure tensor's direction of least change.
@@ -27,7 +27,7 @@ impl Flow {
     /// Flow of `light`, smoothed over `sigma` pixels.
     ///
     /// `rest_angle_rad` is the direction where the picture has none; `rest_weight` is the gradient (per pixel) at which
-    /// the picture and that direction count the same.
+    /// the picture and that direction have equal weight.
     pub(crate) fn of(light: &Plane, sigma: f32, rest_angle_rad: f32, rest_weight: f32) -> Self {
         let gradient = |x: usize, y: usize| {
             let (x, y) = (x as isize, y as isize);
@@ -74,7 +74,7 @@ impl Flow {
             .collect()
     }
 
-    /// Unit vector along the flow at a place; of the two, the one that goes on in the direction `along`.
+    /// Unit vector along the flow at a place; of the two opposite ones, the one towards `along`.
     pub(crate) fn tangent(&self, at: Point, along: Point) -> Point {
         let (x, y) = (at[0] as f32, at[1] as f32);
         let angle = 0.5 * f64::from(self.sine.sample(x, y).atan2(self.cosine.sample(x, y)));
@@ -136,7 +136,7 @@ pub(crate) fn line_strength(light: &Plane, flow: &Flow, sigma: f32) -> Plane {
     })
 }
 
-/// A traced line and how much it matters.
+/// A traced line and its importance.
 #[derive(Clone, Debug)]
 pub(crate) struct Edge {
     /// Points about a pixel apart, pixels.
@@ -154,7 +154,7 @@ pub(crate) fn trace_lines(strength: &Plane, flow: &Flow, high: &Plane, low_ratio
     skeleton.trace(&relative)
 }
 
-/// The one-pixel lines while they are found and traced.
+/// The one-pixel lines while they are being traced.
 struct Skeleton {
     width: isize,
     height: isize,
@@ -288,7 +288,7 @@ impl Skeleton {
         edges
     }
 
-    /// Walks on from the last pixel, straight on where there is a choice, and clears what it passes.
+    /// Continues from the last pixel, straight where there is a choice, and clears the pixels that it passes.
     fn follow(&mut self, pixels: &mut Vec<usize>) {
         while let Some(&k) = pixels.last() {
             let at = self.centres[k];
@@ -315,7 +315,7 @@ impl Skeleton {
     }
 }
 
-/// Joins lines whose ends lie within `gap` pixels and go on in nearly the same direction.
+/// Joins lines whose ends are within `gap` pixels and continue in nearly equal directions.
 pub(crate) fn join_by_direction(mut edges: Vec<Edge>, gap: f64) -> Vec<Edge> {
     edges.sort_by(|a, b| b.weight.total_cmp(&a.weight));
     let mut joined: Vec<Edge> = Vec::new();
@@ -344,7 +344,7 @@ pub(crate) fn join_by_direction(mut edges: Vec<Edge>, gap: f64) -> Vec<Edge> {
     joined
 }
 
-/// The unused line that goes on best from the end of `points`, and whether it has to be turned round.
+/// The unused line that best continues the end of `points`, and whether it has to be reversed.
 fn best_continuation(points: &[Point], edges: &[Edge], used: &[bool], gap: f64) -> Option<(usize, bool)> {
     let end = *points.last()?;
     let heading = line::direction(*points.get(points.len().saturating_sub(7))?, end);

@@ -1,6 +1,6 @@
-//! What can be wrong with a drawing's file, and what to try.
+//! Errors of a drawing's file, with what to try.
 //!
-//! One flat error for the whole subsystem. It carries no path: the caller knows which file it asked for and names it.
+//! One flat error for the whole subsystem. It contains no path: the caller knows the file and names it.
 
 use std::fmt;
 use std::io;
@@ -26,22 +26,22 @@ impl fmt::Display for FilePlace {
     }
 }
 
-/// Why a file did not become a drawing.
+/// Why a file could not be converted into a drawing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DrawingError {
-    /// There is no such file.
+    /// The file does not exist.
     Missing,
-    /// The file exists and cannot be read or written.
+    /// The file exists but cannot be read or written.
     Unreadable(io::ErrorKind),
-    /// The file has no bytes.
+    /// The file is empty.
     Empty,
-    /// Neither a PNG or JPEG picture nor a list of coordinates.
+    /// The content is neither a PNG or JPEG picture nor a list of coordinates.
     UnknownContent,
-    /// It begins as a picture of a known kind, and its data are damaged or cut off.
+    /// The content begins like a known picture format, but is damaged or cut off.
     Damaged,
-    /// The picture is of a kind that this program does not decode.
+    /// The picture has an unsupported format.
     Unsupported,
-    /// More pixels than are accepted.
+    /// The picture has too many pixels.
     TooLarge {
         /// Width, pixels.
         width: u32,
@@ -50,7 +50,7 @@ pub enum DrawingError {
         /// Most pixels accepted.
         pixels_max: u64,
     },
-    /// Fewer pixels on a side than a drawing can be made of.
+    /// The picture has too few pixels on a side.
     TooSmall {
         /// Width, pixels.
         width: u32,
@@ -59,93 +59,93 @@ pub enum DrawingError {
         /// Fewest pixels accepted on either side.
         side_min: u32,
     },
-    /// The file is larger than is accepted.
+    /// The file is too large.
     FileTooLarge {
         /// Size of the file, bytes.
         bytes: u64,
         /// Largest size accepted, bytes.
         bytes_max: u64,
     },
-    /// Nothing can be drawn: the picture is of one tone.
+    /// Nothing can be drawn: the picture has a single tone.
     Blank,
-    /// The sheet has no room inside its margins, or a number of the options is not positive and finite.
+    /// The sheet has no space inside its margins, or an option is not a positive finite number.
     BadOptions,
-    /// No photograph, where one is needed.
+    /// A photograph is required.
     NoPhotograph,
-    /// No vector file, where one is needed.
+    /// A vector file is required.
     NoArtwork,
-    /// A vector file is no well-formed XML, or no SVG.
+    /// A vector file is not well-formed XML, or not an SVG.
     SvgSyntax {
         /// Line of the file, the first is 1.
         line: u32,
         /// Column, the first is 1.
         column: u32,
     },
-    /// References of a vector file lead back to themselves.
+    /// A reference in a vector file leads back to itself.
     SvgCycle,
-    /// A vector file's width or height is zero or no number.
+    /// A vector file's width or height is zero or not a number.
     SvgSize,
-    /// A vector file has more elements than are accepted.
+    /// A vector file has too many elements.
     SvgElements {
         /// Most elements accepted.
         elements_max: usize,
     },
-    /// The lines of a file have more points than are accepted.
+    /// The lines of a file have too many points.
     TooManyPoints {
         /// Most points accepted.
         points_max: usize,
     },
-    /// A line of G-code has something that is no word: a letter and a number.
+    /// A line of G-code contains something that is not a word: a letter and a number.
     GcodeWord {
         /// Line of the file, the first is 1.
         line: usize,
     },
-    /// A line of G-code asks for a motion that is not known.
+    /// A line of G-code contains an unknown motion.
     GcodeMotion {
         /// Line of the file, the first is 1.
         line: usize,
         /// Ten times the G word's number.
         tenths: u32,
     },
-    /// An arc of G-code has no radius, or its ends do not lie on one circle.
+    /// An arc of G-code has no radius, or its ends are not on one circle.
     GcodeArc {
         /// Line of the file, the first is 1.
         line: usize,
     },
-    /// An instruction of HPGL lacks a number, or has something that is none.
+    /// An instruction of HPGL lacks a number, or has an invalid one.
     HpglNumber {
-        /// Which one, the first is 1.
+        /// The instruction, from 1.
         instruction: usize,
     },
-    /// A coordinate is more than a kilometre away, or no number.
+    /// A coordinate is more than a kilometre away, or not a number.
     FarAway {
-        /// Where the file has it.
+        /// The place in the file.
         place: FilePlace,
     },
-    /// Even the coarsest drawing of a photograph takes longer than asked for.
+    /// Even the coarsest drawing of a photograph takes longer than the requested time.
     TimeTooShort {
-        /// The time asked for, ms.
+        /// Requested time, ms.
         asked_ms: u64,
-        /// What the coarsest drawing takes, ms.
+        /// Duration of the coarsest drawing, ms.
         shortest_ms: u64,
     },
-    /// A photograph is turned by something else than quarters.
+    /// The rotation of a photograph is not a multiple of 90 degrees.
     BadRotation,
-    /// A vector file without a line.
+    /// A vector file contains no line.
     NothingDrawn,
-    /// None of the layers has the wanted name or number.
+    /// No layer has the requested name or number.
     NoSuchLayer {
-        /// How many layers there are.
+        /// Number of layers.
         layers: usize,
     },
-    /// A stroke does not lie on the sheet.
+    /// A stroke is not on the sheet.
     OffSheet {
-        /// Where it is off the sheet, from the sheet's left edge, micrometres.
+        /// Position that is off the sheet, from the sheet's left edge, micrometres.
         x_um: i64,
-        /// Where it is off the sheet, from the sheet's upper edge, micrometres.
+        /// Position that is off the sheet, from the sheet's upper edge, micrometres.
         y_um: i64,
     },
-    /// A line of a coordinate file has another number of columns than its heading.
+    /// A line of a coordinate file does not have as many columns as its heading.
     CsvColumns {
         /// Line of the file, the first is 1.
         line: usize,
@@ -154,7 +154,7 @@ pub enum DrawingError {
         /// Columns found.
         actual: usize,
     },
-    /// A value of a coordinate file is no finite number.
+    /// A value of a coordinate file is not a finite number.
     CsvNumber {
         /// Line of the file, the first is 1.
         line: usize,
@@ -168,7 +168,7 @@ pub enum DrawingError {
     },
     /// A coordinate file's first line is not `x_mm,y_mm,pen` or `x_mm,y_mm,z_mm,pen`.
     CsvHeading,
-    /// A coordinate file with no point drawn.
+    /// A coordinate file contains no drawn point.
     CsvNothingDrawn,
 }
 

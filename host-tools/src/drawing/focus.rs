@@ -1,13 +1,13 @@
-//! Where a picture's face is: the place that is drawn finer than the rest.
+//! Finds the face in a picture, which is drawn finer than the rest.
 //!
-//! No face detector: a saliency that needs no learned weights. Evidence is skin colour where the picture has any, and
-//! fine detail; it counts more where portraits carry their faces, above the middle. A window is moved to the centre of
-//! the evidence in it and fitted to its spread until it rests (mean shift).
+//! This is not a face detector but a saliency measure without learned weights. Evidence is skin colour, if the picture
+//! has any, and fine detail; it has more weight above the middle, where portraits have their faces. A window is moved
+//! to the centre of the evidence in it and fitted to its spread until it no longer moves (mean shift).
 
 use super::raster::Plane;
 use image::RgbImage;
 
-/// Where portraits have their faces, shares of width and height, and how far they stray from there.
+/// Typical position of faces in portraits, shares of width and height, and its spread.
 const USUAL_PLACE: [f32; 2] = [0.5, 0.33];
 const USUAL_SPREAD: [f32; 2] = [0.2, 0.17];
 /// Red and blue difference (Rec. 601, 0 to 255) of skin in daylight, and their spread.
@@ -18,7 +18,7 @@ const RADIUS_RANGE: [f32; 2] = [0.09, 0.3];
 /// Moves of the window.
 const ROUNDS: usize = 12;
 
-/// How much each pixel belongs to the face, 0 to 1; `picture` and `detail` have the same size.
+/// How much each pixel belongs to the face, 0 to 1; `picture` and `detail` have equal sizes.
 pub(crate) fn focus(picture: &RgbImage, detail: &Plane) -> Plane {
     let (width, height) = (detail.width() as f32, detail.height() as f32);
     let shorter = width.min(height);
@@ -58,7 +58,7 @@ fn skin_likeness(picture: &RgbImage, x: usize, y: usize) -> f32 {
     bright * (-0.5 * (away_red * away_red + away_blue * away_blue)).exp()
 }
 
-/// Centre and radius of the window where it rests, pixels.
+/// Final centre and radius of the window, pixels.
 fn rest_of_window(evidence: &Plane, shorter: f32) -> ([f32; 2], f32) {
     let start = evidence.blurred(0.06 * shorter);
     let best = (0..start.values().len())

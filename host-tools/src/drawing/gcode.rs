@@ -1,12 +1,12 @@
-//! G-code of pen plotters: straight moves, arcs, units, offsets, and the three ways in which pens are raised.
+//! G-code of pen plotters: straight moves, arcs, units, offsets, and the ways in which pens are raised.
 //!
-//! Words are read one by one (RS-274/NGC): an unknown motion is an error with its line, because leaving it out would
-//! draw something else; an unknown machine function is skipped and told. The pen's dialect follows from the whole
-//! file: M300 S, M3 and M5, or the height Z; without any of them G0 is up and everything else is drawn.
+//! Words are read one by one (RS-274/NGC). An unknown motion is an error with its line, because leaving it out would
+//! change the drawing; an unknown machine function is skipped with a warning. The pen's dialect is determined from the
+//! whole file: M300 S, M3 and M5, or the height Z; without any of these, G0 is up and all other motions are drawn.
 //!
-//! The words are read here and not by the crate `gcode`: that one is made to go on behind what it cannot read, where
-//! this has to refuse, and its numbers have single precision, which is a hundredth of a millimetre at a hundred metres
-//! (offsets and machine coordinates are that large).
+//! The crate `gcode` is not used: it continues after unreadable input, where this reader has to refuse, and its numbers
+//! have single precision, which is a hundredth of a millimetre at a hundred metres (offsets and machine coordinates can
+//! be that large).
 
 use super::artwork::Artwork;
 use super::length::MM_PER_INCH;
@@ -14,15 +14,15 @@ use super::line;
 use super::plot::{Plot, arc_angle};
 use super::{DrawingError, FilePlace};
 
-/// How far the ends of an arc may lie from one circle: share of its radius, and mm.
+/// Largest distance of an arc's ends from one circle: share of its radius, and mm.
 const ARC_SHARE: f64 = 0.01;
 const ARC_MM: f64 = 0.1;
-/// M300 raises the pen from this S on.
+/// Smallest S with which M300 raises the pen.
 const M300_UP_S: f64 = 40.0;
-/// Machine functions that mean nothing to a pen: stops, coolant, fans, motors, temperatures.
+/// Machine functions without meaning for a pen: stops, coolant, fans, motors, temperatures.
 const HARMLESS: [u32; 17] = [0, 1, 2, 6, 7, 8, 9, 17, 18, 30, 82, 84, 104, 106, 107, 109, 140];
 
-/// A letter with its number, and the line it stands on.
+/// A letter with its number, and its line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Word {
     letter: char,
@@ -37,7 +37,7 @@ enum Dialect {
     Servo,
     /// M3 or M4 is down, M5 or S0 is up.
     Spindle,
-    /// Below this height it is down, file units.
+    /// Below this height the pen is down, file units.
     Height(f64),
     /// G0 is up, other motions are down.
     Rapid,
@@ -46,8 +46,8 @@ enum Dialect {
 /// Reads G-code.
 ///
 /// # Errors
-/// [`DrawingError::GcodeWord`], [`DrawingError::GcodeMotion`], [`DrawingError::GcodeArc`], each with its line, and what
-/// every plot may be refused for.
+/// [`DrawingError::GcodeWord`], [`DrawingError::GcodeMotion`], [`DrawingError::GcodeArc`], each with its line, and the
+/// errors common to all plots.
 pub(super) fn read_gcode(text: &str) -> Result<Artwork, DrawingError> {
     let mut blocks = Vec::new();
     for (line, content) in (1..).zip(text.lines()) {
@@ -69,7 +69,7 @@ pub(super) fn read_gcode(text: &str) -> Result<Artwork, DrawingError> {
     Ok(reader.plot.finish())
 }
 
-/// The words of a line, comments left out.
+/// The words of a line, without comments.
 fn words(content: &str, line: usize) -> Result<Vec<Word>, DrawingError> {
     let mut result = Vec::new();
     let mut rest = content;
@@ -145,7 +145,7 @@ struct Reader {
     motion: u32,
     unit_mm: f64,
     is_relative: bool,
-    /// What G92 added to the file's coordinates, mm.
+    /// Offset by G92 to the file's coordinates, mm.
     offset: [f64; 2],
     height: f64,
     is_down: bool,
@@ -272,7 +272,7 @@ impl Reader {
     }
 }
 
-/// The centre of an arc given by its radius: the shorter arc, or the longer one where the radius is negative.
+/// The centre of an arc given by its radius: the shorter arc, or the longer one if the radius is negative.
 fn centre_of(from: line::Point, to: line::Point, radius: f64, is_clockwise: bool) -> Option<line::Point> {
     let half = 0.5 * line::distance(from, to);
     if half == 0.0 || radius.abs() + ARC_MM < half {

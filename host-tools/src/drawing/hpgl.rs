@@ -1,14 +1,14 @@
 //! HPGL of pen plotters: pens, moves, circles, arcs, rectangles.
 //!
-//! Two letters and numbers, 40 units a millimetre (Hewlett-Packard, *The HP-GL/2 and HP RTL Reference Guide*). Settings
-//! of a plotter's own are passed over; what would have drawn something and is not known is told.
+//! Instructions are two letters and numbers, 40 units per millimetre (Hewlett-Packard, *The HP-GL/2 and HP RTL
+//! Reference Guide*). Plotter-specific settings are skipped; an unknown instruction that would draw causes a warning.
 
 use super::artwork::Artwork;
 use super::line::Point;
 use super::plot::Plot;
 use super::{DrawingError, FilePlace};
 
-/// Millimetres of a plotter's unit.
+/// Millimetres per plotter unit.
 const MM_PER_UNIT: f64 = 0.025;
 /// End of a label.
 const LABEL_END: char = '\u{3}';
@@ -21,7 +21,7 @@ const SETTINGS: [&str; 24] = [
 /// Reads HPGL.
 ///
 /// # Errors
-/// [`DrawingError::HpglNumber`] with the number of the instruction, and what every plot may be refused for.
+/// [`DrawingError::HpglNumber`] with the number of the instruction, and the errors common to all plots.
 pub(super) fn read_hpgl(text: &str) -> Result<Artwork, DrawingError> {
     let mut plot = Plot::default();
     let mut is_relative = false;

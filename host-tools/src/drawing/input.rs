@@ -1,7 +1,7 @@
-//! Files by their content: photographs, vector files, lists of coordinates.
+//! Loads files by content: photographs, vector files, lists of coordinates.
 //!
-//! What a file is follows from its bytes; a name only helps where the bytes fit several kinds of text. A file is read to
-//! a known size and no further, from a disk or from standard input.
+//! The kind of a file is determined from its bytes; its name only matters if the bytes fit several kinds of text. A
+//! file is read from a disk or from standard input, up to a size limit.
 
 use super::artwork::Artwork;
 use super::csv::{Path3d, read_csv};
@@ -17,16 +17,16 @@ use std::path::Path;
 /// Largest file read, bytes.
 const FILE_BYTES_MAX: u64 = 256 << 20;
 
-/// What a file holds.
+/// Content of a file.
 #[derive(Clone, Debug)]
 pub enum Input {
-    /// A picture, upright, on white where it was transparent.
+    /// A picture, upright, with transparent parts on white.
     Photograph(RgbImage),
     /// Strokes on a sheet.
     Drawing(Drawing),
     /// A path in the robot's frame.
     Path(Path3d),
-    /// Lines with a page of their own.
+    /// Lines with their own page.
     Artwork(Artwork),
 }
 
@@ -35,26 +35,26 @@ pub enum Input {
 ///
 /// # Errors
 ///
-/// [`DrawingError`] says what is wrong with the file and what to try.
+/// [`DrawingError`] describes what is wrong with the file and what to try.
 pub fn load(path: impl AsRef<Path>) -> Result<Input, DrawingError> {
     load_with(path, &TextFont::default())
 }
 
-/// Reads a file as [`load`] does, its text in a font.
+/// Reads a file like [`load`], with a font for its text.
 ///
 /// # Errors
 ///
-/// [`DrawingError`] says what is wrong with the file and what to try.
+/// [`DrawingError`] describes what is wrong with the file and what to try.
 pub fn load_with(path: impl AsRef<Path>, font: &TextFont) -> Result<Input, DrawingError> {
     let path = path.as_ref();
     load_content(path, &read_file(path)?, font)
 }
 
-/// Makes of a file's content what [`load`] makes of a file; its name says what kind of text it is where that is not clear.
+/// Converts a file's content like [`load`]; the name determines the kind of text if the content is ambiguous.
 ///
 /// # Errors
 ///
-/// [`DrawingError`] says what is wrong with the file and what to try.
+/// [`DrawingError`] describes what is wrong with the file and what to try.
 pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input, DrawingError> {
     if bytes.is_empty() {
         return Err(DrawingError::Empty);
@@ -79,7 +79,7 @@ pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input,
 ///
 /// # Errors
 ///
-/// It cannot be read, or is larger than is accepted.
+/// The file cannot be read, or is too large.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, DrawingError> {
     let mut bytes = Vec::new();
     let most = FILE_BYTES_MAX + 1;
@@ -106,7 +106,7 @@ enum Kind {
     Hpgl,
 }
 
-/// What a text is meant as: by its beginning, or by its name where the beginning is wrong.
+/// The kind of a text: by its beginning, or by its file name if the beginning is malformed.
 fn kind(path: &Path, text: &str) -> Option<Kind> {
     let begins = text.trim_start();
     let named = |names: &[&str]| {
@@ -126,7 +126,7 @@ fn kind(path: &Path, text: &str) -> Option<Kind> {
     }
 }
 
-/// Whether the first line that is no comment begins with a word of G-code.
+/// Whether the first line that is not a comment begins with a word of G-code.
 fn is_gcode(text: &str) -> bool {
     let begins_comment = |line: &&str| line.is_empty() || line.starts_with([';', '(', '%']);
     let first = text
@@ -138,7 +138,7 @@ fn is_gcode(text: &str) -> bool {
     matches!(letters.next(), Some('G' | 'M' | 'N' | 'T' | 'F')) && letters.next().is_some_and(|c| c.is_ascii_digit())
 }
 
-/// Whether a text begins with an instruction that HPGL files begin with.
+/// Whether a text begins with a typical first instruction of HPGL files.
 fn is_hpgl(text: &str) -> bool {
     let name: String = text.chars().take(2).collect::<String>().to_ascii_uppercase();
     let is_followed = text

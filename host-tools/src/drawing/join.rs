@@ -1,15 +1,15 @@
-//! Ends of lines: which lie near each other, and lines joined end to end.
+//! Joins lines end to end, with an index for nearby ends.
 //!
-//! End `2 k` of a set of lines is the start of line `k`, end `2 k + 1` its last point.
+//! End `2 k` of a set of lines is the start of line `k`, end `2 k + 1` is its last point.
 
 use super::line::{Point, distance};
 
-/// Ends looked at for each line, on average, before the rings that remain are opened as they are.
+/// Average number of ends checked for each line before the remaining rings are opened without a search.
 const RING_STEPS_A_LINE: usize = 100;
-/// Points of one cell that a point of it sees.
+/// Most points in one cell that a point of that cell checks.
 const CROWD: usize = 4_096;
 
-/// Points in square cells, so that near ones are found without looking at all.
+/// Points in square cells, to find nearby points without checking all of them.
 pub(crate) struct Near {
     origin: Point,
     cell: f64,
@@ -48,23 +48,23 @@ impl Near {
         (at(0, self.columns), at(1, self.rows))
     }
 
-    /// Takes a point out of the index.
+    /// Removes a point from the index.
     pub(crate) fn remove(&mut self, k: usize, point: Point) {
         let (column, row) = self.cell_of(point);
         self.cells[row * self.columns + column].retain(|&other| other != k);
     }
 
-    /// Distance to which everything is known after rings 0 to `ring` of cells.
+    /// Distance up to which all points are known after rings 0 to `ring` of cells.
     pub(crate) fn reach(&self, ring: usize) -> f64 {
         ring as f64 * self.cell
     }
 
-    /// Number of rings that cover everything from anywhere.
+    /// Number of rings that cover all cells from any place.
     pub(crate) fn rings(&self) -> usize {
         self.columns.max(self.rows)
     }
 
-    /// Calls `visit` with each point in the cells that are `ring` cells away from the point's own.
+    /// Calls `visit` with each point in the cells that are `ring` cells away from the point's cell.
     pub(crate) fn visit_ring(&self, point: Point, ring: usize, mut visit: impl FnMut(usize)) {
         let (column, row) = self.cell_of(point);
         let (left, top) = (column as isize - ring as isize, row as isize - ring as isize);
@@ -82,8 +82,9 @@ impl Near {
         }
     }
 
-    /// Calls `visit` with each point within `radius` (and some beyond). Where very many lie together, as where a
-    /// thousand rays begin, each of them sees only some: those that follow it in the cell, so that all are seen by others.
+    /// Calls `visit` with each point within `radius` (and some beyond). Where very many points coincide, for instance
+    /// where a thousand rays begin, each checks only some: those that follow it in the cell, so that every point is
+    /// checked by others.
     pub(crate) fn visit_within(&self, k: usize, point: Point, radius: f64, mut visit: impl FnMut(usize)) {
         let (column, row) = self.cell_of(point);
         let rings = ((radius / self.cell).ceil() as usize).min(self.rings());
@@ -106,11 +107,12 @@ pub(crate) fn ends(lines: &[Vec<Point>]) -> Vec<Point> {
         .collect()
 }
 
-/// Joins lines across bridges (length, end, end) into few; no end twice, and nothing is joined but across a bridge.
+/// Joins lines across bridges (length, end, end) into few lines; no end is used twice, and lines are joined only across
+/// bridges.
 ///
-/// The shortest bridges are taken first. Two open ends at one joint then take its ends apart and one each. What has
-/// become a ring goes round between the ends of another line that it meets, as in Hierholzer's way through all edges; a
-/// ring that meets none is opened at its longest bridge.
+/// The shortest bridges are used first. Then two open ends at one joint split the joint and take one of its ends each.
+/// A ring is merged into another line at an end where they meet, as in Hierholzer's algorithm; a ring that meets no
+/// line is opened at its longest bridge.
 pub(crate) fn join_ends(lines: &[Vec<Point>], mut bridges: Vec<(f64, usize, usize)>) -> Vec<Vec<Point>> {
     bridges.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
     let mut joints = Joints::new(ends(lines), &bridges);
@@ -120,11 +122,11 @@ pub(crate) fn join_ends(lines: &[Vec<Point>], mut bridges: Vec<(f64, usize, usiz
     joints.walked(lines)
 }
 
-/// Which ends of lines are joined.
+/// Joints between the ends of lines.
 struct Joints {
     ends: Vec<Point>,
     partner: Vec<Option<usize>>,
-    /// The ends that an end may be joined to, the nearest first.
+    /// The ends to which an end may be joined, the nearest first.
     near: Vec<Vec<usize>>,
 }
 
@@ -142,7 +144,7 @@ impl Joints {
         }
     }
 
-    /// Joins two ends that are open.
+    /// Joins two open ends.
     fn join(&mut self, a: usize, b: usize) {
         if self.partner[a].is_none() && self.partner[b].is_none() {
             (self.partner[a], self.partner[b]) = (Some(b), Some(a));
@@ -156,7 +158,7 @@ impl Joints {
         }
     }
 
-    /// Makes two joints of one wherever two open ends can have one of its ends each.
+    /// Replaces one joint by two wherever two open ends can take one of its ends each.
     fn exchange(&mut self) {
         for open in 0..self.partner.len() {
             if self.partner[open].is_some() {
@@ -175,7 +177,7 @@ impl Joints {
         }
     }
 
-    /// Makes every ring a part of a line that it meets, or opens it.
+    /// Merges every ring into a line that it meets, or opens it.
     fn open_rings(&mut self) {
         let mut group: Vec<usize> = (0..self.ends.len() / 2).collect();
         for end in 0..self.ends.len() {
@@ -208,7 +210,7 @@ impl Joints {
         }
     }
 
-    /// An end of the ring through `first`, and the end of something else that takes its place at the joint.
+    /// An end of the ring through `first`, and the end of another line that replaces it at the joint.
     fn meeting(&self, first: usize, ring: usize, group: &mut [usize], budget: &mut usize) -> Option<(usize, usize)> {
         let mut entry = first;
         loop {
@@ -237,7 +239,7 @@ impl Joints {
         }
     }
 
-    /// Opens the ring through `first` where its bridge is longest.
+    /// Opens the ring through `first` at its longest bridge.
     fn open(&mut self, first: usize) {
         let (mut longest, mut entry) = ((0.0, first), first);
         while let Some(next) = self.partner[entry ^ 1] {
@@ -253,7 +255,7 @@ impl Joints {
         self.part(longest.1);
     }
 
-    /// The joined lines, each from an end that is open.
+    /// The joined lines, each from an open end.
     fn walked(&self, lines: &[Vec<Point>]) -> Vec<Vec<Point>> {
         let mut used = vec![false; lines.len()];
         let mut result = Vec::new();

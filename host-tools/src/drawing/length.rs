@@ -1,16 +1,16 @@
-//! Lengths with units and page sizes, as people write them.
+//! Lengths with units, and page sizes, as users write them.
 //!
-//! A user unit of an SVG is 1/96 inch; a bare number on the command line is a millimetre. Every other unit means the
-//! same everywhere (CSS Values and Units, absolute lengths; ISO 216 for the page names).
+//! A user unit of an SVG is 1/96 inch; a bare number on the command line is a millimetre. All other units have their
+//! common meaning (CSS Values and Units, absolute lengths; ISO 216 for the page names).
 
-/// Millimetres of an inch.
+/// Millimetres per inch.
 pub(crate) const MM_PER_INCH: f64 = 25.4;
-/// Millimetres of an SVG's user unit, 96 of which are an inch.
+/// Millimetres per SVG user unit, 1/96 inch.
 pub(crate) const MM_PER_PX: f64 = MM_PER_INCH / 96.0;
 /// Longest length accepted, mm.
 const LENGTH_MAX_MM: f64 = 1e6;
 
-/// Page names with width and height, mm, upright.
+/// Page names with width and height, mm, portrait.
 const PAGES: [(&str, [f64; 2]); 12] = [
     ("a0", [841.0, 1189.0]),
     ("a1", [594.0, 841.0]),
@@ -26,7 +26,7 @@ const PAGES: [(&str, [f64; 2]); 12] = [
     ("postcard", [100.0, 148.0]),
 ];
 
-/// Millimetres of a length such as `12`, `1.2cm`, `0.5in`, `72pt`; a bare number counts `bare_mm` millimetres.
+/// Millimetres of a length such as `12`, `1.2cm`, `0.5in`, `72pt`; `bare_mm` is the unit of a bare number, mm.
 pub(crate) fn to_mm(text: &str, bare_mm: f64) -> Option<f64> {
     let text = text.trim();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
@@ -46,21 +46,21 @@ pub(crate) fn to_mm(text: &str, bare_mm: f64) -> Option<f64> {
     (value.is_finite() && value.abs() <= LENGTH_MAX_MM).then_some(value)
 }
 
-/// A length of the command line, mm: not negative.
+/// Parses a length of the command line, mm: not negative.
 ///
 /// # Errors
-/// What is accepted.
+/// Text that describes what is accepted.
 pub fn parse_length_mm(text: &str) -> Result<f64, String> {
     to_mm(text, 1.0)
         .filter(|value| *value >= 0.0)
         .ok_or_else(|| "a length is needed, such as 12, 12mm, 1.2cm, 0.5in or 36pt".to_owned())
 }
 
-/// Width and height of the command line, mm: `120x80mm`, `5x7in`, one length for a square, or a page's name such as
-/// `a5` and `a5-landscape`.
+/// Parses a width and height of the command line, mm: `120x80mm`, `5x7in`, one length for a square, or a page name such
+/// as `a5` and `a5-landscape`.
 ///
 /// # Errors
-/// What is accepted.
+/// Text that describes what is accepted.
 pub fn parse_size_mm(text: &str) -> Result<[f64; 2], String> {
     let name = text.trim().to_ascii_lowercase();
     let (page, lies) = match name.strip_suffix("-landscape") {
@@ -85,10 +85,10 @@ pub fn parse_size_mm(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// Two coordinates of the command line, mm: `10,20`, `1cm,2cm`; they may be negative.
+/// Parses two coordinates of the command line, mm: `10,20`, `1cm,2cm`; they may be negative.
 ///
 /// # Errors
-/// What is accepted.
+/// Text that describes what is accepted.
 pub fn parse_point_mm(text: &str) -> Result<[f64; 2], String> {
     let parsed = text.split_once(',').map(|(x, y)| [to_mm(x, 1.0), to_mm(y, 1.0)]);
     match parsed {
@@ -97,10 +97,10 @@ pub fn parse_point_mm(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// A duration of the command line, s: `90`, `90s`, `3m`, `3min`, `1h`.
+/// Parses a duration of the command line, s: `90`, `90s`, `3m`, `3min`, `1h`.
 ///
 /// # Errors
-/// What is accepted.
+/// Text that describes what is accepted.
 pub fn parse_duration_s(text: &str) -> Result<f64, String> {
     let text = text.trim();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());

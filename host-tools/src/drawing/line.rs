@@ -1,11 +1,11 @@
-//! Lines of points: length, even steps, smoothing, simplification.
+//! Polylines: length, resampling, smoothing, simplification.
 //!
 //! Every function keeps the first and the last point of a line, so that joined lines stay joined.
 
-/// A point of the plane, in whatever unit the caller works.
+/// A point of the plane, in any unit.
 pub(crate) type Point = [f64; 2];
 
-/// Distance of two points.
+/// Distance between two points.
 pub(crate) fn distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
@@ -15,12 +15,12 @@ pub(crate) fn length(points: &[Point]) -> f64 {
     points.windows(2).map(|pair| distance(pair[0], pair[1])).sum()
 }
 
-/// The point at the share `t` of the way from `a` to `b`.
+/// The point at the fraction `t` of the segment from `a` to `b`.
 pub(crate) fn between(a: Point, b: Point, t: f64) -> Point {
     [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
 }
 
-/// The unit vector from `a` to `b`; zero where they are one point.
+/// The unit vector from `a` to `b`; zero if they coincide.
 pub(crate) fn direction(a: Point, b: Point) -> Point {
     let length = distance(a, b);
     if length > 0.0 {
@@ -65,7 +65,7 @@ pub(crate) fn resampled(points: &[Point], step: f64) -> Vec<Point> {
 
 /// The line with every point replaced by a Gaussian mean (`sigma` in points) of its neighbours.
 ///
-/// Near an end the window shrinks, so that the ends stay where they are.
+/// Near an end the window shrinks, so that the ends do not move.
 pub(crate) fn smoothed(points: &[Point], sigma: f64) -> Vec<Point> {
     let reach = (2.5 * sigma).ceil() as usize;
     let last = points.len().saturating_sub(1);
@@ -84,7 +84,7 @@ pub(crate) fn smoothed(points: &[Point], sigma: f64) -> Vec<Point> {
         .collect()
 }
 
-/// The line without the points that lie within `tolerance` of what remains (Ramer, Douglas and Peucker).
+/// The line without the points that are within `tolerance` of the remaining line (Ramer, Douglas and Peucker).
 pub(crate) fn simplified(points: &[Point], tolerance: f64) -> Vec<Point> {
     if points.len() < 3 {
         return points.to_vec();

@@ -1,11 +1,11 @@
 //! From a file to ordered strokes on a sheet, and from strokes to pictures.
 //!
-//! A photograph becomes lines that a pen can draw ([`vectorize`]), the lines are put into an order that costs little
-//! drawing time ([`order`]), and leave as a path in the robot's frame ([`to_path`]) or as a picture ([`render_png`],
-//! [`write_svg`]). Lists of coordinates enter through [`load`] as well. Everything is a pure function of its input and
-//! its options: the same photograph gives the same strokes in every run.
+//! A photograph becomes lines that a pen can draw ([`vectorize`]). The lines are put into an order with little drawing
+//! time ([`order`]), and are converted into a path in the robot's frame ([`to_path`]) or into a picture
+//! ([`render_png`], [`write_svg`]). Lists of coordinates enter through [`load`] as well. Everything is a pure function
+//! of its input and its options: a photograph gives identical strokes in every run.
 //!
-//! Invariant: a [`Drawing`] that leaves this module has finite points inside its sheet, and every stroke has at least
+//! Invariant: a [`Drawing`] returned by this module has finite points inside its sheet, and every stroke has at least
 //! two of them.
 
 mod artwork;
@@ -59,7 +59,7 @@ use serde::{Deserialize, Serialize};
 /// One line drawn without lifting the pen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stroke {
-    /// Corners of the line on the sheet, mm: x to the right, y down, origin at the top left.
+    /// Vertices of the line on the sheet, mm: x to the right, y down, origin at the top left.
     pub points: Vec<[f64; 2]>,
 }
 
@@ -87,7 +87,7 @@ impl Drawing {
         self.strokes.iter().map(Stroke::length_mm).sum()
     }
 
-    /// Straight distances from each stroke's end to the next one's start, mm.
+    /// Sum of the straight distances from each stroke's end to the next one's start, mm.
     #[must_use]
     pub fn pen_up_mm(&self) -> f64 {
         // An empty sum is a negative zero.

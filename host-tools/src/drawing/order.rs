@@ -1,9 +1,9 @@
-//! The order in which strokes cost least drawing time.
+//! Orders strokes for the least drawing time.
 //!
-//! Lifts come before travel: ends that lie within the pen's width are joined first, then the strokes are put into a
-//! quick tour ([`super::tour`]), each drawn from the end that suits it, by what the planner takes for such ways
-//! ([`Travel`]). Invariant: all ink of the given drawing is in the result, and neither lifts nor the way with the pen up
-//! are more than they were.
+//! Lifts come before travel: ends within the pen's width are joined first, then the strokes are put into a short tour
+//! ([`super::tour`]), each drawn from the better end, by the planner's duration of the travel moves ([`Travel`]).
+//! Invariant: the result contains all ink of the given drawing, and neither its lifts nor its travel length exceed the
+//! given ones.
 
 use super::join::{self, Near};
 use super::line::{self, Point};
@@ -11,25 +11,26 @@ use super::tour::shortest_tour;
 use super::travel::Travel;
 use super::{Drawing, Stroke};
 
-/// A line whose ends meet is a ring from this length on, in widths of the gaps that are joined.
+/// Least length of a closed line that counts as a ring, in widths of the gaps that are joined.
 const RING_GAPS: f64 = 4.0;
 
-/// Ends that an end may be joined to; where more meet, they meet each other too.
+/// Most ends to which an end may be joined; where more meet, they meet each other too.
 const BRIDGES_MAX: usize = 32;
 
-/// What the order may do.
+/// Options of the ordering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderOptions {
-    /// Ends at most this far apart are joined without a lift, mm; 0 joins only ends at one point, below 0 none.
+    /// Largest distance of ends that are joined without a lift, mm; 0 joins only coincident ends, a negative value
+    /// none.
     pub join_gap_mm: f64,
-    /// Leave order and direction as given, only join a stroke to the next one.
+    /// Keep order and direction as given, only join a stroke to the next one.
     pub keep_order: bool,
-    /// What ways with the pen up cost.
+    /// Cost of travel moves.
     pub travel: Travel,
 }
 
 impl Default for OrderOptions {
-    /// Gaps under the width of a 0.5 mm pen are joined.
+    /// Joins gaps below the width of a 0.5 mm pen.
     fn default() -> Self {
         Self {
             join_gap_mm: 0.5,
@@ -39,14 +40,14 @@ impl Default for OrderOptions {
     }
 }
 
-/// What the order has changed.
+/// Changes made by the ordering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderReport {
-    /// Lifts of the pen as given, one for each stroke.
+    /// Pen lifts as given, one for each stroke.
     pub lifts_before: usize,
-    /// Lifts of the pen now.
+    /// Pen lifts now.
     pub lifts_after: usize,
-    /// Way with the pen up as given, from the first stroke's start to the last one's end, mm.
+    /// Length of the travel moves as given, from the first stroke's start to the last one's end, mm.
     pub pen_up_mm_before: f64,
     /// Length of the travel moves now, from the first stroke's start to the last one's end, mm.
     pub pen_up_mm_after: f64,
@@ -54,12 +55,13 @@ pub struct OrderReport {
     pub bridged_mm: f64,
 }
 
-/// Puts the strokes of a drawing into an order that costs little time. Strokes of less than two points are dropped.
+/// Puts the strokes of a drawing into an order with little drawing time. Strokes with fewer than two points are
+/// dropped.
 pub fn order(drawing: &mut Drawing, options: &OrderOptions) -> OrderReport {
     order_with_effort(drawing, options, 1)
 }
 
-/// [`order`], with `effort` times as many attempts at a shorter way: for comparisons.
+/// Orders like [`order`], with `effort` times as many attempts to shorten the tour: for comparisons.
 pub fn order_with_effort(drawing: &mut Drawing, options: &OrderOptions, effort: usize) -> OrderReport {
     drawing.strokes.retain(|stroke| stroke.points.len() > 1);
     let given = drawing.clone();
@@ -89,7 +91,7 @@ pub fn order_with_effort(drawing: &mut Drawing, options: &OrderOptions, effort: 
     }
 }
 
-/// Pairs of ends that are near enough to be joined.
+/// Pairs of ends that are close enough to be joined.
 fn bridges(lines: &[Vec<Point>], options: &OrderOptions) -> Vec<(f64, usize, usize)> {
     let ends = join::ends(lines);
     let mut bridges = Vec::new();
@@ -103,7 +105,7 @@ fn bridges(lines: &[Vec<Point>], options: &OrderOptions) -> Vec<(f64, usize, usi
         return next.filter(|bridge| bridge.0 <= options.join_gap_mm).collect();
     }
     let near = Near::of(&ends);
-    // A line that hardly leaves its beginning is no ring.
+    // A line that hardly leaves its beginning is not a ring.
     let is_ring = |k: usize| line::length(&lines[k]) > RING_GAPS * options.join_gap_mm;
     for (a, &from) in ends.iter().enumerate() {
         let mut found = 0;

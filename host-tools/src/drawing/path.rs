@@ -1,14 +1,14 @@
-//! A drawing as a path in the robot's frame, pen and lifts included.
+//! A drawing as a path in the robot's frame, including lifts.
 //!
-//! Sheet x is robot x and sheet y is minus robot y, the sheet centred on the paper. Every stroke starts above its first
-//! point and ends above its last one, so that the path can be cut between any two strokes.
+//! Sheet x is robot x and sheet y is minus robot y; the sheet is centred on the paper. Every stroke starts above its
+//! first point and ends above its last one, so that the path can be cut between any two strokes.
 
 use super::Drawing;
 use etherpen::config::Paper;
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;
 
-/// The drawing in the robot's frame: for each stroke travel to above its start, down, along it, up.
+/// The drawing in the robot's frame: for each stroke a travel move to above its start, down, along the stroke, up.
 #[must_use]
 pub fn to_path(drawing: &Drawing, paper: &Paper) -> Vec<Vertex> {
     let lifted_z_mm = paper.pen_down_z_mm + paper.pen_lift_mm;

@@ -1,7 +1,6 @@
 //! Photographs: decoded within limits, upright, on white.
 //!
-//! Sizes are checked before anything is decoded, and decoding has limits of its own, so that no file can take more than
-//! a known amount of memory.
+//! Sizes are checked before decoding, and decoding has its own limits, so that memory is bounded for every file.
 
 use super::DrawingError;
 use image::metadata::Orientation;
@@ -12,7 +11,7 @@ use std::io::Cursor;
 const PIXELS_MAX: u64 = 64_000_000;
 /// Most memory a decoder may take, bytes.
 const DECODER_BYTES_MAX: u64 = 1 << 30;
-/// Fewest pixels on a side that a drawing can be made of.
+/// Least number of pixels on a side.
 pub(super) const SIDE_MIN: u32 = 16;
 /// Start of a scan and end of the picture in a JPEG file.
 const JPEG_SCAN: [u8; 2] = [0xFF, 0xDA];
@@ -38,7 +37,7 @@ pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, Draw
     Ok(on_white(picture))
 }
 
-/// Refuses pictures that are too small or too large to work on.
+/// Refuses pictures that are too small or too large.
 pub(super) fn check_size(width: u32, height: u32) -> Result<(), DrawingError> {
     if width.min(height) < SIDE_MIN {
         return Err(DrawingError::TooSmall {
@@ -64,7 +63,7 @@ fn what_failed(error: ImageError) -> DrawingError {
     }
 }
 
-/// A decoder may fill what is missing with grey; a whole file has an end marker after its last scan.
+/// A decoder may fill missing data with grey; a complete file has an end marker after its last scan.
 fn is_jpeg_complete(bytes: &[u8]) -> bool {
     let last = |marker: [u8; 2]| bytes.windows(2).rposition(|pair| pair == marker);
     last(JPEG_END) > last(JPEG_SCAN)

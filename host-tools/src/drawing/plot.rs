@@ -1,7 +1,7 @@
-//! A pen that is moved by a program: what G-code and HPGL have in common.
+//! A pen moved by a program: the common part of G-code and HPGL.
 //!
-//! Both languages move a point, raise and lower a pen, and change it. This collects the lines that the pen leaves, turns
-//! the languages' upright y into the page's, and cuts arcs into chords.
+//! Both languages move a point, raise and lower a pen, and change it. This module collects the pen's lines, converts
+//! the languages' upward y into the page's y, and approximates arcs by chords.
 
 use super::artwork::{Artwork, Layer, LayerStroke};
 use super::line::Point;
@@ -11,17 +11,17 @@ use std::f64::consts::TAU;
 
 /// Largest distance of a chord from its arc, mm.
 const TOLERANCE_MM: f64 = 0.02;
-/// Farthest coordinate, mm.
+/// Largest coordinate, mm.
 pub(super) const PLACE_MAX_MM: f64 = 1e6;
 /// Most points of all strokes together.
 const POINTS_MAX: usize = 20_000_000;
-/// Most kinds of things told about.
+/// Most kinds of warnings.
 const WARNINGS_MAX: usize = 12;
 
 /// The pen and what it has drawn.
 #[derive(Debug, Default)]
 pub(super) struct Plot {
-    /// Where the pen is, mm, y upwards.
+    /// Position of the pen, mm, y upwards.
     pub(super) at: Point,
     is_down: bool,
     pen: usize,
@@ -35,7 +35,7 @@ pub(super) struct Plot {
 }
 
 impl Plot {
-    /// Says something, once and with how often it came.
+    /// Adds a warning; repeated ones are counted.
     pub(super) fn warn(&mut self, text: String) {
         if let Some((_, count)) = self.warnings.iter_mut().find(|(known, _)| *known == text) {
             *count += 1;
@@ -52,7 +52,7 @@ impl Plot {
         self.is_down = is_down;
     }
 
-    /// Takes another pen.
+    /// Changes the pen.
     pub(super) fn change(&mut self, pen: usize) {
         if pen != self.pen {
             self.end_line();
@@ -84,7 +84,7 @@ impl Plot {
         Ok(())
     }
 
-    /// Moves along an arc around a centre by an angle, counter-clockwise above 0, and ends exactly at `to`.
+    /// Moves along an arc around a centre by an angle, counter-clockwise if positive, and ends exactly at `to`.
     ///
     /// # Errors
     /// As [`Self::go`].
@@ -123,7 +123,7 @@ impl Plot {
         });
     }
 
-    /// What has been drawn; the page is not known.
+    /// The lines drawn; the page size is not known.
     pub(super) fn finish(mut self) -> Artwork {
         self.end_line();
         let told = |(text, count): (String, usize)| match count {
@@ -140,8 +140,8 @@ impl Plot {
     }
 }
 
-/// The angle of an arc from one point to another around a centre, in the wanted direction; a whole turn where both are
-/// one point.
+/// The angle of an arc from one point to another around a centre, in the given direction; a full turn if both points
+/// coincide.
 pub(super) fn arc_angle(from: Point, to: Point, centre: Point, is_clockwise: bool) -> f64 {
     let angle = |point: Point| (point[1] - centre[1]).atan2(point[0] - centre[0]);
     let turn = (angle(to) - angle(from)).rem_euclid(TAU);

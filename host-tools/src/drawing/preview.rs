@@ -1,4 +1,4 @@
-//! How a drawing would come about, as a picture: order, ways with the pen up, borders, what is refused.
+//! Preview of a drawing as a picture: order, travel moves, borders, refused strokes.
 
 use super::line::{self, Point};
 use super::{Drawing, DrawingError, Stroke};
@@ -11,22 +11,22 @@ use std::io::Cursor;
 const BORDER_MM: f64 = 5.0;
 /// Largest side of a picture, pixels.
 const SIDE_PX_MAX: f64 = 8_000.0;
-/// Width of a way with the pen up, mm.
+/// Line width of a travel move, mm.
 const TRAVEL_MM: f64 = 0.15;
 const TRAVEL_COLOUR: [u8; 3] = [170, 170, 170];
 const REFUSED_COLOUR: [u8; 3] = [220, 0, 0];
 const SHEET_COLOUR: [u8; 3] = [252, 251, 247];
 const AROUND_COLOUR: [u8; 3] = [226, 226, 222];
 const AREA_COLOUR: [u8; 3] = [120, 120, 200];
-/// Sides of the polygon that stands for the work area's circle.
+/// Sides of the polygon that approximates the work area's circle.
 const CIRCLE_SIDES: u32 = 180;
 
-/// What a preview shows.
+/// Content of a preview.
 #[derive(Clone, Copy, Debug)]
 pub struct PreviewScene<'a> {
     /// The strokes in the order of drawing.
     pub drawing: &'a Drawing,
-    /// Numbers of those that would be refused, the first is 0.
+    /// Numbers of the strokes that would be refused, from 0.
     pub refused: &'a BTreeSet<u32>,
     /// Width of the pen's line, mm.
     pub pen_width_mm: f64,
@@ -78,7 +78,7 @@ impl PreviewScene<'_> {
         svg
     }
 
-    /// The scene as the bytes of a PNG of so many pixels a millimetre, fewer where it is very large.
+    /// The scene as the bytes of a PNG with `px_per_mm` pixels per millimetre, or fewer if it is very large.
     ///
     /// # Errors
     /// [`DrawingError::Unsupported`] if the picture cannot be encoded.
@@ -112,7 +112,7 @@ impl PreviewScene<'_> {
         Ok(bytes.into_inner())
     }
 
-    /// What is shown: sheet and strokes, with a border; left, top, width, height, mm.
+    /// The area shown: sheet and strokes, with a border; left, top, width, height, mm.
     fn window_mm(&self) -> [f64; 4] {
         let corners = [[0.0, 0.0], self.drawing.sheet_mm];
         let points = self.drawing.strokes.iter().flat_map(|stroke| &stroke.points);
@@ -126,7 +126,7 @@ impl PreviewScene<'_> {
         ]
     }
 
-    /// Calls `visit` with every line from the bottom to the top: ways with the pen up, strokes, refused strokes.
+    /// Calls `visit` with every line from the bottom to the top: travel moves, strokes, refused strokes.
     fn each_line(&self, mut visit: impl FnMut(Line)) {
         let strokes = &self.drawing.strokes;
         for pair in strokes.windows(2) {
@@ -173,7 +173,7 @@ fn rainbow(share: f64) -> [u8; 3] {
     [0, 1, 2].map(|k| (STOPS[low][k] + (STOPS[low + 1][k] - STOPS[low][k]) * (at - low as f64)).round() as u8)
 }
 
-/// Lays a line on a picture, antialiased.
+/// Draws an antialiased line into a picture.
 fn paint(picture: &mut RgbImage, points: &[Point], width: f64, colour: [u8; 3]) {
     let (columns, rows) = (f64::from(picture.width()), f64::from(picture.height()));
     let reach = 0.5 * width + 1.0;

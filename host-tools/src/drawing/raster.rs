@@ -1,11 +1,11 @@
-//! Planes of floating-point values: the picture while it is being understood.
+//! Planes of floating-point values for image processing.
 //!
-//! Every stage of the vectoriser reads and writes whole planes of the same size, so that a value is found by one pair
-//! of coordinates in all of them. Reading outside a plane gives the nearest value inside, never a failure.
+//! Every stage of the vectoriser reads and writes whole planes of one size, so one pair of coordinates is valid in all
+//! of them. Reading outside a plane returns the nearest value inside.
 
-/// Widest Gaussian that is computed with its own kernel; wider ones are three passes of a box.
+/// Widest Gaussian computed with its own kernel; wider ones are three passes of a box.
 const KERNEL_SIGMA_MAX: f32 = 2.5;
-/// Threads that work on one plane at most, and the fewest rows that are worth one.
+/// Most threads that work on one plane, and the fewest rows for one thread.
 const THREADS_MAX: usize = 8;
 const BAND_ROWS_MIN: usize = 64;
 /// Side of the squares in which a plane is transposed, pixels.
@@ -31,7 +31,8 @@ impl Plane {
         })
     }
 
-    /// A plane whose rows are filled by several threads, `fill(top, rows, width)` each a band of them from row `top` on.
+    /// A plane whose rows are filled by several threads; each call `fill(top, rows, width)` fills a band of rows from
+    /// row `top` on.
     fn from_bands(width: usize, height: usize, fill: impl Fn(usize, &mut [f32], usize) + Sync) -> Self {
         let mut values = vec![0.0; width * height];
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -49,17 +50,17 @@ impl Plane {
         Self { width, height, values }
     }
 
-    /// A plane of one value.
+    /// A plane with one constant value.
     pub(crate) fn filled(width: usize, height: usize, value: f32) -> Self {
         Self::from_fn(width, height, |_, _| value)
     }
 
-    /// Pixels from left to right.
+    /// Width, pixels.
     pub(crate) fn width(&self) -> usize {
         self.width
     }
 
-    /// Pixels from top to bottom.
+    /// Height, pixels.
     pub(crate) fn height(&self) -> usize {
         self.height
     }
@@ -76,7 +77,7 @@ impl Plane {
         self.values[y * self.width + x]
     }
 
-    /// Replaces the value at a pixel; outside nothing happens.
+    /// Replaces the value at a pixel; ignored outside the plane.
     pub(crate) fn set(&mut self, x: isize, y: isize, value: f32) {
         if x >= 0 && y >= 0 && (x as usize) < self.width && (y as usize) < self.height {
             self.values[y as usize * self.width + x as usize] = value;
@@ -96,7 +97,7 @@ impl Plane {
         above * (1.0 - v) + below * v
     }
 
-    /// A plane of `f` of every value.
+    /// A plane with `f` applied to every value.
     pub(crate) fn map(&self, f: impl Fn(f32) -> f32) -> Self {
         Self {
             width: self.width,
@@ -105,7 +106,7 @@ impl Plane {
         }
     }
 
-    /// A plane of `f` of every value and the value of `other` at the same place (planes of the same size).
+    /// A plane with `f` applied to every value and the value of `other` at that place (planes of one size).
     pub(crate) fn zip(&self, other: &Self, f: impl Fn(f32, f32) -> f32) -> Self {
         let values = self.values.iter().zip(&other.values).map(|(&a, &b)| f(a, b)).collect();
         Self {
@@ -115,7 +116,7 @@ impl Plane {
         }
     }
 
-    /// This plane where `share` is 0, `other` where it is 1 (planes of the same size).
+    /// This plane where `share` is 0, `other` where it is 1 (planes of one size).
     pub(crate) fn mixed(&self, other: &Self, share: &Self) -> Self {
         let change = other
             .zip(self, |to, from| to - from)
@@ -128,14 +129,14 @@ impl Plane {
         (self.values.iter().map(|&v| f64::from(v)).sum::<f64>() / self.values.len() as f64) as f32
     }
 
-    /// The value below which the share `fraction` (0 to 1) of all values lies.
+    /// The value below which the fraction `fraction` (0 to 1) of all values lies.
     pub(crate) fn percentile(&self, fraction: f32) -> f32 {
         let mut sorted = self.values.clone();
         let k = ((sorted.len() - 1) as f32 * fraction.clamp(0.0, 1.0)) as usize;
         *sorted.select_nth_unstable_by(k, f32::total_cmp).1
     }
 
-    /// Blurred by a Gaussian of `sigma` pixels, edges continued outwards.
+    /// The plane blurred by a Gaussian of `sigma` pixels; edges are continued outwards.
     pub(crate) fn blurred(&self, sigma: f32) -> Self {
         if sigma < 0.2 {
             return self.clone();
@@ -190,7 +191,7 @@ impl Plane {
         })
     }
 
-    /// A plane of rows that follow each from this plane's row, continued by `margin` pixels to both sides.
+    /// A plane whose rows are computed by `follow` from this plane's rows, continued by `margin` pixels on both sides.
     fn by_rows(&self, margin: usize, follow: impl Fn(&[f32], &mut [f32]) + Sync) -> Self {
         Self::from_bands(self.width, self.height, |top, band, width| {
             let mut continued = vec![0.0; width + 2 * margin];
@@ -208,7 +209,7 @@ impl Plane {
 
     fn transposed(&self) -> Self {
         Self::from_bands(self.height, self.width, |top, band, width| {
-            // Tile by tile, so that what was read stays near.
+            // Tile by tile, so that the data stay in the cache.
             for left in (0..width).step_by(TILE) {
                 let right = (left + TILE).min(width);
                 for (k, row) in band.chunks_exact_mut(width).enumerate() {
