@@ -1,7 +1,7 @@
 //! Strokes as pictures: what the pen leaves on the paper, and how well its tone matches a photograph.
 //!
-//! Used for what was meant to be drawn and for what the virtual robot's pen drew alike. A picture shows the whole sheet,
-//! no more, so that it lies on a photograph that fills the sheet.
+//! Used both for the intended drawing and for the ink of the virtual robot's pen. A picture shows exactly the whole
+//! sheet, so it can be compared with a photograph that fills the sheet.
 
 use super::line::{self, Point};
 use super::raster::Plane;
@@ -15,7 +15,7 @@ use std::io::Cursor;
 const PAPER: [f32; 3] = [252.0, 251.0, 247.0];
 /// Colour of a single layer of ink.
 const INK: [f32; 3] = [24.0, 26.0, 38.0];
-/// Share of pixels whose gradients are no strong edges, and how far ink may lie from an edge, pixels.
+/// Share of pixels whose gradients are not strong edges, and largest distance of ink from an edge, pixels.
 const EDGE_PERCENTILE: f32 = 0.95;
 const EDGE_REACH_PX: isize = 2;
 /// Width of the lines of written artwork, mm.
@@ -63,7 +63,7 @@ pub fn render_png(
     Ok(bytes.into_inner())
 }
 
-/// Covers what a round pen of `width` pixels covers on its way along the line; 1 is full ink.
+/// Adds the ink of a round pen of `width` pixels along the line; 1 is full ink.
 pub(crate) fn draw_line(ink: &mut Plane, points: &[Point], width: f64) {
     let radius = 0.5 * width;
     let reach = radius + 1.0;
@@ -111,8 +111,8 @@ pub fn write_svg(strokes: &[Stroke], sheet_mm: [f64; 2], pen_width_mm: f64) -> S
     svg
 }
 
-/// Artwork as an SVG in the coordinates of the file that it came from: the same width, height and box, one group for each run of
-/// strokes of one layer.
+/// Artwork as an SVG in the coordinates of its source file: with its width, height and viewBox, and one group for each
+/// run of strokes of one layer.
 #[must_use]
 pub fn write_artwork(artwork: &Artwork) -> String {
     let UserSpace {
@@ -138,7 +138,7 @@ pub fn write_artwork(artwork: &Artwork) -> String {
         svg,
         ">\n<g fill=\"none\" stroke-width=\"{width:.4}\" stroke-linecap=\"round\" stroke-linejoin=\"round\">"
     );
-    // A thousandth of a millimetre, whatever the unit.
+    // A thousandth of a millimetre in any unit.
     let places = (3.0 - units_per_mm[0].min(units_per_mm[1]).log10())
         .ceil()
         .clamp(0.0, 9.0) as usize;
@@ -165,7 +165,7 @@ pub fn write_artwork(artwork: &Artwork) -> String {
     svg
 }
 
-/// A text as the value of an attribute.
+/// A text escaped for use as an attribute value.
 fn escaped(text: &str) -> String {
     let mut result = String::with_capacity(text.len());
     for character in text.chars() {
@@ -182,8 +182,8 @@ fn escaped(text: &str) -> String {
 /// How well the tones of a drawing follow a photograph: correlation (-1 to 1) of both in grey, blurred.
 ///
 /// The rendered sheet is compared with the photograph as a whole: both are resized to 512 pixels in width, the drawing
-/// to the photograph's shape, and blurred with sigma 12 pixels. Pictures of one tone give 0. Where the photograph does
-/// not fill the sheet, crop the rendered sheet to `VectorizeOptions::picture_mm` first.
+/// to the photograph's aspect ratio, and blurred with sigma 12 pixels. Pictures of one tone give 0. If the photograph
+/// does not fill the sheet, crop the rendered sheet to `VectorizeOptions::picture_mm` first.
 #[must_use]
 pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
     let (width, height) = photograph.dimensions();
@@ -195,10 +195,10 @@ pub fn tone_correlation(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
     correlation(&tone(photograph), &tone(rendered))
 }
 
-/// Share of a photograph's strong edges that have ink beside them, 0 to 1.
+/// Share of a photograph's strong edges with ink next to them, 0 to 1.
 ///
 /// Both pictures are resized as for [`tone_correlation`]. Strong edges are the twentieth of all pixels with the largest
-/// gradient of the photograph blurred by one pixel; an edge has ink when the drawing is dark within two pixels of it.
+/// gradient of the photograph blurred by one pixel; an edge has ink if the drawing is dark within two pixels of it.
 #[must_use]
 pub fn edge_coverage(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
     let (width, height) = photograph.dimensions();

@@ -1,6 +1,7 @@
-//! Styles beside the sketch: crossed straight hatching, and one line through points as dense as the picture is dark.
+//! Styles besides the sketch: crossed straight hatching, and one line through points whose density follows the
+//! picture's darkness.
 //!
-//! Both work on the ink that the picture wants, 0 to 1 a pixel, and give lines in pixels.
+//! Both take the ink that the picture requires, 0 to 1 for each pixel, and return lines in pixels.
 
 use super::join::{self, Near};
 use super::line::{self, Point};
@@ -8,7 +9,7 @@ use super::raster::Plane;
 use super::tour::shortest_tour;
 use super::travel::Travel;
 
-/// How a photograph is drawn.
+/// Style in which a photograph is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Style {
     /// Edges and dark lines, and tone by strokes along the picture's flow.
@@ -18,7 +19,7 @@ pub enum Style {
     Hatch,
     /// Tone by strokes along the picture's flow, without edges.
     Flow,
-    /// One line that never crosses itself much, through points as dense as the picture is dark.
+    /// One line without many crossings, through points whose density follows the picture's darkness.
     Tsp,
 }
 
@@ -26,7 +27,7 @@ impl Style {
     /// The names of all styles.
     pub const NAMES: [&'static str; 4] = ["sketch", "hatch", "flow", "tsp"];
 
-    /// The style of a name.
+    /// The style with a name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let styles = [Self::Sketch, Self::Hatch, Self::Flow, Self::Tsp];
@@ -35,14 +36,14 @@ impl Style {
     }
 }
 
-/// Angles of the hatching's levels, degrees, and the ink from which each of them is drawn.
+/// Angles of the hatching's levels, degrees, and the least ink at which each level is drawn.
 const LEVELS: [(f64, f32); 4] = [(-45.0, 0.10), (45.0, 0.32), (0.0, 0.55), (90.0, 0.76)];
-/// Distance of a level's lines, in pens, at full density.
+/// Distance between a level's lines at full density, in pen widths.
 const SPACING_PENS: f64 = 4.0;
-/// Gaps of a hatching line that are drawn over, and lines that are too short to be drawn, in pens.
+/// Largest gap of a hatching line that is drawn over, and shortest line drawn, in pen widths.
 const GAP_PENS: f64 = 2.5;
 const LENGTH_PENS: f64 = 6.0;
-/// Distance of the one line's points where it is darkest, in pens.
+/// Distance between the points of the one line at its darkest, in pen widths.
 const STIPPLE_PENS: f64 = 1.4;
 /// Most points of the one line.
 const STIPPLES_MAX: f64 = 12_000.0;
@@ -122,7 +123,7 @@ fn level(ink: &Plane, pen: f64, spacing: f64, angle_deg: f64, threshold: f32) ->
         .collect()
 }
 
-/// One line through points that are as dense as the ink; `density` is 1 for the darkest.
+/// One line through points whose density follows the ink; `density` is 1 for the darkest.
 pub(super) fn one_line(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Vec<Point>> {
     let points = stipples(ink, pen, density, seed);
     if points.len() < 2 {
@@ -138,7 +139,7 @@ pub(super) fn one_line(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Ve
     ]
 }
 
-/// Points by error diffusion (Floyd and Steinberg, 1976) over cells, each moved a little by the seed.
+/// Points by error diffusion (Floyd and Steinberg, 1976) over cells, each with a small random offset from the seed.
 fn stipples(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Point> {
     let total: f64 = ink.values().iter().map(|&value| f64::from(value)).sum();
     let finest = (total / STIPPLES_MAX).sqrt();

@@ -1,12 +1,12 @@
-//! Vector files: the lines of an SVG in millimetres, as a plotter has to draw them.
+//! Reads the lines of an SVG in millimetres, as a plotter has to draw them.
 //!
 //! `usvg` resolves styles, references, units, nested pages and transforms; this file prepares its input and reads its
-//! tree. Whatever has a shape is drawn along its outline, filled or not, because a pen cannot fill; a filled rectangle
-//! behind the whole page is paper. Curves become lines within a tolerance, dashes become strokes, clip paths cut, text
+//! tree. Every shape is drawn along its outline, filled or not, because a pen cannot fill; a filled rectangle behind
+//! the whole page is paper. Curves become lines within a tolerance, dashes become strokes, clip paths clip, text
 //! becomes lines of a font.
 //!
-//! Invariant: nothing is left out without a warning, and no file takes more than a known number of elements, points and
-//! steps.
+//! Invariant: parts are left out only with a warning, and the numbers of elements, points and steps are bounded for
+//! every file.
 
 mod dashes;
 mod head;
@@ -29,7 +29,7 @@ pub use text::{FontFile, TextFont};
 use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Transform};
 
-/// Largest distance of a line from the curve that it stands for, mm.
+/// Largest distance of a line from the curve that it approximates, mm.
 const TOLERANCE_MM: f64 = 0.02;
 /// Most points of all strokes together.
 const POINTS_MAX: usize = 20_000_000;
@@ -39,11 +39,11 @@ const DASHES_MAX: f64 = 100_000.0;
 const ALL_DASHES_MAX: f64 = 2_000_000.0;
 /// Most warnings kept; a damaged file has one for each element.
 const WARNINGS_MAX: usize = 12;
-/// Most elements of a file, as many as usvg takes.
+/// Most elements of a file, the limit of usvg.
 const ELEMENTS_MAX: usize = 1_000_000;
-/// Stroke of elements that name none, so that they are not invisible; no file uses this colour by chance.
+/// Stroke colour for elements without one, so that they are not invisible; unlikely to be used in a file.
 const UNNAMED_STROKE: [u8; 3] = [1, 2, 3];
-/// Share of the page that a filled rectangle covers when it is the paper.
+/// Least share of the page that a filled rectangle has to cover to count as the paper.
 const PAPER_SHARE: f64 = 0.98;
 /// Name space of Inkscape's layers.
 const INKSCAPE: &str = "http://www.inkscape.org/namespaces/inkscape";
@@ -96,7 +96,7 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     }
     warnings.extend(said.warnings);
     let tree = tree.map_err(|error| match error {
-        // The text itself has been read once before.
+        // The XML itself has already been parsed.
         usvg::Error::ParsingFailed(_) => DrawingError::SvgCycle,
         usvg::Error::ElementsLimitReached => too_many,
         usvg::Error::InvalidSize => DrawingError::SvgSize,
@@ -129,7 +129,7 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     Ok(reader.finish(head.is_sized.then_some(page_mm), head.user_space))
 }
 
-/// Refuses a place that no drawing has.
+/// Refuses coordinates out of range.
 fn check_place(at: Point) -> Result<(), DrawingError> {
     if at.iter().all(|mm| mm.abs() <= PLACE_MAX_MM) {
         return Ok(());
@@ -139,7 +139,7 @@ fn check_place(at: Point) -> Result<(), DrawingError> {
     })
 }
 
-/// usvg's tree of a file, and what usvg says about it.
+/// usvg's tree of a file, and usvg's messages about it.
 fn tree(text: &str, options: &usvg::Options) -> (Result<usvg::Tree, usvg::Error>, Said) {
     let collected = Collected::begin();
     let tree = usvg::Tree::from_str(text, options);
@@ -154,7 +154,7 @@ fn syntax(error: &usvg::roxmltree::Error) -> DrawingError {
     }
 }
 
-/// Pictures inside a file are not drawn, so they are not opened either.
+/// Embedded images are not drawn, so they are not opened.
 fn usvg_options() -> usvg::Options<'static> {
     usvg::Options {
         image_href_resolver: usvg::ImageHrefResolver {
@@ -165,7 +165,7 @@ fn usvg_options() -> usvg::Options<'static> {
     }
 }
 
-/// A clip path's regions: a point is inside when it is in one of each.
+/// A clip path's regions: a point is inside if it is in one region of each.
 type Clip = Vec<Region>;
 
 /// Collects strokes while it walks through usvg's tree.
@@ -183,11 +183,11 @@ struct Reader {
     clips: Vec<Clip>,
     papers: usize,
     cut_steps: usize,
-    /// Dashes of all lines, about.
+    /// Approximate number of dashes of all lines.
     dashes: f64,
     warnings: Vec<String>,
     letters_are_open: bool,
-    /// Whether the closing lines of what is read are left out.
+    /// Whether closing lines are left out.
     is_open: bool,
 }
 
@@ -291,7 +291,7 @@ impl Reader {
         Ok(())
     }
 
-    /// The layer of a stroke: its group's where the file has layers, its colour's where it has none.
+    /// The layer of a stroke: that of its group if the file has layers, otherwise that of its colour.
     fn layer_of(&mut self, layer: Option<usize>, colour: [u8; 3]) -> usize {
         if let Some(layer) = layer {
             if self.drawn_layers.insert(layer)
@@ -309,7 +309,7 @@ impl Reader {
         };
         let layers = &mut self.layers;
         *self.layer_names.entry(name.clone()).or_insert_with(|| {
-            // A label may be the same as a colour's name.
+            // A label may equal the name of a colour.
             layers.iter().position(|layer| layer.name == name).unwrap_or_else(|| {
                 layers.push(Layer { name, colour });
                 layers.len() - 1
@@ -317,7 +317,7 @@ impl Reader {
         })
     }
 
-    /// Whether lines are one rectangle around the whole page.
+    /// Whether the lines form one rectangle around the whole page.
     fn is_paper(&self, lines: &[Vec<Point>]) -> bool {
         let [points] = lines else { return false };
         let [_, _, width, height] = super::artwork::bounds(points.iter());
@@ -427,7 +427,7 @@ impl Reader {
                 )
             });
         }
-        // Layers without strokes are none, and numbers follow the order of drawing.
+        // Layers without strokes are dropped, and numbers follow the order of drawing.
         let mut order: Vec<usize> = Vec::new();
         let mut numbers = vec![None; self.layers.len()];
         for stroke in &mut self.strokes {

@@ -1,9 +1,9 @@
-//! Tone as strokes along the picture's flow, their spacing made by the darkness.
+//! Tone as strokes along the picture's flow, with a spacing that depends on the darkness.
 //!
-//! Lines are grown from seeds beside lines that exist already, at the distance that the wanted ink asks for, until they
-//! come too near to another one or into light (after Jobard and Lefer, *Creating Evenly-Spaced Streamlines of Arbitrary
-//! Density*, 1997). Neighbours are then joined at their ends into serpentines wherever the bridge stays in the dark, as
-//! every lift of the pen costs as much time as 40 mm of line.
+//! Lines are grown from seeds beside existing lines, at the distance that the required ink gives, until they come too
+//! close to another line or into light (after Jobard and Lefer, *Creating Evenly-Spaced Streamlines of Arbitrary
+//! Density*, 1997). Neighbours are then joined at their ends into serpentines wherever the bridge stays in the dark,
+//! because every pen lift takes as long as 40 mm of line.
 
 use super::edges::Flow;
 use super::join::{self, Near};
@@ -13,26 +13,26 @@ use std::collections::VecDeque;
 
 /// Length of a growing step, pixels.
 const STEP: f64 = 1.5;
-/// A seed is this share of the spacing away from every line, at least.
+/// Least distance of a seed from every line, as a share of the spacing.
 const SEED_CLEARANCE: f64 = 0.92;
-/// A growing line stops when it is nearer to another one than this share of the spacing.
+/// Distance from another line at which a growing line stops, as a share of the spacing.
 const GROWTH_CLEARANCE: f64 = 0.68;
-/// A growing line goes on into light down to this share of the thinnest coverage.
+/// Least coverage at which a growing line continues, as a share of the thinnest coverage.
 const FADE: f32 = 0.65;
-/// Longest bridge between two lines, in spacings and in pens.
+/// Longest bridge between two lines, in spacings and in pen widths.
 const BRIDGE_SPACINGS: f64 = 2.6;
 const BRIDGE_PENS: f64 = 4.8;
-/// Longest bridge, in pens, where one line goes straight on as the other; cosine of the largest angle between them.
+/// Longest bridge between two lines that continue each other, in pen widths; cosine of the largest angle between them.
 const STRAIGHT_PENS: f64 = 9.0;
 const STRAIGHT_COSINE_MIN: f64 = 0.8;
-/// Shortest line in spacings: shorter ones are specks instead of tone.
+/// Length of the shortest line, in spacings: shorter lines look like specks.
 const LENGTH_SPACINGS: f64 = 2.2;
-/// Longest line grown in either direction, steps.
+/// Most steps that a line grows in either direction.
 const STEPS_MAX: usize = 4000;
 /// Side of a cell of the index of points, pixels.
 const CELL: f64 = 4.0;
 
-/// What the hatching has to reach.
+/// Requirements of the hatching.
 pub(crate) struct ToneGoal<'a> {
     /// Share of the paper to cover with ink, 0 to 1.
     pub(crate) coverage: &'a Plane,
@@ -44,7 +44,7 @@ pub(crate) struct ToneGoal<'a> {
     pub(crate) coverage_min: f32,
     /// Shortest stroke, pixels.
     pub(crate) length_min: &'a Plane,
-    /// Seed of the places tried first.
+    /// Seed for the places tried first.
     pub(crate) seed: u64,
 }
 
@@ -110,7 +110,7 @@ impl<'a> Field<'a> {
         at[0] >= 0.0 && at[1] >= 0.0 && at[0] <= width - 1.0 && at[1] <= height - 1.0
     }
 
-    /// Places all over the picture, the darkest first, each moved a little by the seed.
+    /// Places over the whole picture, the darkest first, each with a small random offset from the seed.
     fn first_seeds(&self) -> Vec<Point> {
         let mut random = self.goal.seed;
         let mut seeds = Vec::new();
@@ -126,7 +126,7 @@ impl<'a> Field<'a> {
         seeds.into_iter().map(|seed| seed.1).collect()
     }
 
-    /// Places at the wanted distance on both sides of a line.
+    /// Places at the required distance on both sides of a line.
     fn seeds_beside(&self, stroke: usize) -> Vec<Point> {
         let points = &self.strokes[stroke];
         let mut seeds = Vec::new();
@@ -144,7 +144,7 @@ impl<'a> Field<'a> {
         seeds
     }
 
-    /// Whether no line lies within `share` of the spacing; a line's own last points do not count.
+    /// Whether no line is within `share` of the spacing; a line's own last points do not count.
     fn is_free(&self, at: Point, share: f64, stroke: usize, step: i64) -> bool {
         let radius = share * self.spacing(at);
         let own_steps = (2.0 * radius / STEP) as i64 + 2;
@@ -172,7 +172,7 @@ impl<'a> Field<'a> {
         row * self.columns + column
     }
 
-    /// Grows a line both ways from a seed; keeps it if it is long enough.
+    /// Grows a line in both directions from a seed; keeps it if it is long enough.
     fn grow_from(&mut self, seed: Point) -> bool {
         let stroke = self.strokes.len();
         if !self.is_inside(seed)
@@ -231,7 +231,7 @@ impl<'a> Field<'a> {
 
 /// Joins lines end to end into serpentines where the bridge is short and stays in the dark.
 ///
-/// Wide spacings get bridges only where a line goes straight on: a turn would show as a line of its own there.
+/// At wide spacings, bridges are only used where a line continues straight: a turn would be visible as a separate line.
 pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal) -> Vec<Vec<Point>> {
     let coverage = |at: Point| goal.coverage.sample(at[0] as f32, at[1] as f32);
     let ends = join::ends(strokes);
@@ -268,7 +268,7 @@ pub(crate) fn join_serpentines(strokes: &[Vec<Point>], goal: &ToneGoal) -> Vec<V
     join::join_ends(strokes, bridges)
 }
 
-/// Direction in which each line would go on beyond each of its ends.
+/// Direction in which each line would continue beyond each of its ends.
 fn headings(strokes: &[Vec<Point>]) -> Vec<Point> {
     let heading = |points: &mut dyn Iterator<Item = &Point>| match (points.next(), points.nth(2)) {
         (Some(&end), Some(&inside)) => line::direction(inside, end),
@@ -280,7 +280,7 @@ fn headings(strokes: &[Vec<Point>]) -> Vec<Point> {
         .collect()
 }
 
-/// A number from 0 up to 1 from a seed that moves on (SplitMix64).
+/// A number from 0 to 1 (excluded); advances the state (SplitMix64).
 fn next_unit(state: &mut u64) -> f64 {
     *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let mut z = *state;

@@ -1,38 +1,40 @@
-//! A quick way through all strokes: which comes after which, and from which end each is drawn.
+//! A short tour through all strokes: their order, and the end from which each is drawn.
 //!
-//! The shortest links are taken first, as long as they make no ring (greedy matching); the chains that remain are put end
-//! to end. Exchanging links (2-opt) and moving short runs (or-opt) among near ends then improve the tour, and small
-//! disturbances, kept where they lead to something shorter, improve it further (iterated local search; Johnson and
-//! McGeoch, *The Traveling Salesman Problem: A Case Study in Local Optimization*, 1997).
+//! The shortest links are taken first, as long as they form no ring (greedy matching); the remaining chains are put end
+//! to end. Exchanging links (2-opt) and moving short runs (or-opt) among near ends then improve the tour. Small
+//! disturbances, kept if they shorten the tour, improve it further (iterated local search; Johnson and McGeoch, *The
+//! Traveling Salesman Problem: A Case Study in Local Optimization*, 1997).
 //!
-//! Invariant: a tour enters every stroke once, at an even place, and leaves it at its other end, at the odd place after
-//! it. The work is bounded by the number of strokes.
+//! Invariant: a tour enters every stroke once, at an even place, and leaves it at its other end, at the next, odd
+//! place. The work is bounded by the number of strokes.
 
 use super::join::Near;
 use super::line::{self, Point};
 use super::travel::Travel;
 use std::collections::VecDeque;
 
-/// Nearest ends tried as partners of an end.
+/// Number of nearest ends tried as partners of an end.
 const NEIGHBOURS: usize = 8;
-/// Longest run of strokes that is moved at once.
+/// Longest run of strokes moved at once.
 const RUN_MAX: usize = 3;
-/// Exchanges tried for each end, on average, before the tour is taken as it is.
+/// Average number of exchanges tried for each end before the search stops.
 const ROUNDS_MAX: usize = 60;
 /// Smallest improvement that counts, s.
 const GAIN_MIN_S: f64 = 1e-9;
-/// Disturbances tried: one a stroke, within these numbers. More of them shorten a tour by another per cent.
+/// Number of disturbances: one for each stroke, within these limits. More of them would shorten a tour by another per
+/// cent.
 const KICKS_MIN: usize = 60;
 const KICKS_MAX: usize = 200_000;
-/// Farthest places that are changed together after a disturbance, so that its cost does not grow with the drawing.
+/// Largest distance between places that are changed together after a disturbance, so that its cost does not grow with
+/// the drawing.
 const KICK_SPAN: usize = 400;
 /// Most strokes of a run that a disturbance moves.
 const KICK_RUN: usize = 30;
-/// A given order is a start of its own when it is at most this many times as long as the greedy one.
+/// Largest ratio of a given order's length to the greedy one's for which the given order is also tried as a start.
 const GIVEN_RATIO: f64 = 1.3;
 
-/// The ends in the order of a short tour; end `2 k` is the start of stroke `k`, end `2 k + 1` its last point. `effort`
-/// multiplies the disturbances.
+/// The ends in the order of a short tour; end `2 k` is the start of stroke `k`, end `2 k + 1` is its last point.
+/// `effort` multiplies the number of disturbances.
 pub(super) fn shortest_tour(ends: &[Point], travel: &Travel, effort: usize) -> Vec<usize> {
     let as_given: Vec<usize> = (0..ends.len()).collect();
     if ends.len() < 4 {
@@ -55,7 +57,7 @@ pub(super) fn shortest_tour(ends: &[Point], travel: &Travel, effort: usize) -> V
     tour.tour
 }
 
-/// For each end the nearest ends of other strokes, the nearest first.
+/// For each end the nearest ends of other strokes, sorted by distance.
 fn neighbours(ends: &[Point]) -> Vec<Vec<usize>> {
     let near = Near::of(ends);
     let of = |k: usize| {
@@ -66,7 +68,7 @@ fn neighbours(ends: &[Point]) -> Vec<Vec<usize>> {
     (0..ends.len()).map(of).collect()
 }
 
-/// The `count` ends that are nearest to a point.
+/// The `count` ends nearest to a point.
 fn nearest(near: &Near, ends: &[Point], point: Point, count: usize) -> Vec<usize> {
     let mut found: Vec<(f64, usize)> = Vec::new();
     for ring in 0..=near.rings() {
@@ -123,7 +125,7 @@ fn greedy(ends: &[Point], neighbours: &[Vec<usize>]) -> Vec<usize> {
     tour
 }
 
-/// A change of the tour that can be taken back.
+/// A change of the tour that can be undone.
 #[derive(Clone, Copy)]
 enum Change {
     Reverse { from: usize, to: usize },
@@ -139,11 +141,11 @@ struct Tour<'a> {
     places: Vec<usize>,
     queue: VecDeque<usize>,
     waiting: Vec<bool>,
-    /// What has changed since the last disturbance.
+    /// Changes since the last disturbance.
     changes: Vec<Change>,
-    /// How much time the tour has gained since then, s.
+    /// Time gained since the last disturbance, s.
     gained_s: f64,
-    /// Farthest places that are changed together.
+    /// Largest distance between places that are changed together.
     span_max: usize,
 }
 
@@ -165,7 +167,7 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Time between the ends at two places; beyond either end of the tour there is none.
+    /// Time between the ends at two places; 0 beyond either end of the tour.
     fn link(&self, a: usize, b: usize) -> f64 {
         match (self.tour.get(a), self.tour.get(b)) {
             (Some(&a), Some(&b)) => self.way_s(a, b),
@@ -185,7 +187,7 @@ impl<'a> Tour<'a> {
             .sum()
     }
 
-    /// Disturbs the tour in many places, one after the other, and keeps what makes it shorter.
+    /// Disturbs the tour at many places, one after the other, and keeps improvements.
     fn disturb(&mut self, effort: usize) {
         let strokes = self.tour.len() / 2;
         let longest = KICK_RUN.min(strokes / 3);
@@ -254,7 +256,7 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Improves the tour around these ends, and around what changes, until nothing near is shorter.
+    /// Improves the tour around these ends, and around changes, until no nearby change shortens it.
     fn improve(&mut self, ends: impl Iterator<Item = usize>) {
         ends.for_each(|end| self.wait(end));
         let mut budget = ROUNDS_MAX * self.ends.len();
@@ -282,13 +284,13 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// The first improvement found at an end; the places whose links have changed.
+    /// Applies the first improvement found at an end; returns the places whose links have changed.
     fn improve_at(&mut self, end: usize) -> Option<[usize; 6]> {
         let neighbours = self.neighbours;
         let place = self.places[end];
         let now = self.link(place, outward(place));
         for &other in &neighbours[end] {
-            // A change that helps has an end whose new link is shorter than its old one.
+            // An improving change has an end whose new link is shorter than its old one.
             if self.way_s(end, other) >= now {
                 return None;
             }
@@ -303,7 +305,7 @@ impl<'a> Tour<'a> {
         None
     }
 
-    /// 2-opt: links the ends at two places of the same kind and, in exchange, the ends they were linked to.
+    /// 2-opt: links the ends at two places of one parity, and also links their former partners.
     fn exchange(&mut self, a: usize, b: usize) -> Option<[usize; 6]> {
         if a % 2 != b % 2 {
             return None;
@@ -356,7 +358,7 @@ impl<'a> Tour<'a> {
         None
     }
 
-    /// Takes the run `from..=to` out and puts it back so that the end at `place` meets the one at `goal`.
+    /// Removes the run `from..=to` and reinserts it so that the end at `place` is next to the one at `goal`.
     fn relocate(&mut self, from: usize, to: usize, goal: usize, place: usize) -> [usize; 6] {
         let count = to - from + 1;
         if place % 2 == goal % 2 {
@@ -390,13 +392,13 @@ impl<'a> Tour<'a> {
     }
 }
 
-/// Distance of two points; coordinates on paper need no care for overflow.
+/// Distance between two points; coordinates on paper cannot overflow.
 fn distance(a: Point, b: Point) -> f64 {
     let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
     (dx * dx + dy * dy).sqrt()
 }
 
-/// The place that a place is linked to by a way with the pen up: after an exit, before an entry.
+/// The place to which a place is linked by a travel move: after an exit, before an entry.
 fn outward(place: usize) -> usize {
     if place % 2 == 1 {
         place + 1

@@ -1,10 +1,10 @@
-//! How long the pen is up between two strokes, by the firmware's own planner.
+//! Duration of the travel moves between strokes, from the firmware's own planner.
 //!
-//! The planner is asked for a handful of ways over the middle of the paper, from the end of one line to the beginning of
-//! another; what lies in between follows from them, as time grows with the root of a short way and with a long way
-//! itself. Directions and places, in which a delta robot differs a little, are left out.
+//! The planner is run for a few travel moves over the middle of the paper, from the end of one line to the beginning of
+//! another; other lengths are interpolated, since the duration grows with the square root of a short distance and
+//! linearly with a long one. Differences by direction and position, which are small for a delta robot, are ignored.
 //!
-//! Invariant: a longer way never takes less time.
+//! Invariant: a longer travel move never takes less time.
 
 use crate::planning;
 use etherpen::config::{Config, Paper};
@@ -12,38 +12,38 @@ use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;
 use std::sync::OnceLock;
 
-/// Entries of the table, at even steps of the way's root.
+/// Entries of the table, at equal steps of the distance's square root.
 const ENTRIES: usize = 48;
-/// Roots of millimetres between two entries: the last one is for 552 mm.
+/// Step between two entries, in roots of millimetres: the last entry is for 552 mm.
 const STEP: f64 = 0.5;
-/// Entries that the planner is asked for; the last of them is for 196 mm.
+/// Entries computed by the planner; the last of them is for 196 mm.
 const ASKED: [usize; 9] = [0, 1, 2, 4, 7, 11, 16, 22, 28];
-/// Length of the lines before and after the way, mm.
+/// Length of the lines before and after the travel move, mm.
 const LINE_MM: f64 = 5.0;
-/// Least share of the paper's shorter side that stays free of the ways.
+/// Least share of the paper's shorter side that the travel moves leave free.
 const BORDER: f64 = 0.1;
-/// Time that a way takes at least for each millimetre, s: of two that the planner cannot tell apart the shorter is taken.
+/// Least duration for each millimetre, s: makes the shorter one of two moves with equal planned durations cheaper.
 const LEAST_S_MM: f64 = 1e-6;
-/// Lift and speed of a robot whose planner does not answer.
+/// Duration of a lift and speed, for a robot that cannot be planned.
 const LIFT_S: f64 = 0.12;
 const SPEED_MM_S: f64 = 800.0;
 
-/// What ways with the pen up cost.
+/// Cost of travel moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // one for a drawing
 pub enum Travel {
-    /// Their length, a second a millimetre: for comparisons with programs that know no time.
+    /// Length, a second for each millimetre: for comparisons with programs that do not compute times.
     Length,
-    /// Their time, lift and landing included.
+    /// Duration, including lifting and lowering the pen.
     Planned(Times),
 }
 
-/// Times at even steps of the way's root, s.
+/// Durations at equal steps of the distance's square root, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times([f64; ENTRIES]);
 
 impl Default for Travel {
-    /// Those of the built-in configuration.
+    /// Durations for the built-in configuration.
     fn default() -> Self {
         static BUILT_IN: OnceLock<Travel> = OnceLock::new();
         *BUILT_IN.get_or_init(|| Self::of(&Config::default()))
@@ -51,7 +51,7 @@ impl Default for Travel {
 }
 
 impl Travel {
-    /// Asks the planner with this configuration.
+    /// Computes the durations with the planner for a configuration.
     #[must_use]
     pub fn of(config: &Config) -> Self {
         let [width, height] = config.paper.size_mm;
@@ -69,14 +69,14 @@ impl Travel {
         Self::Planned(Times(seconds))
     }
 
-    /// Time from the end of one line to the beginning of another that is so far away, s.
+    /// Duration of a travel move over a distance, s.
     #[must_use]
     pub fn seconds(&self, way_mm: f64) -> f64 {
         let Self::Planned(Times(seconds)) = self else {
             return way_mm;
         };
         let place = way_mm.max(0.0).sqrt() / STEP;
-        // An entry beyond the table is the last pair's, whose line goes on.
+        // An entry beyond the table uses the line through the last pair.
         let entry = (place as usize).min(ENTRIES - 2);
         let (Some(&from), Some(&to)) = (seconds.get(entry), seconds.get(entry + 1)) else {
             return 0.0;
@@ -89,7 +89,7 @@ fn way_mm(entry: usize) -> f64 {
     (STEP * entry as f64).powi(2)
 }
 
-/// The time of an entry between those known: even in the way's root, beyond the last even in the way.
+/// An entry between known ones: linear in the distance's root; beyond the last one linear in the distance.
 fn between(known: &[(usize, f64)], entry: usize) -> f64 {
     let plain = LIFT_S + way_mm(entry) / SPEED_MM_S;
     let Some(after) = known.iter().position(|&(other, _)| other >= entry) else {
@@ -108,7 +108,7 @@ fn between(known: &[(usize, f64)], entry: usize) -> f64 {
     low_s + (high_s - low_s) * (entry as f64 - low as f64) / (high as f64 - low as f64)
 }
 
-/// The mean of ways along and across the sheet.
+/// Mean duration of travel moves along and across the sheet.
 fn planned_s(config: &Config, way_mm: f64) -> Option<f64> {
     let duration_s = |path: &[Vertex]| Some(planning::plan(config, path, |_, _| ()).ok()?.duration_ms as f64 / 1_000.0);
     let mut sum_s = 0.0;
@@ -138,7 +138,7 @@ fn at(paper: &Paper, along: usize, [along_mm, across_mm]: [f64; 2], lifted_mm: f
     }
 }
 
-/// A line, the way, and another line.
+/// A line, the travel move, and another line.
 fn way(paper: &Paper, along: usize, way_mm: f64) -> Vec<Vertex> {
     let (from, to) = (-0.5 * way_mm, 0.5 * way_mm);
     let mut path = vec![

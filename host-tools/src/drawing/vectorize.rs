@@ -1,8 +1,8 @@
 //! From a photograph to strokes: lines where the picture has edges, hatching where it is dark.
 //!
-//! The picture is brought to two pixels a pen's width, so that every number below is a length on paper. Lines come
-//! first; hatching gives only the tone that they have not given yet; the ink is scaled so that the drawing is done
-//! within the time wanted. The face ([`super::focus`]) gets finer lines, shorter strokes and more contrast.
+//! The picture is scaled to two pixels for each pen width, so that every number below is a length on paper. Lines come
+//! first; hatching adds only the missing tone; the ink is scaled so that the drawing meets the time limit. The face
+//! ([`super::focus`]) gets finer lines, shorter strokes and more contrast.
 
 use super::edges::{self, Edge, Flow};
 use super::focus::focus;
@@ -17,15 +17,15 @@ use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use std::path::Path;
 
-/// Pixels to a pen's width while the picture is worked on.
+/// Pixels for each pen width while processing.
 const PX_PER_PEN: f64 = 2.0;
-/// Longest side of the picture worked on, pixels.
+/// Longest side of the processed picture, pixels.
 const WORK_SIDE_MAX: f64 = 2400.0;
 /// Mean speeds and times of the robot for the estimate.
 const DRAW_MM_S: f64 = 350.0;
 const TRAVEL_MM_S: f64 = 800.0;
 const LIFT_S: f64 = 0.12;
-/// Share of the permitted time that is aimed at, and of that the share for lines.
+/// Share of the time limit that is aimed at, and the share of that for lines.
 const TIME_AIM: f64 = 0.88;
 const LINE_SHARE: f64 = 0.4;
 /// Direction of hatching where the picture has none, radians.
@@ -34,40 +34,40 @@ const HATCH_ANGLE_RAD: f32 = -0.8;
 const COVERAGE_MAX: f32 = 0.66;
 /// Thinnest hatching.
 const COVERAGE_MIN: f32 = 0.13;
-/// Scale of the ink in the face, whatever the time.
+/// Scale of the ink in the face, independent of the time limit.
 const FACE_GAIN: f32 = 0.9;
 /// Weight of wide lines in the face, where fine ones count.
 const COARSE_IN_FACE: f32 = 0.4;
-/// Rounds of hatching to meet the time wanted.
+/// Rounds of hatching to meet the time limit.
 const TONE_ROUNDS: usize = 3;
-/// Rounds of the other styles to meet the time wanted.
+/// Rounds of the other styles to meet the time limit.
 const FILL_ROUNDS: usize = 5;
 
 const _: () = assert!(COVERAGE_MAX <= 1.0, "the pitch is at least the pen's width");
 const _: () = assert!(COVERAGE_MIN < COVERAGE_MAX);
 
-/// How a photograph becomes strokes.
+/// Options for converting a photograph into strokes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VectorizeOptions {
     /// Width and height of the sheet, mm.
     pub sheet_mm: [f64; 2],
-    /// White border on all sides, mm; the picture keeps its shape and is centred.
+    /// White border on all sides, mm; the picture keeps its aspect ratio and is centred.
     pub margin_mm: f64,
     /// Largest width and height of the picture, mm; `None`: the sheet inside its margin.
     pub size_mm: Option<[f64; 2]>,
-    /// Where the picture's upper left corner lies on the sheet, mm; `None`: the picture is centred.
+    /// Position of the picture's upper left corner on the sheet, mm; `None`: the picture is centred.
     pub origin_mm: Option<[f64; 2]>,
     /// Width of the pen's line, mm.
     pub pen_width_mm: f64,
-    /// How it is drawn.
+    /// Style of the drawing.
     pub style: Style,
-    /// How fine lines and edges become, 0 (few) to 1 (many).
+    /// Amount of fine lines and edges, 0 (few) to 1 (many).
     pub detail: f64,
     /// Most strokes.
     pub strokes_max: usize,
     /// Longest estimated drawing time, s (see [`estimate`]).
     pub time_max_s: f64,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -90,11 +90,11 @@ impl Default for VectorizeOptions {
 }
 
 impl VectorizeOptions {
-    /// Where a picture of so many pixels lies on the sheet: left, top, width and height, mm.
+    /// Position of a picture of this size on the sheet: left, top, width and height, mm.
     ///
     /// # Errors
     ///
-    /// [`DrawingError::BadOptions`] if the sheet leaves no room.
+    /// [`DrawingError::BadOptions`] if the sheet leaves no space.
     pub fn picture_mm(&self, width_px: u32, height_px: u32) -> Result<[f64; 4], DrawingError> {
         let frame = Frame::new(width_px, height_px, self)?;
         let ([left, top], [width, height]) = (frame.corner_mm, frame.size_mm);
@@ -102,16 +102,16 @@ impl VectorizeOptions {
     }
 }
 
-/// What a drawing will cost, roughly; the planner knows exactly.
+/// Rough estimate of a drawing's duration; the planner computes it exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// Length drawn, mm.
     pub pen_down_mm: f64,
-    /// Length travelled between strokes, mm.
+    /// Length of the travel moves, mm.
     pub pen_up_mm: f64,
-    /// Lifts of the pen.
+    /// Number of pen lifts.
     pub lifts: usize,
-    /// Time, s.
+    /// Duration, s.
     pub time_s: f64,
 }
 
@@ -132,7 +132,7 @@ pub fn estimate(drawing: &Drawing) -> Estimate {
 ///
 /// # Errors
 ///
-/// What [`load`] refuses; [`DrawingError::NoPhotograph`] for anything else; what [`vectorize_image`] refuses.
+/// Errors of [`load`]; [`DrawingError::NoPhotograph`] for any other kind of file; errors of [`vectorize_image`].
 pub fn vectorize(path: impl AsRef<Path>, options: &VectorizeOptions) -> Result<Drawing, DrawingError> {
     match load(path)? {
         Input::Photograph(picture) => vectorize_image(&picture, options),
@@ -167,7 +167,7 @@ pub fn vectorize_image(picture: &RgbImage, options: &VectorizeOptions) -> Result
     }
 }
 
-/// Where the picture lies on the sheet and at which scale it is worked on.
+/// Position of the picture on the sheet, and its scale while processing.
 struct Frame {
     corner_mm: [f64; 2],
     size_mm: [f64; 2],
@@ -207,7 +207,7 @@ impl Frame {
         })
     }
 
-    /// A line of the picture on the sheet, kept inside the picture.
+    /// A line of the picture on the sheet, limited to the picture.
     fn on_sheet(&self, points: &[Point]) -> Vec<Point> {
         let place = |point: &Point| {
             [0, 1].map(|k| self.corner_mm[k] + ((point[k] + 0.5) * self.mm_per_px).clamp(0.0, self.size_mm[k]))
@@ -216,7 +216,7 @@ impl Frame {
     }
 }
 
-/// What is known of the picture before anything is drawn.
+/// Analysis of the picture before drawing.
 struct Study {
     frame: Frame,
     /// Pen's width, pixels.
@@ -225,7 +225,7 @@ struct Study {
     focus: Plane,
     /// Lightness without noise, 0 to 1.
     calm: Plane,
-    /// Ink wanted at full strength, 0 to 1.
+    /// Required ink at full strength, 0 to 1.
     ink: Plane,
     hatch_flow: Flow,
 }
@@ -299,7 +299,7 @@ impl Study {
             .collect()
     }
 
-    /// A line smoothed and weighed, if it is long enough for its place.
+    /// A line smoothed and weighted, if it is long enough for its place.
     fn finished(&self, edge: Edge) -> Option<Edge> {
         let middle = *edge.points.get(edge.points.len() / 2)?;
         let face = f64::from(self.focus.sample(middle[0] as f32, middle[1] as f32));
@@ -312,7 +312,7 @@ impl Study {
         })
     }
 
-    /// Lines and hatching together, the hatching as dense as the time allows.
+    /// Lines and hatching, the hatching as dense as the time limit allows.
     fn drawing(&self, lines: &[Edge], options: &VectorizeOptions) -> Drawing {
         let drawn = self.coverage_of(lines.iter().map(|edge| edge.points.as_slice()));
         let line_strokes: Vec<Stroke> = lines.iter().map(|edge| self.stroke(&edge.points)).collect();
@@ -344,7 +344,7 @@ impl Study {
         result
     }
 
-    /// Lines, and filling as dense as the time allows.
+    /// Lines and filling, the filling as dense as the time limit allows.
     fn filled(&self, lines: &[Edge], options: &VectorizeOptions, filling: impl Fn(f64) -> Vec<Vec<Point>>) -> Drawing {
         let aim_s = TIME_AIM * options.time_max_s;
         let mut density = 1.0;
@@ -428,7 +428,7 @@ fn denoised(light: &Plane, radius: usize) -> Plane {
         .zip(&offset, |scaled, offset| scaled + offset)
 }
 
-/// Leaves out the shortest strokes until the drawing keeps its budgets.
+/// Removes the shortest strokes until the drawing keeps its limits.
 fn keep_within(drawing: &mut Drawing, options: &VectorizeOptions) {
     while drawing.strokes.len() > options.strokes_max
         || (estimate(drawing).time_s > options.time_max_s && !drawing.strokes.is_empty())

@@ -39,7 +39,7 @@ pub(super) struct Deviation {
     pub(super) rms_mm: f64,
 }
 
-/// Gathers distances.
+/// Accumulates distances.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Distances {
     largest_mm: f64,
@@ -54,7 +54,7 @@ impl Distances {
         self.count += 1;
     }
 
-    /// Adds the points of a match; a part of the line that they left out counts as well.
+    /// Adds the points of a match; a part of the line that they skipped counts as well.
     fn add_match(&mut self, line: &Line, points: &[Step], matched: &Match) {
         for (point, place_mm) in points.iter().zip(&matched.places_mm) {
             self.add(line.distance_between(&point.position, *place_mm, *place_mm));
@@ -142,10 +142,10 @@ struct Candidate {
     before: usize,
 }
 
-/// Distance of every point of ink from the stroke it belongs to, on the paper.
+/// Distance of every point of ink from its stroke, on the paper.
 ///
-/// Lines of ink come in the strokes' order. A stroke that was held is drawn in several lines, and a stroke whose pen did
-/// not reach the paper leaves none, so each line gets the stroke with which all lines together fit best.
+/// Lines of ink are in the order of the strokes. A stroke that was held is drawn in several lines, and a stroke whose
+/// pen did not reach the paper leaves none, so the strokes are assigned such that all lines together fit best.
 pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]) -> Deviation {
     let ink: Vec<&Vec<[f64; 2]>> = ink_mm.iter().filter(|line| !line.is_empty()).collect();
     let lines: Vec<Line> = strokes.iter().map(|(_, points)| Line::new(points.clone())).collect();
@@ -179,7 +179,7 @@ pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]
     distances.result()
 }
 
-/// The strokes that a line of ink fits to within a distance.
+/// The strokes that a line of ink fits within a distance.
 fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], lines: &[Line], near_mm: f64) -> Vec<Candidate> {
     let bounds = |places: &mut dyn Iterator<Item = [f64; 2]>| {
         places.fold(
@@ -209,7 +209,7 @@ fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], lines: &[Line], n
     result
 }
 
-/// One candidate for each line of ink, the strokes in order, with the least sum of squared distances; `None` where no
+/// One candidate for each line of ink, with the strokes in order and the least sum of squared distances; `None` if no
 /// choice keeps the order. `anyhow` lets lines on one stroke overlap.
 fn in_order(mut candidates: Vec<Vec<Candidate>>, anyhow: bool) -> Option<Vec<Candidate>> {
     let mut last: &mut [Candidate] = &mut [];
@@ -267,7 +267,7 @@ fn on_paper(points: &[[f64; 2]], z_mm: f64) -> Vec<Step> {
     points.iter().map(step).collect()
 }
 
-/// Intended length without ink near it, mm.
+/// Intended length without ink nearby, mm.
 pub(super) fn ink_missing(strokes: &[NumberedStroke], ink_mm: &[Vec<[f64; 2]>]) -> f64 {
     let cell = |v: f64| (v / INK_REACH_MM).floor() as i64;
     let mut cells: HashMap<(i64, i64), Vec<[f64; 2]>> = HashMap::new();

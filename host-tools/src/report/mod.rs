@@ -1,7 +1,7 @@
-//! What a drawing came to: the figures of `report.json` and the tables beside it.
+//! Result of a drawing: the figures of `report.json`, and the tables beside it.
 //!
-//! Everything is computed from what the firmware measured every millisecond, from the path that was intended and from
-//! the ink on the virtual paper; nothing is taken from the planner's own word.
+//! Everything is computed from the firmware's measurements in every millisecond, the intended path, and the ink on the
+//! virtual paper; figures reported by the planner itself are not used.
 
 mod deviation;
 mod platform;
@@ -71,7 +71,7 @@ pub struct Drives {
     pub output_delay_cycles: usize,
 }
 
-/// The figures of a drawing, as `report.json` has them.
+/// The figures of a drawing, as in `report.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// Whether the whole path was executed.
@@ -82,42 +82,42 @@ pub struct Report {
     pub strokes_intended: usize,
     /// Length of the strokes that the measured positions followed with the pen down, mm.
     pub followed_mm: f64,
-    /// Length that they were seen not to follow, mm: a drawing with any is not completed.
+    /// Length that the measured positions did not follow, mm; a drawing with any is not completed.
     pub not_followed_mm: f64,
-    /// Length for which telemetry was lost, mm.
+    /// Length without telemetry, mm.
     pub not_verified_mm: f64,
-    /// Strokes of which a part was not followed, in the order of drawing, the first is 1.
+    /// Strokes with a part that was not followed, in the order of drawing, from 1.
     pub strokes_not_followed: Vec<u32>,
-    /// Length of the intended strokes, mm; of a drawing that was not completed, of what was drawn of them.
+    /// Length of the intended strokes, mm; if the drawing was not completed, of the drawn part.
     pub pen_down_mm: f64,
-    /// Length of the way between them, lifts included, mm.
+    /// Length of the travel moves between them, including lifts, mm.
     pub pen_up_mm: f64,
-    /// Duration the planner computes for the path alone, s; `null` where it cannot be planned.
+    /// Duration that the planner computes for the path alone, s; `null` if it cannot be planned.
     pub planned_s: f64,
-    /// Duration of the drawing on the machine, s, without the time in which it was held.
+    /// Duration of the drawing on the machine, s, without the time on hold.
     pub drawn_s: f64,
-    /// Time in which it was held, s.
+    /// Time on hold, s.
     pub held_s: f64,
-    /// Largest distance of a measured position from its stroke in space, mm, while the reference it answers to has the
-    /// pen down; `null` without any.
+    /// Largest distance of a measured position from its stroke in space, mm, while its reference has the pen down;
+    /// `null` without any.
     pub path_deviation_max_mm: f64,
     /// Root of the mean square of that distance, mm.
     pub path_deviation_rms_mm: f64,
-    /// Largest distance of ink from its stroke on the paper, mm, wherever the pen touched, on its way up and down too;
-    /// `null` where the paper cannot be read.
+    /// Largest distance of ink from its stroke on the paper, mm, wherever the pen touched, including on its way up and
+    /// down; `null` if the paper cannot be read.
     pub ink_deviation_max_mm: f64,
     /// Root of the mean square of that distance, mm.
     pub ink_deviation_rms_mm: f64,
     /// Share of the shaping: largest distance of the pen-down references from their strokes, mm.
     pub shaping_deviation_max_mm: f64,
-    /// What the shaping may take of the deviation, mm.
+    /// Largest deviation allowed for the shaping, mm.
     pub shaping_tolerance_mm: f64,
-    /// Share of the tracking: largest distance in space between a measured position and the pen-down reference it
-    /// answers to, mm, along the path and across it.
+    /// Share of the tracking: largest distance in space between a measured position and its pen-down reference, mm,
+    /// along the path and across it.
     pub tracking_error_max_mm: f64,
     /// Root of the mean square of that distance, mm.
     pub tracking_error_rms_mm: f64,
-    /// Intended length without ink near it, mm; `null` where the paper cannot be read.
+    /// Intended length without ink nearby, mm; `null` if the paper cannot be read.
     pub ink_missing_mm: f64,
     /// Largest following error per axis, rad.
     pub following_error_max_rad: [f64; AXES],
@@ -131,48 +131,49 @@ pub struct Report {
     pub cycles_late: u32,
     /// Telegrams without a reply.
     pub frames_lost: u32,
-    /// Replies with another working counter than expected.
+    /// Replies with an unexpected working counter.
     pub working_counter_errors: u32,
     /// Milliseconds without a reference.
     pub reference_underruns: u32,
     /// Times the path ran out of data.
     pub path_starvations: u32,
-    /// Telemetry samples that were lost on the way.
+    /// Telemetry samples lost on the line.
     pub telemetry_lost: u32,
-    /// Hash of the firmware image that ran, or `simulation`.
+    /// Hash of the firmware image, or `simulation`.
     pub image: String,
     /// The virtual drives; absent on a real machine.
     pub drives: Option<Drives>,
-    /// Processor time of this process while virtual time ran, s; absent where the time was not virtual.
+    /// Processor time of this process while virtual time ran, s; absent if the time was not virtual.
     pub processor_s: Option<f64>,
-    /// Virtual seconds in a second of processor time, the host's part and the capture included; absent as well.
+    /// Virtual seconds for each second of processor time, including the host's part and the capture; absent if the time
+    /// was not virtual.
     pub virtual_to_processor_ratio: Option<f64>,
-    /// Correlation of the drawn picture with the photograph, both blurred; absent without either.
+    /// Correlation of the drawn picture with the photograph, both blurred; absent if either is missing.
     pub tone_correlation: Option<f64>,
-    /// What the firmware measured of itself.
+    /// The firmware's own measurements.
     #[serde(flatten)]
     pub timing: Timing,
 }
 
-/// What a report is made of.
+/// Data for a report.
 pub struct Evidence<'a> {
     /// The configuration that was in force.
     pub config: &'a Config,
     /// The intended path.
     pub path: &'a [Vertex],
-    /// What the firmware measured.
+    /// The firmware's samples.
     pub samples: &'a [Sample],
-    /// Lines of ink in the robot's frame, mm, in the order they were drawn; absent where the paper cannot be read.
+    /// Lines of ink in the robot's frame, mm, in the order they were drawn; absent if the paper cannot be read.
     pub ink_mm: Option<&'a [Vec<[f64; 2]>]>,
-    /// What the job saw of the path being followed.
+    /// The job's verdict on the path being followed.
     pub verdict: &'a Verdict,
-    /// What the firmware counted.
+    /// The firmware's counters.
     pub counters: Counters,
     /// Whether the whole path was executed.
     pub completed: bool,
     /// Planner's duration, s.
     pub planned_s: f64,
-    /// Name of what ran.
+    /// Hash of the firmware image, or `simulation`.
     pub image: String,
     /// The virtual drives.
     pub drives: Option<Drives>,
@@ -181,20 +182,20 @@ pub struct Evidence<'a> {
 /// One millisecond in the robot's frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// The sample as it came.
+    /// The sample as received.
     pub sample: Sample,
     /// Measured position of the platform, mm.
     pub position: Position,
-    /// Where the reference that the measured position answers to puts the platform, mm.
+    /// Commanded position of the platform for the measured one, mm.
     pub reference: Position,
     /// Stroke the measured position belongs to.
     pub stroke: u32,
-    /// Pen as the path had it for the measured position.
+    /// Pen state on the path for the measured position.
     pub pen: Pen,
 }
 
-/// Puts the measured positions into the robot's frame. The controller compares a measurement with the reference of its
-/// age, and reads the feed-forward ahead so that the two agree; stroke and pen are those of that reference.
+/// Converts the measured positions into the robot's frame. The controller compares a measurement with the reference of
+/// its age, and reads the feed-forward ahead so that the two agree; stroke and pen are those of that reference.
 pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
     let Ok(delta) = Delta::new(&config.geometry) else {
         return Vec::new();
@@ -219,8 +220,8 @@ pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
     samples.iter().enumerate().map(row).collect()
 }
 
-/// Largest distance in space between the measured platform and the reference it answers to while a path is executed, pen
-/// up or down, and its root mean square, mm; not a number without samples.
+/// Largest distance in space between the measured platform and its reference while a path is executed, pen up or down,
+/// and its root mean square, mm; NaN without samples.
 pub fn tracking(config: &Config, samples: &[Sample]) -> (f64, f64) {
     let drawing: Vec<Sample> = drawn_part(samples).copied().collect();
     let mut distances = Distances::default();
@@ -307,7 +308,7 @@ fn span_ms(samples: &[Sample]) -> u32 {
     }
 }
 
-/// From the first to the last sample in which the path was executed.
+/// The samples from the first to the last one in which the path was executed.
 fn drawn_part(samples: &[Sample]) -> impl Iterator<Item = &Sample> {
     let active = |sample: &Sample| matches!(sample.mode, Mode::Drawing | Mode::Holding);
     let first = samples.iter().position(active).unwrap_or(samples.len());

@@ -1,10 +1,10 @@
-//! Speed and acceleration of the platform, from the references that the telemetry carries.
+//! Speed and acceleration of the platform, from the references in the telemetry.
 //!
-//! Telemetry is single precision. An angle near 1 rad is rounded by up to 6e-8 rad, and the second difference of three
-//! such angles over 1 ms is wrong by up to 0.2 rad/s2, which is 0.1 m/s2 at the platform. Speeds are the exact differences
-//! of the references and rounded by 6e-8 of their value only. So the places a millisecond before and behind a reference
-//! are taken from its angle and the two speeds: the rounding of the angle moves all three places alike, and the
-//! acceleration is wrong by less than 1 mm/s2.
+//! Telemetry has single precision. An angle near 1 rad is rounded by up to 6e-8 rad, and the second difference of three
+//! such angles over 1 ms is wrong by up to 0.2 rad/s2, which is 0.1 m/s2 at the platform. Speeds are the exact
+//! differences of the references, rounded by only 6e-8 of their value. The positions a millisecond before and after a
+//! reference are therefore computed from its angle and the two speeds: the rounding of the angle moves all three
+//! positions alike, and the acceleration is wrong by less than 1 mm/s2.
 
 use super::PlatformLimits;
 use etherpen::config::Config;
@@ -15,7 +15,7 @@ use etherpen::robot::{AXES, Delta, JointAngles};
 /// One millisecond, s.
 const TICK_S: f64 = 1.0e-3;
 
-/// The largest values, beside their limits.
+/// The largest values with their limits.
 pub(super) fn platform_limits(config: &Config, samples: &[Sample]) -> PlatformLimits {
     let (mut speed, mut acceleration) = (0.0_f64, 0.0_f64);
     if let Ok(delta) = Delta::new(&config.geometry) {
@@ -35,7 +35,7 @@ pub(super) fn platform_limits(config: &Config, samples: &[Sample]) -> PlatformLi
     }
 }
 
-/// Speed after a reference, mm/s, and its change, mm/s2; nothing over a gap in the telemetry.
+/// Speed after a reference, mm/s, and its change, mm/s2; `None` across a gap in the telemetry.
 fn motion(delta: &Delta, pair: &[Sample]) -> Option<(Vector, Vector)> {
     let [here, next] = pair else { return None };
     if next.t_ms != here.t_ms.wrapping_add(1) {

@@ -1,4 +1,4 @@
-//! The tables beside `report.json`: what was intended and what was measured, for any other program to check.
+//! The tables beside `report.json`: intended path and measurements, for checks by other programs.
 //!
 //! Invariant: one row of `telemetry.csv` for each millisecond that arrived, in order.
 
@@ -10,7 +10,7 @@ use std::io::{self, Write};
 /// Writes `telemetry.csv`.
 ///
 /// # Errors
-/// Those of the writer.
+/// Errors of the writer.
 pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
     write!(out, "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm")?;
     for k in 1..=AXES {
@@ -45,7 +45,7 @@ pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
 /// Writes `intended.csv`: the drawn polylines.
 ///
 /// # Errors
-/// Those of the writer.
+/// Errors of the writer.
 pub fn write_intended(path: &[Vertex], mut out: impl Write) -> io::Result<()> {
     writeln!(out, "stroke,x_mm,y_mm,z_mm")?;
     for (stroke, points) in strokes(path) {

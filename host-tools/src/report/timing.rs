@@ -1,7 +1,7 @@
-//! What the firmware measured of itself, as the report has it.
+//! The firmware's own time measurements in the report.
 //!
-//! Invariant: instructions are given only where they are counted: in the emulator in lockstep. Elsewhere, and in virtual
-//! time without a processor, they are `null`.
+//! Invariant: instructions are only given where they are counted, in the emulator in lockstep. In other runs, and in
+//! virtual time without a processor, they are `null`.
 
 use crate::link::measurement::{Distribution, Readings};
 use etherpen::measurement::Quantity;
@@ -9,31 +9,31 @@ use serde::Serialize;
 
 const NS_PER_S: f64 = 1e9;
 
-/// A distribution in four figures; a quantile is the upper end of the histogram's bin.
+/// Four figures of a distribution; a quantile is the upper end of the histogram's bin.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     /// Smallest value.
     pub min: f64,
-    /// Half of the values are no larger.
+    /// Median.
     pub median: f64,
-    /// 999 of 1,000 values are no larger.
+    /// Upper bound of 999 of 1,000 values.
     pub p999: f64,
     /// Largest value.
     pub max: f64,
 }
 
-/// How far the releases of `sample` moved, counted from the earliest.
+/// Delay of the releases of `sample`, relative to the earliest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Jitter {
-    /// Half of the releases moved no farther, ns.
+    /// Upper bound of half of the releases, ns.
     pub p50: f64,
-    /// 999 of 1,000 releases moved no farther, ns.
+    /// Upper bound of 999 of 1,000 releases, ns.
     pub p999: f64,
     /// The latest release, ns.
     pub max: f64,
 }
 
-/// Execution times, load and jitter since the bus came up; `null` where there is nothing to measure.
+/// Execution times, load and jitter since the bus came up; `null` where nothing was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
     /// Instructions of the task `sample`, the lockstep left out.
@@ -48,12 +48,12 @@ pub struct Timing {
     pub planner_ns: Option<Spread>,
     /// Share of the time in which the core did not sleep, 0 to 1.
     pub cpu_load: Option<f64>,
-    /// How far the releases moved.
+    /// Jitter of the releases.
     pub release_jitter_ns: Option<Jitter>,
 }
 
 impl Timing {
-    /// The figures of a board; `ns_per_instruction` where its time is counted in instructions.
+    /// The figures of a board; `ns_per_instruction` if its time is counted in instructions.
     pub fn new(readings: &Readings, ns_per_instruction: Option<f64>) -> Self {
         let instructions = |quantity| {
             let ns = ns_per_instruction?;

@@ -1,8 +1,8 @@
-//! Dashed lines as the strokes that a pen draws of them.
+//! Converts dashed lines into strokes.
 
 use super::line::{self, Point};
 
-/// The drawn parts of a dashed line; `dashes` are drawn and not drawn lengths by turns.
+/// The drawn parts of a dashed line; `dashes` are alternating lengths of dashes and gaps.
 pub(super) fn cut_into_dashes(points: &[Point], dashes: &[f64], offset: f64) -> Vec<Vec<Point>> {
     let period: f64 = dashes.iter().sum();
     let (mut index, mut left) = (0, offset.rem_euclid(period));

@@ -1,6 +1,6 @@
-//! What an SVG's text says that usvg's tree does not: sizes, layers, what cannot be drawn.
+//! Reads what usvg's tree does not contain from an SVG's text: sizes, layers, elements that cannot be drawn.
 //!
-//! Invariant: what is put into the text for usvg changes no line of the drawing.
+//! Invariant: the text inserted for usvg changes no line of the drawing.
 
 use super::{INKSCAPE, Layer, MM_PER_PX, UNNAMED_STROKE, UserSpace, to_mm};
 use std::collections::HashMap;
@@ -10,10 +10,10 @@ use usvg::roxmltree::{Document, Node as XmlNode, ParsingOptions};
 const GEOMETRY: [&str; 15] = [
     "d", "points", "x", "y", "x1", "y1", "x2", "y2", "cx", "cy", "r", "rx", "ry", "width", "height",
 ];
-/// Largest number of them: a kilometre in micrometres.
+/// Largest valid number: a kilometre in micrometres.
 const NUMBER_MAX: f64 = 1e9;
 
-/// What the file's text says that usvg's tree does not.
+/// Data from the file's text that usvg's tree does not contain.
 pub(super) struct Head {
     pub(super) is_sized: bool,
     pub(super) has_senseless_size: bool,
@@ -21,13 +21,13 @@ pub(super) struct Head {
     pub(super) layers: Vec<Layer>,
     /// Layer by the id of its group.
     pub(super) layer_ids: HashMap<String, usize>,
-    /// What is put into the text, and where.
+    /// Text to insert, and where.
     insertions: Vec<(usize, String)>,
     pub(super) warnings: Vec<String>,
 }
 
-/// The line of the first element with a number that no drawing has; libraries would make a great many pieces of an arc
-/// that is so large.
+/// The line of the first element with a number out of range; libraries would approximate an arc of that size with a
+/// great many pieces.
 pub(super) fn senseless_line(document: &Document) -> Option<usize> {
     let is_senseless = |node: &XmlNode| {
         let mut largest = 0.0_f64;
@@ -40,7 +40,7 @@ pub(super) fn senseless_line(document: &Document) -> Option<usize> {
     Some(line_of(document, &elements.find(is_senseless)?))
 }
 
-/// The line of the element with the largest number in an attribute; none in a file without numbers.
+/// The line of the element with the largest number in an attribute; `None` in a file without numbers.
 pub(super) fn farthest_line(text: &str) -> Option<usize> {
     let options = ParsingOptions {
         allow_dtd: true,
@@ -65,7 +65,7 @@ fn line_of(document: &Document, node: &XmlNode) -> usize {
     document.text_pos_at(node.range().start).row as usize
 }
 
-/// Finds the numbers in a text; a sign or a second point begins the next one.
+/// Finds the numbers in a text; a sign or a second decimal point starts the next number.
 fn each_number(text: &str, found: &mut impl FnMut(f64)) {
     let (mut begin, mut has_point, mut last) = (0, false, ' ');
     let mut take = |word: Option<&str>| {
@@ -153,7 +153,7 @@ impl Head {
         }
     }
 
-    /// Puts text after an element's name.
+    /// Inserts text after an element's name.
     fn insert(&mut self, node: &XmlNode, text: &str) {
         let source = node.document().input_text();
         let start = node.range().start + 1;
@@ -184,7 +184,7 @@ fn absolute_mm(root: &XmlNode, name: &str) -> Option<f64> {
     to_mm(root.attribute(name)?, MM_PER_PX).filter(|mm| *mm > 0.0)
 }
 
-/// Whether the root's width or height is there and no length at all.
+/// Whether the root's width or height is present but not a length.
 fn has_senseless_size(root: &XmlNode) -> bool {
     let is_length = |text: &str| {
         let text = text.trim();
@@ -197,7 +197,7 @@ fn has_senseless_size(root: &XmlNode) -> bool {
         .any(|text| !is_length(text))
 }
 
-/// How the root's own units follow from millimetres, where its box is not squeezed.
+/// Relation of the root's own units to millimetres, if its viewBox is not distorted.
 fn user_space(root: &XmlNode, attributes: Vec<(&'static str, String)>) -> UserSpace {
     let numbers: Option<Vec<f64>> = root.attribute("viewBox").and_then(|text| {
         let parts = text.split([' ', ',', '\t', '\n', '\r']).filter(|part| !part.is_empty());

@@ -1,6 +1,7 @@
-//! What usvg says about a file, as warnings of that file.
+//! Collects usvg's messages about a file as warnings of that file.
 //!
-//! usvg speaks through the program's one logger; a thread that reads a file keeps what is said on it meanwhile.
+//! usvg logs through the program's one logger; a thread that reads a file collects the messages logged on that thread
+//! meanwhile.
 
 use super::WARNINGS_MAX;
 use std::cell::RefCell;
@@ -10,16 +11,16 @@ thread_local! {
     static MESSAGES: RefCell<Option<Said>> = const { RefCell::new(None) };
 }
 
-/// What usvg has said.
+/// Messages of usvg.
 #[derive(Default)]
 pub(super) struct Said {
-    /// Warnings, as it words them.
+    /// Warnings, in usvg's words.
     pub(super) warnings: Vec<String>,
     /// Characters that no font has.
     pub(super) missing: BTreeSet<char>,
 }
 
-/// The character of a message that says that no font has it.
+/// The character in a message about a missing glyph.
 fn missing(message: &str) -> Option<char> {
     let rest = message
         .strip_prefix("No fonts with a ")?
@@ -28,7 +29,7 @@ fn missing(message: &str) -> Option<char> {
     char::from_u32(u32::from_str_radix(number, 16).ok()?)
 }
 
-/// What usvg says about a file on this thread, kept as warnings.
+/// Collects usvg's messages on this thread.
 pub(super) struct Collected;
 
 struct Collector;
@@ -55,7 +56,7 @@ impl log::Log for Collector {
 
 impl Collected {
     pub(super) fn begin() -> Self {
-        // Another logger that is installed already keeps the messages; a file is read all the same.
+        // If another logger is already installed, it gets the messages; the file is read anyway.
         if log::set_logger(&Collector).is_ok() {
             log::set_max_level(log::LevelFilter::Warn);
         }

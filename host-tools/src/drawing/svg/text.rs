@@ -1,10 +1,10 @@
-//! Fonts for text in an SVG, and what is told where there is none.
+//! Fonts for text in an SVG, and warnings about missing fonts.
 //!
-//! Text becomes the outlines of a font, or the pen's own way along each letter: the single-stroke font that ships with
-//! the program holds open lines, which every TrueType reader closes and this one opens again ([`Fonts::are_open`]). Place,
-//! size, anchor and spacing come from usvg in all cases.
+//! Text becomes the outlines of a font, or the path of the pen along each letter: the single-stroke font included in
+//! the program has open lines, which every TrueType reader closes and this module opens again ([`Fonts::are_open`]).
+//! Position, size, anchor and spacing always come from usvg.
 //!
-//! Invariant: a character that no font has is named and left out; its place stays free.
+//! Invariant: a character that no font has is reported and left out; its place stays empty.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeSet;
@@ -17,10 +17,10 @@ use usvg::{FontResolver, Options};
 /// Hershey's Simplex Roman, see `assets/hershey/README.md`.
 const SINGLE_STROKE: &[u8] = include_bytes!("../../../assets/hershey/single-stroke.ttf");
 
-/// What text in vector files is drawn with.
+/// Font for text in vector files.
 #[derive(Clone, Debug, Default)]
 pub enum TextFont {
-    /// Outlines of the installed fonts that the file names, else of any.
+    /// Outlines of the installed fonts that the file names, or else of any installed font.
     #[default]
     Installed,
     /// Letters of single lines.
@@ -29,7 +29,7 @@ pub enum TextFont {
     File(FontFile),
 }
 
-/// A font of one's own.
+/// A font file of the user.
 #[derive(Clone, Debug)]
 pub struct FontFile {
     database: Arc<Database>,
@@ -40,7 +40,7 @@ impl FontFile {
     /// Reads a TrueType or OpenType font.
     ///
     /// # Errors
-    /// The file cannot be read, or holds no font.
+    /// The file cannot be read, or contains no font.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, String> {
         let path = path.as_ref().to_owned();
         let data = std::fs::read(&path).map_err(|cause| cause.to_string())?;
@@ -61,7 +61,7 @@ impl FontFile {
         &self.path
     }
 
-    /// A machine's fonts where none is installed.
+    /// The fonts of a computer without any installed.
     #[cfg(test)]
     pub(super) fn none() -> Self {
         Self {
@@ -100,7 +100,7 @@ pub(super) struct Fonts {
 }
 
 impl Fonts {
-    /// Finds the fonts, when the file has text at all.
+    /// Finds the fonts, if the file has any text.
     pub(super) fn find(document: &Document, font: &TextFont) -> Self {
         let is_text = |node: &Node| node.is_element() && node.tag_name().name() == "text";
         let texts = document.descendants().filter(is_text).count();
@@ -117,7 +117,7 @@ impl Fonts {
         }
     }
 
-    /// Puts the fonts into usvg's options.
+    /// Sets the fonts in usvg's options.
     pub(super) fn give_to(&self, options: &mut Options<'static>) {
         options.fontdb = self.database.clone();
         let (by_name, named) = (self.by_name, FontResolver::default_font_selector());
@@ -130,7 +130,7 @@ impl Fonts {
         };
     }
 
-    /// What a person should know of a file with text for which there is no font.
+    /// The warning for a file with text for which there is no font.
     pub(super) fn warning(&self) -> Option<String> {
         (self.texts > 0 && self.database.is_empty()).then(|| {
             format!(
@@ -142,7 +142,7 @@ impl Fonts {
     }
 }
 
-/// The installed fonts, looked for once.
+/// The installed fonts, searched once.
 fn installed() -> Arc<Database> {
     static INSTALLED: OnceLock<Arc<Database>> = OnceLock::new();
     let fonts = INSTALLED.get_or_init(|| {
@@ -160,7 +160,7 @@ fn single_stroke() -> Arc<Database> {
     Arc::new(database)
 }
 
-/// Families with the shapes of `serif`, `sans-serif` and `monospace` that are often installed.
+/// Common font families for `serif`, `sans-serif` and `monospace`.
 const SERIF: [&str; 5] = [
     "Times New Roman",
     "Liberation Serif",
@@ -177,7 +177,7 @@ const MONOSPACE: [&str; 5] = [
     "FreeMono",
 ];
 
-/// Gives each generic family a font that is there, upright and of normal weight where there is one: by default they name
+/// Assigns an installed font to each generic family, upright and of normal weight if there is one: the defaults are
 /// fonts that few computers have.
 fn name_generic_families(database: &mut Database) {
     let name = |database: &Database, family: &Family, known: &[&str]| {
@@ -211,7 +211,7 @@ fn is_of(face: &FaceInfo, family: &str) -> bool {
     face.families.iter().any(|(name, _)| name.eq_ignore_ascii_case(family))
 }
 
-/// The family of the font that is nearest to upright, normal width and normal weight.
+/// The family with the font closest to upright, normal width and normal weight.
 fn plainest(database: &Database) -> Option<String> {
     let oddity = |face: &&FaceInfo| {
         let is_slanted = face.style != Style::Normal;
@@ -221,7 +221,7 @@ fn plainest(database: &Database) -> Option<String> {
     face.families.first().map(|(name, _)| name.clone())
 }
 
-/// The file with spaces in the place of characters, in its text alone.
+/// The file with characters replaced by spaces, in its text content only.
 pub(super) fn without(text: &str, missing: &BTreeSet<char>) -> String {
     let options = ParsingOptions {
         allow_dtd: true,
@@ -255,7 +255,7 @@ pub(super) fn without(text: &str, missing: &BTreeSet<char>) -> String {
     result
 }
 
-/// What a person should know of characters that were left out.
+/// The warning about characters that were left out.
 pub(super) fn left_out(missing: &BTreeSet<char>) -> Option<String> {
     /// Most characters named.
     const NAMED_MAX: usize = 20;
