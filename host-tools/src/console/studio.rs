@@ -170,7 +170,7 @@ fn told(message: &str) -> String {
     told
 }
 
-/// A file at a path of its own that is removed when dropped.
+/// A file at a unique path that is removed when dropped.
 struct Dropped(PathBuf);
 
 impl Dropped {

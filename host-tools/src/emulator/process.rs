@@ -55,7 +55,7 @@ impl Directory {
             let path = std::env::temp_dir().join(name);
             match fs::create_dir(&path) {
                 Ok(()) => break path,
-                // Left behind by a program that had the same process number.
+                // Left behind by a program with an equal process id.
                 Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(cause) => {
                     let what = format!("making the emulator's working directory {}", path.display());

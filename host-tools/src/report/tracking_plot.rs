@@ -1,8 +1,8 @@
 //! `tracking.svg`: reference, actual position and their difference for each axis.
 //!
-//! The picture shows the two seconds around the largest difference: what is seen is the worst, not the prettiest. One
-//! row an axis; on the left the reference as a broad band with the actual position on it, on the right the difference
-//! between the reference of the measurement's age and the measurement, which is what the controller acts on.
+//! The picture shows the two seconds around the largest difference, so it shows the worst case. One row for each axis:
+//! on the left the reference as a broad band with the actual position on it, on the right the difference between the
+//! reference of the measurement's age and the measurement, which is the input of the controller.
 //!
 //! Invariant: every scale has its unit, and the axes of one column have one scale for the time.
 
@@ -25,7 +25,7 @@ const ROW_HEIGHT: f64 = 172.0;
 const TOP: f64 = 92.0;
 const BOTTOM: f64 = 14.0;
 const LEFT: [f64; 2] = [84.0, 646.0];
-/// Marks that a scale has about.
+/// Approximate number of marks on a scale.
 const MARKS: f64 = 4.0;
 
 const INK: &str = "#222222";
@@ -45,10 +45,10 @@ struct Panel<'a> {
     lines: Vec<(&'a str, f64, Vec<[f64; 2]>)>,
 }
 
-/// Writes the picture; without a drawing it holds empty panels.
+/// Writes the picture; without a drawing its panels are empty.
 ///
 /// # Errors
-/// Those of the writer.
+/// Errors of the writer.
 pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) -> io::Result<()> {
     let drawing: Vec<Sample> = drawn_part(samples).copied().collect();
     let errors: [Vec<f64>; AXES] = std::array::from_fn(|axis| differences(config, &drawing, axis));
@@ -150,7 +150,7 @@ fn largest_at(errors: &[Vec<f64>; AXES], index: usize) -> f64 {
         .fold(0.0, |most, error| most.max(error.abs()))
 }
 
-/// A scale with some room around the values, and at least a milliradian high.
+/// A scale with a margin around the values, and at least a milliradian high.
 fn range(points: &[[f64; 2]]) -> [f64; 2] {
     let low = points.iter().fold(f64::INFINITY, |low, point| low.min(point[1]));
     let high = points.iter().fold(f64::NEG_INFINITY, |high, point| high.max(point[1]));

@@ -1,47 +1,47 @@
-//! Why a way for frames cannot be opened, and what to try.
+//! Why a transport cannot be opened, and what to try.
 
 use std::fmt;
 use std::io;
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
 
-/// Why a way for frames cannot be opened.
+/// Why a transport cannot be opened.
 #[derive(Debug)]
 pub enum TransportError {
     /// This program may not use raw sockets.
     Rights {
-        /// The interface asked for.
+        /// The requested interface.
         interface: String,
         /// This program.
         program: PathBuf,
     },
-    /// There is no such interface.
+    /// The interface does not exist.
     NoInterface {
-        /// The interface asked for.
+        /// The requested interface.
         interface: String,
-        /// Those that exist.
+        /// Existing interfaces.
         present: Vec<String>,
     },
-    /// The interface is switched off.
+    /// The interface is down.
     Down {
         /// The interface.
         interface: String,
     },
     /// Another program has the UDP port.
     PortInUse(SocketAddrV4),
-    /// The address is none of this computer.
+    /// The address does not belong to this computer.
     NotHere(SocketAddrV4),
     /// Another program listens at the Unix socket.
     PathInUse(PathBuf),
-    /// Something else than a segment's socket has the name.
+    /// The path exists but is not a segment's socket.
     NoSocket(PathBuf),
-    /// Nobody listens at the Unix socket.
+    /// No program listens at the Unix socket.
     Nobody(PathBuf),
-    /// Another failure of the system.
+    /// Any other error of the operating system.
     Failed {
-        /// What was tried.
+        /// The operation that failed.
         what: String,
-        /// Why it failed.
+        /// The cause.
         source: io::Error,
     },
 }

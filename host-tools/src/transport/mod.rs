@@ -1,12 +1,12 @@
-//! Ways for EtherCAT frames through this computer: network interface, UDP, Unix socket.
+//! Transports for EtherCAT frames on this computer: network interface, UDP, Unix socket.
 //!
-//! A master opens a [`Transport`], the virtual segment a [`SegmentPort`]; both deal in Ethernet frames without check
-//! sequence, whatever carries them. On an interface the frames are as they are; in UDP the EtherCAT header and the
-//! datagrams are the payload (IEC 61158-4-12, EtherCAT in UDP); a Unix socket of type SOCK_SEQPACKET carries one frame
+//! A master opens a [`Transport`], the virtual segment a [`SegmentPort`]; both use Ethernet frames without check
+//! sequence over every transport. On an interface the frames are sent unchanged. In UDP the EtherCAT header and the
+//! datagrams are the payload (IEC 61158-4-12, EtherCAT in UDP). A Unix socket of type SOCK_SEQPACKET carries one frame
 //! in a message.
 //!
-//! Invariant: no call waits longer than it was told; a frame that cannot be sent at once is lost, as on a wire; a way
-//! that cannot be opened says what to try.
+//! Invariant: no call waits longer than its time limit; a frame that cannot be sent at once is lost, as on a wire; the
+//! error of a transport that cannot be opened contains what to try.
 
 mod error;
 mod raw;
@@ -27,14 +27,14 @@ use std::time::Duration;
 /// Bytes of an Ethernet header.
 const ETHERNET_HEADER: usize = 14;
 
-/// Where a segment is.
+/// Address of a segment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Endpoint {
-    /// On this network interface.
+    /// On a network interface.
     Interface(String),
-    /// At this UDP address.
+    /// At a UDP address.
     Udp(SocketAddrV4),
-    /// At this Unix socket.
+    /// At a Unix socket.
     Unix(PathBuf),
 }
 
@@ -48,10 +48,10 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// Reads `HOST`, `HOST:PORT` or `:PORT`; the port is 34980 unless given, the host any address of this computer.
+/// Parses `HOST`, `HOST:PORT` or `:PORT`; the default port is 34980, the default host any address of this computer.
 ///
 /// # Errors
-/// That it is no IPv4 address, which EtherCAT in UDP needs.
+/// The text is not an IPv4 address, which EtherCAT in UDP needs.
 pub fn udp_address(text: &str) -> Result<SocketAddrV4, String> {
     let (host, port) = match text.rsplit_once(':') {
         Some((host, port)) => (
@@ -75,49 +75,49 @@ pub fn udp_address(text: &str) -> Result<SocketAddrV4, String> {
         .ok_or_else(|| format!("'{host}' has no IPv4 address, which EtherCAT in UDP needs"))
 }
 
-/// A master's way to a segment.
+/// A master's transport to a segment.
 pub trait Transport: Send {
-    /// Sends an Ethernet frame; what does not fit into the socket at once is lost.
+    /// Sends an Ethernet frame; lost if it does not fit into the socket at once.
     ///
     /// # Errors
-    /// That the way does not exist any more.
+    /// The transport no longer exists.
     fn send(&mut self, frame: &[u8]) -> io::Result<()>;
 
-    /// The next Ethernet frame, written to `frame`: its length; `None` when none came within `wait`.
+    /// Writes the next Ethernet frame to `frame` and returns its length; `None` when none arrived within `wait`.
     ///
     /// # Errors
-    /// That the way does not exist any more.
+    /// The transport no longer exists.
     fn receive(&mut self, frame: &mut [u8], wait: Duration) -> io::Result<Option<usize>>;
 }
 
-/// A segment's way to its masters.
+/// A segment's transport to its masters.
 pub trait SegmentPort {
-    /// Where it listens.
+    /// The address on which it listens.
     fn endpoint(&self) -> Endpoint;
 
-    /// The next Ethernet frame and the master that sent it; `None` when none came within `wait`.
+    /// The next Ethernet frame and the master that sent it; `None` when none arrived within `wait`.
     ///
     /// # Errors
-    /// That the way does not exist any more.
+    /// The transport no longer exists.
     fn receive(&mut self, wait: Duration) -> io::Result<Option<(Master, Vec<u8>)>>;
 
-    /// Answers a master; what does not fit into the socket at once, or comes after the master has gone, is lost.
+    /// Answers a master; the answer is lost if it does not fit into the socket at once, or if the master has gone.
     ///
     /// # Errors
-    /// That the way does not exist any more.
+    /// The transport no longer exists.
     fn send(&mut self, master: Master, frame: &[u8]) -> io::Result<()>;
 
-    /// An answer as a tap at the wire would see it.
+    /// An answer as a tap on the wire would see it.
     fn on_the_wire(&self, master: Master, frame: &[u8]) -> Vec<u8> {
         let _ = master;
         frame.to_vec()
     }
 }
 
-/// Which master a frame came from.
+/// The master that sent a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Master {
-    /// Whoever is on the interface.
+    /// Any master on the interface.
     Interface,
     /// At a UDP address.
     Udp(SocketAddrV4),
@@ -125,10 +125,10 @@ pub enum Master {
     Unix(u64),
 }
 
-/// Opens a master's way to a segment.
+/// Opens a master's transport to a segment.
 ///
 /// # Errors
-/// What is missing and what to try.
+/// What is missing, and what to try.
 pub fn open(endpoint: &Endpoint) -> Result<Box<dyn Transport>, TransportError> {
     Ok(match endpoint {
         Endpoint::Interface(name) => Box::new(raw::RawTransport::open(name)?),
@@ -137,7 +137,7 @@ pub fn open(endpoint: &Endpoint) -> Result<Box<dyn Transport>, TransportError> {
     })
 }
 
-/// Opens a segment's way to its masters.
+/// Opens a segment's transport to its masters.
 ///
 /// # Errors
 /// What is missing or in use, and what to try.
@@ -149,7 +149,7 @@ pub fn listen(endpoint: &Endpoint) -> Result<Box<dyn SegmentPort>, TransportErro
     })
 }
 
-/// Waits until one of the descriptors has something, or `wait` is over.
+/// Waits until one of the descriptors is ready, or `wait` is over.
 fn wait_for(waited: &mut [PollFd<'_>], wait: Duration) -> io::Result<()> {
     let timeout = Timespec::try_from(wait).unwrap_or(Timespec { tv_sec: 1, tv_nsec: 0 });
     match poll(waited, Some(&timeout)) {
@@ -158,7 +158,7 @@ fn wait_for(waited: &mut [PollFd<'_>], wait: Duration) -> io::Result<()> {
     }
 }
 
-/// What became of a non-blocking call: `None` when it has to be tried later.
+/// Result of a non-blocking call; `None` when it has to be repeated later.
 fn unless_blocked<T>(result: rustix::io::Result<T>) -> io::Result<Option<T>> {
     match result {
         Ok(value) => Ok(Some(value)),
@@ -167,7 +167,7 @@ fn unless_blocked<T>(result: rustix::io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
-/// The EtherCAT part of an Ethernet frame: header and datagrams without padding; nothing of another frame.
+/// The EtherCAT part of an Ethernet frame: header and datagrams without padding; `None` for other frames.
 fn ethercat_part(frame: &[u8]) -> Option<&[u8]> {
     let kind = frame.get(12..ETHERNET_HEADER)?;
     let part = frame.get(ETHERNET_HEADER..)?;

@@ -1,10 +1,10 @@
 //! EtherCAT in UDP over the system's sockets.
 //!
-//! The payload of a datagram is what follows the Ethernet header in a raw frame. The segment hands on whole frames with
-//! Ethernet, IPv4 and UDP headers around it, made up from the addresses there are, so that a capture shows what a tap
-//! at the wire would: the segment's port is always the standard's in it.
+//! The payload of a UDP packet equals the content behind the Ethernet header of a raw frame. The segment passes on
+//! complete frames with Ethernet, IPv4 and UDP headers, made from the known addresses, so that a capture shows what a
+//! tap on the wire would show; in it the segment's port is always the standard's.
 //!
-//! Invariant: only IPv4; a datagram that is too long for a frame is dropped.
+//! Invariant: IPv4 only; a packet that is too long for a frame is dropped.
 
 use super::{ETHERNET_HEADER, Endpoint, Master, SegmentPort, Transport, TransportError};
 use super::{ethercat_part, unless_blocked, wait_for};
@@ -25,7 +25,7 @@ const PAYLOAD_MAX: usize = FRAME_LEN_MAX - UDP_PAYLOAD_OFFSET;
 pub(super) struct UdpTransport {
     socket: UdpSocket,
     segment: SocketAddrV4,
-    /// Source address of the frames sent: replies are given it back.
+    /// Source address of the frames sent; used as destination of the replies.
     source: [u8; 6],
 }
 
@@ -78,7 +78,7 @@ impl Transport for UdpTransport {
         if !v4(from).is_some_and(|from| self.is_of_the_segment(from)) || length > payload.len() {
             return Ok(None);
         }
-        // An Ethernet frame is at least that long.
+        // An Ethernet frame has at least this length.
         let padded = length.max(FRAME_LEN_MIN - ETHERNET_HEADER);
         if let Some(padding) = payload.get_mut(length..padded) {
             padding.fill(0);
@@ -149,7 +149,7 @@ impl SegmentPort for UdpPort {
             &SocketAddrAny::from(master),
         );
         match unless_blocked(sent) {
-            // A master that has gone is told of by the next call.
+            // The next call reports a master that has gone.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
             sent => sent.map(|_| ()),
         }
@@ -164,7 +164,7 @@ impl SegmentPort for UdpPort {
     }
 }
 
-/// What a datagram carries of a frame: what follows UDP's header, or Ethernet's where there is none.
+/// The payload of a frame: the content behind UDP's header, or behind Ethernet's if there is no UDP header.
 fn payload(frame: &[u8]) -> &[u8] {
     let whole = UdpRepr::parse(frame).ok().and_then(|(_, place)| frame.get(place));
     let is_ip = frame.get(12..ETHERNET_HEADER) == Some(&ETHERTYPE_IPV4[..]);
@@ -192,7 +192,7 @@ fn framed(from: SocketAddrV4, to: SocketAddrV4, payload: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// A made-up Ethernet address for an IPv4 address; broadcast for broadcast.
+/// An artificial Ethernet address for an IPv4 address; broadcast for broadcast.
 fn address_of(address: Ipv4Addr) -> [u8; 6] {
     let [a, b, c, d] = address.octets();
     if address.is_broadcast() {

@@ -1,6 +1,6 @@
 //! Frames through a Unix socket of type SOCK_SEQPACKET (unix(7)): one Ethernet frame in a message.
 //!
-//! Invariant: a socket file that is left behind is replaced, one where somebody listens never is.
+//! Invariant: a stale socket file is replaced; a socket on which a program listens never is.
 
 use super::{Endpoint, Master, SegmentPort, Transport, TransportError, unless_blocked, wait_for};
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
@@ -161,7 +161,7 @@ impl Drop for UnixPort {
     }
 }
 
-/// Removes a socket file where nobody listens.
+/// Removes a socket file if no program listens on it.
 fn remove_if_left_behind(path: &Path) -> Result<(), TransportError> {
     let Ok(there) = fs::symlink_metadata(path) else {
         return Ok(());

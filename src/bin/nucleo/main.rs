@@ -1,7 +1,8 @@
-//! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK, USB of its own.
+//! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK, and the board's USB.
 //!
-//! This folder is wiring: which interrupt releases which task of the library, at which priority, and the drivers of this
-//! chip. What a task does is in `etherpen::controller`; the emulated board runs the same tasks at the same priorities.
+//! This folder contains the wiring: which interrupt releases which task of the library, at which priority, and the
+//! drivers of this chip. The tasks' functions are in `etherpen::controller`; the emulated board runs these tasks at
+//! these priorities.
 //!
 //! The table of all tasks is in `docs/tasks.md`.
 //!
