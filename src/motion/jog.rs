@@ -24,7 +24,7 @@ const BRAKING_ROOM: f64 = 1.25;
 const ROOM_MM: f64 = 0.5;
 /// Distance that has to be free for a jog to begin, mm: more than the margin that a jog keeps from a border.
 const START_MM: f64 = 0.75;
-/// Slowest jog, mm/s: a slower velocity counts as zero.
+/// Speed below which the direction of a jog is not checked, mm/s.
 const SPEED_MIN_MM_S: f64 = 1.0e-3;
 
 /// Checks that a jog with a velocity from a point is not blocked.

@@ -1,4 +1,4 @@
-//! `etherpen bench`: the project's figures beside those of its peers, measured in one run.
+//! `etherpen bench`: the project's figures together with those of its peers, measured in one run.
 
 use super::{CommandError, code, print_json};
 use crate::bench::{BenchError, Report, Row, Selection, console, drawing, ethercat, motion, recording};
@@ -87,7 +87,7 @@ impl Options {
 /// Runs the command.
 ///
 /// # Errors
-/// A tool is missing, or something could not be measured. A target that is missed is no error.
+/// A tool is missing, or a measurement failed. A missed target is not an error.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
     if !matches!(arguments.bench, Bench::Recording(_) | Bench::Console(_)) {
@@ -125,7 +125,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .map_err(|cause| CommandError::failed("stdout", cause))
 }
 
-/// One line a case: our figure, its target, the peers' figures, and how many times ours the smallest of them is.
+/// One line for each case: the project's figure, its target, the peers' figures, and the ratio of the project's to the
+/// smallest of them.
 pub(super) fn table(report: &Report) -> String {
     let mut text = format!(
         "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
@@ -166,7 +167,7 @@ pub(super) fn table(report: &Report) -> String {
     text
 }
 
-/// Whole numbers as they are, others with four digits that count.
+/// Whole numbers unchanged, others with four significant digits.
 fn figure(value: f64) -> String {
     if value.fract() == 0.0 || !value.is_finite() {
         return value.to_string();

@@ -1,4 +1,4 @@
-//! How a broken drawing goes on: with what the firmware holds, else from the log.
+//! Resumes an interrupted drawing: from what the firmware holds, or else from the log.
 
 use super::source::SourceArguments;
 use super::{CommandError, code};
@@ -13,11 +13,11 @@ use etherpen::link::protocol::{PathAck, PathVertex};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Longest wait for the machine's state; the link itself gives up before.
+/// Longest wait for the machine's state; the link's own time limit is shorter.
 const STATE_MAX: Duration = Duration::from_secs(10);
-/// Longest wait for what a firmware that holds says of its path.
+/// Longest wait for the path state of a firmware that holds a drawing.
 const PATH_MAX: Duration = Duration::from_millis(500);
-/// Time between two looks.
+/// Time between two checks.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// What is given to the machine, and what it means for the whole path.
@@ -131,7 +131,7 @@ fn complete(what: &str) -> CommandError {
 }
 
 /// Jobs of this path: the newest that drew something, then newer ones without a stroke, of which the firmware may hold
-/// more than the log knows. Only where nothing was drawn yet, a job without a stroke comes first.
+/// more than the log knows. If nothing was drawn yet, a job without a stroke comes first.
 fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>, CommandError> {
     let of_path: Vec<&Record> = records
         .iter()
@@ -269,7 +269,7 @@ pub(super) fn plan(
 /// The job that the firmware holds; else the first.
 ///
 /// # Errors
-/// That one was drawn to its end.
+/// That job was drawn to its end.
 fn chosen(mut candidates: Vec<Record>, snapshot: &Snapshot) -> Result<Record, CommandError> {
     let mode = snapshot.status.as_ref().map(|status| status.mode);
     let held = matches!(mode, Some(Mode::Holding | Mode::Drawing))
@@ -295,7 +295,7 @@ fn chosen(mut candidates: Vec<Record>, snapshot: &Snapshot) -> Result<Record, Co
 /// Where the machine stands, and what it says of the path that it has.
 ///
 /// # Errors
-/// There is no connection, or the machine says nothing.
+/// There is no connection, or the machine does not answer.
 pub(super) fn state(machine: &Machine) -> Result<Snapshot, CommandError> {
     let until = Instant::now() + STATE_MAX;
     let mut known_since = None;
@@ -320,7 +320,7 @@ pub(super) fn state(machine: &Machine) -> Result<Snapshot, CommandError> {
     }
 }
 
-/// Whether this is the machine that the drawing was begun on.
+/// Checks that this is the machine on which the drawing was started.
 fn check_board(record: &Record, snapshot: &Snapshot) -> Result<(), CommandError> {
     let begun_on = &record.entry.board;
     let welcome = snapshot.welcome.as_ref();
@@ -334,7 +334,7 @@ fn check_board(record: &Record, snapshot: &Snapshot) -> Result<(), CommandError>
     Err(CommandError::new(code::FAILED, text))
 }
 
-/// Whether this is the configuration that the drawing was begun with.
+/// Checks that this is the configuration with which the drawing was started.
 fn check_config(record: &Record, config: &Config) -> Result<(), ConfigChanged> {
     let (then, now) = (record.entry.config_hash.clone(), config_hash(config));
     if then == now {
@@ -344,7 +344,7 @@ fn check_config(record: &Record, config: &Config) -> Result<(), ConfigChanged> {
     }
 }
 
-/// The hash of a configuration as the log has it.
+/// The hash of a configuration as written in the log.
 pub(super) fn config_hash(config: &Config) -> String {
     config.hash().map(hash_text).unwrap_or_default()
 }

@@ -1,35 +1,36 @@
-//! A photograph within a time: coarser lines everywhere, until the firmware's planner says that it is done in time.
+//! Fits a photograph into a drawing time: coarser lines everywhere, until the firmware's planner computes a short
+//! enough time.
 //!
-//! The picture is drawn as if with a wider pen: lines lie farther apart, and what is finer than they are is left out, in
-//! every part of the picture alike. How much wider is found by planning.
+//! The picture is drawn as if with a wider pen: lines are farther apart, and finer details are left out, uniformly in
+//! the whole picture. The required width is found by planning.
 //!
-//! Invariant: what is drawn takes no longer than its time, and at least [`SHARE_MIN`] of it unless the whole picture
-//! takes less.
+//! Invariant: the drawing takes no longer than its time limit, and at least [`SHARE_MIN`] of it unless the whole
+//! picture takes less.
 
 use super::prepare::planned_s;
 use super::quickest::{quickest, travelling};
 use crate::drawing::{Drawing, DrawingError, OrderOptions, Stroke};
 use etherpen::config::Config;
 
-/// Least share of the time that is used.
+/// Least share of the time limit that is used.
 const SHARE_MIN: f64 = 0.97;
-/// Share that is aimed at.
+/// Share of the time limit that is aimed at.
 const SHARE_AIM: f64 = 0.985;
-/// A drawing that takes up to this share has some of its short strokes left out; one that takes more is made anew.
+/// Largest share of the time limit at which short strokes are left out; a drawing that takes longer is computed again.
 const SHARE_THINNED: f64 = 1.12;
-/// Fewest strokes of a drawing of which some can be left out without a gap.
+/// Fewest strokes of a drawing from which some can be left out without a visible gap.
 const THINNED_STROKES_MIN: usize = 60;
-/// Drawings tried.
+/// Most drawings computed.
 const TRIES: usize = 24;
-/// Tries after which widths beside the range that is left are tried, and the step between them.
+/// Tries after which widths outside the remaining range are tried, and the step between them.
 const SCATTERED_FROM: usize = 10;
 const SCATTER: f64 = 0.003;
-/// Strokes left out anew until the time fits.
+/// Most repetitions of leaving strokes out until the time fits.
 const THINNINGS: usize = 6;
-/// How the time falls with the pen's width, as its power, before it is known: to begin with, and its bounds.
+/// Exponent with which the time falls with the pen's width: the initial value, and its bounds.
 const POWER: f64 = 1.3;
 const POWER_RANGE: [f64; 2] = [0.5, 3.0];
-/// Widest pen tried, in widths of the real one.
+/// Widest pen tried, as a multiple of the real width.
 const WIDEST: f64 = 64.0;
 
 /// A drawing in its order, and its planned duration, s.
@@ -41,7 +42,7 @@ pub(super) struct Timed {
 /// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one with a pen so many times as wide.
 ///
 /// # Errors
-/// What `draw` refuses with the real pen, and [`DrawingError::TimeTooShort`].
+/// Errors of `draw` with the real pen, and [`DrawingError::TimeTooShort`].
 pub(super) fn within(
     budget_s: f64,
     config: &Config,
@@ -100,7 +101,7 @@ pub(super) fn within(
     }
 }
 
-/// The width between two, or beyond the first, at which the time is about the one aimed at.
+/// The width between two, or beyond the first, at which the estimated time is the one aimed at.
 fn next_width(slow: (f64, f64), quick: Option<(f64, f64)>, aim_s: f64) -> f64 {
     let Some(quick) = quick else {
         return slow.0 * (slow.1 / aim_s).max(1.02).powf(1.0 / POWER);
@@ -116,7 +117,7 @@ fn next_width(slow: (f64, f64), quick: Option<(f64, f64)>, aim_s: f64) -> f64 {
     width.clamp(slow.0.min(quick.0) * room, (quick.0 / room).max(slow.0 * room))
 }
 
-/// Widths on both sides of the range that is left: a single line's time is no smooth function of the width.
+/// Widths on both sides of the remaining range: a single line's time is not a smooth function of the width.
 fn scattered_width(slow: (f64, f64), quick: (f64, f64), attempt: usize) -> f64 {
     let side = if attempt.is_multiple_of(2) { 1.0 } else { -1.0 };
     (slow.0 * quick.0).sqrt() * (1.0 + side * SCATTER * (attempt / 2 + 1) as f64)
@@ -131,7 +132,8 @@ fn timed(drawing: Drawing, config: &Config, options: &OrderOptions) -> Timed {
     }
 }
 
-/// The drawing without some of the shorter half of its strokes, all along its order, so that it is done in time.
+/// The drawing without some of the shorter half of its strokes, evenly along its order, so that it meets the time
+/// limit.
 fn thinned(whole: &Timed, budget_s: f64, config: &Config) -> Option<Timed> {
     let strokes = &whole.drawing.strokes;
     if strokes.len() < THINNED_STROKES_MIN {

@@ -1,4 +1,4 @@
-//! `etherpen config show`: the values in force, and where each comes from.
+//! `etherpen config show`: the values in force, and the source of each.
 
 use super::ports::OptionalPort;
 use super::{CommandError, ConfigArguments, code, print_json};
@@ -103,7 +103,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, CommandError> {
     Ok(entries)
 }
 
-/// Visits every value that is no table; places in lists are counted from 0 in brackets.
+/// Visits every value that is not a table; places in lists are counted from 0 in brackets.
 fn flatten(value: &serde_json::Value, key: &str, visit: &mut dyn FnMut(String, &serde_json::Value)) {
     match value {
         serde_json::Value::Object(table) => {

@@ -1,11 +1,11 @@
-//! Files from outside become strokes in a process of their own, with limits on memory and processor time.
+//! Converts external files into strokes in a separate process, with limits on memory and processor time.
 //!
-//! The readers bound what they make of a file. What they, the order's search or a library miss still ends this process
-//! only: a console that draws goes on drawing, and the person is told what the file did. The process is this program with
-//! a hidden command; it gets the file's content on standard input and answers on standard output, so it needs no more
-//! rights to files than the fonts'.
+//! The readers already limit what they make of a file. If these limits, the ordering's search or a library fail, only
+//! the separate process ends: a console that draws continues, and the error describes what the file caused. The process
+//! is this program with a hidden command. It gets the file's content on standard input and answers on standard output,
+//! so it needs no file permissions except for fonts.
 //!
-//! `order` and `vectorize` read their file without it: nothing else goes on in their own process, and they move no robot.
+//! `order` and `vectorize` read their file without it: nothing else runs in their own process, and they move no robot.
 
 use super::prepare::{Composed, compose_content, from_wire, to_wire};
 use super::source::SourceArguments;
@@ -26,11 +26,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Most memory that the process may map, bytes. The largest picture accepted takes a quarter of it.
 const MEMORY_MAX_BYTES: u64 = 4 << 30;
-/// Most processor time that it may take, s: ten times what the largest sample takes.
+/// Most processor time of the process, s: ten times the time for the largest sample.
 const PROCESSOR_MAX_S: u64 = 120;
 /// Most bytes of its answer: a path of all points that are accepted, and a picture.
 const ANSWER_MAX_BYTES: u64 = 2 << 30;
-/// Signal for processor time that is used up.
+/// Signal for exhausted processor time.
 const SIGXCPU: i32 = 24;
 /// The hidden command.
 pub const COMMAND: &str = "compose-confined";
@@ -38,12 +38,12 @@ pub const COMMAND: &str = "compose-confined";
 /// Whether this program has the hidden command.
 static IS_ENABLED: AtomicBool = AtomicBool::new(false);
 
-/// Says that this program has the hidden command; without it files are read in the caller's process.
+/// Declares that this program has the hidden command; without it files are read in the caller's process.
 pub fn enable() {
     IS_ENABLED.store(true, Ordering::Relaxed);
 }
 
-/// Whether files are read in a process of their own.
+/// Whether files are read in a separate process.
 pub(super) fn is_enabled() -> bool {
     IS_ENABLED.load(Ordering::Relaxed)
 }
@@ -75,7 +75,7 @@ enum Answer {
 /// Reads, vectorises and orders a file's content in a process of its own.
 ///
 /// # Errors
-/// What [`compose_content`] refuses, and what the file did to the process.
+/// Errors of [`compose_content`], and a failure of the process.
 pub(super) fn compose(
     file: &Path,
     content: Vec<u8>,
@@ -185,7 +185,7 @@ fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Option<(T, &[u8])> {
     Some((postcard::from_bytes(message).ok()?, rest))
 }
 
-/// Gives a process its request and takes its answer.
+/// Passes a request to a process and takes its answer.
 fn exchange(command: &mut Command, request: Vec<u8>) -> io::Result<(ExitStatus, Vec<u8>)> {
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
     let (input, output) = (child.stdin.take(), child.stdout.take());
@@ -200,7 +200,7 @@ fn exchange(command: &mut Command, request: Vec<u8>) -> io::Result<(ExitStatus, 
     Ok((child.wait()?, read.map(|_| answer)?))
 }
 
-/// What ended a process before it answered.
+/// The cause of a process's end before it answered.
 fn death(status: ExitStatus) -> Option<String> {
     let cause = match status.signal() {
         None if status.success() => return None,

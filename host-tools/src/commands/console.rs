@@ -1,4 +1,4 @@
-//! `etherpen console`: the operator's page, on a machine, in the emulator or in virtual time.
+//! `etherpen console`: the operator's page, for a real machine, the emulator or a simulation in virtual time.
 
 use super::emulate::read_faults;
 use super::ports::OptionalPort;
@@ -18,7 +18,7 @@ use std::time::Duration;
 
 /// Bytes of a token.
 const TOKEN_BYTES: usize = 16;
-/// Time between two looks for a signal.
+/// Time between two checks for a signal.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Options of `etherpen console`.
@@ -99,7 +99,7 @@ impl Arguments {
     }
 }
 
-/// Says when the connection to the robot breaks or stands again, and why there is none.
+/// Reports when the connection to the robot breaks or is restored, with the reason.
 fn tell_connection(console: &Console, told: &mut Option<Result<String, String>>) {
     let Some(connection) = console.connection() else { return };
     if told.as_ref() == Some(&connection) {
@@ -142,7 +142,7 @@ fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, 
     Ok((cell, kind))
 }
 
-/// A number that nobody can guess.
+/// A random token that cannot be guessed.
 fn token() -> Result<String, CommandError> {
     let mut bytes = [0; TOKEN_BYTES];
     std::fs::File::open("/dev/urandom")

@@ -1,4 +1,4 @@
-//! Progress and events of a job, for a person: a bar with time left on a terminal, plain lines elsewhere.
+//! Shows progress and events of a job: a bar with the remaining time on a terminal, plain lines elsewhere.
 
 use crate::link::job::{Job, JobEvent};
 use crate::link::port::Show;

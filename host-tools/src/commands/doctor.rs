@@ -1,6 +1,7 @@
-//! `etherpen doctor`: looks at everything the other commands need, and says what to try where something is wrong.
+//! `etherpen doctor`: checks everything that the other commands need, and shows what to try where something is wrong.
 //!
-//! Nothing is changed: no tool is installed, no drive gets power, the firmware is greeted and asked for its status only.
+//! Nothing is changed: no tool is installed, no drive gets power, and the firmware is only greeted and asked for its
+//! status.
 
 use super::ports::OptionalPort;
 use super::{CommandError, ConfigArguments, code, counted, in_colour, print_json, session_number};
@@ -84,7 +85,7 @@ impl Check {
 /// Runs the command.
 ///
 /// # Errors
-/// A port's name that is none, or something failed.
+/// A port's name is invalid, or a check failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let port = arguments.port.unless(None)?;
     let mut checks = vec![toolchain(), qemu(), probe_rs(), st_link(), raw_sockets(), namespaces()];
@@ -186,7 +187,7 @@ fn st_link() -> Check {
     }
 }
 
-/// What `bus --interface` and `segment --interface` need.
+/// Requirements of `bus --interface` and `segment --interface`.
 fn raw_sockets() -> Check {
     const NAME: &str = "raw sockets";
     let opened = socket(
@@ -213,7 +214,7 @@ fn raw_sockets() -> Check {
     }
 }
 
-/// What the tests with two interfaces on one computer need.
+/// Requirements of the tests with two interfaces on one computer.
 fn namespaces() -> Check {
     const NAME: &str = "namespaces";
     /// CAP_SYS_ADMIN and CAP_NET_ADMIN (capabilities(7)).
@@ -260,7 +261,7 @@ fn source(arguments: &ConfigArguments) -> String {
     }
 }
 
-/// Serial ports that are there, when none was named.
+/// Existing serial ports, if none was given.
 fn ports() -> Check {
     const NAME: &str = "port";
     let present = serial2::SerialPort::available_ports().unwrap_or_default();
@@ -279,7 +280,7 @@ fn ports() -> Check {
     }
 }
 
-/// A serial port's name, and what it is on a board.
+/// A serial port's name, and its role on a board.
 fn shown_port(path: &Path) -> String {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let shown = path.display();
@@ -290,7 +291,7 @@ fn shown_port(path: &Path) -> String {
     }
 }
 
-/// What to do about a device that this user may not open.
+/// What to do about a device that the user may not open.
 fn no_access(device: &Path) -> Option<String> {
     let error = std::fs::OpenOptions::new().read(true).write(true).open(device).err()?;
     if error.kind() != std::io::ErrorKind::PermissionDenied {
@@ -316,7 +317,7 @@ fn group_name(wanted: u32) -> Option<String> {
     })
 }
 
-/// The port that was named, and the firmware behind it.
+/// The given port, and the firmware behind it.
 fn firmware(name: &PortName) -> Vec<Check> {
     const PORT: &str = "port";
     const FIRMWARE: &str = "firmware";
@@ -372,7 +373,7 @@ fn previous(text: String) -> Check {
     )
 }
 
-/// Where the controller stands.
+/// State of the controller.
 fn state(status: &Status) -> Check {
     const NAME: &str = "machine";
     let mode = text::mode(status.mode);

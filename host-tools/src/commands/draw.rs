@@ -1,7 +1,7 @@
-//! `etherpen draw`: a file to paper, on a running machine or emulator.
+//! `etherpen draw`: draws a file on paper, on a running machine or emulator.
 //!
-//! The machine is shared while it draws, so that other terminals can hold, resume, cancel and stop. Every drawing is kept
-//! in the log of jobs, from which a broken one goes on.
+//! The machine is shared during the drawing, so that other terminals can hold, resume, cancel and stop it. Every
+//! drawing is recorded in the log of jobs, from which an interrupted one can be resumed.
 
 use super::broken::{self, Plan, Resumption, config_hash, state};
 use super::display::Display;
@@ -27,16 +27,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// News that may wait while files are written; telemetry is several hundred a second.
+/// Most news queued while files are written; telemetry makes several hundred a second.
 const NEWS_MAX: usize = 10_000;
-/// Time between two looks at the keyboard.
+/// Time between two checks of the keyboard.
 const LOOK: Duration = Duration::from_millis(20);
-/// Path speed while the pen goes around a drawing's border, percent, slow enough to be watched, and the usual one.
+/// Path speed while the pen goes around a drawing's border, percent, slow enough to watch, and the default speed.
 const OUTLINE_PACE: u8 = 20;
 const PACE_FULL: u8 = 100;
-/// Longest wait for the answer to a pace.
+/// Longest wait for the answer to a change of speed.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
-/// Time between two lines of the log.
+/// Time between two updates of the log.
 const LOG: Duration = Duration::from_millis(200);
 
 /// Options of `etherpen draw`.
@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Goes around the drawing with the pen up, and waits until a person wants it drawn.
+/// Goes around the drawing with the pen up, and waits until the operator starts the drawing.
 fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), CommandError> {
     if file.as_os_str() == "-" {
         let text = "--outline reads the file once more for the drawing: standard input cannot be read again";
@@ -165,7 +165,7 @@ fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<
     Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
 }
 
-/// The machine is at rest without power: time to change the pen.
+/// Waits with the machine at rest and without power until the pen is changed.
 fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), CommandError> {
     eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
     match operator.wait() {
@@ -196,7 +196,7 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Makes ready, draws, and gives up the power.
+/// Prepares, draws, then switches the power off.
 fn draw(
     arguments: &Arguments,
     config: &Config,
@@ -230,7 +230,7 @@ fn draw(
     finished
 }
 
-/// What `--resume` asks for. Without a file, a value that names no job of the log but a file is that file:
+/// The target of `--resume`. Without a file argument, a value that names no job of the log but a file is that file:
 /// `draw --resume FILE`.
 fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError> {
     let Some(name) = &arguments.resume else {
@@ -247,7 +247,7 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError>
     }
 }
 
-/// The file to draw: the one that was given, that of the job to go on with, or the photograph that a camera has taken.
+/// The file to draw: the given one, that of the job to resume, or a photograph from a camera.
 fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, CommandError> {
     let Some(device) = &arguments.camera else {
         let of_job = || resumption.map(|resumption| resumption.file().to_owned());
@@ -274,7 +274,7 @@ fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBu
     Ok(file)
 }
 
-/// How the file becomes strokes: as the options say, or as it did for the job that is gone on with.
+/// Options of the conversion into strokes: the given ones, or those of the job to resume.
 fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, CommandError> {
     let given = &arguments.drawing.source;
     let Some(resumption) = resumption.filter(|_| arguments.file.is_none()) else {
@@ -310,7 +310,7 @@ fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVe
         .ok()
 }
 
-/// Writes and prints what the drawing came to, also when it failed.
+/// Writes and prints the result of the drawing, also after a failure.
 fn finish(
     arguments: &Arguments,
     config: &Config,

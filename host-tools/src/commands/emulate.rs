@@ -49,7 +49,7 @@ enum PaceArgument {
     Realtime,
 }
 
-/// Time between two looks at a free-running emulator.
+/// Time between two checks of a free-running emulator.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// The serial link as a TCP port: one client at a time, bytes as on a line of 921,600 baud.
@@ -163,7 +163,7 @@ fn free_run(running: FreeRunning) -> Result<(), CommandError> {
     running.stop().map_err(|error| emulator_error(&error))
 }
 
-/// Reads a script of faults for a chain of so many slaves; without a file nothing goes wrong.
+/// Reads a fault script for a chain of `slaves` slaves; without a file there are no faults.
 pub(super) fn read_faults(path: Option<&Path>, slaves: usize) -> Result<Script, CommandError> {
     let Some(path) = path else {
         return Ok(Script::default());

@@ -1,4 +1,4 @@
-//! Options that say where a segment is.
+//! Options for the address of a segment.
 
 use crate::transport::{Endpoint, udp_address};
 use std::net::SocketAddrV4;

@@ -1,7 +1,7 @@
-//! `etherpen flash`: builds the firmware of the board, looks at it, writes it into the board and verifies it.
+//! `etherpen flash`: builds the firmware of the board, checks it, writes it to the board and verifies it.
 //!
-//! The debug probe's own program, probe-rs, does the writing; what it needs and what it complains about is said here with
-//! what to try. Invariant: nothing is written before the image is known to be one for this chip.
+//! The program probe-rs writes the image; its requirements and errors are explained here with what to try. Invariant:
+//! nothing is written before the image is known to be valid for this chip.
 
 use super::{CommandError, code, print_json};
 use crate::image::Image;
@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-/// Flash memory of an STM32H743ZI (RM0433, memory map): where it begins, and how long it is.
+/// Flash memory of an STM32H743ZI (RM0433, memory map): start and length.
 const FLASH: (u32, u32) = (0x0800_0000, 2 * 1024 * 1024);
-/// Memory in which its stack may begin: DTCM and AXI SRAM.
+/// Memory in which the image's stack may begin: DTCM and AXI SRAM.
 const STACK: [(u32, u32); 2] = [(0x2000_0000, 128 * 1024), (0x2400_0000, 512 * 1024)];
 /// Section of the vector table: the stack's start and the address of the first instruction come first.
 const VECTORS: &str = ".vector_table";
@@ -56,7 +56,7 @@ struct Flashed {
 /// Runs the command.
 ///
 /// # Errors
-/// The build, the image, a tool that is missing, the probe.
+/// The build or the image is invalid, a tool is missing, or the probe failed.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let path = match &arguments.image {
         Some(path) => path.clone(),
@@ -104,7 +104,7 @@ fn within((start, length): (u32, u32), address: u32, size: u32) -> bool {
         .is_some_and(|end| end <= length)
 }
 
-/// Whether an image is one that this chip starts; otherwise why not and what to try.
+/// Checks that the chip can start an image; otherwise returns why not and what to try.
 fn check(image: &Image) -> Result<(), String> {
     let vectors = image
         .section(VECTORS)
@@ -142,7 +142,7 @@ fn check(image: &Image) -> Result<(), String> {
     Ok(())
 }
 
-/// The program probe-rs, installed where it is missing and asked for.
+/// The program probe-rs; installed if it is missing and `install` is set.
 fn program(install: bool) -> Result<PathBuf, CommandError> {
     if let Some(program) = probe::probe_rs() {
         return Ok(program);
@@ -186,7 +186,7 @@ fn probe(program: &Path, subcommand: &str, arguments: &Arguments, under_reset: b
     command
 }
 
-/// Runs a command to its end; what it said if it failed.
+/// Runs a command to its end; the error is its output.
 fn ended(command: &mut Command) -> Result<(), String> {
     let output = command
         .stdin(Stdio::null())
@@ -199,7 +199,7 @@ fn ended(command: &mut Command) -> Result<(), String> {
     Err(String::from_utf8_lossy(&said).trim().to_owned())
 }
 
-/// Writes and verifies, a second time with the chip held in reset; whether that was needed.
+/// Writes and verifies; after a failure once more with the chip held in reset. Returns whether that was needed.
 fn download(program: &Path, arguments: &Arguments, image: &Path) -> Result<bool, CommandError> {
     let mut last = String::new();
     for under_reset in [false, true] {
@@ -228,7 +228,7 @@ fn failed(what: &str, said: &str) -> CommandError {
     CommandError::new(code::FAILED, format!("{what}. probe-rs says:\n{said}"))
 }
 
-/// The error of a probe that is not there or may not be opened, if that is what probe-rs complains about.
+/// The error for a probe that is missing or cannot be opened, if probe-rs reports one.
 fn unreachable(said: &str) -> Option<CommandError> {
     let text = said.to_lowercase();
     let says = |parts: &[&str]| parts.iter().any(|part| text.contains(part));

@@ -1,7 +1,8 @@
-//! `etherpen identify`: measures delay and gain of the drives with a small test motion, and stores what follows.
+//! `etherpen identify`: measures delay and gain of the drives with a small test motion, and stores the resulting
+//! values.
 //!
-//! The motion is driven twice: with the values there are, and with the ones that were found, so that what is stored has
-//! been tried.
+//! The motion is driven twice: with the present values, and with the values found, so that the stored values have been
+//! tested.
 
 use super::display::Display;
 use super::operator::Operator;
@@ -84,7 +85,7 @@ struct Identified {
 /// Runs the command.
 ///
 /// # Errors
-/// The configuration, the machine, an axis that gives no answer although it was asked for, or the file.
+/// Errors of the configuration, the machine or the file, or a requested axis without an estimate.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let port = arguments.port.unless(arguments.simulate.then_some("--simulate"))?;
@@ -144,7 +145,7 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
     arguments.output.clone().or_else(|| arguments.store.then(in_use))
 }
 
-/// The arms always move; what they do not tell is an error, and so is the silence of an axis that was asked for.
+/// The arms always move: an arm without an estimate is an error, and so is a requested axis without an estimate.
 fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), CommandError> {
     for (axis, answer) in answers.iter().enumerate() {
         let needed = only.map_or(axis < etherpen::robot::ARMS, |only| only == axis);

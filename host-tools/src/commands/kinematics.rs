@@ -1,7 +1,7 @@
 //! `etherpen kinematics`: positions to arm angles and back, for the robot or for another geometry.
 //!
-//! Only reach and singularity are checked; the work area is the business of `plan` and `draw`. The range of the arms is
-//! checked when the geometry's file gives one.
+//! Only reach and singularity are checked; `plan` and `draw` check the work area. The range of the arms is checked if
+//! the geometry's file gives one.
 
 use super::{CommandError, code, print_json};
 use etherpen::config::Geometry;
@@ -99,7 +99,7 @@ struct Robot {
 /// Runs the command.
 ///
 /// # Errors
-/// The geometry's file cannot be used, or there is no answer: which arm and why.
+/// The geometry's file cannot be used, or there is no solution: which arm and why.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let (answer, options) = match &arguments.direction {
         Direction::Inverse { position, options } => (robot(options)?.inverse(position.0)?, options),

@@ -1,4 +1,4 @@
-//! `etherpen bench latency`: how late the critical tasks ever are, with and without disturbance.
+//! `etherpen bench latency`: the latency of the critical tasks, with and without disturbance.
 
 use super::bench::table;
 use super::outputs::write_text;
@@ -47,7 +47,8 @@ fn rate(text: &str) -> Result<u32, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// A tool is missing, the firmware could not be measured, or a file not written. A target that is missed is no error.
+/// A tool is missing, the firmware could not be measured, or a file could not be written. A missed target is not an
+/// error.
 pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let plan = Plan {
         cycles: arguments.cycles.max(1),

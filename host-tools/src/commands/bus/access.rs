@@ -1,6 +1,6 @@
-//! What every sub-command asks of the bus, over whichever way it is reached.
+//! Bus requests of all sub-commands, over either access path.
 //!
-//! Slaves count from 1 here and in everything a person or a program sees, from 0 in the requests.
+//! Slaves are counted from 1 here and in all output, and from 0 in the requests.
 
 use super::text;
 use crate::commands::{CommandError, code};
@@ -68,7 +68,7 @@ pub fn slave(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveInfo, AccessE
     }
 }
 
-/// Brings a slave to a state; gives the state there is.
+/// Brings a slave to a state; returns the actual state.
 pub fn set_state(access: &mut dyn BusAccess, slave: u8, state: AlState) -> Result<AlReport, AccessError> {
     let request = ServiceRequest::SetState {
         slave: zero(slave),
@@ -211,7 +211,7 @@ pub fn errors(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveErrors, Acce
     }
 }
 
-/// Sets the error counters of all slaves to 0.
+/// Resets the error counters of all slaves to 0.
 pub fn clear_errors(access: &mut dyn BusAccess) -> Result<(), AccessError> {
     match access.request(ServiceRequest::ClearErrors)? {
         ServiceReply::Done => Ok(()),

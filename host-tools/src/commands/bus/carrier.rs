@@ -1,4 +1,4 @@
-//! The two ways to the bus: this computer's own master, and the link to a running firmware.
+//! The two access paths to the bus: this computer's own master, and the link to a running firmware.
 
 use super::access::{AccessError, BusAccess};
 use super::text;
@@ -13,7 +13,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
 use std::time::{Duration, Instant};
 
-/// Longest time for which a busy bus is asked again.
+/// Longest time for which a request to a busy bus is repeated.
 const BUSY_MAX: Duration = Duration::from_secs(60);
 /// Longest wait for one answer.
 const ANSWER_MAX: Duration = Duration::from_secs(60);
@@ -21,7 +21,7 @@ const ANSWER_MAX: Duration = Duration::from_secs(60);
 const GREETING_MAX_MS: u64 = 5_000;
 /// Longest silence of a firmware, ms.
 const SILENCE_MAX_MS: u64 = 5_000;
-/// Pause before a question is asked again that found the bus busy.
+/// Pause before a request to a busy bus is repeated.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// One question, one answer.
@@ -53,7 +53,7 @@ impl<C: Carrier> BusAccess for Patient<C> {
 /// The master on this computer; the slaves stay as they are until a request changes one.
 ///
 /// # Errors
-/// There is no way to the segment.
+/// There is no transport to the segment.
 pub(super) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, CommandError> {
     let transport = transport::open(endpoint).map_err(|error| CommandError::new(code::CONNECTION, error))?;
     let master =

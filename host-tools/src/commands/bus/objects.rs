@@ -12,7 +12,7 @@ use serde_json::Value;
 /// Reads `INDEX:SUB`: the index hexadecimal, the sub-index decimal or `0x` hexadecimal, 0 when it is left out.
 ///
 /// # Errors
-/// How it is written.
+/// Text that describes the format.
 pub(super) fn object(written: &str) -> Result<Object, String> {
     let wrong = || format!("'{written}' is no object; write INDEX:SUB, the index hexadecimal: 6041:0, 0x1018:1");
     let (index, sub) = written.split_once(':').unwrap_or((written, "0"));
@@ -85,7 +85,7 @@ impl ValueView {
     }
 }
 
-/// The type that the slave itself tells of an object; bytes where it tells none or another length.
+/// The type that the slave reports for an object; bytes if it reports none or another length.
 fn told_type(access: &mut dyn BusAccess, slave: u8, object: Object, bytes: &[u8]) -> Type {
     let described = access::describe_entry(access, slave, object).ok();
     described
@@ -180,7 +180,7 @@ impl EntryView {
     }
 }
 
-/// What may be done with an entry: read and write in PREOP, SAFEOP and OP, mapping to outputs and inputs.
+/// Access rights of an entry: read and write in PREOP, SAFEOP and OP, mapping to outputs and inputs.
 fn rights(access: u16) -> String {
     let in_states = |shift: u16, letter: char| {
         let names = ["P", "S", "O"].iter().enumerate();
@@ -247,7 +247,7 @@ pub(super) fn list(access: &mut dyn BusAccess, slave: u8, entries: bool, json: b
     table::print(["object", "type", "bits", "access", "name"], &rows)
 }
 
-/// Sub-indices may be missing in between: the slave aborts them.
+/// Sub-indices may be missing in between: the slave aborts requests for them.
 fn present(entry: Result<EntryInfo, AccessError>) -> Option<Result<EntryView, CommandError>> {
     match entry {
         Ok(info) => Some(Ok(EntryView::new(&info))),

@@ -1,4 +1,4 @@
-//! The slave controllers themselves: registers and error counters.
+//! Slave controllers: registers and error counters.
 
 use super::access::{self, BusAccess};
 use super::table;
@@ -59,7 +59,7 @@ struct Memory {
     bytes: String,
 }
 
-/// `bus registers [N]`: those that have a name here.
+/// `bus registers [N]`: the registers that have a name here.
 pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), CommandError> {
     let slaves = match only {
         Some(slave) => slave..=slave,
@@ -100,7 +100,7 @@ pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) ->
     Ok(())
 }
 
-/// `bus registers N ADDR LEN`: as they are.
+/// `bus registers N ADDR LEN`: raw content.
 pub(super) fn dump(
     access: &mut dyn BusAccess,
     slave: u8,
@@ -145,7 +145,7 @@ struct SlaveView {
     watchdog: u8,
 }
 
-/// Which cable is at a port.
+/// The cable at a port, in words.
 fn cable(slave: u8, port: usize, partner: Option<u8>) -> String {
     match partner.map(|partner| u16::from(partner) + 1) {
         Some(partner) => {
@@ -179,7 +179,7 @@ impl SlaveView {
     }
 }
 
-/// What the counters tell of a port's cable: only what is first seen here points at it.
+/// Verdict on a port's cable from the counters: only errors first detected at this port indicate the cable.
 fn verdict(counted: &PortErrors, cable: &str) -> Option<String> {
     if counted.lost_links == 0 && counted.receive_errors == 0 && counted.invalid_frames == 0 {
         return None;

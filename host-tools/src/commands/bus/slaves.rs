@@ -1,4 +1,4 @@
-//! Who is on the bus and how it is: scan, info, state, watch.
+//! The slaves and their states: scan, info, state, watch.
 
 use super::access::{self, BusAccess};
 use super::{table, text};
@@ -10,7 +10,7 @@ use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two looks of `watch`.
+/// Time between two checks of `watch`.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// The mailbox protocols by their bits in the SII.
@@ -234,7 +234,7 @@ pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> 
     Ok(())
 }
 
-/// One slave for a person.
+/// Prints one slave as text.
 fn describe(slave: &SlaveView) -> Result<(), CommandError> {
     table::say(&format!("slave {}: {}", slave.slave, slave.name))?;
     let line = |what: &str, value: String| table::say(&format!("  {what:<16} {value}"));
@@ -352,7 +352,7 @@ struct Change<'a> {
     seen: Option<&'a Seen>,
 }
 
-/// `bus watch`: tells the state of every slave, then every change, until interrupted.
+/// `bus watch`: prints the state of every slave, then every change, until interrupted.
 pub(super) fn watch(access: &mut dyn BusAccess, json: bool, ended: &AtomicBool) -> Result<(), CommandError> {
     let begun = Instant::now();
     let mut known: Vec<Option<Seen>> = Vec::new();

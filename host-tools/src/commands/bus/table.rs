@@ -1,4 +1,4 @@
-//! Tables for people: columns as wide as their widest cell.
+//! Text tables: columns as wide as their widest cell.
 
 use crate::commands::CommandError;
 use std::io::Write;

@@ -1,4 +1,4 @@
-//! What a person reads about the bus: states, errors and what to try.
+//! Texts about the bus: states, errors and what to try.
 
 use crate::link::text;
 use crate::master::MasterError;
@@ -10,7 +10,7 @@ use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::mailbox::error_text;
 
-/// An object as it is written.
+/// An object in text form.
 pub fn object(object: Object) -> String {
     format!("{:04X}:{:02}", object.index, object.sub)
 }
@@ -23,7 +23,7 @@ pub fn al_code(number: u16) -> String {
     }
 }
 
-/// A CiA 402 state as the profile names it.
+/// Name of a CiA 402 state, as in the profile.
 pub fn drive_state(status_word: u16) -> &'static str {
     match StatusWord(status_word).state() {
         DriveState::NotReadyToSwitchOn => "not ready to switch on",

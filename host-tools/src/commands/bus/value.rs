@@ -1,4 +1,4 @@
-//! Values of objects: between what a person writes and the bytes on the bus (CiA 301: little-endian).
+//! Conversion between values of objects as text and bytes on the bus (CiA 301: little-endian).
 
 use serde_json::Value;
 
@@ -159,7 +159,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// JSON knows no infinite numbers: those become text.
+/// JSON has no infinite numbers: these become text.
 fn number(number: f64) -> Value {
     serde_json::Number::from_f64(number).map_or_else(|| number.to_string().into(), Value::Number)
 }
