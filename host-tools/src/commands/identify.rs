@@ -145,7 +145,8 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
     arguments.output.clone().or_else(|| arguments.store.then(in_use))
 }
 
-/// The arms always move: an arm without an estimate is an error, and so is a requested axis without an estimate.
+/// Fails if a needed axis has no estimate: the requested axis, or any arm if no axis was requested. The arms always
+/// move.
 fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), CommandError> {
     for (axis, answer) in answers.iter().enumerate() {
         let needed = only.map_or(axis < etherpen::robot::ARMS, |only| only == axis);

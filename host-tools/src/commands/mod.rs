@@ -203,7 +203,7 @@ pub(crate) fn session_number() -> u32 {
     (since.as_nanos() as u32 ^ std::process::id().rotate_left(16)).max(1)
 }
 
-/// A flag that a signal sets, so that the end is told and files are completed.
+/// A flag that a signal sets, so that the end is reported and files are completed.
 fn ended_by_a_signal() -> Result<Arc<AtomicBool>, CommandError> {
     let ended = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {

@@ -1,4 +1,4 @@
-//! The person at the keyboard: Ctrl-C, Ctrl-C again, Enter.
+//! Keyboard input of the operator: Ctrl-C, Ctrl-C again, Enter.
 
 use crate::link::job::Control;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};

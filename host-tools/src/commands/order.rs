@@ -1,4 +1,4 @@
-//! `etherpen order`: the lines of a vector file in an order that costs little drawing time.
+//! `etherpen order`: puts the lines of a vector file into an order with little drawing time.
 
 use super::outputs::{refuse_input, write_text};
 use super::prepare::{artwork_of, unusable};
@@ -41,7 +41,7 @@ pub struct Arguments {
     text: TextArguments,
 }
 
-/// Gaps closed without being asked, mm: a tenth of a pen's width, so that the ink is the same.
+/// Default gap closed, mm: a tenth of a pen's width, so that the ink does not change.
 const JOIN_MM: f64 = 0.05;
 
 /// What the command prints. Distances are from the first line's start to the last one's end.

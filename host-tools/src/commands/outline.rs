@@ -1,4 +1,4 @@
-//! The border of a drawing with the pen up, to see that it lies on the paper.
+//! The border of a drawing, driven with the pen up to check that it is on the paper.
 
 use super::prepare::to_wire;
 use super::quickest::as_sent;
@@ -7,8 +7,8 @@ use etherpen::link::protocol::PathVertex;
 use etherpen::motion::{Admission, Pen, Vertex};
 use etherpen::robot::Position;
 
-/// Around everything that a path draws, pen up, at the height of travel, back to where it began: along the upright
-/// rectangle, or along the convex hull where a corner of the rectangle is out of the robot's reach. With it goes the
+/// A path around everything that `path` draws, pen up, at the height of travel, back to its beginning. It follows the
+/// axis-aligned rectangle, or the convex hull if the robot cannot reach a corner of the rectangle. Also returns the
 /// rectangle's width and height, mm. `None` for a path that draws nothing.
 pub(super) fn around(path: &[Vertex], config: &Config) -> Option<(Vec<PathVertex>, [f64; 2])> {
     let drawn: Vec<[f64; 2]> = (path.windows(2).filter(|pair| pair[1].pen == Pen::Down))

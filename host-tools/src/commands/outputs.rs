@@ -1,4 +1,4 @@
-//! What a drawing leaves in its folder, and the summary a person reads.
+//! The output files of a drawing, and its printed summary.
 
 use super::prepare::Prepared;
 use super::{CommandError, code, counted, in_colour};
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 /// Width of the pen's line in the pictures, mm.
 const PEN_WIDTH_MM: f64 = 0.5;
-/// Largest distance from the intended line that counts as good, mm.
+/// Largest distance from the intended line reported as good, mm.
 const DEVIATION_GOOD_MM: f64 = 0.1;
 /// Resolution of `drawn.png`, pixels a millimetre.
 const PIXELS_PER_MM: f64 = 8.0;
@@ -173,7 +173,7 @@ impl Outcome<'_> {
     }
 }
 
-/// Everything that a drawing may leave in its folder.
+/// All possible output files of a drawing.
 const IN_FOLDER: [&str; 9] = [
     "drawn.png",
     "drawn.svg",
@@ -214,7 +214,7 @@ pub(super) fn refuse_inputs_in(dir: &Path, inputs: &[PathBuf]) -> Result<(), Com
 /// Writes a text to a file, or to standard output for `-`.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub(super) fn write_text(path: &Path, text: &str) -> Result<(), CommandError> {
     write_bytes(path, text.as_bytes())
 }
@@ -222,7 +222,7 @@ pub(super) fn write_text(path: &Path, text: &str) -> Result<(), CommandError> {
 /// Writes bytes to a file, or to standard output for `-`.
 ///
 /// # Errors
-/// It cannot be written.
+/// The file cannot be written.
 pub(super) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CommandError> {
     let written = OutputFile::create_or_stdout(path).and_then(|mut out| {
         out.write_all(bytes)?;
@@ -239,7 +239,7 @@ pub(super) fn unwritable(path: &Path, cause: &io::Error) -> CommandError {
 /// Makes the output folder.
 ///
 /// # Errors
-/// It cannot be made.
+/// The folder cannot be made.
 pub(super) fn make_folder(dir: &Path) -> Result<(), CommandError> {
     std::fs::create_dir_all(dir)
         .map_err(|cause| CommandError::failed(format!("the folder {} cannot be made", dir.display()), cause))
@@ -248,7 +248,7 @@ pub(super) fn make_folder(dir: &Path) -> Result<(), CommandError> {
 /// Begins a file of the output folder.
 ///
 /// # Errors
-/// It cannot be made.
+/// The file cannot be made.
 pub(super) fn create(dir: &Path, name: &str) -> Result<OutputFile, CommandError> {
     let path = dir.join(name);
     OutputFile::create(&path).map_err(|cause| unwritable(&path, &cause))
@@ -274,7 +274,7 @@ fn ink_in_robot_frame(config: &Config, ink: &[InkStroke]) -> Vec<Vec<[f64; 2]>> 
     ink.iter().map(line).collect()
 }
 
-/// Prints what the drawing came to.
+/// Prints the result of the drawing.
 pub(super) fn summarise(report: &Report, dir: Option<&Path>) {
     let good = |ok: bool, text: String| in_colour(&text, if ok { "32" } else { "1;31" });
     let clean = report.cycles_late == 0

@@ -1,4 +1,4 @@
-//! `etherpen plan`: a path through the firmware's planner, with its duration, peaks, violations and references.
+//! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
 use super::outputs::{refuse_input, unwritable};
 use super::prepare::{prepare_with, unusable};
@@ -178,7 +178,7 @@ enum Refused {
     Path(String),
 }
 
-/// Checks the vertices of a listed path; those that repeat the one before them are left out.
+/// Checks the vertices of a listed path; leaves out those that coincide with the previous one.
 fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused> {
     let mut admission = Admission::new(config).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
     let mut admitted = Vec::with_capacity(path.vertices.len());
@@ -249,7 +249,7 @@ fn row(out: &mut impl Write, sample: &Sample) -> io::Result<()> {
     writeln!(out, ",{}", u8::from(sample.reference.pen == Pen::Down))
 }
 
-/// The findings as a person reads them.
+/// The findings as text.
 fn shown(answer: &Answer) -> String {
     let findings = &answer.findings;
     let (peaks, limits) = (&findings.peaks, &findings.limits);
@@ -322,7 +322,7 @@ fn shown(answer: &Answer) -> String {
     text
 }
 
-/// Four digits that count.
+/// A number with four significant digits.
 fn figure(value: f64) -> String {
     let places = if value == 0.0 || !value.is_finite() {
         0

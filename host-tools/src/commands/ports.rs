@@ -1,11 +1,11 @@
-//! Where the machine is: `--port`, `ETHERPEN_PORT`, or the port that a running program has.
+//! The machine's port: from `--port`, `ETHERPEN_PORT`, or a running program.
 
 use super::{CommandError, code};
 use crate::link::ownership::{self, InUse};
 use crate::link::port::PortName;
 use std::fmt::Write;
 
-/// Environment variable that names the port where no option does.
+/// Environment variable with the port, used without the option.
 const VARIABLE: &str = "ETHERPEN_PORT";
 
 /// Options of a command that opens a port itself.
@@ -106,7 +106,7 @@ fn of_running_program() -> Result<PortName, CommandError> {
     }
 }
 
-/// What to tell where the port is not known.
+/// The message if the port is not known.
 fn choice(sharing: &[InUse], alone: &[InUse]) -> String {
     let mut text = match sharing {
         [] => "which machine? No running program has one to work through. Name its port: --port /dev/ttyACM0, \

@@ -1,6 +1,6 @@
-//! From a file to an admitted path: the part of a drawing that needs no machine.
+//! Prepares a file: from its content to an admitted path, without a machine.
 //!
-//! Every command that draws, plans or shows a file comes through here, so that what is shown is what is drawn.
+//! Every command that draws, plans or shows a file uses this module, so all of them handle the file alike.
 
 use super::budget;
 use super::confined;
@@ -61,7 +61,7 @@ pub fn prepare(file: &Path, config: &Config) -> Result<Prepared, CommandError> {
 /// Reads, vectorises, orders and checks a file.
 ///
 /// # Errors
-/// The file cannot be used, or a stroke leaves the sheet or what the robot may use.
+/// The file cannot be used, or a stroke leaves the sheet or the work area.
 pub fn prepare_with(file: &Path, config: &Config, options: &SourceArguments) -> Result<Prepared, CommandError> {
     let composed = compose(file, config, options)?;
     if let Some(first) = refused(&composed, config)?.first() {
@@ -91,7 +91,7 @@ pub(super) fn unusable(file: &Path, cause: &dyn std::fmt::Display) -> CommandErr
 /// process of its own ([`confined`]).
 ///
 /// # Errors
-/// The file cannot be used, or there is nothing to draw in it.
+/// The file cannot be used, or it contains nothing to draw.
 pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Result<Composed, CommandError> {
     let content = read_file(file).map_err(|cause| unusable(file, &cause))?;
     if confined::is_enabled() {
@@ -103,7 +103,7 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
 /// Vectorises and orders a file's content in this process.
 ///
 /// # Errors
-/// The file cannot be used, or there is nothing to draw in it.
+/// The file cannot be used, or it contains nothing to draw.
 pub(super) fn compose_content(
     file: &Path,
     content: &[u8],
@@ -189,7 +189,7 @@ pub(super) struct FromPhotograph {
     pub(super) planned_s: Option<f64>,
 }
 
-/// Makes strokes of a photograph, within a time where one is asked for.
+/// Converts a photograph into strokes, within a drawing time if one is given.
 pub(super) fn from_photograph(
     picture: RgbImage,
     config: &Config,
@@ -274,7 +274,7 @@ fn on_sheet(
 /// The strokes that leave the sheet or what the robot may use, each with its first place.
 ///
 /// # Errors
-/// The configured geometry is no delta robot.
+/// The configured dimensions do not form a valid delta robot.
 pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, CommandError> {
     let mut result: Vec<Refused> = Vec::new();
     let mut admission = Admission::new(config)
@@ -314,7 +314,7 @@ pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, Com
     Ok(result)
 }
 
-/// A vertex as it travels: micrometres.
+/// A vertex in the wire format: micrometres.
 pub fn to_wire(vertex: &Vertex) -> PathVertex {
     let Position { x_mm, y_mm, z_mm } = vertex.position;
     // A float that is out of range becomes the nearest integer, which the admission refuses.
@@ -335,8 +335,8 @@ pub(super) fn from_wire(wire: &PathVertex) -> Vertex {
     }
 }
 
-/// Duration the firmware's planner computes for a path, s, from rest at its first vertex to rest at its end; not a
-/// number where it cannot be planned.
+/// Duration that the firmware's planner computes for a path, s, from rest at its first vertex to rest at its end; NaN
+/// if it cannot be planned.
 pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
     crate::planning::plan(config, path, |_, _| ()).map_or(f64::NAN, |run| run.duration_ms as f64 / 1_000.0)
 }

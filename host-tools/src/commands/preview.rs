@@ -1,4 +1,4 @@
-//! `etherpen preview`: how a file would be drawn, as a picture and in figures.
+//! `etherpen preview`: shows how a file would be drawn, as a picture and in figures.
 
 use super::outputs::{refuse_input, write_bytes, write_text};
 use super::prepare::{Composed, compose, in_sequence, planned_s, refused, unusable};
@@ -75,8 +75,8 @@ const PX_PER_MM: f64 = 6.0;
 /// Runs the command.
 ///
 /// # Errors
-/// The file or the configuration cannot be used, the picture cannot be written, or strokes are refused; the picture of
-/// those is written and shows them.
+/// The file or the configuration cannot be used, the picture cannot be written, or strokes are refused; in the last
+/// case the picture is written and shows them.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let is_png = match arguments.out.extension().and_then(|extension| extension.to_str()) {
         Some(extension) if extension.eq_ignore_ascii_case("png") => true,

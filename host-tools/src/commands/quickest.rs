@@ -1,15 +1,16 @@
-//! Of several orders of the same strokes the one that the firmware's planner draws first.
+//! Selects, from several orders of a set of strokes, the one with the shortest duration in the firmware's planner.
 //!
-//! The search for an order knows what ways cost on average; what is drawn is decided by the planner, which knows each
-//! corner and place. Invariant: what is chosen takes no longer, and has no longer way with the pen up, than what was given.
+//! The search for an order uses average durations of travel moves; the selection uses the planner, which considers each
+//! corner and position. Invariant: the selected order has neither a longer duration nor a longer travel length than the
+//! given one.
 
 use super::prepare::{from_wire, planned_s, to_wire};
 use crate::drawing::{Drawing, OrderOptions, Travel, estimate, order, to_path};
 use etherpen::config::Config;
 use etherpen::motion::Vertex;
 
-/// What is given is planned where it takes about so long at most, s; beyond it is what was gained by its ways' times, if
-/// that is this share of the drawing and so beyond doubt.
+/// Longest estimated duration of a drawing that is planned, s. Beyond it, an order is selected by the time gained on
+/// travel moves, if that is at least this share of the drawing.
 const PLANNED_MAX_S: f64 = 7_200.0;
 const SURE_SHARE: f64 = 0.1;
 
@@ -37,7 +38,7 @@ pub(super) struct Quickest {
 
 /// Orders the strokes of each layer: fully, or only joined where that would take longer than what was given, or not at all.
 ///
-/// `given` are the strokes of all layers in the order in which they were given, from which nothing longer may come.
+/// `given` are the strokes of all layers in the given order; the result is never longer than it.
 pub(super) fn quickest(layers: &[Drawing], given: &Drawing, options: &OrderOptions, config: &Config) -> Quickest {
     let layers_of = |options: &OrderOptions| {
         let mut layers = layers.to_vec();
@@ -80,7 +81,7 @@ pub(super) fn quickest(layers: &[Drawing], given: &Drawing, options: &OrderOptio
     }
 }
 
-/// Time of all ways with the pen up, s.
+/// Duration of all travel moves, s.
 fn ways_s(drawing: &Drawing, travel: &Travel) -> f64 {
     drawing.ways_mm().map(|way_mm| travel.seconds(way_mm)).sum()
 }

@@ -1,8 +1,8 @@
-//! `etherpen record`: everything the firmware sends into an MCAP file, until Ctrl-C.
+//! `etherpen record`: writes all data from the firmware into an MCAP file, until Ctrl-C.
 //!
-//! Recording moves nothing: over a port it listens, and writes what others' commands lead to as well; where another program
-//! has the port (a drawing, the console), that program tells what it hears. Invariant: whatever ends it, the file can be
-//! read; the message says how much is in it.
+//! Recording never moves the robot. At a port it listens, and also records the effects of other programs' commands. If
+//! another program has the port (a drawing, the console), that program passes its data on. Invariant: the file is
+//! readable however the recording ends; the message says how much it contains.
 
 use super::outputs::{refuse_input, unwritable};
 use super::ports::SessionPort;
@@ -24,9 +24,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// News that may wait while the disk does: a minute of samples, and more.
+/// Most news queued while the disk is slow: more than a minute of samples.
 const NEWS_MAX: usize = 16_384;
-/// Longest wait for news before it is looked whether the recording has ended.
+/// Longest wait for news before checking whether the recording has ended.
 const WAIT: Duration = Duration::from_millis(100);
 /// Time between two flushes.
 const FLUSH: Duration = Duration::from_secs(1);
@@ -197,7 +197,7 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), C
     }
 }
 
-/// The machine at a port, or what the program tells that has the port.
+/// The machine at a port, or the program that has the port.
 fn source(config: &Config, port: &PortName) -> Result<Source, CommandError> {
     if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
@@ -269,7 +269,7 @@ fn now_ns() -> u64 {
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Writes what has happened on a machine; what a person should see is printed too.
+/// Writes an event of a machine; relevant ones are printed too.
 fn take(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
     recorder.set_time(now_ns());
     if let Some((_, _, text)) = event(account) {
@@ -290,7 +290,7 @@ fn put(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
     }
 }
 
-/// Level, name and text of what is recorded as an event.
+/// Level, name and text of an account that is recorded as an event.
 fn event(account: &Account) -> Option<(Level, &'static str, String)> {
     match account {
         Account::Samples { .. } | Account::Status(_) => None,

@@ -1,4 +1,4 @@
-//! `etherpen export`, `plot` and `stats`: what can be made of a recording.
+//! `etherpen export`, `plot` and `stats`: evaluate a recording.
 
 use super::outputs::{refuse_input, unwritable, write_bytes};
 use super::{CommandError, code, counted, print_json};
@@ -13,7 +13,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
-/// A number of seconds on the command line.
+/// Parses a number of seconds of the command line.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(seconds),

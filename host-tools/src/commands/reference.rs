@@ -22,10 +22,10 @@ use std::time::{Duration, Instant};
 
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 300_000;
-/// How far the angles of a reference at stored marks may be from those that were stored, rad; an increment of a resolver
-/// is less.
+/// Largest difference between the angles of a reference at stored marks and the stored angles, rad; an increment of a
+/// resolver is less.
 const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
-/// Longest wait for what another program's machine says, and time between two looks.
+/// Longest wait for the state of another program's machine, and time between two checks.
 const STATE_MAX: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -101,7 +101,8 @@ struct Answer {
 /// Runs the command.
 ///
 /// # Errors
-/// The configuration, the machine, a pose that its resolvers or the measured position do not agree with, or the file.
+/// Errors of the configuration or the machine, a pose that disagrees with the resolvers or the measured position, or
+/// errors of the file.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let config = arguments.config.load()?;
     let delta = Delta::new(&config.geometry).map_err(|cause| {
@@ -218,7 +219,7 @@ fn through(
     found
 }
 
-/// What the machine's state says, once it says it.
+/// A value from the machine's state, once it is known.
 fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, CommandError> {
     let until = Instant::now() + STATE_MAX;
     while Instant::now() < until {

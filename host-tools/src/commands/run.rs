@@ -1,4 +1,4 @@
-//! What `demo` and `simulate` share: a prepared file, a run, its outputs.
+//! Common part of `demo` and `simulate`: a prepared file, a run, its outputs.
 
 use super::outputs::{Outcome, create, unwritable};
 use super::prepare::{Prepared, planned_s, to_wire};
@@ -51,7 +51,7 @@ impl Growing {
 /// The capture's file in the output folder.
 ///
 /// # Errors
-/// It cannot be made.
+/// The file cannot be made.
 pub fn capture(dir: &Path) -> Result<(Growing, Sink), CommandError> {
     Growing::create(dir, "bus.pcapng")
 }

@@ -1,7 +1,7 @@
-//! `etherpen segment`: the virtual segment alone, in real time, for any master to talk to.
+//! `etherpen segment`: runs the virtual segment alone, in real time, for any master.
 //!
-//! The cell's time is this computer's, less the time in which this program was not run: a real segment never stands
-//! still, so a busy computer must not look like a master that has fallen silent.
+//! The cell's time is this computer's, less the time in which this program was not scheduled: a real segment never
+//! pauses, so a busy computer must not look like a silent master.
 
 use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
@@ -66,9 +66,9 @@ fn inputs(arguments: &Arguments) -> Vec<PathBuf> {
     slaves.chain(arguments.faults.clone()).chain(config).collect()
 }
 
-/// How often the cell's time goes on without a frame.
+/// Period in which the cell's time advances without frames.
 const STEP: Duration = Duration::from_millis(1);
-/// Time between two wake-ups from which on this program counts as not run.
+/// Time between two wake-ups beyond which this program counts as not scheduled.
 const PAUSE: Duration = Duration::from_millis(5);
 
 /// The cell's clock.
@@ -163,7 +163,7 @@ impl SlaveSummary {
 /// Runs the command until it is interrupted.
 ///
 /// # Errors
-/// The way for frames cannot be opened or was lost, or a file cannot be read or written.
+/// The transport cannot be opened or was lost, or a file cannot be read or written.
 pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if let Some(pcap) = &arguments.pcap {
         refuse_input(pcap, &inputs(arguments))?;
@@ -216,7 +216,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-/// Begins a capture, which replaces one that exists and grows under its name.
+/// Starts a capture, which replaces an existing file and grows under its name.
 fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {
     let opened = OutputFile::create(path).and_then(|out| {
         let capture = Capture::new(BufWriter::new(out.stream()?))?;
@@ -297,7 +297,7 @@ impl Running {
     }
 }
 
-/// The end, for a person.
+/// Prints the summary at the end.
 fn tell(summary: &Summary) {
     eprintln!(
         "{} in, {} out in {:.1} s; not EtherCAT: {}; {} ms without the processor",

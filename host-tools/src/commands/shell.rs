@@ -1,4 +1,4 @@
-//! `etherpen completions` and `etherpen man`: what shells and manuals want to know of the command line.
+//! `etherpen completions` and `etherpen man`: shell completions and manual pages.
 
 use super::CommandError;
 use super::outputs::write_bytes;

@@ -1,4 +1,4 @@
-//! `etherpen simulate`: the same tasks and the same cell in virtual time, in this process.
+//! `etherpen simulate`: draws with the firmware's tasks and the virtual cell in virtual time, in this process.
 
 use super::display::Display;
 use super::outputs::{make_folder, refuse_inputs_in, summarise};

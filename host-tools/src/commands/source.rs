@@ -1,4 +1,4 @@
-//! Options that say how a file becomes strokes on the sheet; the same for every command that draws or shows one.
+//! Options for the conversion of a file into strokes, shared by all commands that draw or show one.
 
 use super::ConfigArguments;
 use crate::drawing::{
@@ -95,7 +95,7 @@ fn share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A time that bounds no drawing, s.
+/// A time that limits no drawing, s.
 const UNBOUNDED_S: f64 = 1e9;
 
 /// Two lengths, mm.

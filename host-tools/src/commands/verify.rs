@@ -1,4 +1,4 @@
-//! `etherpen verify`: everything continuous integration asks, in one command.
+//! `etherpen verify`: all checks of continuous integration in one command.
 
 use super::latency;
 use super::{CommandError, code, in_colour};
@@ -15,7 +15,7 @@ pub struct Arguments {}
 /// One step: what a person reads, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
 
-/// What is done on the host.
+/// Steps on the host.
 const HOST: [Step; 4] = [
     ("format", &["fmt", "--all", "--check"]),
     (
@@ -25,7 +25,8 @@ const HOST: [Step; 4] = [
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
     ("tests, on the host and in the emulator", &["test", "--workspace"]),
 ];
-/// What is done for the boards, meanwhile; it has other folders below target/, and the tests wait for what they need of it.
+/// Steps for the boards, run in parallel; they use other folders below target/, and the tests wait for the parts they
+/// need.
 const BOARDS: [Step; 2] = [
     (
         "lints of board nucleo",
@@ -68,7 +69,7 @@ const BOARDS: [Step; 2] = [
 /// Runs the command.
 ///
 /// # Errors
-/// The first step that failed; it has said why.
+/// The first step that failed; it has reported why.
 pub fn run(_: &Arguments) -> Result<(), CommandError> {
     let start = Instant::now();
     announce("set-up");
@@ -105,10 +106,10 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
 const PANICS: &str = "panic-while-drawing";
 /// Cycles of the latency run.
 const LATENCY_CYCLES: u64 = 100_000;
-/// Figures that every verification holds against their bounds.
+/// Figures that every verification checks against their bounds.
 const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 
-/// Measures whether the firmware is in time with foreign frames around every release; the tests put all loads on it for
+/// Measures whether the firmware is in time with foreign frames around every release; the tests apply all loads for
 /// fewer cycles.
 fn in_time() -> Result<(), CommandError> {
     let report = latency::measure(&Plan {
@@ -153,7 +154,7 @@ fn steps(all: &[Step], has_failed: &AtomicBool) -> Result<(), CommandError> {
     left.try_for_each(|one| step(*one))
 }
 
-/// Firmware, lints and latency of the boards.
+/// Builds the firmware of the boards, and runs lints and the latency measurement.
 fn boards(has_failed: &AtomicBool) -> Result<(), CommandError> {
     for board in ["nucleo", "emulated"] {
         announce(&format!("firmware of board {board}"));

@@ -1,4 +1,4 @@
-//! What an order leads to: its end state is waited for, so that a reply tells what is, not what was.
+//! Waits for the end state of an order, so that the reply reports the state after the order.
 //!
 //! Invariant: only a status that arrived after the order's answer counts. The link keeps the order of messages, so the
 //! firmware sent that status after it had carried out the order.
@@ -9,12 +9,12 @@ use etherpen::application::Mode;
 use etherpen::link::protocol::{Command as Told, Sample, Status};
 use std::time::{Duration, Instant};
 
-/// Longest wait for an end state. A stop takes less than a second on a robot, and longer on an emulator that has few
+/// Longest wait for an end state. A stop takes less than a second on a robot, and longer on an emulator with few
 /// processors.
 pub(super) const END_MAX: Duration = Duration::from_secs(15);
-/// After this time a status is new, also where nothing in it changes: one comes at least twice a second.
+/// Time after which a status is certainly new, even if its content is unchanged: one arrives at least twice a second.
 const FRESH: Duration = Duration::from_secs(2);
-/// Speed below which an axis stands, rad/s: above the noise of a resolver at rest.
+/// Speed below which an axis counts as at rest, rad/s: above the noise of a resolver at rest.
 const STANDING_RAD_S: f32 = 0.02;
 
 /// Waits for the end state of an order.
@@ -82,7 +82,7 @@ fn stands(sample: &Sample) -> bool {
     sample.measured_rad_s.iter().all(|speed| speed.abs() < STANDING_RAD_S)
 }
 
-/// Where the machine stands, for a person.
+/// State of the machine, for display.
 pub(super) fn state_text(snapshot: &Snapshot) -> String {
     let Some(status) = &snapshot.status else {
         return "the machine has not said where it stands".to_owned();

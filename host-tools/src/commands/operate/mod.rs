@@ -1,7 +1,8 @@
-//! `etherpen status`, `hold`, `stop`, `move` and the like: a machine from any terminal.
+//! `etherpen status`, `hold`, `stop`, `move` and similar commands: operate a machine from any terminal.
 //!
-//! Where another program of this user has the port and shares its machine, the order goes through it; else the port is
-//! opened here. Which of the two it was is said. Without `--port` the one program that shares its machine is used.
+//! If another program of this user has the port and shares its machine, that program carries out the order; otherwise
+//! this program opens the port. The output says which. Without `--port` the one program that shares its machine is
+//! used.
 
 mod ending;
 mod jobs;
@@ -24,9 +25,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
-/// Time between two looks at what is waited for.
+/// Time between two checks while waiting.
 const LOOK: Duration = Duration::from_millis(20);
-/// Longest wait for the machine's state; the link itself gives up before.
+/// Longest wait for the machine's state; the link's own time limit is shorter.
 const STATE_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a sample of a machine whose status is known.
 const SAMPLE_MAX: Duration = Duration::from_secs(1);
@@ -202,7 +203,7 @@ pub fn run(command: &Command) -> Result<(), CommandError> {
     done.ended()
 }
 
-/// Carries out an order and waits for what it leads to.
+/// Carries out an order and waits for its effect.
 fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: Order) -> Result<Done, CommandError> {
     let mut way = Way::find(port, arguments)?;
     let order = way.carry_out(order)?;
@@ -228,7 +229,7 @@ fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: 
     }
 }
 
-/// Stops every machine that a running program has, and the one at `--port`, all at the same time.
+/// Stops every machine of a running program, and the one at `--port`, all in parallel.
 fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
     let (sharing, alone) = ports::running()?;
     let mut all: Vec<PortName> = sharing.into_iter().map(|found| found.port).collect();
@@ -404,7 +405,7 @@ impl Way {
     }
 }
 
-/// What an order becomes where no program draws: its effect is waited for.
+/// The order to use where no program draws; waits for its effect.
 fn alone(order: Order) -> Result<Order, CommandError> {
     Ok(match order {
         Order::Hold | Order::HoldAtPenUp => Order::Settle(Told::Hold),

@@ -1,4 +1,4 @@
-//! `etherpen status`: where the machine stands and who works with it.
+//! `etherpen status`: state of the machine, and the program that uses it.
 
 use super::{Arguments, Way};
 use crate::commands::{CommandError, counted, print_json};
