@@ -80,9 +80,9 @@ pub enum Task {
 pub enum Ready {
     /// Configured, and the bus is operational.
     Bus,
-    /// Also referenced, at the marks.
+    /// Configured and referenced at the marks.
     Referenced,
-    /// Also enabled: the drives hold the pose.
+    /// Configured, referenced and enabled: the drives hold the pose.
     Enabled,
 }
 

@@ -88,7 +88,7 @@ impl std::str::FromStr for Disturbance {
 pub enum Isolation {
     /// Critical sections mask everything but the critical tasks.
     Basepri,
-    /// Critical sections mask everything; the critical tasks are not isolated.
+    /// Critical sections mask everything: nothing.
     Primask,
 }
 
