@@ -1,26 +1,26 @@
 //! Matches positions with the line that they should follow, in order along both.
 //!
-//! A position near a stroke may be near several parts of it: parallel legs, a line back over itself, the next turn of a
-//! spiral. Only the order tells which part belongs to it. Positions are matched with the line so that neither goes back
-//! and the largest distance is as small as possible: the Fréchet distance of two polylines, found by bisection between
-//! distances that are sufficient and distances that are not (Alt and Godau, 1995).
+//! A position near a stroke may be near several parts of it: parallel legs, a way back over the way there, the next turn
+//! of a spiral. Which part is its own follows from the order alone. Positions are matched with the line so that neither
+//! goes back and the largest distance is the least possible: the Fréchet distance of two polylines, found by halving
+//! between distances that are enough and distances that are not (Alt and Godau, 1995). [`Search`] does that within limits
+//! and a little at a time: each position is compared with each leg it may belong to, which are many where a line comes
+//! close to itself many times. [`thinned`] makes them fewer.
 //!
 //! Invariant: places along the line never decrease from one position to the next, except across a break, by at most
 //! `BACK_MM`.
 
+mod search;
+
 use etherpen::robot::Position;
+pub use search::{Limits, Progress, Search};
 
 /// How far back along the line positions may go on after a break, mm: a pen that is set down again touches a little
 /// before the place where it was lifted.
 const BACK_MM: f64 = 0.5;
 /// Precision of the distance, mm.
 const PRECISION_MM: f64 = 1e-4;
-/// Smallest distance tried first, mm.
-const FIRST_MM: f64 = 0.02;
-/// Largest distance tried, mm.
-const LARGEST_MM: f64 = 1e5;
-
-/// Distance between two positions, mm.
+/// Distance of two places, mm.
 #[must_use]
 pub fn distance(a: &Position, b: &Position) -> f64 {
     ((a.x_mm - b.x_mm).powi(2) + (a.y_mm - b.y_mm).powi(2) + (a.z_mm - b.z_mm).powi(2)).sqrt()
@@ -36,7 +36,36 @@ pub fn between(a: &Position, b: &Position, part: f64) -> Position {
     }
 }
 
-/// The fraction of the segment from `a` to `b` that is nearest to a position, 0 to 1.
+/// Points of a polyline without those that are near the point kept before them: each kept leg is longer than `within_mm`,
+/// except the last one and those of a polyline that lies near its first point as a whole.
+///
+/// Both polylines can be followed at the same time, in order, no farther than `within_mm` apart; twice that for a
+/// polyline that lies near its first point as a whole, of which the farthest point is kept as well.
+#[must_use]
+pub fn thinned(points: &[Position], within_mm: f64) -> Vec<Position> {
+    let mut kept: Vec<Position> = Vec::new();
+    for point in points {
+        if kept.last().is_none_or(|last| distance(last, point) > within_mm) {
+            kept.push(*point);
+        }
+    }
+    let (Some(first), Some(last)) = (points.first(), points.last()) else {
+        return kept;
+    };
+    if kept.len() == 1 {
+        kept.extend(
+            points
+                .iter()
+                .max_by(|a, b| distance(first, a).total_cmp(&distance(first, b))),
+        );
+    }
+    if points.len() > 1 && kept.last() != Some(last) {
+        kept.push(*last);
+    }
+    kept
+}
+
+/// The part of the way from `a` to `b` that is nearest to a place, 0 to 1.
 fn nearest_part(place: &Position, a: &Position, b: &Position) -> f64 {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
     let squared = dx * dx + dy * dy + dz * dz;
@@ -96,9 +125,6 @@ pub struct Match {
     pub places_mm: Vec<f64>,
 }
 
-/// Parts of the line that one position can reach: leg, and from and to as fractions of the leg.
-type Reach = Vec<(usize, [f64; 2])>;
-
 impl Line {
     /// A line through these points.
     #[must_use]
@@ -118,8 +144,13 @@ impl Line {
         self.along_mm.last().copied().unwrap_or(0.0)
     }
 
-    /// Distance from a position to the part of the line between two places along it, mm; infinite for a line without a
-    /// leg.
+    /// Number of its legs.
+    #[must_use]
+    pub fn legs(&self) -> usize {
+        self.points.len().saturating_sub(1)
+    }
+
+    /// Distance from a place to the part of the line between two places along it, mm; infinite for a line of no leg.
     #[must_use]
     pub fn distance_between(&self, place: &Position, low_mm: f64, high_mm: f64) -> f64 {
         let (low_mm, high_mm) = (
@@ -163,147 +194,6 @@ impl Line {
     /// A fraction of a leg as a place along the line, mm.
     fn along(&self, leg: usize, share: f64) -> f64 {
         self.along_mm[leg] + share * (self.along_mm[leg + 1] - self.along_mm[leg])
-    }
-
-    /// Matches positions with the line in order; the first one may be anywhere between two places along the line, mm.
-    ///
-    /// A line without a leg, or no position, gives an empty match at an infinite distance.
-    #[must_use]
-    pub fn follow(&self, steps: &[Step], first_mm: [f64; 2]) -> Match {
-        let nothing = Match {
-            distance_mm: f64::INFINITY,
-            places_mm: Vec::new(),
-        };
-        if self.points.len() < 2 || steps.is_empty() {
-            return nothing;
-        }
-        let mut enough_mm = FIRST_MM;
-        let mut reached = loop {
-            match self.reach(steps, first_mm, enough_mm) {
-                Some(reached) => break reached,
-                None if enough_mm > LARGEST_MM => return nothing,
-                None => enough_mm *= 4.0,
-            }
-        };
-        let mut few_mm = if enough_mm > FIRST_MM { 0.25 * enough_mm } else { 0.0 };
-        while enough_mm - few_mm > PRECISION_MM {
-            let middle_mm = 0.5 * (few_mm + enough_mm);
-            match self.reach(steps, first_mm, middle_mm) {
-                Some(closer) => (enough_mm, reached) = (middle_mm, closer),
-                None => few_mm = middle_mm,
-            }
-        }
-        Match {
-            distance_mm: enough_mm,
-            places_mm: self.places(steps, &reached),
-        }
-    }
-
-    /// The parts of the line that each position can reach within a distance; `None` if one position reaches nothing.
-    fn reach(&self, steps: &[Step], first_mm: [f64; 2], reach_mm: f64) -> Option<Vec<Reach>> {
-        let mut reached: Vec<Reach> = Vec::with_capacity(steps.len());
-        for (index, step) in steps.iter().enumerate() {
-            let next = match (reached.last(), step.unseen_mm) {
-                (None, _) => self.free(&step.position, first_mm, reach_mm),
-                (Some(last), Some(unseen_mm)) => {
-                    let low_mm = last.first().map_or(0.0, |(leg, ends)| self.along(*leg, ends[0]));
-                    let high_mm = last.last().map_or(0.0, |(leg, ends)| self.along(*leg, ends[1]));
-                    self.free(&step.position, [low_mm - BACK_MM, high_mm + unseen_mm], reach_mm)
-                }
-                (Some(last), None) => self.advance(last, &steps[index - 1].position, &step.position, reach_mm),
-            };
-            if next.is_empty() {
-                return None;
-            }
-            reached.push(next);
-        }
-        Some(reached)
-    }
-
-    /// All parts of the line between two places along it that are within a distance of a position.
-    fn free(&self, position: &Position, [low_mm, high_mm]: [f64; 2], reach_mm: f64) -> Reach {
-        let low_mm = low_mm.clamp(0.0, self.length_mm());
-        let high_mm = high_mm.clamp(low_mm, self.length_mm());
-        let mut result = Reach::new();
-        for leg in self.leg_at(low_mm)..self.points.len() - 1 {
-            if self.along_mm[leg] > high_mm {
-                break;
-            }
-            let Some([from, to]) = within(position, &self.points[leg], &self.points[leg + 1], reach_mm) else {
-                continue;
-            };
-            let share = |mm: f64| self.share(leg, mm.clamp(self.along_mm[leg], self.along_mm[leg + 1]));
-            let from = from.max(share(low_mm));
-            let to = if high_mm < self.along_mm[leg + 1] {
-                to.min(share(high_mm))
-            } else {
-                to
-            };
-            if from <= to {
-                result.push((leg, [from, to]));
-            }
-        }
-        result
-    }
-
-    /// The parts that the next position can reach, through the cells between two positions and the line's legs.
-    fn advance(&self, last: &Reach, from: &Position, to: &Position, reach_mm: f64) -> Reach {
-        let mut result = Reach::new();
-        let mut starts = last.iter().peekable();
-        // The earliest part of the motion from which the leg's first point can be reached from the previous leg.
-        let mut below: Option<f64> = None;
-        let mut leg = starts.peek().map_or(0, |(leg, _)| *leg);
-        while leg + 1 < self.points.len() {
-            let left = starts.next_if(|(start, _)| *start == leg).map(|(_, ends)| ends[0]);
-            let (a, b) = (&self.points[leg], &self.points[leg + 1]);
-            if left.is_some() || below.is_some() {
-                if let Some([low, high]) = within(to, a, b, reach_mm) {
-                    let low = match (below, left) {
-                        (None, Some(left)) => low.max(left),
-                        _ => low,
-                    };
-                    if low <= high {
-                        result.push((leg, [low, high]));
-                    }
-                }
-                below = within(b, from, to, reach_mm).and_then(|[low, high]| match (left, below) {
-                    (None, Some(below)) => (low.max(below) <= high).then_some(low.max(below)),
-                    _ => Some(low),
-                });
-            }
-            leg = match (below, starts.peek()) {
-                (Some(_), _) => leg + 1,
-                (None, Some((start, _))) => *start,
-                (None, None) => break,
-            };
-        }
-        result
-    }
-
-    /// Backwards from the last position: for each the nearest reachable place that is not after the next position's
-    /// place.
-    fn places(&self, steps: &[Step], reached: &[Reach]) -> Vec<f64> {
-        let mut places_mm = vec![0.0; steps.len()];
-        let mut limit_mm = f64::INFINITY;
-        for (index, (step, reach)) in steps.iter().zip(reached).enumerate().rev() {
-            let mut best = (f64::INFINITY, limit_mm.min(self.length_mm()));
-            for &(leg, [low, high]) in reach {
-                let low_mm = self.along(leg, low);
-                if low_mm > limit_mm + PRECISION_MM {
-                    break;
-                }
-                let high = high.min(self.share(leg, limit_mm.min(self.along_mm[leg + 1]))).max(low);
-                let part = nearest_part(&step.position, &self.points[leg], &self.points[leg + 1]).clamp(low, high);
-                let away_mm = distance(&step.position, &self.at(leg, part));
-                // The later one of two equal places leaves more room for the earlier positions.
-                if away_mm <= best.0 + PRECISION_MM * 0.01 {
-                    best = (away_mm, self.along(leg, part));
-                }
-            }
-            places_mm[index] = best.1;
-            limit_mm = best.1 + if step.unseen_mm.is_some() { BACK_MM } else { 0.0 };
-        }
-        places_mm
     }
 }
 

@@ -4,11 +4,12 @@
 //! waits for a report of the firmware, never for a fixed time, and has a time limit after which the job reports what it
 //! waited for. A job keeps its connection when its task has ended, and takes further tasks.
 //!
-//! Invariants: an existing fault is reported, and acknowledged only if the options or the task say so. Progress counts
-//! executed vertices, not sent ones. A drawing is done when the measured pen has followed the path, not when the
-//! firmware says so. When a task that moves the robot ends early, the robot is asked to come to rest and to give up the
-//! power that the task switched on. A drawing held since another connection is resumed only if the firmware still holds
-//! exactly that drawing.
+//! Invariants: a fault that is found is reported, and acknowledged only when the options or the task say so; progress
+//! counts executed vertices, not sent ones; a drawing is done when the pen was seen where the path wanted it, not when
+//! the firmware says so; whatever ends a task early that moves the robot, the robot is asked to come to
+//! rest and to give up the power that the task gave it; no step does more than a bounded part of a drawing's verification,
+//! so that STOP never waits for it; a drawing held since another connection goes on only if the
+//! firmware still holds exactly that drawing.
 
 mod phases;
 
@@ -29,7 +30,11 @@ pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Time before a command that was refused because of a motion is repeated, ms.
+/// Looks at a leg of the path in one step, to verify the drawing. A look takes some tens of nanoseconds.
+const LOOKS_PER_STEP: usize = 10_000;
+/// Looks when a report is taken although the drawing has not been verified, because the connection is lost.
+const LOOKS_AT_LAST: usize = 500_000;
+/// Time before a command that was refused because something still moves is tried again, ms.
 const RETRY_MS: u64 = 100;
 
 /// Hash of a path: 64-bit FNV-1a over its vertices.
@@ -240,11 +245,15 @@ impl Job {
             .session
             .transmit(now_ms, outgoing.get_mut(before..).unwrap_or_default());
         outgoing.truncate(before.saturating_add(filled));
+        if let Some(verifier) = &mut self.verifier {
+            verifier.work(LOOKS_PER_STEP);
+        }
     }
 
-    /// How the task ended, `None` while it runs.
+    /// How the task ended, `None` while it runs or while samples of a drawing that has ended wait to be compared with it.
     pub fn outcome(&self) -> Option<&Result<(), JobError>> {
-        self.outcome.as_ref()
+        let is_verified = self.broken.is_some() || !self.verifier.as_ref().is_some_and(Verifier::is_behind);
+        self.outcome.as_ref().filter(|_| is_verified)
     }
 
     /// Why the connection is broken, if it is; a broken connection needs a new job.
@@ -261,7 +270,7 @@ impl Job {
     pub fn take_report(&mut self) -> JobReport {
         let progress = self.progress();
         if let Some(verifier) = self.verifier.take() {
-            self.verification = verifier.finish(false);
+            self.verification = verifier.finish_within(LOOKS_AT_LAST);
         }
         JobReport {
             progress,
@@ -567,6 +576,9 @@ impl Job {
 
     fn fail(&mut self, error: JobError) {
         self.session.end_path();
+        if let Some(verifier) = &mut self.verifier {
+            verifier.close();
+        }
         self.outcome.get_or_insert(Err(error));
     }
 

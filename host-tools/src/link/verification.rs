@@ -5,16 +5,24 @@
 //! counts as followed if the positions measured for both are close to it. Parts whose samples were lost on the line are
 //! neither followed nor missing: they are not verified.
 //!
-//! Invariants: a part counts as missing only if a sample shows it, or if samples without a gap show that it was never
-//! reached; memory is bounded by the path and `SAMPLES_MAX`.
+//! Strokes are compared without their noise: vertices within `THINNED_MM` of the one before do not matter. What still
+//! comes close to itself so often that matching it would cost more than `LOOKS_PER_ROW` is not verified.
+//!
+//! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
+//! never reached; [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so that
+//! the thread that writes STOP never waits for more; memory is bounded by the path, `ROWS_MAX` and `PARTS_PER_ROW`. The
+//! result does not depend on how the work is divided.
+
+mod parts;
 
 use super::error::JobError;
-use crate::matching::{Line, Step};
+use crate::matching::{Limits, Line, Progress, Search, Step, distance, thinned};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::{PathVertex, Sample};
 use etherpen::motion::Pen;
 use etherpen::robot::{Delta, JointAngles, Position};
+use parts::Parts;
 use std::collections::{HashMap, VecDeque};
 
 /// Largest distance of a measured position from its place on the stroke that counts as followed, mm. Drawings stay
@@ -33,51 +41,35 @@ const ROUNDING_MM: f64 = 1e-6;
 const END_MM: f64 = 0.5;
 /// Samples of a stroke that are matched at once.
 const SAMPLES_MAX: usize = 4_096;
-/// Distance within which a stroke's first reference searches the beginning of the stroke, mm.
+/// Vertices of a stroke within this distance of the one before are its noise, mm; well below [`FOLLOWED_MM`].
+const THINNED_MM: f64 = 0.1;
+/// Samples that wait to be matched, at most: more are not verified.
+const ROWS_MAX: usize = 32_768;
+/// Looks at a leg of the stroke that matching may take for each sample; ordinary drawings take about a hundred.
+const LOOKS_PER_ROW: usize = 2_000;
+/// Parts of the stroke that are kept for each sample while its distance is looked for, on the average.
+const PARTS_PER_ROW: usize = 64;
+/// Parts of the stroke that are kept for one sample.
+const PARTS_AT_ONCE: usize = 1_024;
+/// Looks for each leg of the stroke where samples may begin anywhere on it: each distance tried looks at all of them.
+const LOOKS_PER_LEG: usize = 40;
+/// Distance within which a stroke's first reference looks for the stroke's begin, mm.
 const BEGIN_MM: f64 = 2.0;
 /// Largest speed of references relative to the configured one: an override of 200 percent.
 const SPEED_SHARE: f64 = 2.0;
 
-/// Parts of a length: from and to, mm, ordered and disjoint.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Parts(Vec<[f64; 2]>);
-
-impl Parts {
-    fn add(&mut self, from_mm: f64, to_mm: f64) {
-        if to_mm <= from_mm {
-            return;
-        }
-        let first = self.0.partition_point(|part| part[1] < from_mm);
-        let after = self.0.partition_point(|part| part[0] <= to_mm);
-        let touched = self.0.get(first..after).unwrap_or_default();
-        let low_mm = touched.first().map_or(from_mm, |part| part[0].min(from_mm));
-        let high_mm = touched.last().map_or(to_mm, |part| part[1].max(to_mm));
-        self.0.splice(first..after.max(first), [[low_mm, high_mm]]);
-    }
-
-    fn extend(&mut self, other: &Self) {
-        other.0.iter().for_each(|part| self.add(part[0], part[1]));
-    }
-
-    /// Length of the parts between two places, mm.
-    fn length_between(&self, from_mm: f64, to_mm: f64) -> f64 {
-        let first = self.0.partition_point(|part| part[1] < from_mm);
-        let within = self.0.iter().skip(first).take_while(|part| part[0] < to_mm);
-        within
-            .map(|part| (part[1].min(to_mm) - part[0].max(from_mm)).max(0.0))
-            .sum()
-    }
-}
-
-/// A stroke and its place among all strokes.
+/// A stroke and where it lies among all strokes.
 #[derive(Clone, Debug)]
 struct Stroke {
     number: u32,
     /// The first of its vertices in the path.
     vertex: u32,
-    /// Length of all strokes before it, mm.
+    /// Length of all strokes before it without their noise, mm.
     begin_mm: f64,
+    /// Its length without its noise, mm.
     length_mm: f64,
+    /// Its length in the path divided by `length_mm`.
+    scale: f64,
 }
 
 /// Result of verifying the telemetry of a drawing; results of several connections can be merged.
@@ -142,13 +134,13 @@ impl Verification {
             let seen_mm = either.length_between(from_mm, to_mm);
             // Rounding may make the differences of sums slightly negative.
             let missing_mm = (seen_mm - followed_mm).max(0.0);
-            verdict.total_mm += stroke.length_mm;
-            verdict.followed_mm += followed_mm;
-            verdict.unverified_mm += (stroke.length_mm - seen_mm).max(0.0);
+            verdict.total_mm += stroke.scale * stroke.length_mm;
+            verdict.followed_mm += stroke.scale * followed_mm;
+            verdict.unverified_mm += stroke.scale * (stroke.length_mm - seen_mm).max(0.0);
             if missing_mm < MISSING_MIN_MM.min(0.5 * stroke.length_mm) || missing_mm == 0.0 {
                 continue;
             }
-            verdict.missing_mm += missing_mm;
+            verdict.missing_mm += stroke.scale * missing_mm;
             if verdict.strokes.is_empty() {
                 verdict.complete_vertices = stroke.vertex;
             }
@@ -174,7 +166,25 @@ struct Row {
     is_after_gap: bool,
 }
 
-/// Verifies a drawing from its telemetry.
+/// Rows of a line that are matched at once.
+struct Piece {
+    line: usize,
+    /// Empty where there were too many to be matched.
+    rows: Vec<Row>,
+    /// Whether the pen has come to the line with it.
+    begins: bool,
+}
+
+/// A piece that is being matched.
+struct Matching {
+    piece: Piece,
+    search: Search,
+    places_mm: Vec<f64>,
+    /// Whether the measured position was near the row's place, for the first rows.
+    near: Vec<bool>,
+}
+
+/// Watches a drawing's telemetry.
 pub struct Verifier {
     result: Verification,
     lines: Vec<Line>,
@@ -188,14 +198,24 @@ pub struct Verifier {
     recent: VecDeque<Sample>,
     /// Whether samples were lost since the last row.
     has_gap: bool,
-    /// The line being drawn, and its rows that are not matched yet.
+    /// The line that is drawn, and its rows that do not wait to be matched yet.
     line: Option<usize>,
     rows: Vec<Row>,
+    /// Whether none of the line's rows waits to be matched or was matched.
+    begins: bool,
     last_ms: Option<u32>,
-    /// Position of the references along all strokes, mm.
+    /// What waits to be matched, in order.
+    pieces: VecDeque<Piece>,
+    matching: Option<Matching>,
+    /// How far the matched references have come along all strokes, mm.
     reached_mm: f64,
     /// Position of the references along the present line, mm; `None` before the first match.
     place_mm: Option<f64>,
+    /// Whether rows of the present line were left out since the last match.
+    is_line_left_out: bool,
+    /// Whether any rows were.
+    is_left_out: bool,
+    looks: usize,
 }
 
 impl Verifier {
@@ -215,22 +235,28 @@ impl Verifier {
             has_gap: !from_begin,
             line: None,
             rows: Vec::new(),
+            begins: true,
             last_ms: None,
+            pieces: VecDeque::new(),
+            matching: None,
             reached_mm: 0.0,
             place_mm: None,
+            is_line_left_out: false,
+            is_left_out: false,
+            looks: 0,
         };
-        for (line, number, vertex) in lines(path) {
-            let begin_mm = result
-                .result
-                .strokes
-                .last()
-                .map_or(0.0, |last| last.begin_mm + last.length_mm);
+        let mut begin_mm = 0.0;
+        for (points, number, vertex) in lines(path) {
+            let line = Line::new(thinned(&points, THINNED_MM));
+            let (drawn_mm, length_mm) = (length(&points), line.length_mm());
             result.result.strokes.push(Stroke {
                 number,
                 vertex,
                 begin_mm,
-                length_mm: line.length_mm(),
+                length_mm,
+                scale: if length_mm > 0.0 { drawn_mm / length_mm } else { 1.0 },
             });
+            begin_mm += length_mm;
             result.numbers.entry(number).or_insert(result.lines.len());
             result.lines.push(line);
         }
@@ -242,13 +268,73 @@ impl Verifier {
         samples.iter().for_each(|sample| self.step(sample));
     }
 
-    /// The result; `is_over` tells that the firmware reported the end of the path.
+    /// The drawing has ended or is interrupted: its last rows need not wait for others of their stroke.
+    pub fn close(&mut self) {
+        self.end_line();
+    }
+
+    /// Whether rows wait to be matched.
+    #[must_use]
+    pub fn is_behind(&self) -> bool {
+        self.matching.is_some() || !self.pieces.is_empty()
+    }
+
+    /// Looks at a leg so far, by which the work is counted.
+    #[must_use]
+    pub fn looks(&self) -> usize {
+        self.looks
+    }
+
+    /// Matches rows that wait, with about as many looks at a leg. There are no more than allowed except for those of one
+    /// row, and one for each row of a piece when it is ended.
+    pub fn work(&mut self, looks: usize) {
+        let mut done = 0;
+        while done < looks {
+            let Some(mut matching) = self.matching.take().or_else(|| self.next_matching()) else {
+                break;
+            };
+            let (used, state) = self.go_on(&mut matching, looks - done);
+            done += used;
+            match state {
+                State::Unfinished => self.matching = Some(matching),
+                State::Matched => {
+                    done += matching.near.len();
+                    self.note(&matching);
+                }
+                State::LeftOut => self.leave_out(),
+            }
+        }
+        self.looks += done;
+    }
+
+    /// What has been seen of a drawing whose end was not reported: matches what still waits with about as many looks, and
+    /// leaves the rest not verified.
+    #[must_use]
+    pub fn finish_within(mut self, looks: usize) -> Verification {
+        self.close();
+        self.work(looks);
+        self.give_up();
+        self.finish(false)
+    }
+
+    /// Leaves what waits to be matched not verified.
+    fn give_up(&mut self) {
+        if self.is_behind() {
+            (self.matching, self.pieces) = (None, VecDeque::new());
+            self.leave_out();
+        }
+    }
+
+    /// What has been seen; `is_over` says that the firmware reported the path's end. Matches first what still waits.
     #[must_use]
     pub fn finish(mut self, is_over: bool) -> Verification {
-        self.end_line();
-        // Samples from after the drawing show that none of it came after the last row.
-        let is_past = |sample: &Sample| !matches!(sample.mode, Mode::Drawing | Mode::Holding);
-        if is_over && !self.has_gap && self.recent.back().is_some_and(is_past) {
+        self.close();
+        while self.is_behind() {
+            self.work(usize::MAX);
+        }
+        // Samples that are behind the drawing show that none of it came after the last row.
+        let is_past = |sample: &Sample| !is_drawing(sample.mode);
+        if is_over && !self.has_gap && !self.is_left_out && self.recent.back().is_some_and(is_past) {
             let end_mm = self
                 .result
                 .strokes
@@ -274,7 +360,10 @@ impl Verifier {
         }
         // Reference, stroke and pen to which the measurement belongs.
         let Some(cause) = self.recent.pop_front() else { return };
-        if !matches!(cause.mode, Mode::Drawing | Mode::Holding) || cause.pen == Pen::Up {
+        if !is_drawing(cause.mode) {
+            return self.end_line();
+        }
+        if cause.pen == Pen::Up {
             return;
         }
         let Some(delta) = &self.delta else { return };
@@ -283,12 +372,11 @@ impl Verifier {
             return;
         };
         let line = self.numbers.get(&cause.stroke).copied();
-        if line != self.line || self.rows.len() >= SAMPLES_MAX {
-            self.match_rows();
-            if line != self.line {
-                self.end_line();
-                self.line = line;
-            }
+        if line != self.line {
+            self.end_line();
+            self.line = line;
+        } else if self.rows.len() >= SAMPLES_MAX {
+            self.enqueue();
         }
         let passed_ms = self
             .last_ms
@@ -302,42 +390,115 @@ impl Verifier {
         });
     }
 
-    /// Ends the present line: its parts that were not reached were skipped.
+    /// The stroke has ended.
     fn end_line(&mut self) {
-        self.match_rows();
-        self.place_mm = None;
+        self.enqueue();
         self.line = None;
+        self.begins = true;
     }
 
-    /// Matches the rows of the present line.
-    fn match_rows(&mut self) {
-        let rows = std::mem::take(&mut self.rows);
-        let (Some(index), Some(first)) = (self.line, rows.first()) else {
+    /// Lets the rows of the present line wait to be matched.
+    fn enqueue(&mut self) {
+        let mut rows = std::mem::take(&mut self.rows);
+        let Some(line) = self.line.filter(|_| !rows.is_empty()) else {
             return;
         };
-        let (Some(line), Some(stroke)) = (self.lines.get(index), self.result.strokes.get(index)) else {
-            return;
-        };
-        let unseen_mm = |row: &Row| self.speed_mm_s * f64::from(row.passed_ms) / 1_000.0 + BEGIN_MM;
-        let steps: Vec<Step> = (rows.iter())
-            .map(|row| Step {
-                position: row.reference,
-                unseen_mm: (row.passed_ms > 1).then(|| unseen_mm(row)),
-            })
-            .collect();
-        let is_at_begin = line.distance_between(&first.reference, 0.0, 0.0) <= BEGIN_MM;
-        let first_mm = match self.place_mm {
-            Some(place_mm) => [place_mm - END_MM, place_mm + unseen_mm(first)],
-            None if is_at_begin => [0.0, BEGIN_MM],
-            None => [0.0, f64::INFINITY],
-        };
-        let places_mm = line.follow(&steps, first_mm).places_mm;
+        let begins = std::mem::take(&mut self.begins);
+        let waiting: usize = self.pieces.iter().map(|piece| piece.rows.len()).sum();
+        if waiting + rows.len() > ROWS_MAX {
+            rows = Vec::new();
+            let is_left_out = |piece: &Piece| piece.rows.is_empty() && piece.line == line;
+            if !begins && self.pieces.back().is_some_and(is_left_out) {
+                return;
+            }
+        }
+        self.pieces.push_back(Piece { line, rows, begins });
+    }
+
+    fn leave_out(&mut self) {
+        (self.is_left_out, self.is_line_left_out) = (true, true);
+    }
+
+    /// Begins to match the next piece that has rows.
+    fn next_matching(&mut self) -> Option<Matching> {
+        loop {
+            let mut piece = self.pieces.pop_front()?;
+            if piece.begins {
+                (self.place_mm, self.is_line_left_out) = (None, false);
+            }
+            let line = &self.lines[piece.line];
+            let Some(first) = piece.rows.first_mut() else {
+                self.leave_out();
+                continue;
+            };
+            first.is_after_gap |= self.is_left_out;
+            let first = &piece.rows[0];
+            let unseen_mm = |row: &Row| self.speed_mm_s * f64::from(row.passed_ms) / 1_000.0 + BEGIN_MM;
+            let steps: Vec<Step> = (piece.rows.iter())
+                .map(|row| Step {
+                    position: row.reference,
+                    unseen_mm: (row.passed_ms > 1).then(|| unseen_mm(row)),
+                })
+                .collect();
+            let is_at_begin = line.distance_between(&first.reference, 0.0, 0.0) <= BEGIN_MM;
+            let first_mm = match self.place_mm {
+                place_mm if self.is_line_left_out => [place_mm.unwrap_or(0.0) - END_MM, f64::INFINITY],
+                Some(place_mm) => [place_mm - END_MM, place_mm + unseen_mm(first)],
+                None if is_at_begin => [0.0, BEGIN_MM],
+                None => [0.0, f64::INFINITY],
+            };
+            let limits = Limits {
+                looks: LOOKS_PER_ROW * steps.len() + LOOKS_PER_LEG * line.legs(),
+                parts: PARTS_PER_ROW * steps.len(),
+                parts_at_once: PARTS_AT_ONCE,
+            };
+            return Some(Matching {
+                search: Search::new(steps, first_mm, limits),
+                places_mm: Vec::new(),
+                near: Vec::with_capacity(piece.rows.len()),
+                piece,
+            });
+        }
+    }
+
+    /// Goes on with a piece, with about as many looks; how many there were, and what has come of it.
+    fn go_on(&self, matching: &mut Matching, looks: usize) -> (usize, State) {
+        let line = &self.lines[matching.piece.line];
+        let mut used = 0;
+        if matching.places_mm.is_empty() {
+            let before = matching.search.looks();
+            let progress = matching.search.go_on(line, looks);
+            used = matching.search.looks() - before;
+            match progress {
+                Progress::Unfinished => return (used, State::Unfinished),
+                Progress::TooMuch => return (used, State::LeftOut),
+                Progress::Found(found) if found.places_mm.is_empty() => return (used, State::LeftOut),
+                Progress::Found(found) => matching.places_mm = found.places_mm,
+            }
+        }
         let reach_mm = ALONG * self.near_mm;
-        let is_near = |(row, mm): (&Row, &f64)| {
-            line.distance_between(&row.measured, mm - reach_mm, mm + reach_mm) <= self.near_mm
-        };
-        let near: Vec<bool> = rows.iter().zip(&places_mm).map(is_near).collect();
-        let (Some(&begin_mm), Some(&end_mm)) = (places_mm.first(), places_mm.last()) else {
+        // All legs but the last ones are longer than the noise.
+        let legs = (2.0 * reach_mm / THINNED_MM) as usize + 3;
+        let next = matching.near.len();
+        for (row, mm) in matching.piece.rows.iter().zip(&matching.places_mm).skip(next) {
+            if used >= looks {
+                return (used, State::Unfinished);
+            }
+            used += legs;
+            let away_mm = line.distance_between(&row.measured, mm - reach_mm, mm + reach_mm);
+            matching.near.push(away_mm <= self.near_mm);
+        }
+        (used, State::Matched)
+    }
+
+    /// Notes what a piece that has been matched shows.
+    fn note(&mut self, matching: &Matching) {
+        let Matching {
+            piece, places_mm, near, ..
+        } = matching;
+        let stroke = &self.result.strokes[piece.line];
+        let (Some(first), Some(&begin_mm), Some(&end_mm)) = (piece.rows.first(), places_mm.first(), places_mm.last())
+        else {
             return;
         };
         let mut note = |from_mm: f64, to_mm: f64, is_followed: bool| {
@@ -356,7 +517,10 @@ impl Verifier {
         if stroke.length_mm - end_mm <= END_MM {
             note(end_mm, stroke.length_mm, last_near);
         }
-        for (index, row) in rows.iter().enumerate().skip(1).filter(|(_, row)| !row.is_after_gap) {
+        for (index, row) in piece.rows.iter().enumerate().skip(1) {
+            if row.is_after_gap {
+                continue;
+            }
             let is_followed = near[index - 1] && near[index];
             // A pen that was lifted and lowered again has drawn nothing in between.
             let is_drawn = row.passed_ms == 1 || places_mm[index] - places_mm[index - 1] <= END_MM;
@@ -379,11 +543,28 @@ impl Verifier {
         };
         self.reached_mm = self.reached_mm.max(stroke.begin_mm + ended_mm);
         self.place_mm = Some(end_mm);
+        (self.is_left_out, self.is_line_left_out) = (false, false);
     }
 }
 
-/// The drawn lines of a path, each with its stroke number and first vertex.
-fn lines(path: &[PathVertex]) -> Vec<(Line, u32, u32)> {
+/// What has come of a piece.
+enum State {
+    Unfinished,
+    Matched,
+    /// Matching it costs too much.
+    LeftOut,
+}
+
+fn is_drawing(mode: Mode) -> bool {
+    matches!(mode, Mode::Drawing | Mode::Holding)
+}
+
+fn length(points: &[Position]) -> f64 {
+    points.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum()
+}
+
+/// The drawn lines of a path, with the stroke's number and its first vertex.
+fn lines(path: &[PathVertex]) -> Vec<(Vec<Position>, u32, u32)> {
     let at = |vertex: &PathVertex| {
         let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
         Position { x_mm, y_mm, z_mm }
@@ -405,9 +586,6 @@ fn lines(path: &[PathVertex]) -> Vec<(Line, u32, u32)> {
         is_drawing = true;
     }
     found
-        .into_iter()
-        .map(|(points, number, vertex)| (Line::new(points), number, vertex))
-        .collect()
 }
 
 #[cfg(test)]

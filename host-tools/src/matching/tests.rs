@@ -19,6 +19,16 @@ fn steps(positions: &[Position]) -> Vec<Step> {
     positions.iter().map(step).collect()
 }
 
+impl Line {
+    /// The match without limits.
+    fn follow(&self, steps: &[Step], first_mm: [f64; 2]) -> Match {
+        match Search::new(steps.to_vec(), first_mm, Limits::NONE).go_on(self, usize::MAX) {
+            Progress::Found(found) => found,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
 /// A line with points at most [`FINE_MM`] apart.
 fn fine(points: &[Position]) -> Vec<Position> {
     let mut result = vec![points[0]];

@@ -3,9 +3,14 @@
 //! A point is compared with its own stroke, in order along it ([`matching`](crate::matching)); in a drawing with lines
 //! close together, or on top of each other, every point would otherwise be near some neighbour.
 //!
-//! Invariant: no distance is taken to a stroke other than the point's own.
+//! A stroke that comes close to itself very often, as the noise of a digitiser does, would cost time and memory with the
+//! square of its vertices. Where [`limits`] are exceeded, it is thinned until they are not, and what that may have moved
+//! it is added to each distance.
+//!
+//! Invariants: no distance is taken to a stroke other than the point's own; no distance is too small; distances from
+//! strokes that were not thinned are exact; memory is bounded by the strokes and the points.
 
-use crate::matching::{Line, Match, Step, distance};
+use crate::matching::{Limits, Line, Match, Progress, Search, Step, distance, thinned};
 use etherpen::robot::Position;
 use std::collections::HashMap;
 
@@ -28,6 +33,23 @@ const INK_FARTHER: f64 = 4.0;
 const INK_FAR_MM: f64 = 1e4;
 /// How far back along its stroke a line of ink may begin behind the end of the previous one, mm.
 const INK_BACK_MM: f64 = 0.5;
+
+/// How far vertices of a stroke are from each other at least when it is thinned first, mm, and how many times farther each
+/// further time.
+const THINNED_MM: f64 = 0.05;
+const THINNED_FARTHER: f64 = 4.0;
+/// A line of so few points needs no limits.
+const POINTS_FEW: usize = 3;
+
+/// What matching points with a stroke may cost: ordinary drawings take about a hundred looks and keep about three parts
+/// for a point.
+const fn limits(points: usize) -> Limits {
+    Limits {
+        looks: 20_000_000 + 1_000 * points,
+        parts: 1_000_000 + 32 * points,
+        parts_at_once: usize::MAX,
+    }
+}
 
 /// A drawn polyline with its stroke's number.
 pub type NumberedStroke = (u32, Vec<Position>);
@@ -54,13 +76,13 @@ impl Distances {
         self.count += 1;
     }
 
-    /// Adds the points of a match; a part of the line that they skipped counts as well.
-    fn add_match(&mut self, line: &Line, points: &[Step], matched: &Match) {
+    /// Adds the points of a match; a part of the line that they left out counts as well.
+    fn add_match(&mut self, way: &Way, points: &[Step], matched: &Match) {
         for (point, place_mm) in points.iter().zip(&matched.places_mm) {
-            self.add(line.distance_between(&point.position, *place_mm, *place_mm));
+            self.add(way.moved_mm + way.line.distance_between(&point.position, *place_mm, *place_mm));
         }
         if matched.distance_mm > LEFT_OUT_MM {
-            self.largest_mm = self.largest_mm.max(matched.distance_mm);
+            self.largest_mm = self.largest_mm.max(way.moved_mm + matched.distance_mm);
         }
     }
 
@@ -78,7 +100,54 @@ impl Distances {
     }
 }
 
-/// One millisecond of a stroke: commanded and measured position of the platform.
+/// A stroke that points are compared with.
+struct Way<'a> {
+    points: &'a [Position],
+    line: Line,
+    /// Vertices are at least this far apart, mm; 0 while all of them are kept.
+    thinned_mm: f64,
+    /// How far thinning may have moved the stroke, mm.
+    moved_mm: f64,
+}
+
+impl<'a> Way<'a> {
+    fn new(points: &'a [Position]) -> Self {
+        Self {
+            points,
+            line: Line::new(points.to_vec()),
+            thinned_mm: 0.0,
+            moved_mm: 0.0,
+        }
+    }
+
+    /// Matches points with the stroke, the first one between two places along it, mm; thins the stroke while that costs
+    /// too much.
+    fn follow(&mut self, steps: &[Step], first_mm: [f64; 2]) -> Match {
+        loop {
+            let limits = if self.line.legs() < POINTS_FEW {
+                Limits::NONE
+            } else {
+                limits(steps.len())
+            };
+            let mut search = Search::new(steps.to_vec(), first_mm, limits);
+            if let Progress::Found(found) = search.go_on(&self.line, usize::MAX) {
+                return found;
+            }
+            self.thin();
+        }
+    }
+
+    fn thin(&mut self) {
+        self.thinned_mm = (self.thinned_mm * THINNED_FARTHER).max(THINNED_MM);
+        let points = thinned(self.points, self.thinned_mm);
+        // A stroke near its first point as a whole moves twice as far.
+        let is_small = points.len() <= POINTS_FEW;
+        self.moved_mm = if is_small { 2.0 } else { 1.0 } * self.thinned_mm;
+        self.line = Line::new(points);
+    }
+}
+
+/// A moment of a stroke: where the platform was to be, and where it was.
 #[derive(Clone, Copy)]
 pub(super) struct Moment {
     /// Milliseconds since the firmware started.
@@ -97,11 +166,11 @@ pub(super) fn deviation(moments: &[Moment], strokes: &[NumberedStroke], speed_mm
         let Some(points) = part.first().and_then(|first| lines.get(&first.stroke)) else {
             continue;
         };
-        let line = Line::new((*points).clone());
         let compare = |distances: &mut Distances, place: fn(&Moment) -> Position| {
+            let mut way = Way::new(points);
             let steps = steps(part, place, speed_mm_s);
-            let matched = line.follow(&steps, beginning(&line, &steps));
-            distances.add_match(&line, &steps, &matched);
+            let matched = way.follow(&steps, beginning(&way.line, &steps));
+            distances.add_match(&way, &steps, &matched);
         };
         compare(&mut references, |moment| moment.reference);
         compare(&mut measured, |moment| moment.measured);
@@ -148,22 +217,28 @@ struct Candidate {
 /// pen did not reach the paper leaves none, so the strokes are assigned such that all lines together fit best.
 pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]) -> Deviation {
     let ink: Vec<&Vec<[f64; 2]>> = ink_mm.iter().filter(|line| !line.is_empty()).collect();
-    let lines: Vec<Line> = strokes.iter().map(|(_, points)| Line::new(points.clone())).collect();
+    let mut ways: Vec<Way> = strokes.iter().map(|(_, points)| Way::new(points)).collect();
     let heights: Vec<f64> = (strokes
         .iter()
         .map(|(_, points)| points.first().map_or(0.0, |point| point.z_mm)))
     .collect();
     let mut distances = Distances::default();
-    if ink.is_empty() || lines.is_empty() {
+    if ink.is_empty() || ways.is_empty() {
         return distances.result();
     }
     let mut near_mm = INK_NEAR_MM;
     let chosen = loop {
         let is_last = near_mm > INK_FAR_MM;
+        let thinned_mm = |ways: &[Way]| ways.iter().map(|way| way.thinned_mm).sum::<f64>();
+        let before_mm = thinned_mm(&ways);
         let candidates: Vec<Vec<Candidate>> = ink
             .iter()
-            .map(|points| candidates(points, strokes, &lines, near_mm))
+            .map(|points| candidates(points, strokes, &mut ways, near_mm))
             .collect();
+        if thinned_mm(&ways) > before_mm {
+            // Places along a stroke are compared with each other: all of them have to be on the same one.
+            continue;
+        }
         if let Some(chosen) = in_order(candidates, is_last) {
             break chosen;
         }
@@ -174,13 +249,13 @@ pub(super) fn ink_deviation(ink_mm: &[Vec<[f64; 2]>], strokes: &[NumberedStroke]
     };
     for (points, candidate) in ink.iter().zip(chosen) {
         let steps = on_paper(points, heights[candidate.stroke]);
-        distances.add_match(&lines[candidate.stroke], &steps, &candidate.matched);
+        distances.add_match(&ways[candidate.stroke], &steps, &candidate.matched);
     }
     distances.result()
 }
 
-/// The strokes that a line of ink fits within a distance.
-fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], lines: &[Line], near_mm: f64) -> Vec<Candidate> {
+/// The strokes that a line of ink fits to within a distance.
+fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], ways: &mut [Way], near_mm: f64) -> Vec<Candidate> {
     let bounds = |places: &mut dyn Iterator<Item = [f64; 2]>| {
         places.fold(
             [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY],
@@ -189,14 +264,14 @@ fn candidates(points: &[[f64; 2]], strokes: &[NumberedStroke], lines: &[Line], n
     };
     let ink = bounds(&mut points.iter().copied());
     let mut result = Vec::new();
-    for (stroke, ((_, places), line)) in strokes.iter().zip(lines).enumerate() {
+    for (stroke, ((_, places), way)) in strokes.iter().zip(ways).enumerate() {
         let around = bounds(&mut places.iter().map(|place| [place.x_mm, place.y_mm]));
         let is_inside = (0..2).all(|k| ink[k] >= around[k] - near_mm && ink[k + 2] <= around[k + 2] + near_mm);
         if !is_inside {
             continue;
         }
         let height_mm = places.first().map_or(0.0, |place| place.z_mm);
-        let matched = line.follow(&on_paper(points, height_mm), [0.0, f64::INFINITY]);
+        let matched = way.follow(&on_paper(points, height_mm), [0.0, f64::INFINITY]);
         if matched.distance_mm <= near_mm {
             result.push(Candidate {
                 stroke,

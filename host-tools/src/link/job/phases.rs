@@ -366,7 +366,14 @@ impl Job {
         }
     }
 
+    /// Ends the task once the samples of its drawing have been verified.
     fn end(&mut self) {
+        if let Some(verifier) = &mut self.verifier {
+            verifier.close();
+            if verifier.is_behind() {
+                return;
+            }
+        }
         let error = self.ending.take().or_else(|| self.verify());
         self.outcome.get_or_insert(error.map_or(Ok(()), Err));
     }

@@ -550,3 +550,58 @@ fn a_jog_is_repeated_only_on_fresh_signs_of_life_and_ends_with_them() {
         );
     }
 }
+
+/// Vertices at random within 0.2 mm, as a digitiser's noise: many legs are near each sample.
+fn noise(count: usize) -> Vec<PathVertex> {
+    let mut random = super::super::bench::Line::new(4, 0);
+    let mut um = || (random.random() % 400) as i32 - 200;
+    let vertices = (0..count).map(|index| PathVertex {
+        position_um: [um(), um(), -850_000],
+        pen: if index == 0 { Pen::Up } else { Pen::Down },
+        stroke: 0,
+    });
+    vertices.collect()
+}
+
+#[test]
+fn a_stop_leaves_at_once_while_a_drawing_that_is_hard_to_verify_runs_and_ends() {
+    const STEPS_MAX: u64 = 5;
+    let count = 9_000;
+    let mut resting_ms = None;
+    for stop in [Some(5_000), None, Some(0), Some(20), Some(100)] {
+        let (mut bench, mut job) = (
+            Bench::new(1, 0),
+            Job::draw(Config::default(), noise(count), JobOptions::default()),
+        );
+        let (mut stopped_ms, mut looks, mut most) = (None, 0, 0);
+        run(&mut bench, &mut job, 60_000, |now_ms, bench, job| {
+            if job.phase() == Phase::Resting && stop.is_none() {
+                resting_ms.get_or_insert(now_ms);
+            }
+            let now_looks = job.verifier.as_ref().map_or(looks, Verifier::looks);
+            most = most.max(now_looks - looks);
+            looks = now_looks;
+            // After the drawing's middle, at its end.
+            let at_ms = stop.map(|stop| {
+                if stop < 5_000 {
+                    resting_ms.unwrap_or_default() + stop
+                } else {
+                    stop
+                }
+            });
+            if at_ms == Some(now_ms) {
+                job.command(Command::Stop);
+                stopped_ms = Some(now_ms);
+            }
+            if let Some(stopped_ms) = stopped_ms.filter(|stopped_ms| now_ms > stopped_ms + STEPS_MAX) {
+                assert!(bench.commands.contains(&Command::Stop), "ordered at {stopped_ms} ms");
+            }
+        });
+        println!(
+            "stop {stop:?}: {looks} looks, at most {most} in a step, {:?}",
+            job.outcome()
+        );
+        assert_eq!(stopped_ms.is_some(), stop.is_some());
+        assert!(most > 1_000 && most <= 2 * LOOKS_PER_STEP, "{most} looks");
+    }
+}

@@ -232,3 +232,143 @@ fn two_connections_together_have_seen_the_whole_drawing() {
     let verdict = both.verdict();
     assert!(verdict.missing_mm == 0.0 && verdict.unverified_mm < 8.0, "{verdict:?}");
 }
+
+/// A stroke of vertices at random within a square, and a line of 30 mm behind them.
+fn noise(random: &mut Random, config: &Config, count: usize, half_mm: f64) -> Vec<Vertex> {
+    let z_mm = config.paper.pen_down_z_mm;
+    let vertex = |x_mm: f64, y_mm: f64, z_mm: f64, pen: Pen| Vertex {
+        position: Position { x_mm, y_mm, z_mm },
+        pen,
+        stroke: 0,
+    };
+    let mut path = vec![
+        vertex(0.0, 0.0, z_mm + LIFT_MM, Pen::Up),
+        vertex(0.0, 0.0, z_mm, Pen::Up),
+    ];
+    for _ in 0..count {
+        let (x_mm, y_mm) = (random.between(-half_mm, half_mm), random.between(-half_mm, half_mm));
+        path.push(vertex(x_mm, y_mm, z_mm, Pen::Down));
+    }
+    path.push(vertex(30.0, 0.0, z_mm, Pen::Down));
+    path.push(vertex(30.0, 0.0, z_mm + LIFT_MM, Pen::Up));
+    path
+}
+
+/// Looks of one call of [`Verifier::work`] in the tests.
+const LOOKS: usize = 10_000;
+/// Looks of one call that may come on top: those of one row, and one for each row of a piece.
+const LOOKS_OVER: usize = PARTS_AT_ONCE + SAMPLES_MAX;
+
+#[test]
+fn noise_of_any_size_takes_bounded_work_and_memory_and_is_never_missing() {
+    let config = Config::default();
+    let sizes = [
+        (300, 0.03),
+        (3_000, 0.03),
+        (20_000, 0.03),
+        (3_000, 0.07),
+        (3_000, 0.2),
+        (3_000, 1.0),
+    ];
+    for (count, half_mm) in sizes {
+        let path = noise(&mut Random(9), &config, count, half_mm);
+        let samples = telemetry(&config, &path);
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        let (mut most, mut parts, mut rows) = (0, 0, 0);
+        for samples in samples.chunks(9) {
+            verifier.observe(samples);
+            for _ in samples {
+                let before = verifier.looks();
+                verifier.work(LOOKS);
+                most = most.max(verifier.looks() - before);
+                let reserved = verifier
+                    .matching
+                    .as_ref()
+                    .map(|matching| matching.search.parts_reserved());
+                parts = parts.max(reserved.unwrap_or(0));
+            }
+            let waiting: usize = verifier.pieces.iter().map(|piece| piece.rows.capacity()).sum();
+            rows = rows.max(waiting + verifier.rows.capacity());
+        }
+        assert!(!verifier.is_behind(), "{count} within {half_mm} mm");
+        let looks = verifier.looks();
+        let verdict = verifier.finish(true).verdict();
+        let case = format!(
+            "{count} within {half_mm} mm: {} samples, {looks} looks, at most {most} at once, {parts} parts, {rows} rows, {:.1} \
+             of {:.1} mm not verified",
+            samples.len(),
+            verdict.unverified_mm,
+            verdict.total_mm
+        );
+        println!("{case}");
+        assert!(most <= LOOKS + LOOKS_OVER, "{case}");
+        let legs = LOOKS_PER_LEG * count * samples.len().div_ceil(SAMPLES_MAX);
+        assert!(
+            looks <= (LOOKS_PER_ROW + PARTS_AT_ONCE) * samples.len() + legs,
+            "{case}"
+        );
+        // A vector that grows reserves up to twice what it keeps.
+        assert!(
+            parts <= 4 * PARTS_PER_ROW * SAMPLES_MAX && rows <= 4 * SAMPLES_MAX,
+            "{case}"
+        );
+        assert_eq!((verdict.missing_mm, verdict.error()), (0.0, None), "{case}");
+        let path_mm = length(
+            &path[1..path.len() - 1]
+                .iter()
+                .map(|vertex| vertex.position)
+                .collect::<Vec<_>>(),
+        );
+        assert!(
+            (verdict.total_mm - path_mm).abs() < 0.01 * path_mm,
+            "{case}, {path_mm} mm"
+        );
+        if half_mm < 0.05 {
+            assert!(verdict.unverified_mm == 0.0, "{case}");
+        }
+    }
+}
+
+#[test]
+fn the_result_does_not_depend_on_how_the_work_is_divided() {
+    let config = Config::default();
+    let path = drawing(&mut Random(3), &config);
+    let samples = telemetry(&config, &path);
+    let whole = verdict(&config, &path, &samples);
+    for looks in [1, 1_000] {
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        samples.iter().for_each(|sample| {
+            verifier.observe(&[*sample]);
+            verifier.work(looks);
+        });
+        while verifier.is_behind() {
+            verifier.work(looks);
+        }
+        assert_eq!(verifier.finish(true).verdict(), whole, "{looks} looks at once");
+    }
+}
+
+#[test]
+fn samples_that_are_left_out_are_not_verified_and_never_missing() {
+    let config = Config::default();
+    let path = drawing(&mut Random(11), &config);
+    let samples = telemetry(&config, &path);
+    for given_up in [0.2, 0.5, 0.8, 1.0] {
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        let (before, after) = samples.split_at((given_up * samples.len() as f64) as usize);
+        verifier.observe(before);
+        verifier.close();
+        verifier.give_up();
+        verifier.observe(after);
+        let verdict = verifier.finish(true).verdict();
+        assert_eq!(
+            (verdict.missing_mm, verdict.error()),
+            (0.0, None),
+            "{given_up}: {verdict:?}"
+        );
+        assert!(
+            verdict.unverified_mm > 0.1 * given_up * verdict.total_mm,
+            "{given_up}: {verdict:?}"
+        );
+    }
+}
