@@ -14,6 +14,9 @@ use etherpen::robot::Position;
 const FIRST_MM: f64 = 0.02;
 /// Largest distance tried, mm.
 const LARGEST_MM: f64 = 1e5;
+/// A distance at which too many parts would be kept is followed by smaller ones, until it is so close to one that is too
+/// small, mm.
+const CLOSER_MM: f64 = 0.02;
 
 /// What a search may cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,6 +97,8 @@ pub struct Search {
     few_mm: f64,
     /// The smallest distance known to be enough, mm.
     enough_mm: Option<f64>,
+    /// The smallest distance at which too many parts would be kept, mm.
+    costly_mm: f64,
     /// The distance that is tried, mm.
     reach_mm: f64,
     trial: Reached,
@@ -123,6 +128,7 @@ impl Search {
             looks: 0,
             few_mm: 0.0,
             enough_mm: None,
+            costly_mm: f64::INFINITY,
             reach_mm: FIRST_MM,
             trial: Reached::default(),
             found: Reached::default(),
@@ -157,6 +163,9 @@ impl Search {
         let until = self.looks.saturating_add(looks).min(self.limits.looks);
         while !self.is_placing {
             let Some(is_enough) = self.try_distance(line, until) else {
+                if self.is_too_much && self.try_closer() {
+                    continue;
+                }
                 return self.interrupted();
             };
             if !self.conclude(is_enough) {
@@ -199,9 +208,29 @@ impl Search {
             }
             Some(_) => self.is_placing = true,
             None if self.reach_mm > LARGEST_MM => return false,
+            None if self.costly_mm.is_finite() => self.is_too_much = !self.halve(),
             None => self.reach_mm *= 4.0,
         }
         true
+    }
+
+    /// Goes on with a smaller distance than one at which too many parts would be kept; whether there is one.
+    fn try_closer(&mut self) -> bool {
+        self.costly_mm = self.costly_mm.min(self.reach_mm);
+        let may = self.enough_mm.is_none() && self.halve();
+        if may {
+            self.is_too_much = false;
+            self.scan = None;
+            self.trial.clear();
+        }
+        may
+    }
+
+    /// Chooses a distance between one that is too small and one at which too many parts would be kept; whether they are
+    /// far enough apart.
+    fn halve(&mut self) -> bool {
+        self.reach_mm = 0.5 * (self.few_mm + self.costly_mm);
+        self.costly_mm - self.few_mm > CLOSER_MM
     }
 
     /// Whether each position reaches some of the line; `None` where the looks do not suffice to tell.

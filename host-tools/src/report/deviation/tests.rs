@@ -187,3 +187,62 @@ fn a_stroke_without_ink_leaves_the_ink_of_the_others_with_their_own() {
         }
     }
 }
+
+/// Vertices at random within 0.03 mm, as a digitiser's noise, and a line of 30 mm behind them.
+fn noise(count: usize) -> Vec<Position> {
+    let mut state = 5_u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        0.06 * ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5)
+    };
+    let mut points: Vec<Position> = (0..count).map(|_| place(random(), random())).collect();
+    points.push(place(30.0, 0.0));
+    points
+}
+
+/// Positions that rest amid the noise and then follow the line.
+fn rest_and_follow(rest: usize) -> Vec<Step> {
+    let along = (0..=300).map(|k| place(f64::from(k) * 0.1, 0.0));
+    let positions = std::iter::repeat_n(place(0.0, 0.0), rest).chain(along);
+    let step = |position| Step {
+        position,
+        unseen_mm: None,
+    };
+    positions.map(step).collect()
+}
+
+#[test]
+fn a_stroke_of_noise_is_thinned_within_its_limits_and_one_that_can_be_matched_is_not() {
+    for (count, is_thinned) in [(100, false), (20_000, true)] {
+        let points = noise(count);
+        let steps = rest_and_follow(2_000);
+        let mut way = Way::new(&points);
+        let matched = way.follow(&steps, beginning(&way.line, &steps));
+        println!(
+            "{count} vertices: moved {} mm, {} mm",
+            way.moved_mm, matched.distance_mm
+        );
+        assert_eq!(way.moved_mm > 0.0, is_thinned, "{count} vertices");
+        assert!(way.moved_mm <= 0.2 && matched.distance_mm < 0.1, "{count} vertices");
+        assert_eq!(matched.places_mm.len(), steps.len());
+    }
+}
+
+#[test]
+fn no_distance_from_a_thinned_stroke_is_too_small() {
+    let points = noise(100);
+    let steps = rest_and_follow(200);
+    let mut way = Way::new(&points);
+    let exact = way.follow(&steps, beginning(&way.line, &steps));
+    for _ in 0..4 {
+        way.thin();
+        let found = way.follow(&steps, beginning(&way.line, &steps));
+        let (least_mm, most_mm) = (exact.distance_mm, exact.distance_mm + 2.0 * way.moved_mm);
+        let found_mm = found.distance_mm + way.moved_mm + 1e-3;
+        assert!(
+            (least_mm..=most_mm + 2e-3).contains(&found_mm),
+            "{found_mm} mm, {least_mm} to {most_mm} mm, moved {} mm",
+            way.moved_mm
+        );
+    }
+}
