@@ -9,7 +9,7 @@ use super::{Console, lock};
 use crate::link::error::Phase;
 use crate::link::job::{JobEvent, Ready};
 use crate::link::text;
-use crate::machine::{Answer, DrawOrder, News, NoNews, Order, Subscription};
+use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command;
 use etherpen::robot::Position;
@@ -109,8 +109,8 @@ impl Attendant {
         let mut refusals = Vec::new();
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
-            // One press arrives in two ways; the other stop is carried out.
-            Ok(Err(failure)) if *what == STOP && failure.text.contains("a stop has overtaken it") => false,
+            // One press comes by two ways; the other stop does the same.
+            Ok(Err(failure)) if *what == STOP && failure.text.contains(OVERTAKEN) => false,
             Ok(Err(failure)) => {
                 // A refusal by the firmware already names what was refused.
                 let says_what = failure.text.contains("was refused");
@@ -183,7 +183,7 @@ fn take(console: &Console, news: News) {
         }),
         News::Connected(welcome) => {
             if console.change(|hub| hub.connected(&welcome)) {
-                console.order(STOP, Order::Stop);
+                console.order(console.ticket(), STOP, Order::Stop);
             }
         }
         News::Lost(failure) => console.change(|hub| hub.lost(&failure.text)),
@@ -232,8 +232,8 @@ fn take_event(hub: &mut Hub, event: JobEvent) {
 }
 
 impl Console {
-    /// Starts a waiting drawing; returns whether that was possible.
-    pub(super) fn draw(&self, number: u64) -> bool {
+    /// Begins with a waiting drawing; gives whether it could.
+    pub(super) fn draw(&self, heard: Ticket, number: u64) -> bool {
         let drawing = self.change(|hub| {
             let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
             hub.say_jobs();
@@ -242,15 +242,15 @@ impl Console {
         let Some(((name, path), activation)) = drawing else {
             return false;
         };
-        self.order_drawing(activation, name, crate::link::job::Drawing::new(path));
+        self.order_drawing(heard, activation, name, crate::link::job::Drawing::new(path));
         true
     }
 
     /// Continues an unfinished drawing.
     ///
     /// # Errors
-    /// Why it cannot continue now, as text for display.
-    pub(super) fn go_on(&self, number: u64) -> Result<(), &'static str> {
+    /// Why it cannot go on now, as a person reads it.
+    pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
         let unfinished = self.change(|hub| {
             if hub.status().is_none_or(|status| !status.referenced) {
                 return Err("the controller does not know where the arms stand; take the reference, then go on");
@@ -264,17 +264,18 @@ impl Console {
             may_reference: unfinished.is_whole,
             ..crate::link::job::Drawing::new(unfinished.path)
         };
-        self.order_drawing(activation, unfinished.name, drawing);
+        self.order_drawing(heard, activation, unfinished.name, drawing);
         Ok(())
     }
 
-    fn order_drawing(&self, activation: u64, name: String, drawing: crate::link::job::Drawing) {
+    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::link::job::Drawing) {
         let order = DrawOrder {
             drawing,
             name,
             keep_samples: false,
         };
-        *lock(&self.attendant.drawing) = Some((activation, self.machine.order(Order::Draw(order))));
+        let answer = self.machine.order_for(heard, Order::Draw(order));
+        *lock(&self.attendant.drawing) = Some((activation, answer));
     }
 
     /// The reference at the last pose in which the arms were referenced; the firmware checks it against its resolvers
@@ -292,8 +293,8 @@ impl Console {
         Some(wanted.command(&self.config, &increments))
     }
 
-    /// Jogs; a machine that cannot jog shows that by its mode.
-    pub(super) fn jog(&self, velocity_mm_s: [f32; 3]) {
-        drop(self.machine.order(Order::Jog(velocity_mm_s)));
+    /// Jogs; a machine that does not want to says so by its mode.
+    pub(super) fn jog(&self, heard: Ticket, velocity_mm_s: [f32; 3]) {
+        drop(self.machine.order_for(heard, Order::Jog(velocity_mm_s)));
     }
 }

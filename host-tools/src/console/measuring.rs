@@ -83,7 +83,11 @@ impl Console {
     /// Reads the firmware's measurements, or resets them.
     pub(super) fn measure(self: &Arc<Self>, reset: bool) {
         if reset {
-            return self.order("measuring anew", Order::Measure(MeasurementRequest::Reset));
+            return self.order(
+                self.ticket(),
+                "measuring anew",
+                Order::Measure(MeasurementRequest::Reset),
+            );
         }
         if self.measuring.swap(true, Ordering::Relaxed) {
             return;

@@ -5,9 +5,9 @@
 //! `viewers` serves it. Every `viewer` takes from the hub as much as its connection can carry; its pictures are
 //! computed in a third thread. Orders go directly to the machine.
 //!
-//! Invariants: a stop waits for no request, lock or computation of any viewer, and no request is started while a stop
-//! is being written to the port ([`gate`]). The requests of viewers take a bounded amount of memory. Only the viewer
-//! that holds control can command. A slow viewer does not delay the others. No data grow with time.
+//! Invariants: a stop waits for no request, lock or computation of any viewer, no request is begun while one is on its
+//! way to the port ([`gate`]), and no order is carried out after it that was asked for before it; what viewers ask for takes a bounded amount of memory, whatever they ask; only the viewer that holds control
+//! commands; a slow viewer slows nobody; nothing is kept that grows with time.
 
 mod assets;
 mod attendant;
@@ -29,7 +29,7 @@ pub mod virtual_cell;
 mod words;
 
 use crate::link::port::{PortError, PortName};
-use crate::machine::{Machine, MachineOptions, Order};
+use crate::machine::{Machine, MachineOptions, Order, Ticket};
 use attendant::Attendant;
 use etherpen::config::Config;
 use gate::Gate;
@@ -231,9 +231,19 @@ impl Console {
         self.attendant.stop_asked(who, answer);
     }
 
-    /// Gives an order; a refusal appears in the log.
-    fn order(&self, what: &'static str, order: Order) {
-        let answer = self.machine.order(order);
+    /// A ticket for what is asked for now.
+    fn ticket(&self) -> Ticket {
+        self.machine.ticket()
+    }
+
+    /// Whether a stop has come after this ticket was taken.
+    fn is_overtaken(&self, ticket: Ticket) -> bool {
+        self.machine.is_overtaken(ticket)
+    }
+
+    /// Gives an order that was asked for when it was heard; what is refused is told in the log.
+    fn order(&self, heard: Ticket, what: &'static str, order: Order) {
+        let answer = self.machine.order_for(heard, order);
         self.attendant.expect(what, answer);
     }
 

@@ -1,6 +1,7 @@
 //! Queues of orders to the machine's thread: stops have a queue of their own.
 //!
-//! Invariant: a stop is taken before all waiting orders, and an order given before a stop is not carried out after it.
+//! Invariant: a stop is taken before every other order that waits, and what was asked for before it and waits still,
+//! here or where its [`Ticket`] was taken, is not carried out after it.
 
 use super::{Answer, Failure, Order};
 use crate::commands::code;
@@ -19,10 +20,13 @@ const ORDERS_AT_ONCE: usize = 64;
 /// Called once a stop has been written to the port, or can no longer be written.
 pub(super) type Written = Box<dyn FnOnce() + Send>;
 
-/// A queued order.
+/// When something was asked for, among all orders and stops.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Ticket(u64);
+
+/// An order on its way.
 pub(super) struct Envelope {
-    /// Number of the order; stops are counted too.
-    number: u64,
+    ticket: Ticket,
     pub(super) order: Order,
     pub(super) reply: Sender<Answer>,
     /// Signs of life that a jog from another process requires.
@@ -63,6 +67,8 @@ pub(super) struct Lanes {
     orders: Sender<Envelope>,
     stops: Stops,
     next: Arc<AtomicU64>,
+    /// Number of the last stop.
+    stopped: Arc<AtomicU64>,
 }
 
 impl std::fmt::Debug for Lanes {
@@ -79,6 +85,7 @@ pub(super) fn lanes() -> (Lanes, Taken) {
         orders,
         stops: stops.clone(),
         next: Arc::default(),
+        stopped: Arc::default(),
     };
     let taken = Taken {
         orders: received,
@@ -89,11 +96,32 @@ pub(super) fn lanes() -> (Lanes, Taken) {
 }
 
 impl Lanes {
-    /// Gives an order. Exactly one answer comes, or the channel closes when the thread has ended.
+    /// A ticket for what is asked for now.
+    pub(super) fn ticket(&self) -> Ticket {
+        Ticket(self.next.fetch_add(1, Ordering::SeqCst))
+    }
+
+    /// Whether a stop was given after this ticket was taken.
+    pub(super) fn is_overtaken(&self, ticket: Ticket) -> bool {
+        self.stopped.load(Ordering::SeqCst) > ticket.0
+    }
+
+    /// Gives an order that is asked for now; exactly one answer comes, or the channel closes when the thread has ended.
     pub(super) fn give(&self, order: Order, life: Option<Life>, written: Option<Written>) -> Receiver<Answer> {
+        self.give_for(self.ticket(), order, life, written)
+    }
+
+    /// Gives an order that was asked for when its ticket was taken.
+    pub(super) fn give_for(
+        &self,
+        ticket: Ticket,
+        order: Order,
+        life: Option<Life>,
+        written: Option<Written>,
+    ) -> Receiver<Answer> {
         let (reply, answer) = mpsc::channel();
         let envelope = Envelope {
-            number: self.next.fetch_add(1, Ordering::SeqCst),
+            ticket,
             order,
             reply,
             life,
@@ -104,6 +132,7 @@ impl Lanes {
             let _ = self.orders.send(envelope);
             return answer;
         }
+        self.stopped.fetch_max(ticket.0, Ordering::SeqCst);
         match lock(&self.stops).as_mut() {
             Some(stops) if stops.len() < STOPS_MAX => stops.push(envelope),
             Some(_) => {
@@ -120,7 +149,7 @@ impl Lanes {
 pub(super) struct Taken {
     orders: Receiver<Envelope>,
     stops: Stops,
-    /// Orders with smaller numbers were overtaken by a stop.
+    /// Number of the last stop that was taken: every order before it is overtaken.
     overtaken_to: u64,
 }
 
@@ -153,22 +182,25 @@ impl Taken {
     fn take_stops(&mut self, act: &mut impl FnMut(Envelope)) {
         let stops = lock(&self.stops).as_mut().map(std::mem::take).unwrap_or_default();
         for stop in stops {
-            self.overtaken_to = self.overtaken_to.max(stop.number);
+            self.overtaken_to = self.overtaken_to.max(stop.ticket.0);
             act(stop);
         }
     }
 
     fn sort(&self, envelope: Envelope, act: &mut impl FnMut(Envelope)) {
-        if envelope.number >= self.overtaken_to {
+        if envelope.ticket.0 >= self.overtaken_to {
             return act(envelope);
         }
         let _ = envelope.reply.send(Err(overtaken()));
     }
 }
 
-/// Answer to an order that a stop has overtaken.
+/// What is said of an order that a stop has overtaken.
+pub const OVERTAKEN: &str = "a stop has overtaken it";
+
+/// What an order is answered that a stop has overtaken.
 pub(super) fn overtaken() -> Failure {
-    Failure::new(code::FAILED, "a stop has overtaken it")
+    Failure::new(code::FAILED, OVERTAKEN)
 }
 
 #[cfg(test)]
@@ -197,6 +229,20 @@ mod tests {
                 assert_eq!(answer.recv(), Ok(Err(overtaken())));
             }
         }
+    }
+
+    #[test]
+    fn what_was_asked_for_before_a_stop_is_not_carried_out_although_it_is_given_after_it() {
+        let (lanes, mut lane) = lanes();
+        let before = lanes.ticket();
+        assert!(!lanes.is_overtaken(before));
+        let _stopped = lanes.give(Order::Stop, None, None);
+        let after = lanes.ticket();
+        let late = lanes.give_for(before, Order::Tell(Command::Acknowledge), None, None);
+        let _held = lanes.give_for(after, Order::Hold, None, None);
+        assert!(lanes.is_overtaken(before) && !lanes.is_overtaken(after));
+        assert_eq!(taken(&mut lane), [Order::Stop, Order::Hold]);
+        assert_eq!(late.recv(), Ok(Err(overtaken())));
     }
 
     #[test]

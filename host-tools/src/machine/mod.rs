@@ -3,6 +3,7 @@
 //! ```text
 //! Machine::start(port, config, options)     the thread: Port -> Line -> Job, again every second when it breaks
 //!     .order(Order)      -> Receiver<Answer>   one answer to every order: Ok(Reply) or Err(Failure)
+//!     .ticket()          -> Ticket             for .order_for(Ticket, Order): asked for now, ordered later
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
 //!     .snapshot()        -> Snapshot           the last that is known, for who comes late
 //! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
@@ -35,6 +36,7 @@ use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 pub use following::{Account, Source};
 use lanes::{Lanes, Taken};
+pub use lanes::{OVERTAKEN, Ticket};
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;
@@ -300,8 +302,23 @@ impl Machine {
         self.lanes.give(order, None, None)
     }
 
-    /// Orders a stop. `written` is called in the machine's thread once the stop's telegram has been written to the
-    /// port, or can no longer be written.
+    /// A ticket for what is asked for now and will be ordered with [`order_for`](Self::order_for).
+    pub fn ticket(&self) -> Ticket {
+        self.lanes.ticket()
+    }
+
+    /// Whether a stop was ordered after this ticket was taken: what was asked for with it is not carried out any more.
+    pub fn is_overtaken(&self, ticket: Ticket) -> bool {
+        self.lanes.is_overtaken(ticket)
+    }
+
+    /// The same as [`order`](Self::order) for what was asked for when the ticket was taken.
+    pub fn order_for(&self, ticket: Ticket, order: Order) -> Receiver<Answer> {
+        self.lanes.give_for(ticket, order, None, None)
+    }
+
+    /// Orders a stop; `written` is called, in the machine's thread, once its telegram has been written to the port, or
+    /// cannot be.
     pub fn stop(&self, written: impl FnOnce() + Send + 'static) -> Receiver<Answer> {
         self.lanes.give(Order::Stop, None, Some(Box::new(written)))
     }

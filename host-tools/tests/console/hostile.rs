@@ -117,6 +117,57 @@ fn a_stop_reaches_the_drives_while_no_request_can_be_served_at_all() {
     }
 }
 
+/// The robot stands in a fault that a stop has latched.
+fn stopped(bench: &Bench) -> Client {
+    let mut operator = bench.viewer("operator");
+    operator.enable();
+    operator.send(&json!({"type": "stop"}));
+    operator.until("status", |status| {
+        status["mode"] == "Fault" && status["stopped"] == true
+    });
+    operator
+}
+
+#[test]
+fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_after_it_is() {
+    // What comes on two connections is in order only once the first of it has been begun.
+    for (begun, by_socket) in [(false, true), (true, true), (true, false)] {
+        let bench = Bench::start();
+        let mut operator = stopped(&bench);
+        let passed = Arc::new(Mutex::new(Vec::new()));
+        let seen = passed.clone();
+        let watcher = Box::new(move |passage| seen.lock().unwrap().push(passage));
+        bench.console().gate().watch(watcher);
+        let has = |wanted: &dyn Fn(&Passage) -> bool| passed.lock().unwrap().iter().any(wanted);
+        let stop = |operator: &mut Client| match by_socket {
+            true => operator.send(&json!({"type": "stop"})),
+            false => post_stop(&bench),
+        };
+        // Whatever serves viewers waits for this lock, before or after the request is begun.
+        let hub = bench.console().hub();
+        operator.command(json!({"do": "acknowledge"}));
+        if begun {
+            bench.until("the request", |_| {
+                has(&|passage| matches!(passage, Passage::Begun(1..)))
+            });
+        }
+        stop(&mut operator);
+        bench.until("a stop that was written", |_| {
+            has(&|passage| *passage == Passage::StopWritten)
+        });
+        drop(hub);
+        operator.listen(Duration::from_secs(1));
+        let mode = &operator.sections["status"]["mode"];
+        assert_eq!(mode, "Fault", "begun: {begun}, by socket: {by_socket}");
+        operator.state("refused", |said| {
+            said.as_str()
+                .is_some_and(|said| said.contains("a stop has overtaken it"))
+        });
+        operator.command(json!({"do": "acknowledge"}));
+        operator.until("status", |status| status["mode"] == "DrivesOff");
+    }
+}
+
 #[test]
 fn requests_that_make_no_sense_are_refused_with_the_reason() {
     let bench = Bench::start();

@@ -4,19 +4,21 @@
 //! a jog directly before it.
 
 use super::super::messages::Request;
+use crate::machine::Ticket;
 use std::collections::VecDeque;
 
 /// Most waiting requests.
 pub(super) const WAITING_MAX: usize = 64;
 
-/// Requests in order.
+/// Requests in their order, each with when it was heard.
 #[derive(Debug, Default)]
-pub(super) struct Inbox(VecDeque<Request>);
+pub(super) struct Inbox(VecDeque<(Ticket, Request)>);
 
 impl Inbox {
-    /// Adds a request; returns whether there was room.
-    pub(super) fn push(&mut self, request: Request) -> bool {
-        let same_kind = |other: &Request| std::mem::discriminant(other) == std::mem::discriminant(&request);
+    /// Takes a request; gives whether there was room for it.
+    pub(super) fn push(&mut self, heard: Ticket, request: Request) -> bool {
+        let same_kind =
+            |(_, other): &(Ticket, Request)| std::mem::discriminant(other) == std::mem::discriminant(&request);
         match request {
             Request::Alive if self.0.iter().any(same_kind) => return true,
             Request::Watch { .. } | Request::Range { .. } => self.0.retain(|other| !same_kind(other)),
@@ -25,13 +27,13 @@ impl Inbox {
         }
         let has_room = self.0.len() < WAITING_MAX;
         if has_room {
-            self.0.push_back(request);
+            self.0.push_back((heard, request));
         }
         has_room
     }
 
-    /// Removes the oldest request.
-    pub(super) fn pop(&mut self) -> Option<Request> {
+    /// The oldest request.
+    pub(super) fn pop(&mut self) -> Option<(Ticket, Request)> {
         self.0.pop_front()
     }
 }
@@ -70,7 +72,7 @@ mod tests {
                     .wrapping_add(1_442_695_040_888_963_407);
                 let asked = request(random >> 33);
                 let is_range = matches!(asked, Request::Range { .. });
-                let has_room = inbox.push(asked.clone());
+                let has_room = inbox.push(Ticket::default(), asked.clone());
                 if has_room && matches!(asked, Request::Jog { .. }) {
                     last_jog = Some(asked.clone());
                 }
@@ -81,7 +83,7 @@ mod tests {
                 }
                 assert!(inbox.0.len() <= WAITING_MAX, "seed {seed}");
             }
-            let waiting: Vec<_> = std::iter::from_fn(|| inbox.pop()).collect();
+            let waiting: Vec<_> = std::iter::from_fn(|| inbox.pop()).map(|(_, request)| request).collect();
             let ranges: Vec<_> = waiting
                 .iter()
                 .filter(|request| matches!(request, Request::Range { .. }))

@@ -1,9 +1,9 @@
 //! One viewer: carries out its requests, and sends it as much as its connection can carry.
 //!
-//! Three tasks: one reads and finds the stops, in a thread that does nothing else; one carries out requests; one sends.
-//! Invariants: a stop is handled whatever the other two do; the data queued for a viewer are bounded, the newest
-//! replaces what it could not take; a request of a viewer without the token or without control is refused, but a stop
-//! with the token is not.
+//! Three tasks: one reads and finds the stops, in the thread that does nothing else; one does what is asked, one sends.
+//! Invariants: a stop is heard whatever the other two do, and what would move the robot and was heard before it, from
+//! whichever viewer, is not done after it; what waits for a viewer is bounded, the newest replaces what it
+//! could not take; a request of a viewer without the token or without control is refused, a stop with the token is not.
 
 mod inbox;
 mod pictures;
@@ -15,7 +15,7 @@ use super::hub::Level;
 use super::messages::{Action, COLUMNS_MAX, REQUEST_BYTES_MAX, Request, WINDOW_MAX_MS, section};
 use super::signals::SIGNALS;
 use super::{Console, lock};
-use crate::machine::Order;
+use crate::machine::{OVERTAKEN, Order, Ticket};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use etherpen::link::protocol::Command;
 use etherpen::motion::Pen;
@@ -158,9 +158,9 @@ fn enter(console: Arc<Console>) -> Option<Arc<Viewer>> {
 async fn serve_requests(viewer: Arc<Viewer>) {
     loop {
         viewer.asked.notified().await;
-        while let Some(request) = viewer.next_request() {
+        while let Some((heard, request)) = viewer.next_request() {
             viewer.console.gate.begin(viewer.id).await;
-            viewer.take(request);
+            viewer.take(heard, request);
             tokio::task::yield_now().await;
         }
     }
@@ -197,7 +197,8 @@ impl Patience {
 async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
     let (mut malformed, mut patience) = (0, Patience::new());
     while let Some(Ok(message)) = stream.next().await {
-        // One message in each turn, so that a flood does not block other viewers.
+        let heard = viewer.console.ticket();
+        // One message a turn, so that nobody's flood keeps others from being heard.
         tokio::task::yield_now().await;
         let pause = patience.pause();
         if !pause.is_zero() && !viewer.may_command() {
@@ -210,7 +211,7 @@ async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
             Message::Binary(_) => "".into(),
         };
         match serde_json::from_str::<Request>(&text) {
-            Ok(request) if text.len() <= REQUEST_BYTES_MAX => viewer.hear(request),
+            Ok(request) if text.len() <= REQUEST_BYTES_MAX => viewer.hear(heard, request),
             Ok(_) => break,
             Err(cause) => {
                 malformed += 1;
@@ -229,8 +230,8 @@ impl Viewer {
         self.commanding.load(Ordering::Relaxed)
     }
 
-    /// Handles a stop at once; passes any other request to the thread that serves it.
-    fn hear(&self, request: Request) {
+    /// Stops at once; everything else is put where it is served from.
+    fn hear(&self, heard: Ticket, request: Request) {
         if let Request::Hello { token, .. } = &request {
             let right = same(token.as_bytes(), self.console.token.as_bytes());
             self.commanding.store(right, Ordering::Relaxed);
@@ -238,14 +239,14 @@ impl Viewer {
         if request == Request::Stop && self.may_command() {
             return self.console.stop(&self.name());
         }
-        if lock(&self.inbox).push(request) {
+        if lock(&self.inbox).push(heard, request) {
             self.asked.notify_one();
         } else {
             self.refuse("too many requests at once");
         }
     }
 
-    fn next_request(&self) -> Option<Request> {
+    fn next_request(&self) -> Option<(Ticket, Request)> {
         lock(&self.inbox).pop()
     }
 
@@ -271,8 +272,8 @@ impl Viewer {
         format!("viewer {}", self.id)
     }
 
-    /// Carries out a request.
-    fn take(&self, request: Request) {
+    /// Does what was asked when it was heard.
+    fn take(&self, heard: Ticket, request: Request) {
         let now_ms = self.console.now_ms();
         self.console.hub().control.heard(self.id, now_ms);
         match request {
@@ -287,7 +288,7 @@ impl Viewer {
             | Request::Range { .. }
             | Request::Arm { .. }
             | Request::Disarm) => self.look(request),
-            request if self.console.hub().control.is_held_by(self.id) => self.operate(request, now_ms),
+            request if self.console.hub().control.is_held_by(self.id) => self.operate(heard, request, now_ms),
             _ => self.refuse("you do not have control; take it first"),
         }
     }
@@ -361,17 +362,22 @@ impl Viewer {
         }
     }
 
-    /// Carries out a request that only the viewer with control may make.
-    fn operate(&self, request: Request, now_ms: u64) {
+    /// What the viewer with control may ask for.
+    fn operate(&self, heard: Ticket, request: Request, now_ms: u64) {
         let console = &self.console;
         match request {
-            Request::Command { action } => self.command(action),
+            Request::Command { .. } | Request::Jog { .. } | Request::Start { .. } | Request::Continue { .. }
+                if console.is_overtaken(heard) =>
+            {
+                self.refuse(OVERTAKEN);
+            }
+            Request::Command { action } => self.command(heard, action),
             Request::Jog { velocity_mm_s } if velocity_mm_s.iter().any(|speed| !(*speed as f32).is_finite()) => {
                 self.refuse("this velocity is too large");
             }
             Request::Jog { velocity_mm_s } => {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
-                console.jog(velocity_mm_s.map(|speed| speed as f32));
+                console.jog(heard, velocity_mm_s.map(|speed| speed as f32));
             }
             Request::Inject { fault } => {
                 if let Err(why) = console.inject(fault) {
@@ -384,9 +390,9 @@ impl Viewer {
                 }
             }
             Request::Enqueue { preparation } => self.enqueue(preparation),
-            Request::Start { job } => self.start(job),
+            Request::Start { job } => self.start(heard, job),
             Request::Continue { job } => {
-                if let Err(why) = console.go_on(job) {
+                if let Err(why) = console.go_on(heard, job) {
                     self.refuse(why);
                 }
             }
@@ -446,7 +452,7 @@ impl Viewer {
         }
     }
 
-    fn command(&self, action: Action) {
+    fn command(&self, heard: Ticket, action: Action) {
         let (what, order) = match action {
             Action::Reference => ("the reference", Order::Tell(Command::Reference)),
             Action::ReferenceHere => match self.console.reference_here() {
@@ -471,11 +477,11 @@ impl Viewer {
                 ("moving", Order::Tell(Command::Move { position }))
             }
         };
-        self.console.order(what, order);
+        self.console.order(heard, what, order);
     }
 
-    fn start(&self, job: u64) {
-        if !self.console.draw(job) {
+    fn start(&self, heard: Ticket, job: u64) {
+        if !self.console.draw(heard, job) {
             self.refuse("another drawing is active, or this one is not in the queue any more");
         }
     }
@@ -489,7 +495,7 @@ impl Viewer {
     fn stop_jog(&self, now_ms: u64) {
         let jogged_ms = self.jogged_ms.swap(0, Ordering::Relaxed);
         if jogged_ms > 0 && now_ms.saturating_sub(jogged_ms) < JOGGING_MS {
-            self.console.jog([0.0; 3]);
+            self.console.jog(self.console.ticket(), [0.0; 3]);
         }
     }
 
