@@ -109,7 +109,7 @@ impl Attendant {
         let mut refusals = Vec::new();
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
-            // One press comes by two ways; the other stop does the same.
+            // Of very many stops at once the newest ones do the same.
             Ok(Err(failure)) if *what == STOP && failure.text.contains(OVERTAKEN) => false,
             Ok(Err(failure)) => {
                 // A refusal by the firmware already names what was refused.

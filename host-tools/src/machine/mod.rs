@@ -10,10 +10,11 @@
 //!     .follow()                              and what a recording is made of
 //! ```
 //!
-//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes some time, and only one
-//! runs at a time; every other order is sent at once beside it. [`Order::Stop`] overtakes everything: earlier orders
-//! without an answer fail. It has its own queue, and the thread never does anything else that takes longer than a
-//! millisecond. The order of a drawing is answered when the drawing has ended; [`News::Ended`] carries its report.
+//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
+//! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
+//! yet is answered with a failure, other stops with what the newest one comes to; it has a way of its own to the thread, and the thread nothing else to do that takes
+//! longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
+//! report.
 //!
 //! Invariants: only motions ordered over this connection are carried out. A broken connection is made again and
 //! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the

@@ -250,3 +250,27 @@ fn a_port_that_is_silent_or_says_what_is_no_message_is_told_as_such() {
         assert!(failure.text.contains("no other program has it open"), "{failure}");
     }
 }
+
+#[test]
+fn stops_that_come_together_are_all_done() {
+    let place = Place::new("stops");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || {
+        let mut bench = Bench::new(1, 0);
+        serve(&mut bench, &stream);
+        bench
+    });
+    assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
+    let answers: Vec<_> = (0..20)
+        .map(|_| {
+            // Some come in the same millisecond, some while one before is on its way.
+            std::thread::sleep(Duration::from_micros(300));
+            machine.order(Order::Stop)
+        })
+        .collect();
+    for answer in answers {
+        assert_eq!(answer.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
+    }
+    drop(machine);
+    assert_eq!(firmware.join().unwrap().commands.last(), Some(&Command::Stop));
+}

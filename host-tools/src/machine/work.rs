@@ -18,7 +18,9 @@ use std::sync::mpsc::Sender;
 
 /// Time between two reports of progress, ms.
 const PROGRESS_MS: u64 = 100;
-/// Time within which a firmware reports by itself what it holds, ms.
+/// Stops that may wait for their answer.
+const STOPS_MAX: usize = 256;
+/// Time in which a firmware says by itself what it holds, ms.
 const ARRIVAL_MAX_MS: u64 = 500;
 
 /// A task that was ordered.
@@ -45,6 +47,13 @@ struct Jogging {
     next: Option<[f32; 3]>,
 }
 
+/// Stops without an answer. The session repeats the newest one only, so its answer is that of all.
+#[derive(Default)]
+struct Stopping {
+    newest: u16,
+    replies: VecDeque<Sender<Answer>>,
+}
+
 /// The machine's orders and its connection.
 pub(super) struct Work {
     config: Config,
@@ -53,6 +62,7 @@ pub(super) struct Work {
     job: Option<Job>,
     active: Option<Active>,
     told: HashMap<u16, Sender<Answer>>,
+    stopping: Stopping,
     asked: VecDeque<Sender<Answer>>,
     measured: VecDeque<Sender<Answer>>,
     jogging: Jogging,
@@ -72,6 +82,7 @@ impl Work {
             job: None,
             active: None,
             told: HashMap::new(),
+            stopping: Stopping::default(),
             asked: VecDeque::new(),
             measured: VecDeque::new(),
             jogging: Jogging::default(),
@@ -112,6 +123,7 @@ impl Work {
             written();
         }
         let orders = self.told.drain().map(|(_, reply)| reply);
+        let orders = orders.chain(self.stopping.replies.drain(..));
         for reply in orders.chain(self.asked.drain(..)).chain(self.measured.drain(..)) {
             // The program that gave the order may have ended.
             let _ = reply.send(Err(why.clone()));
@@ -249,7 +261,13 @@ impl Work {
             let _ = reply.send(Err(overtaken()));
         }
         self.jogging = Jogging::default();
-        self.told.insert(id, reply);
+        self.stopping.newest = id;
+        self.stopping.replies.push_back(reply);
+        if self.stopping.replies.len() > STOPS_MAX
+            && let Some(oldest) = self.stopping.replies.pop_front()
+        {
+            let _ = oldest.send(Err(overtaken()));
+        }
     }
 
     /// Reports the stops that have been written to the port.
@@ -418,12 +436,18 @@ impl Work {
                 self.jogging.under_way = Some(job.command(Command::Jog { velocity_mm_s }));
             }
         }
-        let Some(reply) = self.told.remove(&id) else { return };
         let answer = result.map(|()| Reply::Done).map_err(|refusal| {
             let error = JobError::Refused(command, refusal);
             Failure::from(&error)
         });
-        let _ = reply.send(answer);
+        if self.stopping.newest == id {
+            for reply in self.stopping.replies.drain(..) {
+                let _ = reply.send(answer.clone());
+            }
+        }
+        if let Some(reply) = self.told.remove(&id) {
+            let _ = reply.send(answer);
+        }
     }
 
     fn answer_bus(&mut self, result: ServiceResult) {

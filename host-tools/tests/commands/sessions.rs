@@ -3,7 +3,7 @@
 
 use crate::program::{Folder, PATIENCE, Running, etherpen, run, strokes, wait_until};
 use etherpen::config::Config;
-use host_tools::cell::{CellOptions, InkStroke};
+use host_tools::cell::{CellOptions, DriveState, InkStroke};
 use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use std::fs;
@@ -168,6 +168,30 @@ fn sockets_of_a_killed_program_are_removed_by_the_next_one() {
         "{status}"
     );
     assert_eq!(left(), 2);
+}
+
+#[test]
+fn stops_from_several_terminals_at_once_all_stop() {
+    let folder = Folder::new();
+    let cell = cell();
+    let _recorder = recorder(&folder, &cell, "run.mcap");
+    let (status, _, stderr) = run(etherpen(&folder).arg("enable"));
+    assert_eq!(status, Some(0), "{stderr}");
+    std::thread::scope(|scope| {
+        let stops: Vec<_> = (0..4)
+            .map(|_| scope.spawn(|| run(etherpen(&folder).arg("stop"))))
+            .collect();
+        for stop in stops {
+            let (status, _, stderr) = stop.join().expect("the program starts");
+            assert_eq!(status, Some(0), "{stderr}");
+            assert!(stderr.contains("stop: standing still, fault latched: "), "{stderr}");
+        }
+    });
+    let slaves = cell.state().slaves;
+    assert!(
+        slaves.iter().all(|slave| slave.drive != DriveState::OperationEnabled),
+        "{slaves:?}"
+    );
 }
 
 #[test]
