@@ -15,22 +15,38 @@ use etherpen::motion::Pen;
 use etherpen::robot::Position;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Counter of signs of life of the program that ordered a motion; shared by the thread that gives them and the one that
 /// checks them.
 #[derive(Clone, Debug, Default)]
-pub struct Life(Arc<AtomicU64>);
+pub struct Life(Arc<Signs>);
+
+#[derive(Debug, Default)]
+struct Signs {
+    count: AtomicU64,
+    ended: AtomicBool,
+}
 
 impl Life {
     /// Gives a sign.
     pub fn sign(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
+        self.0.count.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Signs so far.
     pub fn signs(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
+        self.0.count.load(Ordering::Relaxed)
+    }
+
+    /// The program has gone.
+    pub fn end(&self) {
+        self.0.ended.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the program has gone.
+    pub fn has_ended(&self) -> bool {
+        self.0.ended.load(Ordering::Relaxed)
     }
 }
 

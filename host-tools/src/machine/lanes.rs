@@ -29,7 +29,7 @@ pub(super) struct Envelope {
     ticket: Ticket,
     pub(super) order: Order,
     pub(super) reply: Sender<Answer>,
-    /// Signs of life that a jog from another process requires.
+    /// What a motion from another process lives on.
     pub(super) life: Option<Life>,
     written: Option<Written>,
 }

@@ -4,8 +4,8 @@
 //! repeats; responses come in any order. A client that follows gets a [`Response`] for everything that is recorded.
 //! Drawings cannot be ordered over the socket: the program whose end holds a drawing has to own the port.
 //!
-//! Invariants: a client can block neither the machine nor another client; a motion ends when the client that ordered it
-//! ends, and a jog continues only while the client sends signs of life.
+//! Invariants: a client can neither block the machine nor another client; a motion ends with the client that ordered it,
+//! however that ends, and nobody else's; a jog goes on only while the client says, over and over, that it is alive.
 
 use super::lanes::Lanes;
 use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
@@ -157,51 +157,74 @@ fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Lanes, shared: 
 struct Pending {
     id: u64,
     answer: Receiver<Answer>,
-    /// Whether it ends when its client ends.
-    is_motion: bool,
 }
 
-fn serve(mut stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &Shared) -> io::Result<()> {
+/// One client, and what it waits for. Its motion ends with it.
+struct Conversation {
+    stream: UnixStream,
+    lines: Lines,
+    pending: Vec<Pending>,
+    followed: Option<Followed>,
+    life: Life,
+}
+
+impl Drop for Conversation {
+    fn drop(&mut self) {
+        self.life.end();
+    }
+}
+
+fn serve(stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &Shared) -> io::Result<()> {
     stream.set_read_timeout(Some(LOOK))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    send(&mut stream, greeting)?;
-    let mut lines = Lines::default();
-    let mut pending: Vec<Pending> = Vec::new();
-    let mut followed: Option<Followed> = None;
-    let life = Life::default();
-    let result = loop {
-        if shared.ended.load(Ordering::Relaxed) {
-            break Ok(());
+    let mut client = Conversation {
+        stream,
+        lines: Lines::default(),
+        pending: Vec::new(),
+        followed: None,
+        life: Life::default(),
+    };
+    send(&mut client.stream, greeting)?;
+    while !shared.ended.load(Ordering::Relaxed) && client.lines.read(&mut client.stream)? {
+        while let Some(line) = client.lines.take() {
+            client.hear(serde_json::from_slice(&line)?, orders, shared)?;
         }
-        match lines.read(&mut stream) {
-            Ok(true) => {}
-            Ok(false) => break Ok(()),
-            Err(error) => break Err(error),
-        }
-        while let Some(line) = lines.take() {
-            let question: Question = serde_json::from_slice(&line)?;
-            match question.ask {
-                Ask::Snapshot => {
-                    let snapshot = shared.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
-                    let said = Said::Snapshot(snapshot.clone());
-                    drop(snapshot);
-                    send(&mut stream, &Response { id: question.id, said })?;
-                }
-                Ask::Order(_) if pending.len() >= PENDING_MAX => {
-                    let many = Failure::new(code::FAILED, "too many orders without an answer at once");
-                    let said = Said::Answer(Err(many));
-                    send(&mut stream, &Response { id: question.id, said })?;
-                }
-                Ask::Order(order) => pending.push(give(question.id, order, &life, orders)),
-                Ask::Alive => life.sign(),
-                Ask::Follow => followed = Some(Followed::begin(question.id, &mut stream, shared)?),
+        client.tell()?;
+    }
+    Ok(())
+}
+
+impl Conversation {
+    fn hear(&mut self, Question { id, ask }: Question, orders: &Lanes, shared: &Shared) -> io::Result<()> {
+        match ask {
+            Ask::Snapshot => {
+                let snapshot = shared.snapshot.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                let said = Said::Snapshot(snapshot);
+                send(&mut self.stream, &Response { id, said })?;
             }
+            Ask::Order(_) if self.pending.len() >= PENDING_MAX => {
+                let many = Failure::new(code::FAILED, "too many orders without an answer at once");
+                let said = Said::Answer(Err(many));
+                send(&mut self.stream, &Response { id, said })?;
+            }
+            Ask::Order(order) => {
+                let life = matches!(order, Order::Motion(_)).then(|| self.life.clone());
+                let answer = orders.give(order, life, None);
+                self.pending.push(Pending { id, answer });
+            }
+            Ask::Alive => self.life.sign(),
+            Ask::Follow => self.followed = Some(Followed::begin(id, &mut self.stream, shared)?),
         }
-        if let Some(followed) = &followed {
-            followed.send(&mut stream)?;
+        Ok(())
+    }
+
+    /// Tells what there is: news, and answers that have come.
+    fn tell(&mut self) -> io::Result<()> {
+        if let Some(followed) = &self.followed {
+            followed.send(&mut self.stream)?;
         }
         let mut waiting = Vec::new();
-        for entry in pending.drain(..) {
+        for entry in self.pending.drain(..) {
             let answer = match entry.answer.try_recv() {
                 Ok(answer) => answer,
                 Err(TryRecvError::Empty) => {
@@ -211,14 +234,11 @@ fn serve(mut stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &S
                 Err(TryRecvError::Disconnected) => Err(Failure::new(code::CONNECTION, "the owner of the port ends")),
             };
             let said = Said::Answer(answer);
-            send(&mut stream, &Response { id: entry.id, said })?;
+            send(&mut self.stream, &Response { id: entry.id, said })?;
         }
-        pending = waiting;
-    };
-    if pending.iter().any(|entry| entry.is_motion) {
-        drop(orders.give(Order::Cancel, None, None));
+        self.pending = waiting;
+        Ok(())
     }
-    result
 }
 
 /// A client that follows the machine.
@@ -259,12 +279,6 @@ impl Followed {
         let said = Said::Account(account.to_digits().ok_or_else(unwritten)?);
         send(stream, &Response { id: self.id, said })
     }
-}
-
-fn give(id: u64, order: Order, life: &Life, orders: &Lanes) -> Pending {
-    let is_motion = matches!(order, Order::Motion(_));
-    let answer = orders.give(order, is_motion.then(|| life.clone()), None);
-    Pending { id, answer, is_motion }
 }
 
 fn send(stream: &mut UnixStream, message: &impl Serialize) -> io::Result<()> {

@@ -3,8 +3,10 @@
 use super::*;
 use crate::link::bench::{Bench, path, serve};
 use crate::link::job::Drawing;
+use crate::link::ownership::socket_path;
 use etherpen::application::Mode;
-use std::os::unix::net::UnixListener;
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
 
 /// Longest wait for anything; what is tested does not depend on it.
@@ -273,4 +275,72 @@ fn stops_that_come_together_are_all_done() {
     }
     drop(machine);
     assert_eq!(firmware.join().unwrap().commands.last(), Some(&Command::Stop));
+}
+
+/// A program that has been greeted and has said this over the machine's socket; nothing where it is not let in.
+fn says(machine: &Machine, lines: &str) -> Option<BufReader<UnixStream>> {
+    let stream = UnixStream::connect(socket_path(machine.port()).unwrap()).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut program = BufReader::new(stream);
+    let greeted = program.read_line(&mut String::new()).is_ok_and(|length| length > 0);
+    greeted.then(|| program.get_mut().write_all(lines.as_bytes()).unwrap())?;
+    Some(program)
+}
+
+fn line_of(id: u64, motion: Motion) -> String {
+    let order = serde_json::to_value(Order::Motion(motion)).unwrap();
+    format!("{}\n", serde_json::json!({"id": id, "ask": {"order": order}}))
+}
+
+const MOVE: Motion = Motion::Move(etherpen::robot::Position {
+    x_mm: 0.0,
+    y_mm: 10.0,
+    z_mm: -830.0,
+});
+
+#[test]
+fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
+    let place = Place::new("ends");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || {
+        let mut bench = Bench::new(1, 0);
+        serve(&mut bench, &stream);
+        bench
+    });
+    let news = machine.subscribe(10_000);
+    let drawn = machine.order(draw(300));
+    wait(
+        &news,
+        |news| matches!(news, News::Progress(progress) if progress.vertices > 20),
+    );
+    for _ in 0..5 {
+        // It is refused, and perhaps has gone before that is said.
+        assert!(says(&machine, &line_of(1, MOVE)).is_some());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(drawn.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
+
+    let news = machine.subscribe(10_000);
+    // The line that is none ends the conversation; its other end still has it open.
+    let _open = says(&machine, &(line_of(1, MOVE) + "{\n"));
+    let mut result = Ok(());
+    wait(&news, |news| match news {
+        News::Ended { result: ended, .. } => {
+            result = ended.clone();
+            true
+        }
+        _ => false,
+    });
+    assert!(result.is_err(), "a motion ends with its program");
+    drop(machine);
+    let bench = firmware.join().unwrap();
+    assert_eq!(bench.vertices, path(300));
+    assert!(
+        !bench
+            .commands
+            .iter()
+            .any(|command| matches!(command, Command::Move { .. })),
+        "{:?}",
+        bench.commands
+    );
 }

@@ -1,7 +1,7 @@
 //! The machine's handling of orders and events, without clock, port or thread.
 //!
-//! Invariants: every order gets exactly one answer; a broken connection ends every order except a drawing that the
-//! firmware may hold, which continues only by an order.
+//! Invariants: every order gets exactly one answer; a motion of a program that has gone ends, and nothing else does; a broken connection ends every order but a drawing that the firmware
+//! may hold, which goes on with an order and with nothing else.
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
@@ -26,7 +26,9 @@ const ARRIVAL_MAX_MS: u64 = 500;
 /// A task that was ordered.
 struct Active {
     reply: Sender<Answer>,
-    /// State that a drawing needs to be resumed.
+    /// The program, if another one, with which it ends.
+    life: Option<Life>,
+    /// What a drawing needs to go on.
     drawing: Option<Underway>,
 }
 
@@ -222,8 +224,8 @@ impl Work {
             return;
         }
         job.begin(task);
-        if let Some(life) = life {
-            job.live_on(life);
+        if let Some(life) = &life {
+            job.live_on(life.clone());
         }
         if let Some(order) = &order {
             self.shared.publish(News::Begun {
@@ -242,7 +244,7 @@ impl Work {
             samples: Vec::new(),
             before: None,
         });
-        self.active = Some(Active { reply, drawing });
+        self.active = Some(Active { reply, life, drawing });
     }
 
     fn control(&mut self, control: Control, reply: Sender<Answer>) {
@@ -339,6 +341,7 @@ impl Work {
 
     /// Advances the connection by about a millisecond.
     pub(super) fn step(&mut self, now_ms: u64, incoming: &[u8], outgoing: &mut Vec<u8>, room: usize) {
+        self.end_abandoned();
         let Some(job) = &mut self.job else { return };
         job.step(now_ms, incoming, outgoing, room);
         while let Some(event) = self.job.as_mut().and_then(Job::next_event) {
@@ -349,8 +352,19 @@ impl Work {
         self.end_task();
     }
 
-    /// Ends a drawing that waits to be resumed once the firmware certainly no longer has it. If the drawing finished
-    /// meanwhile, ends it as finished.
+    /// Ends a motion whose program has gone.
+    fn end_abandoned(&mut self) {
+        let active = self.active.as_mut();
+        let gone = active.and_then(|active| active.life.take_if(|life| life.has_ended()));
+        if let (Some(_), Some(job)) = (gone, &mut self.job)
+            && job.outcome().is_none()
+        {
+            job.control(Control::Cancel);
+        }
+    }
+
+    /// Ends a drawing that waits for an order to go on, once it is clear that the firmware does not have it any more; one
+    /// that came to its end while nobody heard it is taken to its end.
     fn end_forgotten(&mut self, now_ms: u64) {
         let Some(number) = self.interrupted_number() else {
             return;
