@@ -4,7 +4,7 @@
 //! repeats; responses come in any order. A client that follows gets a [`Response`] for everything that is recorded.
 //! Drawings cannot be ordered over the socket: the program whose end holds a drawing has to own the port.
 //!
-//! Invariants: a client can neither block the machine nor another client; a motion ends with the client that ordered it,
+//! Invariants: a client can neither block the machine nor another client, nor keep another one out by being idle; a motion ends with the client that ordered it,
 //! however that ends, and nobody else's; a jog goes on only while the client says, over and over, that it is alive.
 
 use super::lanes::Lanes;
@@ -15,18 +15,20 @@ use crate::link::port::PortName;
 use crate::link::terms::Life;
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::Shutdown;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, TryRecvError};
-use std::sync::{Arc, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Version of the socket protocol.
 const VERSION: u16 = 2;
-/// Most clients at a time.
+/// Clients at a time; for one more the client goes that has been idle longest, after this time at the earliest.
 const CLIENTS_MAX: usize = 32;
+const IDLE_MIN: Duration = Duration::from_millis(250);
 /// Longest line, bytes.
 const LINE_BYTES_MAX: usize = 64 * 1024;
 /// Most unanswered orders of one client.
@@ -134,26 +136,81 @@ impl Drop for Server {
 }
 
 fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Lanes, shared: &Arc<Shared>) {
-    let clients = Arc::new(AtomicUsize::new(0));
+    let mut seats = Seats::default();
     for stream in listener.incoming() {
         if shared.ended.load(Ordering::Relaxed) {
             return;
         }
         let Ok(stream) = stream else { continue };
-        if clients.fetch_add(1, Ordering::Relaxed) >= CLIENTS_MAX {
-            clients.fetch_sub(1, Ordering::Relaxed);
+        let Some(seat) = seats.take(&stream, shared) else {
             continue;
-        }
-        let (greeting, orders, shared, clients) = (greeting.clone(), orders.clone(), shared.clone(), clients.clone());
+        };
+        let (greeting, orders, shared) = (greeting.clone(), orders.clone(), shared.clone());
         std::thread::spawn(move || {
-            // A client that has disappeared is not an error of the owner.
-            let _ = serve(stream, &greeting, &orders, &shared);
-            clients.fetch_sub(1, Ordering::Relaxed);
+            // A client that has gone is no error of the owner's.
+            let _ = serve(stream, seat, &greeting, &orders, &shared);
         });
     }
 }
 
-/// An unanswered order.
+/// A client's place among those that are connected.
+struct Seat {
+    stream: UnixStream,
+    /// Since when it has said nothing; `None` while it follows or waits for an answer.
+    idle_since: Mutex<Option<Instant>>,
+}
+
+impl Seat {
+    fn idle_since(&self) -> Option<Instant> {
+        *self.idle_since.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set_idle_since(&self, since: Option<Instant>) {
+        *self.idle_since.lock().unwrap_or_else(PoisonError::into_inner) = since;
+    }
+}
+
+/// The places of all clients.
+#[derive(Default)]
+struct Seats(Vec<Weak<Seat>>);
+
+impl Seats {
+    /// A place for this client, if need be once another one has been idle for long enough; none where all are busy.
+    fn take(&mut self, stream: &UnixStream, shared: &Shared) -> Option<Arc<Seat>> {
+        let stream = stream.try_clone().ok()?;
+        while !self.has_room()? {
+            if shared.ended.load(Ordering::Relaxed) {
+                return None;
+            }
+            std::thread::sleep(LOOK);
+        }
+        let idle_since = Mutex::new(Some(Instant::now()));
+        let seat = Arc::new(Seat { stream, idle_since });
+        self.0.push(Arc::downgrade(&seat));
+        Some(seat)
+    }
+
+    /// Whether one place is free now; nothing where none will be soon.
+    fn has_room(&mut self) -> Option<bool> {
+        self.0.retain(|seat| seat.strong_count() > 0);
+        if self.0.len() < CLIENTS_MAX {
+            return Some(true);
+        }
+        let seats = self.0.iter().filter_map(Weak::upgrade);
+        let idle = seats.filter_map(|seat| Some((seat.idle_since()?, seat)));
+        let (since, longest) = idle.min_by_key(|(since, _)| *since)?;
+        if since.elapsed() < IDLE_MIN {
+            return Some(false);
+        }
+        // Where it cannot be closed, its client has gone already.
+        let _ = longest.stream.shutdown(Shutdown::Both);
+        self.0
+            .retain(|seat| !std::ptr::eq(seat.as_ptr(), Arc::as_ptr(&longest)));
+        Some(true)
+    }
+}
+
+/// An order without an answer yet.
 struct Pending {
     id: u64,
     answer: Receiver<Answer>,
@@ -162,6 +219,7 @@ struct Pending {
 /// One client, and what it waits for. Its motion ends with it.
 struct Conversation {
     stream: UnixStream,
+    seat: Arc<Seat>,
     lines: Lines,
     pending: Vec<Pending>,
     followed: Option<Followed>,
@@ -174,11 +232,12 @@ impl Drop for Conversation {
     }
 }
 
-fn serve(stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &Shared) -> io::Result<()> {
+fn serve(stream: UnixStream, seat: Arc<Seat>, greeting: &Greeting, orders: &Lanes, shared: &Shared) -> io::Result<()> {
     stream.set_read_timeout(Some(LOOK))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     let mut client = Conversation {
         stream,
+        seat,
         lines: Lines::default(),
         pending: Vec::new(),
         followed: None,
@@ -187,6 +246,7 @@ fn serve(stream: UnixStream, greeting: &Greeting, orders: &Lanes, shared: &Share
     send(&mut client.stream, greeting)?;
     while !shared.ended.load(Ordering::Relaxed) && client.lines.read(&mut client.stream)? {
         while let Some(line) = client.lines.take() {
+            client.seat.set_idle_since(None);
             client.hear(serde_json::from_slice(&line)?, orders, shared)?;
         }
         client.tell()?;
@@ -237,6 +297,10 @@ impl Conversation {
             send(&mut self.stream, &Response { id: entry.id, said })?;
         }
         self.pending = waiting;
+        let is_idle = self.pending.is_empty() && self.followed.is_none();
+        if is_idle && self.seat.idle_since().is_none() {
+            self.seat.set_idle_since(Some(Instant::now()));
+        }
         Ok(())
     }
 }

@@ -344,3 +344,21 @@ fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
         bench.commands
     );
 }
+
+#[test]
+fn however_many_programs_are_connected_and_say_nothing_a_stop_finds_its_way() {
+    let place = Place::new("crowd");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
+    let mut follower = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    assert!(matches!(follower.next_within(PATIENCE), Ok(Account::Connected(_))));
+    let idle: Vec<_> = (0..100).filter_map(|_| says(&machine, "")).collect();
+    assert_eq!(idle.len(), 100, "each is let in");
+    let mut client = Client::find(machine.port()).expect("there is room for one more");
+    assert_eq!(client.carry_out(Order::Stop), Ok(Reply::Done));
+    let stopped = |account: &Account| matches!(account, Account::Status(status) if status.mode == Mode::Fault);
+    while !stopped(&follower.next_within(PATIENCE).expect("who follows is not sent away")) {}
+    drop((client, follower, machine));
+    firmware.join().unwrap();
+}
