@@ -362,3 +362,27 @@ fn however_many_programs_are_connected_and_say_nothing_a_stop_finds_its_way() {
     drop((client, follower, machine));
     firmware.join().unwrap();
 }
+
+#[test]
+fn a_drawing_that_is_cancelled_while_the_line_is_down_is_not_shown_any_more() {
+    let place = Place::new("down");
+    let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
+    let news = machine.subscribe(10_000);
+    let (cut, until_cut) = (stream.try_clone().unwrap(), stream);
+    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &until_cut));
+    let drawn = machine.order(draw(500));
+    wait(
+        &news,
+        |news| matches!(news, News::Progress(progress) if progress.vertices > 50),
+    );
+    std::fs::remove_file(&place.0).unwrap();
+    cut.shutdown(std::net::Shutdown::Both).unwrap();
+    firmware.join().unwrap();
+    wait(&news, |news| matches!(news, News::Lost(_)));
+    let shown = machine.snapshot();
+    assert!(shown.interrupted && shown.drawing.is_some());
+    assert!(machine.carry_out(Order::Cancel).is_err(), "there is nobody to tell");
+    assert!(drawn.recv_timeout(PATIENCE).unwrap().is_err());
+    let shown = machine.snapshot();
+    assert_eq!((shown.interrupted, shown.drawing), (false, None));
+}

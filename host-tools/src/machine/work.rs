@@ -168,12 +168,8 @@ impl Work {
 
     /// Answers an order that arrives while there is no connection.
     pub(super) fn refuse(&mut self, envelope: &Envelope, why: &Failure) {
-        let ended = match envelope.order {
-            Order::Cancel => self.active.take(),
-            _ => None,
-        };
-        if let Some(active) = ended {
-            finish(&self.shared, active, Err(why.clone()), None);
+        if envelope.order == Order::Cancel {
+            self.forget(why);
         }
         // The program that gave the order may have ended.
         let _ = envelope.reply.send(Err(why.clone()));
@@ -383,12 +379,17 @@ impl Work {
             }
             _ => return,
         };
+        self.forget(&Failure::from(&error));
+    }
+
+    /// Ends a drawing that waits for an order to go on.
+    fn forget(&mut self, why: &Failure) {
         if let Some(active) = self.active.take() {
             self.shared.change(|snapshot| {
                 snapshot.drawing = None;
                 snapshot.interrupted = false;
             });
-            finish(&self.shared, active, Err(Failure::from(&error)), None);
+            finish(&self.shared, active, Err(why.clone()), None);
         }
     }
 
