@@ -7,6 +7,7 @@
 use super::messages::Injection;
 use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke, ResolverFault};
 use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
+use crate::link::ownership::{CELL_SOCKET, remove_if_left_behind};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
@@ -30,9 +31,7 @@ const AL_WATCHDOG: u16 = 0x001B;
 const POWER_MS: u64 = 1_000;
 const STUCK_MS: u64 = 200;
 const STALL_MS: u64 = 50;
-/// Beginning of the sockets' names; the process id follows.
-const SOCKET_NAME: &str = "etherpen-console-";
-/// Makes the socket names of a process unique.
+/// Makes the names of the sockets of one process different.
 static SOCKETS: AtomicU32 = AtomicU32::new(0);
 
 /// Firmware that runs.
@@ -177,21 +176,10 @@ pub struct VirtualCell {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Removes the sockets of killed consoles, whose processes no longer exist.
+/// Removes the sockets of killed programs.
 fn remove_left_behind(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
-    for path in entries.flatten().map(|entry| entry.path()) {
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let process = name.strip_prefix(SOCKET_NAME).and_then(|rest| rest.split_once('-'));
-        let Some((process, _)) = process else { continue };
-        let has_ended = !Path::new("/proc").join(process).exists();
-        let refuses =
-            |path: &Path| UnixStream::connect(path).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused);
-        if has_ended && refuses(&path) {
-            // A socket that cannot be removed does no harm.
-            let _ = std::fs::remove_file(&path);
-        }
-    }
+    entries.flatten().for_each(|entry| remove_if_left_behind(&entry.path()));
 }
 
 impl VirtualCell {
@@ -203,7 +191,7 @@ impl VirtualCell {
         let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
         let folder = std::env::temp_dir();
         remove_left_behind(&folder);
-        let path = folder.join(format!("{SOCKET_NAME}{}-{number}.sock", std::process::id()));
+        let path = folder.join(format!("{CELL_SOCKET}{}-{number}.sock", std::process::id()));
         if let Err(error) = std::fs::remove_file(&path)
             && error.kind() != ErrorKind::NotFound
         {

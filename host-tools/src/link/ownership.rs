@@ -1,9 +1,10 @@
 //! Port ownership: one program at a time uses a port; other programs find that program and send it their orders.
 //!
-//! Each port in use has a lock file in the user's runtime folder and, if the owner shares its machine, a Unix socket.
-//! The lock is held by the kernel (flock) and ends with its process, however that ends. The next program that takes a
-//! port or looks for one removes the files of a killed program. Programs without this protocol are searched among the
-//! open files of this user's processes.
+//! Each port that is in use has a lock file in the user's runtime folder and, where the owner shares its machine, a Unix
+//! socket. The lock is the kernel's (flock): it ends with its process however that ends. Files that a killed program has
+//! left are removed by the next program that takes a port or looks for one, and with them the socket of a virtual cell that
+//! the killed program had as its port.
+//! Programs that know nothing of this are looked for among the open files of this user's processes.
 //!
 //! Invariant: while an [`Ownership`] exists, no other program with this protocol opens the port.
 
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -26,7 +28,10 @@ const SOCKET: &str = "sock";
 /// Longest part of a file name made from a port's name, bytes: a Unix socket's path has at most 108.
 const NAME_BYTES_MAX: usize = 40;
 
-/// A program that uses a port.
+/// Beginning of the name of a virtual cell's socket; its process and a number follow.
+pub(crate) const CELL_SOCKET: &str = "etherpen-console-";
+
+/// A program that has a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Owner {
     /// Its process.
@@ -176,8 +181,12 @@ fn port_in_use(stem: &Path) -> Option<InUse> {
     let (path, socket) = (stem.with_extension(LOCK), stem.with_extension(SOCKET));
     for _ in 0..ATTEMPTS_MAX {
         match lock(&path).ok()? {
-            Locking::Locked(_lock) => {
-                // While this lock is held no program can take the port, so no socket in use is removed.
+            Locking::Locked(mut lock) => {
+                let port = held_in(&mut lock).and_then(|held| held.port.parse().ok());
+                if let Some(PortName::Unix(path)) = port {
+                    remove_if_left_behind(&path);
+                }
+                // While the lock is held nobody takes the port, so that no socket in use is removed.
                 let _ = std::fs::remove_file(&socket);
                 let _ = std::fs::remove_file(&path);
                 return None;
@@ -194,6 +203,21 @@ fn port_in_use(stem: &Path) -> Option<InUse> {
         }
     }
     None
+}
+
+/// Removes the socket of a virtual cell if its process has gone and nobody listens there.
+pub(crate) fn remove_if_left_behind(path: &Path) {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let rest = name.strip_prefix(CELL_SOCKET).and_then(|rest| rest.split_once('-'));
+    let Some(process) = rest.and_then(|(process, _)| process.parse::<u32>().ok()) else {
+        return;
+    };
+    let has_ended = !Path::new("/proc").join(process.to_string()).exists();
+    let refuses = || UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused);
+    if has_ended && refuses() {
+        // One that cannot be removed is in nobody's way.
+        let _ = std::fs::remove_file(path);
+    }
 }
 
 impl Drop for Ownership {

@@ -171,6 +171,23 @@ fn sockets_of_a_killed_program_are_removed_by_the_next_one() {
 }
 
 #[test]
+fn the_socket_of_a_killed_console_is_removed_by_a_command_that_looks_for_a_robot() {
+    let folder = Folder::new();
+    let mut console = Running::start(etherpen(&folder).args(["console", "--simulate", "--listen", "127.0.0.1:0"]));
+    console.wait_for("connection", |console| {
+        console.stderr().contains("connected: firmware").then_some(())
+    });
+    let left = || fs::read_dir(folder.join("tmp")).expect("a folder").count();
+    assert!(left() > 0, "its robot's socket");
+    let pid = rustix::process::Pid::from_raw(console.id() as i32).expect("an id");
+    rustix::process::kill_process(pid, rustix::process::Signal::KILL).expect("the process runs");
+    console.end();
+    let (status, _, stderr) = run(etherpen(&folder).arg("status"));
+    assert_eq!(status, Some(i32::from(code::USAGE)), "{stderr}");
+    assert_eq!(left(), 0);
+}
+
+#[test]
 fn stops_from_several_terminals_at_once_all_stop() {
     let folder = Folder::new();
     let cell = cell();
