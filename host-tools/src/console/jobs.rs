@@ -1,8 +1,8 @@
 //! Drawings: active, waiting and past ones.
 //!
-//! A waiting drawing starts on request only, because the paper has to be changed between two drawings. A drawing that
-//! ended early can continue where its ink ends according to the telemetry, with a millimetre drawn again. Invariants:
-//! at most one drawing is active; only the last past drawings are kept, and the paths of the last unfinished ones.
+//! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. One that ended early
+//! can go on where its ink ends, as telemetry has seen it, with a millimetre drawn again. Invariants: at most one drawing is
+//! active; what waits is bounded in number and in length; the past keeps its last entries only, and the paths of the last unfinished ones.
 
 use super::signals::Row;
 use crate::link::ink::Ink;
@@ -20,8 +20,8 @@ use std::sync::Arc;
 const WAITING_MAX: usize = 20;
 /// Most past drawings kept.
 const PAST_MAX: usize = 50;
-/// Most vertices of unfinished drawings kept: 32 MB.
-const UNFINISHED_VERTICES_MAX: usize = 1_600_000;
+/// Vertices of the drawings that wait, and of the unfinished ones that are kept: 32 MB each.
+const VERTICES_MAX: usize = 1_600_000;
 
 /// A drawing ready to be drawn.
 #[derive(Clone, Debug)]
@@ -183,15 +183,22 @@ impl Jobs {
         }
     }
 
-    /// Adds a waiting drawing; returns its number, or `None` if too many are waiting.
-    pub fn enqueue(&mut self, drawing: Drawing) -> Option<u64> {
+    /// Lets a drawing wait; gives its number. One alone may be of any length.
+    ///
+    /// # Errors
+    /// Too many wait, or they are too long together.
+    pub fn enqueue(&mut self, drawing: Drawing) -> Result<u64, &'static str> {
         if self.waiting.len() >= WAITING_MAX {
-            return None;
+            return Err("the queue is full: 20 drawings wait; draw or discard one first");
+        }
+        let waiting: usize = self.waiting.iter().map(|job| job.drawing.path.len()).sum();
+        if waiting > 0 && waiting + drawing.path.len() > VERTICES_MAX {
+            return Err("the drawings in the queue would be too long together; draw or discard one first");
         }
         let number = self.next;
         self.next += 1;
         self.waiting.push(Job::new(number, drawing));
-        Some(number)
+        Ok(number)
     }
 
     /// Discards a waiting drawing; returns whether it existed.
@@ -336,7 +343,7 @@ impl Jobs {
         let mut vertices = 0;
         for past in &mut self.past {
             vertices += past.job.as_ref().map_or(0, |job| job.drawing.path.len());
-            if vertices > UNFINISHED_VERTICES_MAX {
+            if vertices > VERTICES_MAX {
                 past.job = None;
                 past.view.unfinished = false;
             }
@@ -401,9 +408,26 @@ mod tests {
             jobs.end(false, "cancelled");
         }
         assert_eq!(jobs.view().past.len(), PAST_MAX);
-        assert!((0..WAITING_MAX).all(|_| jobs.enqueue(drawing()).is_some()));
-        assert_eq!(jobs.enqueue(drawing()), None);
+        assert!((0..WAITING_MAX).all(|_| jobs.enqueue(drawing()).is_ok()));
+        assert!(jobs.enqueue(drawing()).is_err_and(|why| why.contains("20 drawings")));
         let number = jobs.view().waiting.first().map(|job| job.number).unwrap();
         assert!(jobs.discard(number) && !jobs.discard(number));
+    }
+
+    #[test]
+    fn what_waits_is_bounded_in_vertices_and_one_drawing_may_always_wait() {
+        let long = |vertices: usize| Drawing {
+            path: drawing().path.iter().copied().cycle().take(vertices).collect(),
+            ..drawing()
+        };
+        let mut jobs = Jobs::new();
+        let half = VERTICES_MAX / 2;
+        let first = jobs.enqueue(long(half)).unwrap();
+        assert!(jobs.enqueue(long(half)).is_ok());
+        let refused = jobs.enqueue(long(1)).unwrap_err();
+        assert!(refused.contains("draw or discard one"), "{refused}");
+        assert!(jobs.discard(first) && jobs.enqueue(long(1)).is_ok());
+        let mut jobs = Jobs::new();
+        assert!(jobs.enqueue(long(VERTICES_MAX + 1)).is_ok() && jobs.enqueue(drawing()).is_err());
     }
 }

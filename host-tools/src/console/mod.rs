@@ -345,7 +345,7 @@ impl Console {
             ..StudioView::default()
         };
         self.change(|hub| -> Result<(), &'static str> {
-            hub.jobs.enqueue(drawing).ok_or("the queue is full")?;
+            hub.jobs.enqueue(drawing)?;
             hub.say_jobs();
             hub.say(Topic::Studio, &idle);
             Ok(())
