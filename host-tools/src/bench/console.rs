@@ -10,6 +10,7 @@ use crate::link::port::PortName;
 use etherpen::config::Config;
 use etherpen::link::frame::{Decoder, decode};
 use etherpen::link::protocol::{Command as Told, HostMessage};
+use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -25,6 +26,8 @@ use std::time::{Duration, Instant};
 const DELAY_MAX_MS: f64 = 100.0;
 /// Most memory of the console, MiB.
 const MEMORY_MAX_MIB: f64 = 256.0;
+/// Connections that each of those threads keeps open that connect as often as they can.
+const OPEN_AT_ONCE: usize = 300;
 /// Time after which a stop counts as lost.
 const LOST: Duration = Duration::from_secs(60);
 /// Time until a load is fully active, and between two stops.
@@ -47,9 +50,11 @@ enum Load {
     Uploads(usize),
     /// Viewers that request the whole history and never read.
     SlowReaders(usize),
+    /// Threads that connect as often as they can and say nothing.
+    Connections(usize),
 }
 
-const LOADS: [(&str, Load); 8] = [
+const LOADS: [(&str, Load); 9] = [
     ("idle", Load::Idle),
     ("flood", Load::Flood(1)),
     ("two_floods", Load::Flood(2)),
@@ -58,6 +63,7 @@ const LOADS: [(&str, Load); 8] = [
     ("300_half_requests", Load::Halves(300)),
     ("partial_uploads", Load::Uploads(32)),
     ("slow_readers", Load::SlowReaders(8)),
+    ("connections", Load::Connections(2)),
 ];
 
 fn failed(cause: impl std::fmt::Display) -> BenchError {
@@ -171,7 +177,7 @@ impl Bench {
         let measured = self.stop_often(stops);
         ended.store(true, Ordering::Relaxed);
         for (stream, thread) in threads {
-            let _ = stream.shutdown(Shutdown::Both);
+            let _ = stream.map(|stream| stream.shutdown(Shutdown::Both));
             let _ = thread.map(JoinHandle::join);
         }
         measured
@@ -293,19 +299,30 @@ fn drain(stream: &mut TcpStream) {
 
 const ALL_OF_IT: &str = r#"{"type":"range","id":1,"signals":[0,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20,21,22,23,24,25,26,27],"from_ms":0,"to_ms":60000,"columns":0}"#;
 
-type Burden = (TcpStream, Option<JoinHandle<()>>);
+type Burden = (Option<TcpStream>, Option<JoinHandle<()>>);
+
+/// Connects over and over, until told to end.
+fn connect_often(address: &str, ended: &AtomicBool) {
+    let mut open = VecDeque::new();
+    while !ended.load(Ordering::Relaxed) {
+        open.extend(TcpStream::connect(address));
+        if open.len() > OPEN_AT_ONCE {
+            open.pop_front();
+        }
+    }
+}
 
 /// Starts a load; it ends with its flag and its connections.
 fn begin(load: Load, address: &str, ended: &Arc<AtomicBool>) -> io::Result<Vec<Burden>> {
-    let idle = |stream: TcpStream| (stream, None);
+    let idle = |stream: TcpStream| (Some(stream), None);
     let reading = |stream: TcpStream| -> io::Result<Burden> {
         let mut reader = stream.try_clone()?;
-        Ok((stream, Some(thread::spawn(move || drain(&mut reader)))))
+        Ok((Some(stream), Some(thread::spawn(move || drain(&mut reader)))))
     };
     let asking = |stream: TcpStream| -> io::Result<Burden> {
         let (mut writer, ended) = (stream.try_clone()?, ended.clone());
         let ask = move || while !ended.load(Ordering::Relaxed) && say(&mut writer, ALL_OF_IT).is_ok() {};
-        Ok((stream, Some(thread::spawn(ask))))
+        Ok((Some(stream), Some(thread::spawn(ask))))
     };
     let mut burdens = Vec::new();
     match load {
@@ -343,6 +360,13 @@ fn begin(load: Load, address: &str, ended: &Arc<AtomicBool>) -> io::Result<Vec<B
         Load::SlowReaders(count) => {
             for _ in 0..count {
                 burdens.push(asking(viewer(address)?)?);
+            }
+        }
+        Load::Connections(count) => {
+            for _ in 0..count {
+                let (address, ended) = (address.to_owned(), ended.clone());
+                let connecting = thread::spawn(move || connect_often(&address, &ended));
+                burdens.push((None, Some(connecting)));
             }
         }
     }

@@ -33,7 +33,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Handle};
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
@@ -54,8 +54,12 @@ const NAME: &str = "x-etherpen-name";
 const OPTIONS: &str = "x-etherpen-options";
 /// Most bytes queued for one viewer in this process.
 const WRITE_BUFFER_MAX: usize = 4 << 20;
-/// Most connections beside the viewers' sockets; beyond that the oldest one without the token is closed.
-const CONNECTIONS_MAX: usize = 64;
+/// Connections beside the viewers' sockets; for one more the oldest goes that has not shown the token, once it has had the
+/// time to say what it wants.
+const CONNECTIONS_MAX: usize = 512;
+const CONNECTION_MIN: Duration = Duration::from_millis(100);
+/// Time between two looks for room.
+const LOOK_FOR_ROOM: Duration = Duration::from_millis(5);
 /// Longest time for the head of a request.
 const HEAD_MAX: Duration = Duration::from_secs(5);
 /// Longest head of a request, bytes.
@@ -155,23 +159,44 @@ fn run(
     })
 }
 
-/// Accepts connections, a bounded number at a time.
+/// A connection that was taken in.
+struct Connection {
+    begun: Instant,
+    trusted: Trusted,
+    serving: AbortHandle,
+}
+
+/// Waits until there is room for another connection; each that is there has had some time.
+async fn make_room(open: &mut VecDeque<Connection>) {
+    loop {
+        open.retain(|connection| !connection.serving.is_finished());
+        if open.len() < CONNECTIONS_MAX {
+            return;
+        }
+        let untrusted = |connection: &Connection| !connection.trusted.0.load(Ordering::Relaxed);
+        let oldest = open.iter().position(untrusted).unwrap_or(0);
+        if open
+            .get(oldest)
+            .is_some_and(|oldest| oldest.begun.elapsed() >= CONNECTION_MIN)
+            && let Some(oldest) = open.remove(oldest)
+        {
+            return oldest.serving.abort();
+        }
+        tokio::time::sleep(LOOK_FOR_ROOM).await;
+    }
+}
+
+/// Takes in connections, a bounded number of them at a time; each is served once before the next one is taken in.
 async fn accept(listener: &tokio::net::TcpListener, app: Router) {
     let app = TowerToHyperService::new(app);
-    let mut open: VecDeque<(Trusted, AbortHandle)> = VecDeque::new();
+    let mut open: VecDeque<Connection> = VecDeque::new();
     loop {
+        make_room(&mut open).await;
         let Ok((stream, _)) = listener.accept().await else {
             tokio::time::sleep(FULL).await;
             continue;
         };
-        open.retain(|(_, connection)| !connection.is_finished());
-        if open.len() >= CONNECTIONS_MAX {
-            let untrusted = open.iter().position(|(trusted, _)| !trusted.0.load(Ordering::Relaxed));
-            if let Some((_, oldest)) = open.remove(untrusted.unwrap_or(0)) {
-                oldest.abort();
-            }
-        }
-        // Without TCP_NODELAY a connection is slower, but works.
+        // A line that cannot be told to hurry is slower, nothing else.
         let _ = stream.set_nodelay(true);
         let (app, trusted) = (app.clone(), Trusted::default());
         let shown = trusted.clone();
@@ -187,7 +212,12 @@ async fn accept(listener: &tokio::net::TcpListener, app: Router) {
             .with_upgrades();
         // The server does not depend on how a connection ends.
         let connection = tokio::spawn(async move { drop(connection.await) });
-        open.push_back((trusted, connection.abort_handle()));
+        open.push_back(Connection {
+            begun: Instant::now(),
+            trusted,
+            serving: connection.abort_handle(),
+        });
+        tokio::task::yield_now().await;
     }
 }
 

@@ -5,12 +5,15 @@ use host_tools::cell::DriveState;
 use host_tools::console::gate::Passage;
 use host_tools::console::hub::{GUESTS_MAX, VIEWERS_MAX};
 use serde_json::{Value, json};
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+/// Connections that each of those keeps open who connect as often as they can.
+const OPEN_AT_ONCE: usize = 300;
 /// Requests of others that are begun before a stop is sent.
 const BEGUN_BETWEEN: usize = 30;
 
@@ -256,6 +259,51 @@ fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
     }
 }
 
+/// Begins to connect as often as it can and says nothing, in a thread of its own, until told to end; gives how often.
+fn connect_often(bench: &Bench, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
+    let (address, ended) = (bench.address(), ended.clone());
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    let connect = async move {
+        let (mut open, mut count) = (VecDeque::new(), 0);
+        while !ended.load(Ordering::Relaxed) {
+            count += 1;
+            // It waits for none of them.
+            open.push_back(tokio::spawn(tokio::net::TcpStream::connect(address)));
+            if open.len() > OPEN_AT_ONCE
+                && let Some(oldest) = open.pop_front()
+            {
+                oldest.abort();
+            }
+            tokio::task::yield_now().await;
+        }
+        count
+    };
+    std::thread::spawn(move || runtime.block_on(connect))
+}
+
+#[test]
+fn a_stop_is_answered_while_others_connect_as_often_as_they_can() {
+    let bench = Bench::start();
+    let ended = Arc::new(AtomicBool::new(false));
+    let begun = Instant::now();
+    let floods: Vec<_> = (0..2).map(|_| connect_often(&bench, &ended)).collect();
+    std::thread::sleep(Duration::from_millis(500));
+    for _ in 0..20 {
+        post_stop(&bench);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    ended.store(true, Ordering::Relaxed);
+    let count: usize = floods.into_iter().map(|flood| flood.join().unwrap()).sum();
+    println!(
+        "{:.0} connections/s beside 20 stops",
+        count as f64 / begun.elapsed().as_secs_f64()
+    );
+    assert!(count > 5_000, "{count}");
+}
+
 #[test]
 fn every_load_lets_stops_through_and_keeps_the_console_small() {
     let program = std::path::Path::new(env!("CARGO_BIN_EXE_etherpen"));
@@ -263,7 +311,7 @@ fn every_load_lets_stops_through_and_keeps_the_console_small() {
     for row in &report.rows {
         println!("{}: {:.1} {}", row.case, row.value, row.unit);
     }
-    assert_eq!(report.rows.len(), 3 * 8);
+    assert_eq!(report.rows.len(), 3 * 9);
     let memory = report.rows.iter().filter(|row| row.unit == "MiB");
     let large: Vec<_> = memory.filter(|row| row.met() != Some(true)).collect();
     assert!(large.is_empty(), "{large:?}");
