@@ -2,7 +2,8 @@
 //!
 //! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. One that ended early
 //! can go on where its ink ends, as telemetry has seen it, with a millimetre drawn again. Invariants: at most one drawing is
-//! active; what waits is bounded in number and in length; the past keeps its last entries only, and the paths of the last unfinished ones.
+//! active; what waits is bounded in number and in length; the past keeps its last entries only, and the paths of the last
+//! unfinished ones.
 
 use super::signals::Row;
 use crate::link::ink::Ink;

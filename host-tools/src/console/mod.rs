@@ -6,8 +6,9 @@
 //! computed in a third thread. Orders go directly to the machine.
 //!
 //! Invariants: a stop waits for no request, lock or computation of any viewer, no request is begun while one is on its
-//! way to the port ([`gate`]), and no order is carried out after it that was asked for before it; what viewers ask for takes a bounded amount of memory, whatever they ask; only the viewer that holds control
-//! commands; a slow viewer slows nobody; nothing is kept that grows with time.
+//! way to the port ([`gate`]), and no order is carried out after it that was asked for before it; what viewers ask for
+//! takes a bounded amount of memory, whatever they ask; only the viewer that holds control commands; a slow viewer slows
+//! nobody; nothing is kept that grows with time.
 
 mod assets;
 mod attendant;

@@ -12,8 +12,8 @@
 //!
 //! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
 //! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
-//! yet is answered with a failure, other stops with what the newest one comes to; it has a way of its own to the thread, and the thread nothing else to do that takes
-//! longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
+//! yet is answered with a failure, other stops with what the newest one comes to; it has a way of its own to the thread,
+//! and the thread nothing else to do that takes longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
 //! report.
 //!
 //! Invariants: only motions ordered over this connection are carried out. A broken connection is made again and

@@ -4,8 +4,8 @@
 //! repeats; responses come in any order. A client that follows gets a [`Response`] for everything that is recorded.
 //! Drawings cannot be ordered over the socket: the program whose end holds a drawing has to own the port.
 //!
-//! Invariants: a client can neither block the machine nor another client, nor keep another one out by being idle; a motion ends with the client that ordered it,
-//! however that ends, and nobody else's; a jog goes on only while the client says, over and over, that it is alive.
+//! Invariants: a client can neither block the machine nor another client, nor keep another one out by being idle; a
+//! motion ends with the client that ordered it, however that ends, and nobody else's does; a jog goes on only while the client says, over and over, that it is alive.
 
 use super::lanes::Lanes;
 use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};

@@ -1,7 +1,8 @@
 //! The machine's handling of orders and events, without clock, port or thread.
 //!
-//! Invariants: every order gets exactly one answer; a motion of a program that has gone ends, and nothing else does; a broken connection ends every order but a drawing that the firmware
-//! may hold, which goes on with an order and with nothing else.
+//! Invariants: every order gets exactly one answer; a motion of a program that has gone ends, and nothing else does; a
+//! broken connection ends every order but a drawing that the firmware may hold, which goes on with an order and with
+//! nothing else.
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
