@@ -16,6 +16,7 @@ use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{FeedbackMonitor, Implausible};
 use crate::control::limited;
+use crate::control::torque_feedback::Demanded;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
 use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
@@ -532,11 +533,11 @@ impl EtherCatRobot {
         found
     }
 
-    /// Tells the greatest acceleration of any axis's reference, rad/s2: what it makes a torque axis's load change by is no
-    /// fault of its feedback.
-    pub fn set_unrest(&mut self, rad_s2: f64) {
-        for axis in &mut self.axes {
-            axis.feedback.set_unrest(rad_s2);
+    /// Tells the axes that take a torque what their references demand: which motion and which change of their load is no
+    /// fault of the feedback.
+    pub fn set_demanded(&mut self, demanded: &[Demanded; AXES]) {
+        for (axis, demanded) in self.axes.iter_mut().zip(demanded) {
+            axis.feedback.set_demanded(demanded);
         }
     }
 

@@ -7,10 +7,9 @@
 //! - **Velocity.** The drive follows the velocity after a delay, modelled as a low-pass of that delay. The *deviation*
 //!   is the sum of predicted less measured motion. What is left of a wrong delay is a motion of [`LAG_MS`] at the present
 //!   speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
-//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; a slowly changing load is
-//!   part of its state. The deviation is its position error. What inertia and coupling may be wrong by is allowed in
-//!   proportion to the greatest acceleration of the references ([`UNREST_S2`]), and a weight that changes with the pose in
-//!   proportion to the measured speed.
+//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its position
+//!   error. Beside it the motion is compared with the one before, with the reference and with the torque
+//!   (`torque_feedback.rs`).
 //! - **Noise.** The mean change of the measured speed from one millisecond to the next is an acceleration. Above what
 //!   any motor can do, the measurement is noise.
 //!
@@ -19,6 +18,7 @@
 //! Invariants: bounded work without a branch on data; all values stay finite; at rest, with drives that hold, nothing adds
 //! up.
 
+use super::torque_feedback::{Demanded, TorqueModel};
 use crate::config::{Axis, AxisMode};
 
 /// How far the model of a drive's delay may be wrong, ms. A drive that samples on a clock of its own repeats or leaves
@@ -33,17 +33,6 @@ const LEAK_PER_MS: f32 = 1.0e-6;
 const NOISE_SHARE: f32 = 1.0 / 32.0;
 /// Change of speed, in speeds, that a drive's own sampling clock can make of every millisecond.
 const NOISE_PER_SPEED: f32 = 2.0;
-/// Bandwidth of the disturbance observer, 1/s, and per millisecond.
-const OBSERVER_PER_S: f32 = 20.0;
-const OBSERVER_PER_MS: f32 = OBSERVER_PER_S / 1_000.0;
-/// Deviation in torque mode for each rad/s2 of the references' acceleration, rad.
-pub const UNREST_S2: f32 = 5.0e-4;
-/// Share of the unrest that a millisecond leaves: the observer forgets twice as fast.
-const UNREST_DECAY: f32 = 0.99;
-/// Unrest of a drive that has just taken its power, rad: the brake gives way to a load that the observer does not know.
-const ENABLING_UNREST_RAD: f32 = 1.0;
-/// What a radian's change of the weight makes of the deviation in torque mode: motion of so many ms.
-const WEIGHT_MS: f32 = 6.0;
 /// Part of the deviation limit that applies in torque mode: there an error grows with the square of time and faster.
 const TORQUE_LIMIT_SHARE: f32 = 0.25;
 
@@ -75,23 +64,6 @@ struct VelocityModel {
     kept: f32,
     /// Filtered command, rad a millisecond.
     expected_rad: f32,
-}
-
-/// Prediction by a torque command.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct TorqueModel {
-    /// Change of speed in a millisecond, rad a millisecond, for a digit, times the share of a new command.
-    rad_per_digit: f32,
-    /// Share of the filtered command that stays.
-    kept: f32,
-    /// Filtered command, change of speed in a millisecond.
-    push_rad: f32,
-    /// Speed, rad a millisecond.
-    speed_rad: f32,
-    /// Change of speed in a millisecond by the load.
-    load_rad: f32,
-    /// Allowance for acceleration, rad.
-    unrest_rad: f32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,18 +107,7 @@ impl FeedbackMonitor {
                     expected_rad: 0.0,
                 })
             }
-            AxisMode::Torque => {
-                let share = share_of(axis.torque_lead_ms + axis.measurement_age_ms - 0.5);
-                let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
-                Model::Torque(TorqueModel {
-                    rad_per_digit: (share * STEP_S * STEP_S / (digits_per_unit * inertia_kg_m2)) as f32,
-                    kept: (1.0 - share) as f32,
-                    push_rad: 0.0,
-                    speed_rad: 0.0,
-                    load_rad: 0.0,
-                    unrest_rad: ENABLING_UNREST_RAD,
-                })
-            }
+            AxisMode::Torque => Model::Torque(TorqueModel::new(axis, digits_per_unit)),
         };
         Self {
             model,
@@ -171,10 +132,7 @@ impl FeedbackMonitor {
         self.blind_ms = 0;
         match &mut self.model {
             Model::Velocity(model) => model.expected_rad = 0.0,
-            Model::Torque(model) => {
-                (model.push_rad, model.speed_rad, model.load_rad) = (0.0, 0.0, 0.0);
-                model.unrest_rad = ENABLING_UNREST_RAD;
-            }
+            Model::Torque(model) => model.reset(),
         }
     }
 
@@ -192,7 +150,11 @@ impl FeedbackMonitor {
         self.noise_rad += (change_rad - self.noise_rad) * NOISE_SHARE;
         self.expect(sent_digits);
         self.compare(moved_rad);
-        (self.deviation_rad.abs() <= self.deviation_limit_rad()) & (self.noise_rad <= self.noise_limit_rad())
+        let follows = match &mut self.model {
+            Model::Velocity(_) => true,
+            Model::Torque(model) => model.follows(in_one_ms_rad),
+        };
+        follows & (self.deviation_rad.abs() <= self.deviation_limit_rad()) & (self.noise_rad <= self.noise_limit_rad())
     }
 
     /// One millisecond without a position: the motion expected in it is compared with the next position.
@@ -208,18 +170,24 @@ impl FeedbackMonitor {
         moved_rad / (1.0 + f32::from(core::mem::take(&mut self.blind_ms)))
     }
 
-    /// Tells the greatest acceleration of any axis's reference, rad/s2; only a torque axis needs it.
-    pub fn set_unrest(&mut self, rad_s2: f64) {
+    /// Tells what the references demand from now on; only a torque axis needs it.
+    pub fn set_demanded(&mut self, demanded: &Demanded) {
         if let Model::Torque(model) = &mut self.model {
-            let decayed = model.unrest_rad * UNREST_DECAY;
-            let now = UNREST_S2 * rad_s2 as f32;
-            model.unrest_rad = if now > decayed { now } else { decayed };
+            model.set_demanded(demanded);
         }
     }
 
     /// What is wrong, after [`Self::step`] has found something.
     #[cold]
     pub fn implausible(&self) -> Implausible {
+        if let Model::Torque(model) = &self.model
+            && let Some([deviation_rad, limit_rad]) = model.broken()
+        {
+            return Implausible::Deviation {
+                deviation_rad,
+                limit_rad,
+            };
+        }
         let limit_rad = self.deviation_limit_rad();
         if self.deviation_rad.abs() > limit_rad {
             return Implausible::Deviation {
@@ -236,19 +204,24 @@ impl FeedbackMonitor {
 
     /// Deviation and noise, each as a part of its limit.
     pub fn margins_used(&self) -> [f32; 2] {
+        let deviation = self.deviation_rad.abs() / self.deviation_limit_rad();
+        let other = match &self.model {
+            Model::Velocity(_) => 0.0,
+            Model::Torque(model) => model.margin_used(),
+        };
         [
-            self.deviation_rad.abs() / self.deviation_limit_rad(),
+            if other > deviation { other } else { deviation },
             self.noise_rad / self.noise_limit_rad(),
         ]
     }
 
     #[inline]
     fn deviation_limit_rad(&self) -> f32 {
-        let allowed_rad = match &self.model {
-            Model::Velocity(_) => self.speed_rad * LAG_MS,
-            Model::Torque(model) => model.unrest_rad + WEIGHT_MS * self.moved_rad.abs(),
+        let unrest_rad = match &self.model {
+            Model::Velocity(_) => 0.0,
+            Model::Torque(model) => model.unrest_rad(),
         };
-        self.limit_rad + allowed_rad
+        self.limit_rad + unrest_rad + self.speed_rad * LAG_MS
     }
 
     #[inline]
@@ -268,10 +241,8 @@ impl FeedbackMonitor {
                 self.deviation_rad += expected_rad;
             }
             Model::Torque(model) => {
-                model.push_rad = model.push_rad * model.kept + sent * model.rad_per_digit;
-                model.speed_rad += model.push_rad + model.load_rad;
-                self.speed_rad = model.speed_rad.abs();
-                self.deviation_rad += model.speed_rad;
+                self.deviation_rad += model.expect(sent);
+                self.speed_rad = model.speed_rad();
             }
         }
     }
@@ -285,20 +256,13 @@ impl FeedbackMonitor {
                 let leak = LEAK_PER_MS + LEAK_PER_RAD * self.speed_rad;
                 self.deviation_rad = deviation_rad - deviation_rad * leak;
             }
-            Model::Torque(model) => {
-                // A triple pole of the observer.
-                model.speed_rad -= 3.0 * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
-                model.load_rad -= OBSERVER_PER_MS * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
-                self.deviation_rad = deviation_rad - 3.0 * OBSERVER_PER_MS * deviation_rad;
-            }
+            Model::Torque(model) => self.deviation_rad = model.correct(deviation_rad),
         }
     }
 }
 
 /// Length of a step, s.
 const STEP_S: f64 = 1.0e-3;
-/// Stands for an inertia of 0, which switches the torque feed-forward off.
-const INERTIA_MIN_KG_M2: f64 = 1.0e-3;
 
 #[cfg(test)]
 mod tests {
@@ -544,7 +508,6 @@ mod tests {
         // A quarter of the inertia's weight as a load that changes slowly, held by the torque.
         let moved = |monitor: &mut FeedbackMonitor, torque_nm: f64| monitor.step((torque_nm * 10.0) as i32, 0);
         for ms in 0..5_000 {
-            monitor.set_unrest(0.0);
             let load_nm = 5.0 * libm::sin(f64::from(ms) / 1_000.0);
             // The torque answers the load; nothing moves.
             assert!(moved(&mut monitor, load_nm), "{:?} at {ms} ms", monitor.implausible());

@@ -5,6 +5,7 @@ pub mod feedback;
 pub mod position;
 pub mod sampler;
 pub mod supervision;
+pub mod torque_feedback;
 pub mod velocity;
 mod window;
 

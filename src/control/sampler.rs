@@ -19,6 +19,7 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::limited;
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
+use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
 use crate::control::window::Window;
 use crate::drives::cia402::{DriveState, DriveTarget};
@@ -506,7 +507,7 @@ impl<'a> Sampler<'a> {
         };
         let moving = following && target == DriveTarget::Enabled && self.robot.is_in_operation();
         if self.has_torque_axis {
-            self.tell_unrest(moving);
+            self.tell_demanded(moving);
         }
         self.write_axis::<0>(target, moving, output_rad_s);
         self.write_axis::<1>(target, moving, output_rad_s);
@@ -525,14 +526,26 @@ impl<'a> Sampler<'a> {
         self.robot.write_axis::<AXIS>(&mut self.exchange, &command);
     }
 
-    /// Tells the axes how hard the references accelerate: it changes the load of every one that takes a torque.
+    /// Tells the axes what the references demand of them and of the others.
     #[inline(never)]
-    fn tell_unrest(&mut self, moving: bool) {
-        let [now, next] = self.window.velocities_around(0);
-        let changes = now.iter().zip(next).map(|(now, next)| (next - now).abs());
-        let most_rad_s = changes.fold(0.0, |most, change| if change > most { change } else { most });
-        self.robot
-            .set_unrest(if moving { most_rad_s * CYCLES_PER_S } else { 0.0 });
+    fn tell_demanded(&mut self, moving: bool) {
+        let mut demanded = [Demanded::default(); AXES];
+        if moving {
+            let [now, next] = self.window.velocities_around(0);
+            let (mut sum_rad_s2, mut most_rad_s2, mut most_rad_s) = (0.0_f32, 0.0_f32, 0.0_f32);
+            for (axis, (now, next)) in demanded.iter_mut().zip(now.iter().zip(next)) {
+                axis.own_rad_s = *now as f32;
+                axis.own_rad_s2 = ((next - now).abs() * CYCLES_PER_S) as f32;
+                sum_rad_s2 += axis.own_rad_s2;
+                most_rad_s2 = most_rad_s2.max(axis.own_rad_s2);
+                most_rad_s = most_rad_s.max(axis.own_rad_s.abs());
+            }
+            for axis in &mut demanded {
+                axis.others_rad_s2 = sum_rad_s2 - axis.own_rad_s2;
+                (axis.greatest_rad_s, axis.greatest_rad_s2) = (most_rad_s, most_rad_s2);
+            }
+        }
+        self.robot.set_demanded(&demanded);
     }
 
     /// The torque that leads an axis to a velocity, N m at the joint; an enabled axis that does not move is held.

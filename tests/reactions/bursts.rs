@@ -82,7 +82,7 @@ fn of_frames(random: &mut Random) -> Event {
     Event::Frames(fault, 1 + random.below(60))
 }
 
-fn of_a_slave(random: &mut Random, at_rest: bool) -> Fault {
+fn of_a_slave(random: &mut Random) -> Fault {
     let slave = 1 + random.below(4) as usize;
     let (ms, code) = (1 + random.below(LASTS_MAX_MS), random.one_of(&CODES));
     let states = [AlState::PreOperational, AlState::SafeOperational, AlState::Operational];
@@ -124,13 +124,13 @@ fn of_a_slave(random: &mut Random, at_rest: bool) -> Fault {
                 random.one_of(&faults),
             )
         }
-        13 if at_rest => Fault::Resolver(slave, ResolverFault::Stuck, ms),
+        13 if random.below(2) == 0 => Fault::Resolver(slave, ResolverFault::Stuck, ms),
         13 => Fault::Mains(slave, ms),
         _ => Fault::Drive(slave, 0x2310),
     }
 }
 
-fn event(random: &mut Random, at_rest: bool) -> Event {
+fn event(random: &mut Random) -> Event {
     match random.below(12) {
         0 | 1 => of_frames(random),
         2 => Event::EmergencyStop,
@@ -155,7 +155,7 @@ fn event(random: &mut Random, at_rest: bool) -> Event {
             Command::Cancel,
             Command::Reference,
         ])),
-        _ => Event::Cell(of_a_slave(random, at_rest)),
+        _ => Event::Cell(of_a_slave(random)),
     }
 }
 
@@ -208,7 +208,7 @@ fn burst(seed: u64) -> u32 {
     }
     let count = 1 + random.below(6);
     let mut events: Vec<(u64, Event)> = (0..count)
-        .map(|_| (random.below(BURST_MAX_MS), event(&mut random, start < 2)))
+        .map(|_| (random.below(BURST_MAX_MS), event(&mut random)))
         .collect();
     events.sort_by_key(|(at_ms, _)| *at_ms);
     let healed_ms = random.below(3_000);

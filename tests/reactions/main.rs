@@ -7,6 +7,7 @@ mod board;
 mod bursts;
 mod commands;
 mod feedback;
+mod feedback_scan;
 mod liveness;
 mod outside;
 mod robot;

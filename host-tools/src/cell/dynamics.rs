@@ -21,7 +21,6 @@ const ROTOR_KG_M2: f64 = 2.0e-4;
 /// Inertia of the fourth axis and of drives that move nothing, kg m2 at the joint.
 const ALONE_KG_M2: f64 = 0.05;
 const VISCOUS_NM_S: f64 = 0.05;
-const COULOMB_NM: f64 = 0.3;
 /// Speed at which dry friction is mostly there, rad/s.
 const COULOMB_RAD_S: f64 = 0.02;
 const SUBSTEPS: u32 = 4;
@@ -37,14 +36,16 @@ type Arms = [f64; ARMS];
 pub(super) struct Dynamics {
     delta: Option<Delta>,
     upper_arm_m: f64,
+    dry_friction_nm: f64,
     speeds_before: Arms,
 }
 
 impl Dynamics {
-    pub(super) fn new(geometry: &Geometry) -> Self {
+    pub(super) fn new(geometry: &Geometry, dry_friction_nm: f64) -> Self {
         Self {
             delta: Delta::new(geometry).ok(),
             upper_arm_m: geometry.upper_arm_mm / 1000.0,
+            dry_friction_nm,
             speeds_before: [0.0; ARMS],
         }
     }
@@ -56,7 +57,7 @@ impl Dynamics {
         for drive in others {
             if let Some(torque_nm) = drive.joint_torque_nm() {
                 let inertia = ALONE_KG_M2 + drive.gear().powi(2) * ROTOR_KG_M2;
-                let acceleration = (torque_nm - friction_nm(drive.joint_rad_s())) / inertia;
+                let acceleration = (torque_nm - self.friction_nm(drive.joint_rad_s())) / inertia;
                 drive.accelerate(acceleration, STEP_S);
             }
         }
@@ -130,7 +131,7 @@ impl Dynamics {
             }
             let weight_nm = moment * pick(&angles).cos() - mass_kg * GRAVITY_M_S2 * z;
             let carried_nm = mass_kg * (x * cx + y * cy + z * cz);
-            let right = torque_nm + weight_nm - friction_nm(pick(&speeds)) - carried_nm;
+            let right = torque_nm + weight_nm - self.friction_nm(pick(&speeds)) - carried_nm;
             row.iter_mut().skip(ARMS).for_each(|entry| *entry = right);
         }
         solve(rows)
@@ -158,6 +159,10 @@ impl Dynamics {
         Some((columns, curvature))
     }
 
+    fn friction_nm(&self, speed_rad_s: f64) -> f64 {
+        VISCOUS_NM_S * speed_rad_s + self.dry_friction_nm * (speed_rad_s / COULOMB_RAD_S).tanh()
+    }
+
     fn position(&self, [a, b, c]: Arms) -> Option<[f64; 3]> {
         let mut joints = [0.0; AXES];
         joints
@@ -167,10 +172,6 @@ impl Dynamics {
         let position = self.delta.as_ref()?.forward(&JointAngles(joints)).ok()?;
         Some([position.x_mm, position.y_mm, position.z_mm].map(|mm| mm / 1000.0))
     }
-}
-
-fn friction_nm(speed_rad_s: f64) -> f64 {
-    VISCOUS_NM_S * speed_rad_s + COULOMB_NM * (speed_rad_s / COULOMB_RAD_S).tanh()
 }
 
 fn combine<const N: usize>(a: [f64; N], b: [f64; N], with: impl Fn(f64, f64) -> f64) -> [f64; N] {
@@ -223,7 +224,7 @@ mod tests {
 
     #[test]
     fn arms_without_torque_fall_and_their_weight_holds_them() {
-        let dynamics = Dynamics::new(&Geometry::default());
+        let dynamics = Dynamics::new(&Geometry::default(), 0.3);
         let rotor = [0.03; ARMS];
         let falling = dynamics.accelerations(ANGLES, [0.0; 3], [Some(0.0); 3], [0.0; 3], rotor);
         assert!(
@@ -237,7 +238,7 @@ mod tests {
 
     #[test]
     fn work_of_torque_and_weight_becomes_kinetic_energy_and_friction() {
-        let dynamics = Dynamics::new(&Geometry::default());
+        let dynamics = Dynamics::new(&Geometry::default(), 0.3);
         let rotor = [0.03; ARMS];
         let (mut angles, mut speeds) = (ANGLES, [0.0; ARMS]);
         let torques = [4.0, -3.0, 2.0];
@@ -256,7 +257,7 @@ mod tests {
                 speeds[arm] += acceleration[arm] * step_s;
                 let mean = (before + speeds[arm]) / 2.0;
                 angles[arm] += mean * step_s;
-                work += (torques[arm] - friction_nm(mean)) * mean * step_s;
+                work += (torques[arm] - dynamics.friction_nm(mean)) * mean * step_s;
             }
         }
         let (jacobian, _) = dynamics.platform(angles, speeds).expect("reachable");

@@ -130,6 +130,8 @@ pub struct CellOptions {
     /// Speed by which dry friction slows the drives' velocity loops down until their integral makes up for it, rad/s at
     /// the joint.
     pub friction_rad_s: f64,
+    /// Dry friction of joints in torque mode, N m.
+    pub dry_friction_nm: f64,
 }
 
 /// Distributed clocks of the slaves, and how long frames travel.
@@ -170,6 +172,7 @@ impl Default for CellOptions {
             sii_busy_us: eeprom::BUSY_NS / 1000,
             resolver_noise_increments: 0.0,
             friction_rad_s: 0.0,
+            dry_friction_nm: 0.3,
         }
     }
 }
@@ -268,7 +271,7 @@ impl Cell {
         Self {
             segment,
             robot,
-            dynamics: Dynamics::new(&config.geometry),
+            dynamics: Dynamics::new(&config.geometry, options.dry_friction_nm),
             sheet: Sheet::new(config.paper),
             schedule: Schedule::new(&options.faults, random.next()),
             boundary_us: None,

@@ -1,0 +1,298 @@
+//! Whether the position feedback of an axis in torque mode can be true: torque and references against the motion shown.
+//!
+//! In torque mode the firmware closes the velocity loop, so that a wrong feedback makes an arm run away with the square of
+//! time and faster. Four comparisons, each quick where the others are slow:
+//!
+//! - **Observer.** A disturbance observer with a triple pole at [`OBSERVER_PER_S`] predicts the position from torque and
+//!   inertia; the load is part of its state. Its position error answers an acceleration `d` that the model lacks with
+//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a filter
+//!   with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of `|d|` is in
+//!   proportion to what the references demand now, not to what they may demand ever.
+//! - **Sudden.** The motion of two milliseconds differs from that of the two before by what the motor can do, or by one
+//!   position that is repeated or left out.
+//! - **Stuck.** While the reference moves, the position follows in the same direction.
+//! - **Torque against a position at rest.** While the references move and the position does not, the torque changes by no
+//!   more than friction, acceleration and the changing weight explain.
+//!
+//! The figures are those of the virtual cell's robot, half an arm's nominal inertia of its own and 0.3 N m of dry friction
+//! at the joint, with a factor of about two (`tests/reactions/feedback.rs` prints what sound robots use).
+//!
+//! Invariants: bounded work; all values stay finite; what the references demand comes from the plan, never from the axis's
+//! own feedback.
+
+use crate::config::Axis;
+
+/// Poles of the observer, 1/s and per millisecond.
+const OBSERVER_PER_S: f32 = 30.0;
+const OBSERVER_PER_MS: f32 = OBSERVER_PER_S / 1_000.0;
+/// Poles of the filter that bounds the observer's error, per millisecond.
+const BOUND_PER_MS: f32 = 0.86 * OBSERVER_PER_MS;
+/// Acceleration that the model lacks for one of the axis's own reference: the inertia may be wrong by this share.
+const OWN_SHARE: f32 = 0.6;
+/// Acceleration that the model lacks for one of the other axes' references: coupling.
+const OTHERS_SHARE: f32 = 0.4;
+/// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: a weight that changes by 20 rad/s2 a radian, and
+/// the observer that needs `1 / w` to follow.
+const WEIGHT_PER_S: f32 = 0.74;
+/// Speed that stands for what is not known when a drive takes its power, rad a millisecond: the answer to a load of
+/// 30 rad/s2 (9 N m at 0.3 kg m2) that the opening brake leaves to the motor.
+const ENABLING_RAD: f32 = 2.0e-3;
+
+/// Change of the speed in two milliseconds that is never sudden, rad/s2, and the part of the references' greatest
+/// acceleration that adds to it.
+const SUDDEN_RAD_S2: f32 = 125.0;
+const SUDDEN_SHARE: f32 = 0.75;
+
+/// Motion within which a position counts as standing, rad.
+const STANDING_RAD: f32 = 2.0e-4;
+/// How far the reference may go from a position that stands: a part of the deviation limit, and a lag behind speed (s) and
+/// acceleration (s2).
+const STUCK_LIMIT_SHARE: f32 = 0.125;
+const STUCK_LAG_S: f32 = 4.0e-3;
+const STUCK_LAG_S2: f32 = 1.5e-5;
+/// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
+/// friction of 0.3 N m from one direction to the other.
+const FRICTION_RAD_S2: f32 = 2.0;
+/// What the bound of the model's error counts for a torque that acts on a position at rest.
+const STANDING_BOUND_SHARE: f32 = 3.0;
+/// Change of the load for each radian that any axis moves, 1/s2.
+const LOAD_PER_RAD_S2: f32 = 20.0;
+/// Share of a new torque in the one that is compared with a position at rest: the mean of 16 ms.
+const TORQUE_SHARE: f32 = 1.0 / 16.0;
+/// Share by which the torque of a position at rest is learned in each millisecond while no reference moves.
+const REST_SHARE: f32 = 0.02;
+/// Share of a past speed or acceleration that a millisecond leaves: the motion answers later than the reference.
+const HELD_SHARE: f32 = 0.95;
+
+/// Length of a step, s.
+const STEP_S: f64 = 1.0e-3;
+const STEP_S2: f32 = (STEP_S * STEP_S) as f32;
+/// Stands for an inertia of 0, which switches the torque feed-forward off.
+const INERTIA_MIN_KG_M2: f64 = 1.0e-3;
+
+/// What the references demand in this millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Demanded {
+    /// Speed of the axis's own reference, rad/s.
+    pub own_rad_s: f32,
+    /// Acceleration of the axis's own reference, rad/s2, without its sign.
+    pub own_rad_s2: f32,
+    /// Accelerations of the other axes' references, rad/s2: the sum of their amounts.
+    pub others_rad_s2: f32,
+    /// Greatest speed of any axis's reference, rad/s.
+    pub greatest_rad_s: f32,
+    /// Greatest acceleration of any axis's reference, rad/s2.
+    pub greatest_rad_s2: f32,
+}
+
+/// A value beside what it may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Margin {
+    value: f32,
+    limit: f32,
+}
+
+impl Margin {
+    const NONE: Self = Self { value: 0.0, limit: 1.0 };
+
+    #[inline]
+    fn is_kept(self) -> bool {
+        self.value <= self.limit
+    }
+}
+
+/// Prediction by a torque command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct TorqueModel {
+    /// Change of speed in a millisecond, rad a millisecond, for a digit, times the share of a new command.
+    rad_per_digit: f32,
+    /// Share of the filtered command that stays.
+    kept: f32,
+    /// Reference that a position at rest may be left behind by, rad.
+    stuck_limit_rad: f32,
+    demanded: Demanded,
+    /// Speed and acceleration of references that were demanded a moment ago, rad/s and rad/s2.
+    held_rad_s: f32,
+    held_rad_s2: f32,
+    /// Filtered command, change of speed in a millisecond.
+    push_rad: f32,
+    /// Speed, rad a millisecond.
+    speed_rad: f32,
+    /// Change of speed in a millisecond by the load.
+    load_rad: f32,
+    /// The bound of the observer's error: its speed, rad a millisecond, and itself, rad.
+    unrest_speed_rad: f32,
+    unrest_rad: f32,
+    /// Motion measured in the last milliseconds, the newest first, rad.
+    recent_rad: [f32; 3],
+    /// Since the position last left its place: motion of the reference, of the position, and the longest way of any axis, rad.
+    reference_rad: f32,
+    position_rad: f32,
+    way_rad: f32,
+    /// Mean command, and that of when the position last left its place; changes of speed in a millisecond.
+    mean_push_rad: f32,
+    mark_push_rad: f32,
+    sudden: Margin,
+    stuck: Margin,
+    pushed: Margin,
+}
+
+impl TorqueModel {
+    /// A model of an axis whose drive takes `digits_per_unit` for an N m at the joint.
+    pub(super) fn new(axis: &Axis, digits_per_unit: f64) -> Self {
+        let delay_ms = axis.torque_lead_ms + axis.measurement_age_ms - 0.5;
+        let share = 1.0 / (1.0 + delay_ms.max(0.0));
+        let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
+        let rad_per_digit = (share * STEP_S * STEP_S / (digits_per_unit * inertia_kg_m2)) as f32;
+        let stuck_limit_rad = STUCK_LIMIT_SHARE * axis.feedback_deviation_max_rad as f32;
+        Self::at_rest(rad_per_digit, (1.0 - share) as f32, stuck_limit_rad)
+    }
+
+    /// Nothing is commanded and measured yet.
+    fn at_rest(rad_per_digit: f32, kept: f32, stuck_limit_rad: f32) -> Self {
+        Self {
+            rad_per_digit,
+            kept,
+            stuck_limit_rad,
+            demanded: Demanded::default(),
+            held_rad_s: 0.0,
+            held_rad_s2: 0.0,
+            push_rad: 0.0,
+            speed_rad: 0.0,
+            load_rad: 0.0,
+            unrest_speed_rad: ENABLING_RAD,
+            unrest_rad: 0.0,
+            recent_rad: [0.0; 3],
+            reference_rad: 0.0,
+            position_rad: 0.0,
+            way_rad: 0.0,
+            mean_push_rad: 0.0,
+            mark_push_rad: 0.0,
+            sudden: Margin::NONE,
+            stuck: Margin::NONE,
+            pushed: Margin::NONE,
+        }
+    }
+
+    /// Forgets all that was commanded and measured.
+    pub(super) fn reset(&mut self) {
+        *self = Self::at_rest(self.rad_per_digit, self.kept, self.stuck_limit_rad);
+    }
+
+    /// Tells what the references demand from now on.
+    pub(super) fn set_demanded(&mut self, demanded: &Demanded) {
+        self.demanded = *demanded;
+    }
+
+    /// Speed that the model expects, rad a millisecond.
+    #[inline]
+    pub(super) fn speed_rad(&self) -> f32 {
+        self.speed_rad.abs()
+    }
+
+    /// What the observer's error may be, because the model is not the robot, rad.
+    #[inline]
+    pub(super) fn unrest_rad(&self) -> f32 {
+        self.unrest_rad
+    }
+
+    /// One millisecond of the model under this command; gives the motion.
+    #[inline]
+    pub(super) fn expect(&mut self, sent_digits: f32) -> f32 {
+        let demanded = &self.demanded;
+        let bound_rad_s2 = OWN_SHARE * demanded.own_rad_s2
+            + OTHERS_SHARE * demanded.others_rad_s2
+            + WEIGHT_PER_S * demanded.greatest_rad_s;
+        self.unrest_speed_rad += bound_rad_s2 * STEP_S2 - self.unrest_speed_rad * BOUND_PER_MS;
+        self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
+        self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
+        self.held_rad_s2 = greater(demanded.greatest_rad_s2, self.held_rad_s2 * HELD_SHARE);
+        self.reference_rad += demanded.own_rad_s * STEP_S as f32;
+        self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
+        self.push_rad = self.push_rad * self.kept + sent_digits * self.rad_per_digit;
+        self.mean_push_rad += (self.push_rad - self.mean_push_rad) * TORQUE_SHARE;
+        self.speed_rad += self.push_rad + self.load_rad;
+        self.speed_rad
+    }
+
+    /// Corrects the model by the observer's error; gives the error that is left.
+    #[inline]
+    pub(super) fn correct(&mut self, deviation_rad: f32) -> f32 {
+        self.speed_rad -= 3.0 * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
+        self.load_rad -= OBSERVER_PER_MS * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
+        deviation_rad - 3.0 * OBSERVER_PER_MS * deviation_rad
+    }
+
+    /// Takes the motion of a millisecond, rad. Whether it goes with the motion before, the references and the torque.
+    #[inline]
+    pub(super) fn follows(&mut self, moved_rad: f32) -> bool {
+        self.look_for_sudden(moved_rad);
+        self.look_for_stuck(moved_rad);
+        self.sudden.is_kept() & self.stuck.is_kept() & self.pushed.is_kept()
+    }
+
+    /// The first comparison that failed: its value, and its limit.
+    #[cold]
+    pub(super) fn broken(&self) -> Option<[f32; 2]> {
+        let all = [self.sudden, self.stuck, self.pushed];
+        let broken = all.iter().find(|margin| !margin.is_kept());
+        broken.map(|margin| [margin.value, margin.limit])
+    }
+
+    /// The greatest part of its limit that a comparison uses.
+    pub(super) fn margin_used(&self) -> f32 {
+        let used = [self.sudden, self.stuck, self.pushed].map(|margin| margin.value / margin.limit);
+        used.into_iter().fold(0.0, greater)
+    }
+
+    /// The motion of two milliseconds beside that of the two before. One of its positions may be repeated or left out.
+    #[inline]
+    fn look_for_sudden(&mut self, moved_rad: f32) {
+        let [newest, before, oldest] = self.recent_rad;
+        self.recent_rad = [moved_rad, newest, before];
+        let [low, high] = match before < oldest {
+            true => [before, oldest],
+            false => [oldest, before],
+        };
+        let least = if low > 0.0 { low } else { 3.0 * low };
+        let most = if high > 0.0 { 3.0 * high } else { high };
+        let sum = moved_rad + newest;
+        self.sudden = Margin {
+            value: greater(least - sum, sum - most),
+            limit: 4.0 * STEP_S2 * (SUDDEN_RAD_S2 + SUDDEN_SHARE * self.demanded.greatest_rad_s2),
+        };
+    }
+
+    /// The reference, and the torque, beside a position that stands where it stood.
+    #[inline]
+    fn look_for_stuck(&mut self, moved_rad: f32) {
+        self.position_rad += moved_rad;
+        let is_left = self.position_rad.abs() > STANDING_RAD;
+        let is_led = self.reference_rad.abs() > STANDING_RAD;
+        let against = self.position_rad * self.reference_rad < 0.0;
+        if is_left & is_led & against {
+            // The way back counts as following.
+            self.position_rad = if self.position_rad < 0.0 { -STANDING_RAD } else { STANDING_RAD };
+        } else if is_left {
+            (self.reference_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
+            self.mark_push_rad = self.mean_push_rad;
+        }
+        if self.demanded.greatest_rad_s == 0.0 {
+            self.mark_push_rad += (self.mean_push_rad - self.mark_push_rad) * REST_SHARE;
+        }
+        self.stuck = Margin {
+            value: self.reference_rad.abs(),
+            limit: self.stuck_limit_rad + STUCK_LAG_S * self.held_rad_s + STUCK_LAG_S2 * self.held_rad_s2,
+        };
+        let explained_rad_s2 = FRICTION_RAD_S2 + self.held_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
+        self.pushed = Margin {
+            value: (self.mean_push_rad - self.mark_push_rad).abs(),
+            limit: explained_rad_s2 * STEP_S2 + STANDING_BOUND_SHARE * BOUND_PER_MS * self.unrest_speed_rad,
+        };
+    }
+}
+
+#[inline]
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}

@@ -1,0 +1,176 @@
+//! A scan over faults of the position feedback, speeds, axes, directions and poses, in both drive modes.
+//!
+//! The tables are part of `docs/faults.md`; the tests compare. A change that is meant to change them is followed by
+//! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and a look at the difference.
+
+use crate::feedback::{Case, Kind, Outcome, case, drive, recover, with};
+use crate::robot::Robot;
+use etherpen::application::Mode;
+use etherpen::config::AxisMode;
+use host_tools::cell::CellOptions;
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::sync::Mutex;
+
+/// Speeds of the pen, mm/s: from a slow jog to the speed limit of most drawings and beyond.
+const SPEEDS_MM_S: [f64; 6] = [5.0, 20.0, 100.0, 300.0, 1_000.0, 2_500.0];
+/// Cases for each fault and speed.
+const CASES: u64 = 8;
+/// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
+const SLOW_MAX_MM: f64 = 5.0;
+const MEDIUM_MAX_MM: f64 = 20.0;
+/// Most deviation by a slip that torque mode does not notice, mm: a tenth of the longest move.
+const SLIP_MAX_MM: f64 = 30.0;
+/// Most deviation of a sound robot, mm. In torque mode gravity, friction and coupling are left to the feedback.
+const SOUND_MAX_MM: f64 = 0.1;
+const SOUND_TORQUE_MAX_MM: f64 = 5.0;
+/// Noise of a sound resolver, increments at most: 17 bits of 20.
+const NOISE_INCREMENTS: f64 = 8.0;
+const DOCUMENT: &str = "docs/faults.md";
+/// Set to write the tables instead of comparing with them.
+const RENEW: &str = "ETHERPEN_RENEW_FAULTS";
+
+/// The worst of some cases: latest notice, most deviation, and how many were not noticed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Worst {
+    noticed_ms: u32,
+    deviation_mm: f64,
+    unnoticed: u32,
+}
+
+fn scan(mode: AxisMode, cases: u64) -> Vec<(Kind, Vec<Worst>)> {
+    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::idle_with(&with(mode, speed_mm_s)));
+    let mut table = Vec::new();
+    for kind in Kind::ALL {
+        let mut row = Vec::new();
+        for (speed_mm_s, robot) in SPEEDS_MM_S.into_iter().zip(&mut robots) {
+            let mut worst = Worst::default();
+            for seed in 0..cases {
+                let case = case(Some(kind), speed_mm_s, seed + 1);
+                let outcome = drive(robot, &case);
+                println!("{case:?}: {outcome:?}, {:?}", robot.fault());
+                recover(robot, &case);
+                worst.noticed_ms = worst.noticed_ms.max(outcome.noticed_ms.unwrap_or(0));
+                worst.deviation_mm = worst.deviation_mm.max(outcome.deviation_mm);
+                worst.unnoticed += u32::from(outcome.noticed_ms.is_none());
+            }
+            row.push(worst);
+        }
+        table.push((kind, row));
+    }
+    table
+}
+
+fn rendered(table: &[(Kind, Vec<Worst>)]) -> String {
+    let mut text = String::from("| feedback |");
+    SPEEDS_MM_S
+        .iter()
+        .for_each(|speed| write!(text, " {speed:.0} mm/s |").expect("memory"));
+    text.push_str("\n|---|");
+    SPEEDS_MM_S.iter().for_each(|_| text.push_str("---|"));
+    for (kind, row) in table {
+        write!(text, "\n| {} |", kind.name()).expect("memory");
+        for worst in row {
+            write!(text, " {} ms, {:.1} mm", worst.noticed_ms, worst.deviation_mm).expect("memory");
+            if worst.unnoticed > 0 {
+                write!(text, " ({} not noticed)", worst.unnoticed).expect("memory");
+            }
+            text.push_str(" |");
+        }
+    }
+    text.push('\n');
+    text
+}
+
+fn assert_within_limits(mode: AxisMode, table: &[(Kind, Vec<Worst>)]) {
+    for (kind, row) in table {
+        for (speed_mm_s, worst) in SPEEDS_MM_S.iter().zip(row) {
+            let limit_mm = match (*speed_mm_s, mode, kind) {
+                (_, AxisMode::Torque, Kind::Slipping) => SLIP_MAX_MM,
+                (..=5.0, ..) => SLOW_MAX_MM,
+                (..=1_000.0, ..) => MEDIUM_MAX_MM,
+                _ => f64::INFINITY,
+            };
+            let deviation_mm = worst.deviation_mm;
+            assert!(
+                deviation_mm <= limit_mm,
+                "{kind:?} at {speed_mm_s} mm/s: {deviation_mm:.1} mm"
+            );
+        }
+    }
+}
+
+/// Compares a table with the one below a heading of the document, or puts it there.
+fn compare(heading: &str, table: &str) {
+    static DOCUMENT_LOCK: Mutex<()> = Mutex::new(());
+    let _alone = DOCUMENT_LOCK.lock().expect("no test panics while it writes");
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(DOCUMENT);
+    let text = std::fs::read_to_string(&path).expect("the document");
+    let from = text.find(heading).expect("the heading") + heading.len();
+    let from = from + text[from..].find("| feedback |").expect("the table");
+    let length = text[from..].find("\n\n").map_or(text.len() - from, |length| length + 1);
+    if std::env::var_os(RENEW).is_some() {
+        let renewed = [&text[..from], table, &text[from + length..]].concat();
+        std::fs::write(&path, renewed).expect("the document can be written");
+    } else {
+        assert_eq!(
+            &text[from..from + length],
+            table,
+            "{DOCUMENT} is not what was measured; {RENEW}=1 renews it"
+        );
+    }
+}
+
+#[test]
+fn untrue_feedback_in_velocity_mode_is_noticed_before_the_pen_has_gone_far() {
+    let table = scan(AxisMode::Velocity, CASES);
+    println!("{}", rendered(&table));
+    assert_within_limits(AxisMode::Velocity, &table);
+    compare("\n### Velocity mode\n", &rendered(&table));
+}
+
+#[test]
+fn untrue_feedback_in_torque_mode_is_noticed_before_the_pen_has_gone_far() {
+    let table = scan(AxisMode::Torque, CASES);
+    println!("{}", rendered(&table));
+    assert_within_limits(AxisMode::Torque, &table);
+    compare("\n### Torque mode\n", &rendered(&table));
+}
+
+/// Drives a sound robot through some cases at a speed.
+fn drive_sound(mode: AxisMode, speed_mm_s: f64, options: CellOptions, cases: u64) {
+    let limit_mm = match mode {
+        AxisMode::Velocity => SOUND_MAX_MM,
+        AxisMode::Torque => SOUND_TORQUE_MAX_MM,
+    };
+    let mut robot = Robot::of(&with(mode, speed_mm_s), options).enabled();
+    for seed in 0..cases {
+        let case: Case = case(None, speed_mm_s, seed);
+        let outcome: Outcome = drive(&mut robot, &case);
+        println!("{mode:?} {case:?}: {outcome:?}");
+        assert_eq!((outcome.noticed_ms, robot.fault()), (None, None), "{mode:?} {case:?}");
+        assert!(outcome.deviation_mm < limit_mm, "{mode:?} {case:?}: {outcome:?}");
+        robot.wait_for(Mode::Idle);
+    }
+}
+
+#[test]
+fn a_sound_robot_keeps_to_its_line_in_the_same_motions() {
+    for speed_mm_s in SPEEDS_MM_S {
+        drive_sound(AxisMode::Velocity, speed_mm_s, CellOptions::default(), 2);
+    }
+}
+
+#[test]
+fn a_sound_robot_in_torque_mode_is_believed_with_and_without_friction_and_noise() {
+    for speed_mm_s in SPEEDS_MM_S {
+        for (dry_friction_nm, resolver_noise_increments) in [(0.0, 0.0), (0.3, 0.0), (0.3, NOISE_INCREMENTS)] {
+            let options = CellOptions {
+                dry_friction_nm,
+                resolver_noise_increments,
+                ..CellOptions::default()
+            };
+            drive_sound(AxisMode::Torque, speed_mm_s, options, 3);
+        }
+    }
+}
