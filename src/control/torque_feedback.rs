@@ -63,6 +63,8 @@ const TORQUE_SHARE: f32 = 1.0 / 16.0;
 const REST_SHARE: f32 = 0.02;
 /// Share of a past speed or acceleration that a millisecond leaves: the motion answers later than the reference.
 const HELD_SHARE: f32 = 0.95;
+/// The same of an acceleration for the way behind the reference, which the position controller makes up for in 25 ms.
+const LASTING_SHARE: f32 = 0.98;
 
 /// Length of a step, s.
 const STEP_S: f64 = 1.0e-3;
@@ -114,6 +116,7 @@ pub(super) struct TorqueModel {
     /// Speed and acceleration of references that were demanded a moment ago, rad/s and rad/s2.
     held_rad_s: f32,
     held_rad_s2: f32,
+    lasting_rad_s2: f32,
     /// Filtered command, change of speed in a millisecond.
     push_rad: f32,
     /// Speed, rad a millisecond.
@@ -157,6 +160,7 @@ impl TorqueModel {
             demanded: Demanded::default(),
             held_rad_s: 0.0,
             held_rad_s2: 0.0,
+            lasting_rad_s2: 0.0,
             push_rad: 0.0,
             speed_rad: 0.0,
             load_rad: 0.0,
@@ -207,6 +211,7 @@ impl TorqueModel {
         self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
         self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
         self.held_rad_s2 = greater(demanded.greatest_rad_s2, self.held_rad_s2 * HELD_SHARE);
+        self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * LASTING_SHARE);
         self.reference_rad += demanded.own_rad_s * STEP_S as f32;
         self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
         self.push_rad = self.push_rad * self.kept + sent_digits * self.rad_per_digit;
@@ -272,7 +277,11 @@ impl TorqueModel {
         let against = self.position_rad * self.reference_rad < 0.0;
         if is_left & is_led & against {
             // The way back counts as following.
-            self.position_rad = if self.position_rad < 0.0 { -STANDING_RAD } else { STANDING_RAD };
+            self.position_rad = if self.position_rad < 0.0 {
+                -STANDING_RAD
+            } else {
+                STANDING_RAD
+            };
         } else if is_left {
             (self.reference_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
             self.mark_push_rad = self.mean_push_rad;
@@ -282,7 +291,7 @@ impl TorqueModel {
         }
         self.stuck = Margin {
             value: self.reference_rad.abs(),
-            limit: self.stuck_limit_rad + STUCK_LAG_S * self.held_rad_s + STUCK_LAG_S2 * self.held_rad_s2,
+            limit: self.stuck_limit_rad + STUCK_LAG_S * self.held_rad_s + STUCK_LAG_S2 * self.lasting_rad_s2,
         };
         let explained_rad_s2 = FRICTION_RAD_S2 + self.held_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
         self.pushed = Margin {

@@ -68,6 +68,8 @@ pub(crate) struct Overrun {
 pub(crate) struct Robot {
     up: Receiver<(u32, Vec<u8>)>,
     down: SyncSender<Vec<u8>>,
+    /// What the firmware says next: it waits for the answer, so that the cell stands still between two milliseconds.
+    next: Option<(u32, Vec<u8>)>,
     cell: Arc<Mutex<Cell>>,
     config: Config,
     surroundings: Arc<Mutex<Surroundings>>,
@@ -139,6 +141,7 @@ impl Robot {
         Self {
             up,
             down,
+            next: None,
             cell,
             config: config.clone(),
             surroundings,
@@ -314,7 +317,8 @@ impl Robot {
     /// Lets virtual time pass.
     pub(crate) fn run(&mut self, duration_ms: u32) {
         for _ in 0..duration_ms {
-            let (ms, bytes) = self.up.recv().expect("the simulation runs");
+            let next = self.next.take().or_else(|| self.up.recv().ok());
+            let (ms, bytes) = next.expect("the simulation runs");
             let now_ms = u64::from(ms);
             let mut line = [0; LINE_BYTES_PER_MS];
             let mut length = 0;
@@ -336,6 +340,7 @@ impl Robot {
             self.down
                 .send(line[lost..length].to_vec())
                 .expect("the simulation runs");
+            self.next = self.up.recv().ok();
         }
     }
 
