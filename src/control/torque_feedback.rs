@@ -28,12 +28,12 @@ const OBSERVER_PER_MS: f32 = OBSERVER_PER_S / 1_000.0;
 /// Poles of the filter that bounds the observer's error, per millisecond.
 const BOUND_PER_MS: f32 = 0.86 * OBSERVER_PER_MS;
 /// Acceleration that the model lacks for one of the axis's own reference: the inertia may be wrong by this share.
-const OWN_SHARE: f32 = 0.6;
+const OWN_SHARE: f32 = 0.3;
 /// Acceleration that the model lacks for one of the other axes' references: coupling.
-const OTHERS_SHARE: f32 = 0.4;
+const OTHERS_SHARE: f32 = 0.2;
 /// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: a weight that changes by 20 rad/s2 a radian, and
 /// the observer that needs `1 / w` to follow.
-const WEIGHT_PER_S: f32 = 0.74;
+const WEIGHT_PER_S: f32 = 0.4;
 /// Speed that stands for what is not known when a drive takes its power, rad a millisecond: the answer to a load of
 /// 30 rad/s2 (9 N m at 0.3 kg m2) that the opening brake leaves to the motor.
 const ENABLING_RAD: f32 = 2.0e-3;
@@ -47,14 +47,14 @@ const SUDDEN_SHARE: f32 = 0.75;
 const STANDING_RAD: f32 = 2.0e-4;
 /// How far the reference may go from a position that stands: a part of the deviation limit, and a lag behind speed (s) and
 /// acceleration (s2).
-const STUCK_LIMIT_SHARE: f32 = 0.125;
-const STUCK_LAG_S: f32 = 4.0e-3;
+const STUCK_LIMIT_SHARE: f32 = 0.15;
+const STUCK_LAG_S: f32 = 3.0e-3;
 const STUCK_LAG_S2: f32 = 1.5e-5;
 /// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
 /// friction of 0.3 N m from one direction to the other.
 const FRICTION_RAD_S2: f32 = 2.0;
 /// What the bound of the model's error counts for a torque that acts on a position at rest.
-const STANDING_BOUND_SHARE: f32 = 3.0;
+const STANDING_BOUND_SHARE: f32 = 6.0;
 /// Change of the load for each radian that any axis moves, 1/s2.
 const LOAD_PER_RAD_S2: f32 = 20.0;
 /// Share of a new torque in the one that is compared with a position at rest: the mean of 16 ms.
@@ -64,7 +64,7 @@ const REST_SHARE: f32 = 0.02;
 /// Share of a past speed or acceleration that a millisecond leaves: the motion answers later than the reference.
 const HELD_SHARE: f32 = 0.95;
 /// The same of an acceleration for the way behind the reference, which the position controller makes up for in 25 ms.
-const LASTING_SHARE: f32 = 0.98;
+const LASTING_SHARE: f32 = 0.97;
 
 /// Length of a step, s.
 const STEP_S: f64 = 1.0e-3;
@@ -277,11 +277,7 @@ impl TorqueModel {
         let against = self.position_rad * self.reference_rad < 0.0;
         if is_left & is_led & against {
             // The way back counts as following.
-            self.position_rad = if self.position_rad < 0.0 {
-                -STANDING_RAD
-            } else {
-                STANDING_RAD
-            };
+            self.position_rad = limited(self.position_rad, STANDING_RAD);
         } else if is_left {
             (self.reference_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
             self.mark_push_rad = self.mean_push_rad;
@@ -290,7 +286,12 @@ impl TorqueModel {
             self.mark_push_rad += (self.mean_push_rad - self.mark_push_rad) * REST_SHARE;
         }
         self.stuck = Margin {
-            value: self.reference_rad.abs(),
+            // At rest the position controller makes up for what is left.
+            value: if self.demanded.own_rad_s == 0.0 {
+                0.0
+            } else {
+                self.reference_rad.abs()
+            },
             limit: self.stuck_limit_rad + STUCK_LAG_S * self.held_rad_s + STUCK_LAG_S2 * self.lasting_rad_s2,
         };
         let explained_rad_s2 = FRICTION_RAD_S2 + self.held_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
@@ -298,6 +299,17 @@ impl TorqueModel {
             value: (self.mean_push_rad - self.mark_push_rad).abs(),
             limit: explained_rad_s2 * STEP_S2 + STANDING_BOUND_SHARE * BOUND_PER_MS * self.unrest_speed_rad,
         };
+    }
+}
+
+#[inline]
+fn limited(value: f32, limit: f32) -> f32 {
+    if value > limit {
+        limit
+    } else if value < -limit {
+        -limit
+    } else {
+        value
     }
 }
 
