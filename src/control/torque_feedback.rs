@@ -14,8 +14,9 @@
 //! - **Torque against a position at rest.** While the references move and the position does not, the torque changes by no
 //!   more than friction, acceleration and the changing weight explain.
 //!
-//! The figures are those of the virtual cell's robot, half an arm's nominal inertia of its own and 0.3 N m of dry friction
-//! at the joint, with a factor of about two (`tests/reactions/feedback.rs` prints what sound robots use).
+//! The shares and limits are chosen by trial on the virtual cell (0.3 N m of dry friction at the joint), on the seeds of
+//! `tests/reactions/feedback_scan.rs`, not derived from a robot's data. The limit of *stuck* has no margin: one sound move at
+//! 1 m/s and 50 m/s2 exceeds it.
 //!
 //! Invariants: bounded work; all values stay finite; what the references demand comes from the plan, never from the axis's
 //! own feedback.
@@ -31,8 +32,7 @@ const BOUND_PER_MS: f32 = 0.86 * OBSERVER_PER_MS;
 const OWN_SHARE: f32 = 0.3;
 /// Acceleration that the model lacks for one of the other axes' references: coupling.
 const OTHERS_SHARE: f32 = 0.2;
-/// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: a weight that changes by 20 rad/s2 a radian, and
-/// the observer that needs `1 / w` to follow.
+/// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: the weight changes with the pose.
 const WEIGHT_PER_S: f32 = 0.4;
 /// Speed that stands for what is not known when a drive takes its power, rad a millisecond: the answer to a load of
 /// 30 rad/s2 (9 N m at 0.3 kg m2) that the opening brake leaves to the motor.
