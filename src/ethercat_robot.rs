@@ -14,7 +14,7 @@ pub use findings::{Reading, ReferenceError};
 
 use crate::application::reference::{nearest_turn, resolver_angle_rad};
 use crate::config::{Axis, AxisMode};
-use crate::control::feedback::{FeedbackMonitor, Implausible};
+use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limited;
 use crate::control::torque_feedback::Demanded;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
@@ -531,6 +531,12 @@ impl EtherCatRobot {
             found = found.or(implausible.map(|implausible| (number, implausible)));
         }
         found
+    }
+
+    /// What the comparisons of the axes' feedback have used of their limits, for each the most of any axis. For tests.
+    pub fn feedback_used(&self) -> [f32; COMPARISONS.len()] {
+        let each = self.axes.each_ref().map(|axis| axis.feedback.used());
+        core::array::from_fn(|comparison| each.iter().fold(0.0, |most, used| f32::max(most, used[comparison])))
     }
 
     /// Tells the axes that take a torque what their references demand: which motion and which change of their load is no

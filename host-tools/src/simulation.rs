@@ -7,6 +7,7 @@
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use etherpen::board::{BoardState, EmergencyStopInput, Interlock};
+use etherpen::control::feedback::COMPARISONS;
 use etherpen::controller::{Channels, Parts};
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::transport::raw::RawTransport;
@@ -44,7 +45,10 @@ pub trait Host {
     /// Takes the counters of the bus exchange at the end of a millisecond, before the last telegrams are settled.
     fn counted(&mut self, _counters: &BusCounters) {}
 
-    /// Conditions of the board in this millisecond.
+    /// What the comparisons of the position feedback have used of their limits by the end of a millisecond.
+    fn feedback_used(&mut self, _used: [f32; COMPARISONS.len()]) {}
+
+    /// What the board meets in this millisecond.
     fn surroundings(&mut self) -> Surroundings {
         Surroundings::default()
     }
@@ -162,6 +166,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         sampler.bus_deadline(&mut transport, (DEADLINE_US * 1_000) as u32);
         sampler.bus_frame(&mut transport, ((DEADLINE_US + ROUND_TRIP_US) * 1_000) as u32);
         host.counted(&sampler.bus_counters());
+        host.feedback_used(sampler.feedback_used());
 
         let sent = host_bytes.to_send(&mut from_firmware);
         host.exchange(ms, &from_firmware[..sent], &mut to_firmware, LINE_BYTES_PER_MS);

@@ -36,6 +36,9 @@ const NOISE_PER_SPEED: f32 = 2.0;
 /// Part of the deviation limit that applies in torque mode: there an error grows with the square of time and faster.
 const TORQUE_LIMIT_SHARE: f32 = 0.25;
 
+/// What is compared; the last three in torque mode only.
+pub const COMPARISONS: [&str; 5] = ["deviation", "noise", "sudden", "stuck", "pushed"];
+
 /// What is wrong with a feedback.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Implausible {
@@ -202,17 +205,15 @@ impl FeedbackMonitor {
         }
     }
 
-    /// Deviation and noise, each as a part of its limit.
-    pub fn margins_used(&self) -> [f32; 2] {
+    /// What each of [`COMPARISONS`] has used of its limit in the last step: 1 is the limit. For tests; nothing on a board asks.
+    pub fn used(&self) -> [f32; COMPARISONS.len()] {
         let deviation = self.deviation_rad.abs() / self.deviation_limit_rad();
-        let other = match &self.model {
-            Model::Velocity(_) => 0.0,
-            Model::Torque(model) => model.margin_used(),
+        let noise = self.noise_rad / self.noise_limit_rad();
+        let [sudden, stuck, pushed] = match &self.model {
+            Model::Velocity(_) => [0.0; 3],
+            Model::Torque(model) => model.used(),
         };
-        [
-            if other > deviation { other } else { deviation },
-            self.noise_rad / self.noise_limit_rad(),
-        ]
+        [deviation, noise, sudden, stuck, pushed]
     }
 
     #[inline]
@@ -430,7 +431,7 @@ mod tests {
                     believed,
                     "{fault:?} at {ms} ms, seed {slice}, up to {speed_rad_s} rad/s"
                 );
-                let used = axis.monitor.margins_used();
+                let used = axis.monitor.used();
                 worst = [worst[0].max(used[0]), worst[1].max(used[1])];
             }
         }

@@ -16,6 +16,7 @@ use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
 pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCounters};
+use crate::control::feedback::COMPARISONS;
 use crate::control::limited;
 use crate::control::position::PositionController;
 use crate::control::supervision::{Observation, Supervision};
@@ -237,6 +238,12 @@ impl<'a> Sampler<'a> {
     /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
     pub fn bus_counters(&self) -> BusCounters {
         self.exchange.counters()
+    }
+
+    /// What the comparisons of the feedback have used of their limits in this millisecond, in the order of [`COMPARISONS`].
+    /// For tests; nothing on a board asks.
+    pub fn feedback_used(&self) -> [f32; COMPARISONS.len()] {
+        self.robot.feedback_used()
     }
 
     fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {

@@ -45,14 +45,14 @@ const SUDDEN_SHARE: f32 = 0.75;
 
 /// Motion within which a position counts as standing, rad.
 const STANDING_RAD: f32 = 2.0e-4;
-/// How far the reference may go from a position that stands: a part of the deviation limit, and a lag behind speed (s) and
-/// acceleration (s2).
+/// How far the reference may go from a position that stands, beside what follows from the controllers: a part of the
+/// deviation limit.
 const STUCK_LIMIT_SHARE: f32 = 0.15;
-const STUCK_LAG_S: f32 = 3.0e-3;
-const STUCK_LAG_S2: f32 = 1.5e-5;
+/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any reference.
+const STUCK_SHARE: f64 = 0.45;
 /// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
 /// friction of 0.3 N m from one direction to the other.
-const FRICTION_RAD_S2: f32 = 2.0;
+const FRICTION_RAD_S2: f32 = 3.4;
 /// What the bound of the model's error counts for a torque that acts on a position at rest.
 const STANDING_BOUND_SHARE: f32 = 6.0;
 /// Change of the load for each radian that any axis moves, 1/s2.
@@ -63,8 +63,6 @@ const TORQUE_SHARE: f32 = 1.0 / 16.0;
 const REST_SHARE: f32 = 0.02;
 /// Share of a past speed or acceleration that a millisecond leaves: the motion answers later than the reference.
 const HELD_SHARE: f32 = 0.95;
-/// The same of an acceleration for the way behind the reference, which the position controller makes up for in 25 ms.
-const LASTING_SHARE: f32 = 0.97;
 
 /// Length of a step, s.
 const STEP_S: f64 = 1.0e-3;
@@ -103,6 +101,39 @@ impl Margin {
     }
 }
 
+/// How far a sound axis stays behind its reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Following {
+    /// In any case, rad.
+    base_rad: f32,
+    /// For each rad/s of the reference: the delays, s.
+    per_rad_s: f32,
+    /// For each rad/s2 of the references, s2.
+    per_rad_s2: f32,
+    /// Share of that which a millisecond leaves.
+    kept: f32,
+}
+
+impl Following {
+    /// What the controllers of an axis leave.
+    ///
+    /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain, a
+    /// load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
+    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f).
+    fn of(axis: &Axis) -> Self {
+        let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
+        let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
+        let (integral, gain) = (axis.velocity_integral_per_s, axis.feedback_gain_per_s);
+        let both = (integral + gain).max(1.0);
+        Self {
+            base_rad: STUCK_LIMIT_SHARE * axis.feedback_deviation_max_rad as f32,
+            per_rad_s: ((axis.torque_lead_ms + axis.measurement_age_ms + 0.5) * STEP_S) as f32,
+            per_rad_s2: (STUCK_SHARE / (stiffness_per_s * both)) as f32,
+            kept: (1.0 - integral * gain / both * STEP_S).clamp(0.0, 1.0) as f32,
+        }
+    }
+}
+
 /// Prediction by a torque command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TorqueModel {
@@ -110,8 +141,7 @@ pub(super) struct TorqueModel {
     rad_per_digit: f32,
     /// Share of the filtered command that stays.
     kept: f32,
-    /// Reference that a position at rest may be left behind by, rad.
-    stuck_limit_rad: f32,
+    following: Following,
     demanded: Demanded,
     /// Speed and acceleration of references that were demanded a moment ago, rad/s and rad/s2.
     held_rad_s: f32,
@@ -147,16 +177,15 @@ impl TorqueModel {
         let share = 1.0 / (1.0 + delay_ms.max(0.0));
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let rad_per_digit = (share * STEP_S * STEP_S / (digits_per_unit * inertia_kg_m2)) as f32;
-        let stuck_limit_rad = STUCK_LIMIT_SHARE * axis.feedback_deviation_max_rad as f32;
-        Self::at_rest(rad_per_digit, (1.0 - share) as f32, stuck_limit_rad)
+        Self::at_rest(rad_per_digit, (1.0 - share) as f32, Following::of(axis))
     }
 
     /// Nothing is commanded and measured yet.
-    fn at_rest(rad_per_digit: f32, kept: f32, stuck_limit_rad: f32) -> Self {
+    fn at_rest(rad_per_digit: f32, kept: f32, following: Following) -> Self {
         Self {
             rad_per_digit,
             kept,
-            stuck_limit_rad,
+            following,
             demanded: Demanded::default(),
             held_rad_s: 0.0,
             held_rad_s2: 0.0,
@@ -180,7 +209,7 @@ impl TorqueModel {
 
     /// Forgets all that was commanded and measured.
     pub(super) fn reset(&mut self) {
-        *self = Self::at_rest(self.rad_per_digit, self.kept, self.stuck_limit_rad);
+        *self = Self::at_rest(self.rad_per_digit, self.kept, self.following);
     }
 
     /// Tells what the references demand from now on.
@@ -211,7 +240,7 @@ impl TorqueModel {
         self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
         self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
         self.held_rad_s2 = greater(demanded.greatest_rad_s2, self.held_rad_s2 * HELD_SHARE);
-        self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * LASTING_SHARE);
+        self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * self.following.kept);
         self.reference_rad += demanded.own_rad_s * STEP_S as f32;
         self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
         self.push_rad = self.push_rad * self.kept + sent_digits * self.rad_per_digit;
@@ -244,10 +273,9 @@ impl TorqueModel {
         broken.map(|margin| [margin.value, margin.limit])
     }
 
-    /// The greatest part of its limit that a comparison uses.
-    pub(super) fn margin_used(&self) -> f32 {
-        let used = [self.sudden, self.stuck, self.pushed].map(|margin| margin.value / margin.limit);
-        used.into_iter().fold(0.0, greater)
+    /// What sudden, stuck and pushed have used of their limits.
+    pub(super) fn used(&self) -> [f32; 3] {
+        [self.sudden, self.stuck, self.pushed].map(|margin| margin.value / margin.limit)
     }
 
     /// The motion of two milliseconds beside that of the two before. One of its positions may be repeated or left out.
@@ -292,7 +320,9 @@ impl TorqueModel {
             } else {
                 self.reference_rad.abs()
             },
-            limit: self.stuck_limit_rad + STUCK_LAG_S * self.held_rad_s + STUCK_LAG_S2 * self.lasting_rad_s2,
+            limit: self.following.base_rad
+                + self.following.per_rad_s * self.held_rad_s
+                + self.following.per_rad_s2 * self.lasting_rad_s2,
         };
         let explained_rad_s2 = FRICTION_RAD_S2 + self.held_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
         self.pushed = Margin {

@@ -24,8 +24,10 @@ const JOG_MAX_MM_S: f64 = 250.0;
 const JOG_DISTANCE_MM: f64 = 90.0;
 /// Distances of a move that are tried, mm.
 const MOVE_DISTANCES_MM: [f64; 6] = [300.0, 240.0, 180.0, 120.0, 60.0, 30.0];
-/// Acceleration along the path, mm/s2: the fastest move has to reach its speed.
-const ACCELERATION_MM_S2: f64 = 50_000.0;
+/// Speed above which a move has to accelerate harder than the default configuration to reach it, mm/s.
+const GENTLE_MAX_MM_S: f64 = 1_000.0;
+/// Acceleration along the path for that, mm/s2.
+pub(crate) const HARD_MM_S2: f64 = 50_000.0;
 /// Time between two signs of life of the operator, ms.
 const SIGN_OF_LIFE_MS: u32 = 40;
 /// Longest duration of a fault, ms.
@@ -254,7 +256,9 @@ pub(crate) fn recover(robot: &mut Robot, case: &Case) {
 pub(crate) fn with(mode: AxisMode, speed_mm_s: f64) -> Config {
     let mut config = Config::default();
     config.motion.travel_speed_mm_s = speed_mm_s.max(JOG_MAX_MM_S);
-    config.motion.acceleration_mm_s2 = ACCELERATION_MM_S2;
+    if speed_mm_s > GENTLE_MAX_MM_S {
+        config.motion.acceleration_mm_s2 = HARD_MM_S2;
+    }
     for axis in &mut config.axes {
         axis.mode = mode;
         if mode == AxisMode::Torque {

@@ -3,6 +3,7 @@
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
+use etherpen::control::feedback::COMPARISONS;
 use etherpen::ethercat::service::ServiceRequest;
 use etherpen::link::frame::{FRAME_BYTES_MAX, encode};
 use etherpen::link::protocol::{Command, ConfigRefusal, HostMessage, PathAck, PathVertex, Sample, Status};
@@ -28,8 +29,12 @@ struct Bridge {
     up: SyncSender<(u32, Vec<u8>)>,
     down: Receiver<Vec<u8>>,
     surroundings: Arc<Mutex<Surroundings>>,
+    used: Arc<Mutex<Used>>,
     over: bool,
 }
+
+/// The most that each comparison of the position feedback has used of its limit.
+pub(crate) type Used = [f32; COMPARISONS.len()];
 
 impl Host for Bridge {
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, _: usize) {
@@ -42,6 +47,11 @@ impl Host for Bridge {
 
     fn surroundings(&mut self) -> Surroundings {
         *self.surroundings.lock().unwrap()
+    }
+
+    fn feedback_used(&mut self, used: Used) {
+        let mut most = self.used.lock().unwrap();
+        *most = std::array::from_fn(|comparison| most[comparison].max(used[comparison]));
     }
 
     fn is_over(&self) -> bool {
@@ -73,6 +83,7 @@ pub(crate) struct Robot {
     cell: Arc<Mutex<Cell>>,
     config: Config,
     surroundings: Arc<Mutex<Surroundings>>,
+    used: Arc<Mutex<Used>>,
     session: Session,
     /// Whether the operator's cable is plugged in.
     pub(crate) plugged: bool,
@@ -129,10 +140,12 @@ impl Robot {
         let cell = Arc::new(Mutex::new(Cell::new(config, options)));
         let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
         let surroundings = Arc::new(Mutex::new(Surroundings::default()));
+        let used = Arc::default();
         let bridge = Bridge {
             up: up_in,
             down: down_out,
             surroundings: surroundings.clone(),
+            used: Arc::clone(&used),
             over: false,
         };
         let emulator = run(cell.clone(), bridge);
@@ -145,6 +158,7 @@ impl Robot {
             cell,
             config: config.clone(),
             surroundings,
+            used,
             session,
             plugged: true,
             overrun: None,
@@ -288,6 +302,11 @@ impl Robot {
     /// The cell as it is.
     pub(crate) fn cell(&self) -> CellState {
         self.cell.lock().unwrap().state()
+    }
+
+    /// The most that the comparisons of the feedback have used of their limits since this was last asked.
+    pub(crate) fn take_used(&mut self) -> Used {
+        std::mem::take(&mut self.used.lock().unwrap())
     }
 
     /// The ink on the paper.
