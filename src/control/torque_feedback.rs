@@ -52,7 +52,7 @@ const STUCK_LIMIT_SHARE: f32 = 0.15;
 const STUCK_SHARE: f64 = 0.45;
 /// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
 /// friction of 0.3 N m from one direction to the other.
-const FRICTION_RAD_S2: f32 = 3.4;
+const FRICTION_RAD_S2: f32 = 2.5;
 /// What the bound of the model's error counts for a torque that acts on a position at rest.
 const STANDING_BOUND_SHARE: f32 = 6.0;
 /// Change of the load for each radian that any axis moves, 1/s2.
@@ -145,7 +145,6 @@ pub(super) struct TorqueModel {
     demanded: Demanded,
     /// Speed and acceleration of references that were demanded a moment ago, rad/s and rad/s2.
     held_rad_s: f32,
-    held_rad_s2: f32,
     lasting_rad_s2: f32,
     /// Filtered command, change of speed in a millisecond.
     push_rad: f32,
@@ -188,7 +187,6 @@ impl TorqueModel {
             following,
             demanded: Demanded::default(),
             held_rad_s: 0.0,
-            held_rad_s2: 0.0,
             lasting_rad_s2: 0.0,
             push_rad: 0.0,
             speed_rad: 0.0,
@@ -239,7 +237,6 @@ impl TorqueModel {
         self.unrest_speed_rad += bound_rad_s2 * STEP_S2 - self.unrest_speed_rad * BOUND_PER_MS;
         self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
         self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
-        self.held_rad_s2 = greater(demanded.greatest_rad_s2, self.held_rad_s2 * HELD_SHARE);
         self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * self.following.kept);
         self.reference_rad += demanded.own_rad_s * STEP_S as f32;
         self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
@@ -324,7 +321,7 @@ impl TorqueModel {
                 + self.following.per_rad_s * self.held_rad_s
                 + self.following.per_rad_s2 * self.lasting_rad_s2,
         };
-        let explained_rad_s2 = FRICTION_RAD_S2 + self.held_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
+        let explained_rad_s2 = FRICTION_RAD_S2 + self.lasting_rad_s2 + LOAD_PER_RAD_S2 * self.way_rad;
         self.pushed = Margin {
             value: (self.mean_push_rad - self.mark_push_rad).abs(),
             limit: explained_rad_s2 * STEP_S2 + STANDING_BOUND_SHARE * BOUND_PER_MS * self.unrest_speed_rad,
