@@ -48,8 +48,8 @@ const STANDING_RAD: f32 = 2.0e-4;
 /// How far the reference may go from a position that stands, beside what follows from the controllers: a part of the
 /// deviation limit.
 const STUCK_LIMIT_SHARE: f32 = 0.15;
-/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any reference.
-const STUCK_SHARE: f64 = 0.45;
+/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any reference: inertia and coupling.
+const LACKING_SHARE: f64 = 0.45;
 /// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
 /// friction of 0.3 N m from one direction to the other.
 const FRICTION_RAD_S2: f32 = 2.5;
@@ -119,7 +119,8 @@ impl Following {
     ///
     /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain, a
     /// load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
-    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f).
+    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f). From an error on one
+    /// side to one on the other, the reference moves by twice that while the position stands.
     fn of(axis: &Axis) -> Self {
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
@@ -128,7 +129,7 @@ impl Following {
         Self {
             base_rad: STUCK_LIMIT_SHARE * axis.feedback_deviation_max_rad as f32,
             per_rad_s: ((axis.torque_lead_ms + axis.measurement_age_ms + 0.5) * STEP_S) as f32,
-            per_rad_s2: (STUCK_SHARE / (stiffness_per_s * both)) as f32,
+            per_rad_s2: (2.0 * LACKING_SHARE / (stiffness_per_s * both)) as f32,
             kept: (1.0 - integral * gain / both * STEP_S).clamp(0.0, 1.0) as f32,
         }
     }
@@ -237,7 +238,8 @@ impl TorqueModel {
         self.unrest_speed_rad += bound_rad_s2 * STEP_S2 - self.unrest_speed_rad * BOUND_PER_MS;
         self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
         self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
-        self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * self.following.kept);
+        let forces_rad_s2 = demanded.greatest_rad_s2 + demanded.greatest_rad_s * demanded.greatest_rad_s;
+        self.lasting_rad_s2 = greater(forces_rad_s2, self.lasting_rad_s2 * self.following.kept);
         self.reference_rad += demanded.own_rad_s * STEP_S as f32;
         self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
         self.push_rad = self.push_rad * self.kept + sent_digits * self.rad_per_digit;

@@ -42,6 +42,7 @@ const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
 pub(crate) enum Kind {
     Frozen,
     Slipping,
+    SlippingHalf,
     Jumped,
     Reversed,
     Exchanged,
@@ -49,9 +50,10 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::Frozen,
         Self::Slipping,
+        Self::SlippingHalf,
         Self::Jumped,
         Self::Reversed,
         Self::Exchanged,
@@ -62,6 +64,7 @@ impl Kind {
         match self {
             Self::Frozen => "frozen",
             Self::Slipping => "slipping: 10 % of the motion lost",
+            Self::SlippingHalf => "slipping: 50 % of the motion lost",
             Self::Jumped => "jumped by 0.02 rad",
             Self::Reversed => "reversed",
             Self::Exchanged => "exchanged with the next arm's",
@@ -76,6 +79,7 @@ impl Kind {
         match self {
             Self::Frozen => resolver(ResolverFault::Stuck),
             Self::Slipping => resolver(ResolverFault::Slip(90)),
+            Self::SlippingHalf => resolver(ResolverFault::Slip(50)),
             Self::Jumped if milliseconds > 0 => CellFault::Jump(drive, 40_000),
             Self::Jumped => resolver(ResolverFault::Stuck),
             Self::Reversed => resolver(ResolverFault::Reversed),
@@ -104,6 +108,8 @@ pub(crate) struct Outcome {
     pub(crate) noticed_ms: Option<u32>,
     /// Largest distance of the pen from its line, mm.
     pub(crate) deviation_mm: f64,
+    /// How far the pen has gone along its line, mm.
+    pub(crate) way_mm: f64,
 }
 
 pub(crate) fn splitmix(state: &mut u64) -> u64 {
@@ -205,6 +211,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
             moved_ms = Some(ms);
         }
         outcome.deviation_mm = outcome.deviation_mm.max(beside);
+        outcome.way_mm = outcome.way_mm.max(along);
         if braking && outcome.noticed_ms.is_none() {
             // A fault at rest may be noticed before anything moves.
             outcome.noticed_ms = Some(moved_ms.map_or(0, |moved_ms| ms - moved_ms));

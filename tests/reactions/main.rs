@@ -8,6 +8,7 @@ mod bursts;
 mod commands;
 mod feedback;
 mod feedback_scan;
+mod feedback_soak;
 mod liveness;
 mod outside;
 mod robot;

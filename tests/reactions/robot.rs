@@ -363,6 +363,11 @@ impl Robot {
         }
     }
 
+    /// Virtual time since the board's start, ms.
+    pub(crate) fn now_ms(&self) -> u64 {
+        self.next.as_ref().map_or(0, |(ms, _)| u64::from(*ms))
+    }
+
     /// Lets time pass until something holds.
     pub(crate) fn run_until(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
         for _ in 0..WAIT_MAX_MS {
