@@ -22,6 +22,8 @@ const NOISE_INCREMENTS: f64 = 8.0;
 const USED_MAX: f32 = 0.8;
 /// Time between two signs of life in a jog, ms.
 const SIGN_OF_LIFE_MS: u32 = 40;
+/// Strokes stay within so much of the middle, mm.
+const PAPER_MM: f64 = 80.0;
 /// Fastest jog along each axis, mm/s.
 const JOG_MAX_MM_S: f64 = 140.0;
 
@@ -55,7 +57,14 @@ fn strokes(chance: &mut Chance) -> Vec<PathVertex> {
         go(at, -850_000, Pen::Up);
         let reach_mm = [0.5, 5.0, 40.0][chance.one_of(3) as usize];
         for _ in 0..3 + chance.one_of(12) {
-            at = at.map(|mm| (mm + chance.between(-reach_mm, reach_mm)).clamp(-80.0, 80.0));
+            at = at.map(|mm| {
+                let by_mm = chance.between(-reach_mm, reach_mm);
+                if (mm + by_mm).abs() < PAPER_MM {
+                    mm + by_mm
+                } else {
+                    mm - by_mm
+                }
+            });
             go(at, -850_000, Pen::Down);
         }
         go(at, -847_000, Pen::Up);
@@ -69,7 +78,10 @@ fn act(robot: &mut Robot, chance: &mut Chance) -> u64 {
     match chance.one_of(3) {
         0 => {
             robot.draw(strokes(chance));
-            robot.run_until("the strokes are drawn", Robot::has_drawn);
+            robot.run_until("the strokes are drawn or refused", |robot| {
+                robot.has_drawn() || !robot.refused.is_empty()
+            });
+            assert!(robot.refused.is_empty(), "{:?}", robot.refused);
         }
         1 => {
             let position = Position {
