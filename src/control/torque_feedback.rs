@@ -17,8 +17,8 @@
 //! Where the figures come from: what a constant's comment derives, from the axis's inertia, gains, delays and 0.3 N m of dry
 //! friction; the other shares by trial on the virtual cell, with seeds 0 to 7 of `tests/reactions/feedback_scan.rs`. There a
 //! sound robot keeps a fifth of every limit free on seeds 8 to 15 as well, from 5 mm/s to 2.5 m/s, at 10 and 50 m/s2. The
-//! share of *stuck* was raised after a move of those seeds had used 0.88 of its limit. Strokes, moves and jogs by chance
-//! (`feedback_soak.rs`) still find a false fault, the first after 0.29 robot hours.
+//! share of *stuck* was raised after a move of those seeds had used 0.88 of its limit. The torque that
+//! friction may take up was raised from 2.5 rad/s2 after a false fault in 0.29 robot hours of `feedback_soak.rs`.
 //!
 //! Invariants: bounded work; all values stay finite; what the references demand comes from the plan, never from the axis's
 //! own feedback.
@@ -55,8 +55,8 @@ const LACKING_SHARE: f64 = 0.55;
 /// The most that follows from accelerations, in deviation limits: above 1 m/s a feedback that is frozen has to be found soon.
 const STUCK_MOST_SHARE: f32 = 1.25;
 /// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
-/// friction of 0.3 N m from one direction to the other, and a quarter more.
-const FRICTION_RAD_S2: f32 = 2.5;
+/// friction of 0.3 N m from one direction to the other, and 0.7 of that more, by trial (`feedback_soak.rs`).
+const FRICTION_RAD_S2: f32 = 3.4;
 /// What the bound of the model's error counts for a torque that acts on a position at rest.
 const STANDING_BOUND_SHARE: f32 = 6.0;
 /// Change of the load for each radian that any axis moves, 1/s2.
