@@ -38,12 +38,12 @@
 //! # Invariants
 //!
 //! - Priorities share only lock-free queues, atomics and histograms with one writer; no task waits for one of lower
-//! priority.
+//!   priority.
 //! - The critical tasks do the same bounded work every millisecond, whatever arrives; they never lock, log or allocate.
 //! - A committed plan ends at rest: after a lost link, a late planner or an empty queue the robot comes to rest on the
-//! path.
+//!   path.
 //! - Every fault is handled in one way: quick stop, standstill, brakes, power off, latched until acknowledged
-//! ([`application`]).
+//!   ([`application`]).
 //! - No `cfg` in this library selects a board; the library accesses no register of any microcontroller.
 #![no_std]
 #![forbid(unsafe_code)]

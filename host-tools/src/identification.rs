@@ -7,7 +7,7 @@
 //!
 //! - feed-forward gain Kff = 1 / g;
 //! - feed-forward lead tau = D - age - 0.5 ms: the command has to be as early as its response is late, and the
-//! measurement is compared with the reference of its age; 0.5 ms is the centre of a 1 ms difference;
+//!   measurement is compared with the reference of its age; 0.5 ms is the centre of a 1 ms difference;
 //! - feedback gain Kfb = (pi / 6) / (D - 0.5 ms) / g: the loop of an integrator and a delay has a phase margin of 60
 //!   degrees there (Åström and Murray, *Feedback Systems*, 2nd ed., 10.3).
 //!
