@@ -55,7 +55,7 @@ pub(super) enum Resumption {
     /// The last drawing of this file.
     Last(PathBuf),
     /// This job of the log.
-    Job(Record),
+    Job(Box<Record>),
 }
 
 impl Resumption {
@@ -91,7 +91,7 @@ impl Resumption {
             Self::Last(_) => candidates(&records()?, hash, file),
             Self::Job(record) if record.entry.path_hash != hash => Err(other_path(file, record, hash)),
             Self::Job(record) if record.entry.completed => Err(complete(&record.name())),
-            Self::Job(record) => Ok(vec![record.clone()]),
+            Self::Job(record) => Ok(vec![Record::clone(record)]),
         }
     }
 }

@@ -243,7 +243,7 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError>
             Err(CommandError::new(code::USAGE, text))
         }
         (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),
-        (name, _) => broken::named(name).map(|record| Some(Resumption::Job(record))),
+        (name, _) => broken::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
     }
 }
 
