@@ -3,7 +3,7 @@
 //! In torque mode the firmware closes the velocity loop, so that a wrong feedback makes an arm run away with the square of
 //! time and faster. Four comparisons, each quick where the others are slow:
 //!
-//! - **Observer.** A disturbance observer with a triple pole at [`OBSERVER_PER_S`] predicts the position from torque and
+//! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
 //!   inertia; the load is part of its state. Its position error answers an acceleration `d` that the model lacks with
 //!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a filter
 //!   with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of `|d|` is in
