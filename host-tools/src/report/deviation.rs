@@ -34,9 +34,9 @@ const INK_FAR_MM: f64 = 1e4;
 /// How far back along its stroke a line of ink may begin behind the end of the previous one, mm.
 const INK_BACK_MM: f64 = 0.5;
 
-/// How far vertices of a stroke are from each other at least when it is thinned first, mm, and how many times farther each
-/// further time.
-const THINNED_MM: f64 = 0.05;
+/// Vertices of a stroke within this distance of the one before are its noise, mm; and how many times farther they may be
+/// each time that the stroke is thinned further.
+const THINNED_MM: f64 = 0.1;
 const THINNED_FARTHER: f64 = 4.0;
 /// A line of so few points needs no limits.
 const POINTS_FEW: usize = 3;
