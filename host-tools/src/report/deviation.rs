@@ -4,11 +4,11 @@
 //! close together, or on top of each other, every point would otherwise be near some neighbour.
 //!
 //! A stroke that comes close to itself very often, as the noise of a digitiser does, would cost time and memory with the
-//! square of its vertices. Where [`limits`] are exceeded, it is thinned until they are not, and what that may have moved
-//! it is added to each distance.
+//! square of its vertices. Where [`limits`] are exceeded, it is compared without its noise, vertices within `THINNED_MM`
+//! of the one before, and where that does not suffice without more, by which each distance is then increased.
 //!
-//! Invariants: no distance is taken to a stroke other than the point's own; no distance is too small; distances from
-//! strokes that were not thinned are exact; memory is bounded by the strokes and the points.
+//! Invariants: no distance is taken to a stroke other than the point's own; distances from strokes that were not thinned
+//! are exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
 
 use crate::matching::{Limits, Line, Match, Progress, Search, Step, distance, thinned};
 use etherpen::robot::Position;
@@ -36,7 +36,7 @@ const INK_BACK_MM: f64 = 0.5;
 
 /// Vertices of a stroke within this distance of the one before are its noise, mm; and how many times farther they may be
 /// each time that the stroke is thinned further.
-const THINNED_MM: f64 = 0.1;
+const THINNED_MM: f64 = 0.05;
 const THINNED_FARTHER: f64 = 4.0;
 /// A line of so few points needs no limits.
 const POINTS_FEW: usize = 3;
@@ -106,7 +106,7 @@ struct Way<'a> {
     line: Line,
     /// Vertices are at least this far apart, mm; 0 while all of them are kept.
     thinned_mm: f64,
-    /// How far thinning may have moved the stroke, mm.
+    /// How far thinning beyond its noise may have moved the stroke, mm.
     moved_mm: f64,
 }
 
@@ -140,9 +140,10 @@ impl<'a> Way<'a> {
     fn thin(&mut self) {
         self.thinned_mm = (self.thinned_mm * THINNED_FARTHER).max(THINNED_MM);
         let points = thinned(self.points, self.thinned_mm);
-        // A stroke near its first point as a whole moves twice as far.
-        let is_small = points.len() <= POINTS_FEW;
-        self.moved_mm = if is_small { 2.0 } else { 1.0 } * self.thinned_mm;
+        if self.thinned_mm > THINNED_MM {
+            // A stroke near its first point as a whole moves twice as far.
+            self.moved_mm = 2.0 * self.thinned_mm;
+        }
         self.line = Line::new(points);
     }
 }
