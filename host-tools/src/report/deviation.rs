@@ -36,7 +36,7 @@ const INK_BACK_MM: f64 = 0.5;
 
 /// Vertices of a stroke within this distance of the one before are its noise, mm; and how many times farther they may be
 /// each time that the stroke is thinned further.
-const THINNED_MM: f64 = 0.05;
+const THINNED_MM: f64 = 0.1;
 const THINNED_FARTHER: f64 = 4.0;
 /// A line of so few points needs no limits.
 const POINTS_FEW: usize = 3;
