@@ -8,11 +8,12 @@
 //! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
 //! turns may have been miscounted, whose feedback cannot be true, or whose drive was configured anew, is not referenced.
 
+mod encoder;
 mod findings;
 
 pub use findings::{Reading, ReferenceError};
 
-use crate::application::reference::{nearest_turn, resolver_angle_rad};
+use crate::application::reference::resolver_angle_rad;
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limited;
@@ -26,6 +27,7 @@ use crate::ethercat::supervisor::Supervisor;
 use crate::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
 use crate::robot::{AXES, JointAngles};
 use core::f64::consts::TAU;
+use encoder::{float, turned};
 
 /// Most slaves on the robot's bus.
 pub const BUS_SLAVES_MAX: usize = 16;
@@ -360,32 +362,6 @@ impl AxisState {
             },
         }
     }
-}
-
-/// Takes an encoder's difference over a cycle for the nearest one within half a revolution.
-#[inline]
-fn turned(difference: i32, revolution: i32) -> i32 {
-    let half = revolution / 2;
-    let is_near = |difference: i32| -half <= difference && difference < revolution - half;
-    if is_near(difference) {
-        return difference;
-    }
-    // A single-turn encoder that has passed the end of its range is off by one revolution.
-    let back = match difference < 0 {
-        true => difference.wrapping_add(revolution),
-        false => difference.wrapping_sub(revolution),
-    };
-    if is_near(back) {
-        return back;
-    }
-    // Half a revolution fits 32 bits.
-    nearest_turn(difference.into(), revolution.into()) as i32
-}
-
-/// A position in floating point, rounded once as by `as f64`, for which there is no instruction.
-#[inline]
-fn float(position: i64) -> f64 {
-    f64::from((position >> 32) as i32) * 4_294_967_296.0 + f64::from(position as u32)
 }
 
 /// The robot's axes on the bus.

@@ -34,7 +34,7 @@ pub trait Meter {
 pub enum Exchange {
     /// Outputs and inputs in one frame.
     Combined,
-    /// The same, with the distribution of the reference clock's time.
+    /// Outputs, inputs and the distribution of the reference clock's time in one frame.
     CombinedWithClock,
     /// Inputs in one frame, outputs in a second one.
     Split,

@@ -10,7 +10,7 @@ pub mod velocity;
 mod window;
 
 /// `value` limited to between `-limit` and `limit`; a NaN stays NaN. Unlike `clamp` it cannot panic.
-pub(crate) fn limited(value: f64, limit: f64) -> f64 {
+pub(crate) fn limited<T: PartialOrd + core::ops::Neg<Output = T> + Copy>(value: T, limit: T) -> T {
     if value > limit {
         limit
     } else if value < -limit {

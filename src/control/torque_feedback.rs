@@ -24,6 +24,7 @@
 //! Invariants: bounded work; all values stay finite; what the references demand comes from the plan, never from the axis's
 //! own feedback.
 
+use super::limited;
 use crate::config::Axis;
 
 /// Poles of the observer, 1/s and per millisecond.
@@ -335,17 +336,6 @@ impl TorqueModel {
             value: (self.mean_push_rad - self.mark_push_rad).abs(),
             limit: explained_rad_s2 * STEP_S2 + STANDING_BOUND_SHARE * BOUND_PER_MS * self.unrest_speed_rad,
         };
-    }
-}
-
-#[inline]
-fn limited(value: f32, limit: f32) -> f32 {
-    if value > limit {
-        limit
-    } else if value < -limit {
-        -limit
-    } else {
-        value
     }
 }
 

@@ -46,7 +46,7 @@ pub(crate) fn rig(script: &str) -> Rig<'static> {
     rig
 }
 
-/// The same, without an order to the supervisor.
+/// A rig whose supervisor has no order yet; the cell follows a fault script.
 pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
     idle_rig_of(CellOptions {
         faults: script.parse().expect("the script"),
@@ -54,7 +54,7 @@ pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
     })
 }
 
-/// The same with another cell.
+/// A rig whose supervisor has no order yet, with these options of the cell.
 pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
     let config = Config::default();
     let queues = Box::leak(Box::new(RobotBusQueues::new()));

@@ -20,7 +20,8 @@ const SPEEDS_MM_S: [f64; 6] = [5.0, 20.0, 100.0, 300.0, 1_000.0, 2_500.0];
 const CASES: u64 = 8;
 /// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
 const SLOW_MAX_MM: f64 = 5.0;
-/// The same in torque mode for a feedback that is frozen: friction may hide that a slow arm's load changes.
+/// Most deviation of the pen up to 5 mm/s in torque mode with a frozen feedback, mm: friction may hide that a slow arm's
+/// load changes.
 const SLOW_FROZEN_TORQUE_MAX_MM: f64 = 12.0;
 const MEDIUM_MAX_MM: f64 = 20.0;
 /// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, for the way that the pen has gone:

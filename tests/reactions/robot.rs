@@ -114,7 +114,7 @@ impl Robot {
         Self::of(&Config::default(), CellOptions::default())
     }
 
-    /// The same with another cell.
+    /// A robot in virtual time with this configuration and cell, which waits for its configuration.
     pub(crate) fn of(config: &Config, options: CellOptions) -> Self {
         Self::start(config, options, |mut segment, mut bridge| {
             std::thread::spawn(move || simulation::run(&mut segment, &mut bridge, u32::MAX - 1));

@@ -21,7 +21,7 @@ use std::time::Instant;
 const FINE: u32 = 6;
 /// Directions of the polygon around the circle of the acceleration, in a quarter.
 const DIRECTIONS: u32 = 16;
-/// The same where the planning time is measured: what the planner has.
+/// Directions of the polygon in a quarter where the planning time is measured: as many as the planner has.
 const DIRECTIONS_TIMED: u32 = 4;
 /// Millimetres in copp's unit of length: its tolerances are absolute, and in metres its numbers are about 1.
 const UNIT_MM: f64 = 1_000.0;

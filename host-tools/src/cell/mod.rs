@@ -298,7 +298,7 @@ impl Cell {
         self.frame_at_ns(time_us.saturating_mul(1000), frame)
     }
 
-    /// The same with the time in nanoseconds, for distributed clocks.
+    /// Passes a frame through the segment at a time in nanoseconds, which distributed clocks need; returns the replies.
     pub fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         let time_us = time_ns / 1000;
         self.advance_to(time_us);

@@ -20,6 +20,33 @@ pub struct InkStroke {
     pub points_outside: usize,
 }
 
+impl InkStroke {
+    /// Length of the line, mm.
+    #[must_use]
+    pub fn length_mm(&self) -> f64 {
+        let pairs = self.points_mm.windows(2);
+        pairs
+            .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
+            .sum()
+    }
+
+    /// Distance of a point on the sheet from the line, mm; infinite for a line of fewer than two points.
+    #[must_use]
+    pub fn distance_mm(&self, point: &[f64; 2]) -> f64 {
+        let to_segment = |pair: &[[f64; 2]]| {
+            let along = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
+            let from = [point[0] - pair[0][0], point[1] - pair[0][1]];
+            let squared = along[0] * along[0] + along[1] * along[1];
+            let share = match squared > 0.0 {
+                true => ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0),
+                false => 0.0,
+            };
+            (from[0] - share * along[0]).hypot(from[1] - share * along[1])
+        };
+        self.points_mm.windows(2).map(to_segment).fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// The sheet and the ink on it.
 #[derive(Clone, Debug)]
 pub(super) struct Sheet {

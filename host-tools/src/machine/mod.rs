@@ -313,7 +313,7 @@ impl Machine {
         self.lanes.is_overtaken(ticket)
     }
 
-    /// The same as [`order`](Self::order) for what was asked for when the ticket was taken.
+    /// Gives an order that was requested when the ticket was taken; refused if a stop was ordered since.
     pub fn order_for(&self, ticket: Ticket, order: Order) -> Receiver<Answer> {
         self.lanes.give_for(ticket, order, None, None)
     }

@@ -13,7 +13,7 @@ fn bus(folder: &Folder, way: &[&str], words: &[&str]) -> String {
     stdout
 }
 
-/// The same with --json.
+/// Runs `bus` with --json and returns what it prints.
 fn json(folder: &Folder, way: &[&str], words: &[&str]) -> serde_json::Value {
     let words: Vec<&str> = words.iter().copied().chain(["--json"]).collect();
     serde_json::from_str(&bus(folder, way, &words)).expect("JSON")

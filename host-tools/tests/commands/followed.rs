@@ -17,8 +17,6 @@ const SAME_MM: f64 = 0.1;
 /// Drives that follow so badly leave their line by more than this, mm.
 const BESIDE_MM: f64 = 1.0;
 
-type Point = [f64; 2];
-
 fn cell() -> VirtualCell {
     VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated).expect("the cell starts")
 }
@@ -56,25 +54,12 @@ fn toml(config: &Config) -> String {
     toml::to_string(config).expect("a configuration")
 }
 
-fn distance_mm(point: &Point, pair: &[Point]) -> f64 {
-    let along = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
-    let from = [point[0] - pair[0][0], point[1] - pair[0][1]];
-    let squared = along[0].powi(2) + along[1].powi(2);
-    let share = match squared > 0.0 {
-        true => ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0),
-        false => 0.0,
-    };
-    (from[0] - share * along[0]).hypot(from[1] - share * along[1])
-}
-
 /// The farthest point of one run's ink from the other's, mm.
 fn farthest_mm(of: &[InkStroke], from: &[InkStroke]) -> f64 {
-    let pairs = || from.iter().flat_map(|stroke| stroke.points_mm.windows(2));
     let points = of.iter().flat_map(|stroke| &stroke.points_mm);
-    let nearest = |point: &Point| {
-        pairs()
-            .map(|pair| distance_mm(point, pair))
-            .fold(f64::INFINITY, f64::min)
+    let nearest = |point| {
+        let lines = from.iter().map(|stroke| stroke.distance_mm(point));
+        lines.fold(f64::INFINITY, f64::min)
     };
     points.map(nearest).fold(0.0, f64::max)
 }

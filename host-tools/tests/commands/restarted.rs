@@ -19,35 +19,14 @@ const TWICE_MAX_MM: f64 = 60.0;
 
 type Point = [f64; 2];
 
-fn distance_mm(a: &Point, b: &Point) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
-fn length_mm(points: &[Point]) -> f64 {
-    points.windows(2).map(|pair| distance_mm(&pair[0], &pair[1])).sum()
-}
-
 fn whole_mm(ink: &[InkStroke]) -> f64 {
-    ink.iter().map(|stroke| length_mm(&stroke.points_mm)).sum()
+    ink.iter().map(InkStroke::length_mm).sum()
 }
 
 /// Distance of a point from the nearest ink, mm.
 fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
-    let pairs = ink.iter().flat_map(|stroke| stroke.points_mm.windows(2));
-    let to_segment = |pair: &[Point]| {
-        let (along, from) = (
-            [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]],
-            [point[0] - pair[0][0], point[1] - pair[0][1]],
-        );
-        let squared = along[0].powi(2) + along[1].powi(2);
-        let share = if squared > 0.0 {
-            ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        (from[0] - share * along[0]).hypot(from[1] - share * along[1])
-    };
-    pairs.map(to_segment).fold(f64::INFINITY, f64::min)
+    let lines = ink.iter().map(|stroke| stroke.distance_mm(point));
+    lines.fold(f64::INFINITY, f64::min)
 }
 
 /// A cell with the emulated firmware, and the program that works with it.
@@ -96,7 +75,7 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
     // In the middle of a stroke that is neither the first nor the last one.
     first.wait_for("third stroke or one behind it", |_| {
         let ink = bench.cell.ink();
-        let last = ink.last().map_or(0.0, |stroke| length_mm(&stroke.points_mm));
+        let last = ink.last().map_or(0.0, InkStroke::length_mm);
         ((3..6).contains(&ink.len()) && last > 20.0).then_some(())
     });
     bench.cell.inject(Injection::Restart).expect("it is an emulator");
@@ -132,11 +111,15 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
         missing_mm <= SAME_MM,
         "ink is missing {missing_mm} mm away from any other"
     );
-    let elsewhere: Vec<Point> = (ink.iter().flat_map(|stroke| &stroke.points_mm))
+    let points_mm = (ink.iter().flat_map(|stroke| &stroke.points_mm))
         .filter(|point| away_mm(point, &whole) > SAME_MM)
         .copied()
         .collect();
-    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(&whole), whole_mm(&ink), length_mm(&elsewhere));
+    let elsewhere = InkStroke {
+        points_mm,
+        ..InkStroke::default()
+    };
+    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(&whole), whole_mm(&ink), elsewhere.length_mm());
     println!(
         "{whole_mm:.2} mm undisturbed, {drawn_mm:.2} mm with the restart, {stray_mm:.2} mm of them beside the lines while \
          the drives stopped; {} pieces",

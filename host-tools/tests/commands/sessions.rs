@@ -266,15 +266,8 @@ fn a_console_says_that_its_robot_is_not_there_and_connects_when_it_appears() {
     });
 }
 
-fn length_mm(stroke: &InkStroke) -> f64 {
-    let pairs = stroke.points_mm.windows(2);
-    pairs
-        .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
-        .sum()
-}
-
 fn ink_mm(cell: &VirtualCell) -> f64 {
-    cell.ink().iter().map(length_mm).sum()
+    cell.ink().iter().map(InkStroke::length_mm).sum()
 }
 
 #[test]

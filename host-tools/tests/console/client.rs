@@ -182,7 +182,7 @@ impl Client {
         }
     }
 
-    /// The same, also content with what was sent before.
+    /// Takes messages until a section is as wanted; data that came before counts too.
     pub(crate) fn state(&mut self, section: &str, is: impl Fn(&Value) -> bool) -> Value {
         match self.sections.get(section) {
             Some(data) if is(data) => data.clone(),

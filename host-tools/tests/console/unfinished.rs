@@ -17,31 +17,14 @@ const STOP_MM: f64 = 8.0;
 
 type Point = [f64; 2];
 
-fn length_mm(points: &[Point]) -> f64 {
-    let pairs = points.windows(2);
-    pairs
-        .map(|pair| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]))
-        .sum()
-}
-
 fn whole_mm(ink: &[InkStroke]) -> f64 {
-    ink.iter().map(|stroke| length_mm(&stroke.points_mm)).sum()
+    ink.iter().map(InkStroke::length_mm).sum()
 }
 
 /// Distance of a point from the nearest ink, mm.
 fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
-    let pairs = ink.iter().flat_map(|stroke| stroke.points_mm.windows(2));
-    let to_segment = |pair: &[Point]| {
-        let along = [pair[1][0] - pair[0][0], pair[1][1] - pair[0][1]];
-        let from = [point[0] - pair[0][0], point[1] - pair[0][1]];
-        let squared = along[0].powi(2) + along[1].powi(2);
-        let share = match squared > 0.0 {
-            true => ((from[0] * along[0] + from[1] * along[1]) / squared).clamp(0.0, 1.0),
-            false => 0.0,
-        };
-        (from[0] - share * along[0]).hypot(from[1] - share * along[1])
-    };
-    pairs.map(to_segment).fold(f64::INFINITY, f64::min)
+    let lines = ink.iter().map(|stroke| stroke.distance_mm(point));
+    lines.fold(f64::INFINITY, f64::min)
 }
 
 /// Adds the drawing to the queue and begins with it. On a computer that is so busy that the page is not heard of for seconds,
@@ -57,7 +40,7 @@ fn start(browser: &mut Browser) {
     browser.press("#queue button.primary");
 }
 
-/// The same drawing, undisturbed.
+/// Ink of the drawing without an interruption.
 fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
     let bench = Bench::start();
     begin(browser, &bench);
@@ -75,7 +58,7 @@ fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
 fn until_broken(bench: &Bench) {
     bench.until("the third stroke", |_| {
         let ink = bench.cell().ink();
-        let last = ink.last().map_or(0.0, |stroke| length_mm(&stroke.points_mm));
+        let last = ink.last().map_or(0.0, InkStroke::length_mm);
         ink.len() == 3 && last > 40.0
     });
 }
@@ -83,11 +66,15 @@ fn until_broken(bench: &Bench) {
 fn check(what: &str, whole: &[InkStroke], ink: &[InkStroke]) {
     let points = whole.iter().flat_map(|stroke| &stroke.points_mm);
     let missing_mm = points.map(|point| away_mm(point, ink)).fold(0.0, f64::max);
-    let stray: Vec<Point> = (ink.iter().flat_map(|stroke| &stroke.points_mm))
+    let points_mm = (ink.iter().flat_map(|stroke| &stroke.points_mm))
         .filter(|point| away_mm(point, whole) > SAME_MM)
         .copied()
         .collect();
-    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(whole), whole_mm(ink), length_mm(&stray));
+    let stray = InkStroke {
+        points_mm,
+        ..InkStroke::default()
+    };
+    let (whole_mm, drawn_mm, stray_mm) = (whole_mm(whole), whole_mm(ink), stray.length_mm());
     println!(
         "{what}: {whole_mm:.2} mm undisturbed, {drawn_mm:.2} mm with the interruption, {stray_mm:.2} mm of them beside the \
          lines; farthest point without ink {missing_mm:.3} mm"
