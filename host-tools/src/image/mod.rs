@@ -5,9 +5,11 @@
 //! analysis of its instructions.
 
 mod calls;
+mod placement;
 mod thumb;
 
 pub use calls::{CallGraph, INDIRECT_NESTING, StackBound};
+pub use placement::section_pattern;
 
 use object::elf::{EM_ARM, PT_LOAD, SHF_ALLOC, SHT_ARM_ATTRIBUTES};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader, SectionHeader};
