@@ -14,8 +14,8 @@ use crate::link::frame::Decoder;
 use crate::link::task::{LinkEnds, LinkTask, PortEnds, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
-use crate::motion::task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use crate::network::{NetworkQueues, NetworkTask};
+use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
 /// References between the trajectory task and the sampler: the period being read, the next one, and a spare.

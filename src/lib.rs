@@ -16,7 +16,7 @@
 //! |---|---|---|---|
 //! | [`control::sampler::Sampler`] | timer, Ethernet, deadline | 15 | input telegram, control, output telegram |
 //! | [`controller::HostBytes`] | serial line, every millisecond | 10 | the link's bytes in and out |
-//! | [`motion::task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms references |
+//! | [`trajectory_task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms references |
 //! | [`controller::HostBytes`], a second one | USB, every millisecond | 3 | the link's bytes on a board's own USB port |
 //! | [`link::task::LinkTask`] | every millisecond | 3 | protocol, operating mode, configuration |
 //! | [`ethercat::supervisor::Supervisor`] | every millisecond | 1 | brings the bus up, watches and repairs it |
@@ -63,7 +63,9 @@ pub mod ethernet;
 pub mod io;
 pub mod link;
 pub mod measurement;
-pub mod motion;
 pub mod network;
 mod queue;
-pub mod robot;
+pub mod trajectory_task;
+
+pub use etherpen_motion as motion;
+pub use etherpen_motion::robot;

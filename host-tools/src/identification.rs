@@ -449,7 +449,7 @@ mod tests {
             path.iter()
                 .all(|vertex| vertex.pen == Pen::Up && vertex.position_um[2] >= lifted_um)
         );
-        let mut admission = etherpen::motion::Admission::new(&config).unwrap();
+        let mut admission = etherpen::motion::Admission::new(&config.motion_settings()).unwrap();
         for (index, vertex) in (0..).zip(&path) {
             let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
             let vertex = etherpen::motion::Vertex {

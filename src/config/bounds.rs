@@ -2,8 +2,10 @@
 //!
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
-use super::{Axis, Config, Transport};
+use super::{Axis, Bus, Config, Transport};
 use crate::robot::AXES;
+use etherpen_motion::Settings;
+use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
 use serde::{Deserialize, Serialize};
 
 /// Identifies a value of the configuration: a row of the table of bounds, and the axis if there is one value for each
@@ -50,16 +52,8 @@ const BLIND_MAX_MS: f64 = 8.0;
 /// `application::STANDSTILL_MAX_MS`, whether the axes are at rest or not.
 pub const QUICK_STOP_MAX_MS: u32 = 950;
 
-struct Bound {
-    name: &'static str,
-    value: f64,
-    low: f64,
-    high: f64,
-}
-
-const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
-    Bound { name, value, low, high }
-}
+/// Rows of the bus in the table of bounds.
+const BUS_BOUNDS: usize = 9;
 
 impl Axis {
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
@@ -139,132 +133,32 @@ impl Axis {
 impl Config {
     /// Hard bounds of every value that does not belong to an axis. A bound that depends on another value expresses a
     /// relation.
-    fn scalars(&self) -> [Bound; 45] {
-        let (geometry, area, paper, motion, bus) =
-            (&self.geometry, &self.work_area, &self.paper, &self.motion, &self.bus);
-        let reach = geometry.upper_arm_mm + geometry.forearm_mm;
+    fn scalars(&self) -> [Bound; Settings::BOUNDS + BUS_BOUNDS] {
+        let mut rows = [bound("", 0.0, 0.0, 0.0); Settings::BOUNDS + BUS_BOUNDS];
+        let (motion, bus) = rows.split_at_mut(Settings::BOUNDS);
+        motion.copy_from_slice(&self.motion_settings().bounds());
+        bus.copy_from_slice(&self.bus.bounds());
+        rows
+    }
+
+    /// Checks every value against its hard bounds.
+    ///
+    /// # Errors
+    /// The first value that is not finite or outside its bounds, with the bounds.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        check_rows(&self.scalars(), None)?;
+        for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
+            check_rows(&values.scalars(speed_rad_s), Some(axis))?;
+        }
+        Ok(())
+    }
+}
+
+impl Bus {
+    /// Hard bounds of the bus's values.
+    fn bounds(&self) -> [Bound; BUS_BOUNDS] {
+        let bus = self;
         [
-            bound("geometry.base_radius_mm", geometry.base_radius_mm, 10.0, 2000.0),
-            bound("geometry.upper_arm_mm", geometry.upper_arm_mm, 10.0, 2000.0),
-            bound(
-                "geometry.forearm_mm",
-                geometry.forearm_mm,
-                geometry.upper_arm_mm,
-                4000.0,
-            ),
-            bound(
-                "geometry.platform_radius_mm",
-                geometry.platform_radius_mm,
-                0.0,
-                geometry.base_radius_mm,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[0]",
-                geometry.arm_azimuths_deg[0],
-                -360.0,
-                360.0,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[1]",
-                geometry.arm_azimuths_deg[1],
-                -360.0,
-                360.0,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[2]",
-                geometry.arm_azimuths_deg[2],
-                -360.0,
-                360.0,
-            ),
-            bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
-            bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
-            bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
-            bound("geometry.turn_range_rad[0]", geometry.turn_range_rad[0], -6300.0, 0.0),
-            bound("geometry.turn_range_rad[1]", geometry.turn_range_rad[1], 0.0, 6300.0),
-            bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
-            bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
-            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
-            bound(
-                "paper.centre_mm[0]",
-                paper.centre_mm[0],
-                -area.radius_mm,
-                area.radius_mm,
-            ),
-            bound(
-                "paper.centre_mm[1]",
-                paper.centre_mm[1],
-                -area.radius_mm,
-                area.radius_mm,
-            ),
-            bound("paper.size_mm[0]", paper.size_mm[0], 1.0, 2.0 * area.radius_mm),
-            bound("paper.size_mm[1]", paper.size_mm[1], 1.0, 2.0 * area.radius_mm),
-            bound(
-                "paper.pen_down_z_mm",
-                paper.pen_down_z_mm,
-                area.z_low_mm,
-                area.z_high_mm,
-            ),
-            bound(
-                "paper.pen_lift_mm",
-                paper.pen_lift_mm,
-                0.5,
-                area.z_high_mm - paper.pen_down_z_mm,
-            ),
-            bound(
-                "paper.pressing_depth_mm",
-                paper.pressing_depth_mm,
-                0.0,
-                paper.pen_down_z_mm - area.z_low_mm,
-            ),
-            bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
-            bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
-            bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),
-            bound("motion.pen_speed_mm_s", motion.pen_speed_mm_s, 0.0, 10_000.0),
-            bound(
-                "motion.pen_acceleration_mm_s2",
-                motion.pen_acceleration_mm_s2,
-                0.0,
-                150_000.0,
-            ),
-            bound("motion.pen_dwell_ms", f64::from(motion.pen_dwell_ms), 0.0, 10_000.0),
-            bound(
-                "motion.joint_speed_rad_s",
-                largest(&motion.joint_speed_rad_s),
-                0.01,
-                50.0,
-            ),
-            bound(
-                "motion.joint_speed_rad_s",
-                smallest(&motion.joint_speed_rad_s),
-                0.01,
-                50.0,
-            ),
-            bound(
-                "motion.joint_acceleration_rad_s2",
-                largest(&motion.joint_acceleration_rad_s2),
-                0.1,
-                2000.0,
-            ),
-            bound(
-                "motion.joint_acceleration_rad_s2",
-                smallest(&motion.joint_acceleration_rad_s2),
-                0.1,
-                2000.0,
-            ),
-            bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
-            bound(
-                "motion.travel_tolerance_mm",
-                motion.travel_tolerance_mm,
-                motion.tolerance_mm,
-                10.0,
-            ),
-            bound("motion.jerk_window_ms", f64::from(motion.jerk_window_ms), 0.0, 32.0),
-            bound(
-                "motion.starve_dwell_ms",
-                f64::from(motion.starve_dwell_ms),
-                0.0,
-                60_000.0,
-            ),
             bound("bus.drives", f64::from(bus.drives), AXES as f64, AXES as f64),
             bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
@@ -287,42 +181,13 @@ impl Config {
             ),
         ]
     }
-
-    /// Checks every value against its hard bounds.
-    ///
-    /// # Errors
-    /// The first value that is not finite or outside its bounds, with the bounds.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        check_rows(&self.scalars(), None)?;
-        for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            check_rows(&values.scalars(speed_rad_s), Some(axis))?;
-        }
-        Ok(())
-    }
-}
-
-fn largest(values: &[f64]) -> f64 {
-    values
-        .iter()
-        .fold(f64::NEG_INFINITY, |a, b| if b.is_nan() || *b > a { *b } else { a })
-}
-
-fn smallest(values: &[f64]) -> f64 {
-    values
-        .iter()
-        .fold(f64::INFINITY, |a, b| if b.is_nan() || *b < a { *b } else { a })
 }
 
 fn check_rows(rows: &[Bound], axis: Option<u8>) -> Result<(), ConfigError> {
-    for (row, bound) in (0u8..).zip(rows) {
-        if !(bound.value.is_finite() && bound.value >= bound.low && bound.value <= bound.high) {
-            return Err(ConfigError {
-                field: Field { row, axis },
-                value: bound.value,
-                low: bound.low,
-                high: bound.high,
-            });
-        }
-    }
-    Ok(())
+    first_violation(rows).map_err(|Violation { row, bound }| ConfigError {
+        field: Field { row, axis },
+        value: bound.value,
+        low: bound.low,
+        high: bound.high,
+    })
 }

@@ -5,8 +5,8 @@ use super::ports::LinkPort;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::ethercat::ApplicationEnd;
 use crate::measurement::Measurements;
-use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::network::SettingsEnd;
+use crate::trajectory_task::{MotionOrder, MotionReport, PathItem};
 use heapless::spsc::{Consumer, Producer};
 
 /// The link task's ends of a port's channels.

@@ -19,9 +19,9 @@ use crate::drives::cia402::{DriveState, StatusWord};
 use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use crate::ethercat::service::{ServiceError, ServiceRequest};
 use crate::ethercat::state::AlReport;
-use crate::motion::task::{MotionOrder, MotionReport, PathItem};
 use crate::motion::{Admission, Pen, Vertex};
 use crate::robot::{AXES, JointAngles, Position};
+use crate::trajectory_task::{MotionOrder, MotionReport, PathItem};
 use heapless::Vec;
 
 /// Longest time between two status messages, ms.
@@ -243,7 +243,7 @@ impl<'a> LinkTask<'a> {
         if !self.application.may_configure() {
             return Err(ConfigRefusal::NotInMode(self.application.mode()));
         }
-        self.admission = Some(Admission::new(config)?);
+        self.admission = Some(Admission::new(&config.motion_settings())?);
         self.pose_check = Some(PoseCheck::new(config));
         self.config_hash = Some(hash);
         self.slaves.clear();
@@ -252,7 +252,7 @@ impl<'a> LinkTask<'a> {
             axes: config.axes,
             bus: config.bus.clone(),
         });
-        self.tell_trajectory(MotionOrder::Configure(config.clone()));
+        self.tell_trajectory(MotionOrder::Configure(config.motion_settings()));
         // The network task empties the queue every millisecond.
         let _ = self.ends.network.enqueue(config.bus.network());
         self.recovery_due = false;

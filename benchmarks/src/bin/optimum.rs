@@ -99,7 +99,7 @@ fn sections(config: &Config, path: &[Vertex]) -> Outcome<Vec<Section>> {
     let [first, rest @ ..] = path else {
         return Err("no vertices".into());
     };
-    let mut outline = Outline::new(config, first).map_err(|cause| format!("{cause:?}"))?;
+    let mut outline = Outline::new(&config.motion_settings(), first).map_err(|cause| format!("{cause:?}"))?;
     let (mut sections, mut rest) = (Vec::new(), rest.iter().peekable());
     loop {
         while let Some(vertex) = rest.peek() {
@@ -228,7 +228,7 @@ fn speed_squared(config: &Config, place: &Place) -> f64 {
 
 /// The planner's whole work for a path.
 fn plan(config: &Config, path: &[Vertex]) -> Outcome<()> {
-    let mut trajectory = Box::new(Trajectory::new(config).map_err(|cause| format!("{cause:?}"))?);
+    let mut trajectory = Box::new(Trajectory::new(&config.motion_settings()).map_err(|cause| format!("{cause:?}"))?);
     let delta = Delta::new(&config.geometry).map_err(|cause| format!("{cause:?}"))?;
     let first = path.first().ok_or("no vertices")?;
     let [a, b, c] = delta.inverse(&first.position).map_err(|cause| format!("{cause:?}"))?;

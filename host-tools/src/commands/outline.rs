@@ -47,7 +47,7 @@ pub(super) fn around(path: &[Vertex], config: &Config) -> Option<(Vec<PathVertex
 }
 
 fn is_admitted(path: &[Vertex], config: &Config) -> bool {
-    let Ok(mut admission) = Admission::new(config) else {
+    let Ok(mut admission) = Admission::new(&config.motion_settings()) else {
         return false;
     };
     (0..)

@@ -180,7 +180,8 @@ enum Refused {
 
 /// Checks the vertices of a listed path; leaves out those that coincide with the previous one.
 fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused> {
-    let mut admission = Admission::new(config).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
+    let mut admission =
+        Admission::new(&config.motion_settings()).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
     let mut admitted = Vec::with_capacity(path.vertices.len());
     for (index, (vertex, line)) in (0u32..).zip(path.vertices.iter().zip(&path.lines)) {
         match admission.check(index, vertex) {

@@ -277,7 +277,7 @@ fn on_sheet(
 /// The configured dimensions do not form a valid delta robot.
 pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, CommandError> {
     let mut result: Vec<Refused> = Vec::new();
-    let mut admission = Admission::new(config)
+    let mut admission = Admission::new(&config.motion_settings())
         .map_err(|cause| CommandError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
     for (index, vertex) in (0u32..).zip(&composed.path) {
         if let Err(refusal) = admission.check(index, vertex)

@@ -4,7 +4,7 @@
 
 use super::track::Track;
 use super::{Run, Sample};
-use etherpen::config::{Config, Motion};
+use etherpen::config::{Config, MotionLimits};
 use etherpen::motion::{PERIOD_MS, Pen, Vertex};
 use etherpen::robot::AXES;
 use etherpen::robot::vector::{Vector, length, subtract};
@@ -55,7 +55,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    fn new(motion: &Motion, jerk_window_ms: u16) -> Self {
+    fn new(motion: &MotionLimits, jerk_window_ms: u16) -> Self {
         let given = |limit: f64| (limit > 0.0).then_some(limit);
         let jerk = |acceleration: f64| 2.0 * acceleration / (f64::from(jerk_window_ms) * TICK_S);
         Self {
@@ -158,7 +158,7 @@ struct Last {
 /// Analyses a path's references one after the other.
 pub struct Analysis {
     limits: Limits,
-    motion: Motion,
+    motion: MotionLimits,
     track: Track,
     /// Whether all strokes are level, so that all vertical motion lifts or lowers the pen.
     level: bool,
@@ -307,7 +307,7 @@ impl Analysis {
         let corners = self.track.corners();
         // Between two references the motion is not a straight line.
         let bow_mm = self.peaks.acceleration_mm_s2 * TICK_S * TICK_S / 8.0;
-        let Motion {
+        let MotionLimits {
             tolerance_mm,
             travel_tolerance_mm,
             ..

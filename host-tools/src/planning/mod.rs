@@ -114,7 +114,7 @@ pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &
         return Err(PlanningError::TooShort { vertices: path.len() });
     };
     let delta = Delta::new(&config.geometry).map_err(PlanningError::Geometry)?;
-    let mut trajectory = Box::new(Trajectory::new(config).map_err(PlanningError::Geometry)?);
+    let mut trajectory = Box::new(Trajectory::new(&config.motion_settings()).map_err(PlanningError::Geometry)?);
     let [a, b, c] = delta.inverse(&first.position).map_err(PlanningError::Start)?;
     let pose = JointAngles([a, b, c, first_angle(config, path)]);
     trajectory.place(pose);

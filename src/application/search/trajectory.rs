@@ -8,7 +8,7 @@ extern crate std;
 
 use crate::application::Progress;
 use crate::motion::MotionCommand;
-use crate::motion::task::MotionOrder;
+use crate::trajectory_task::MotionOrder;
 use std::vec::Vec;
 
 /// What the trajectory does.
@@ -141,9 +141,9 @@ mod real {
     use super::*;
     use crate::config::Config;
     use crate::control::sampler::Queued;
-    use crate::motion::task::{MotionReport, PathItem, TrajectoryTask};
     use crate::motion::{PERIOD_MS, Pen, Trajectory, Vertex};
     use crate::robot::{Delta, JointAngles, Position};
+    use crate::trajectory_task::{MotionReport, PathItem, TrajectoryTask};
     use heapless::spsc::{Consumer, Producer, Queue};
     use std::boxed::Box;
     use std::{println, vec};
@@ -265,7 +265,12 @@ mod real {
         let pose = pose(&config);
         let mut bench = Bench::new();
         let mut guesses = Guesses(vec![Model::default()]);
-        assert!(bench.orders.enqueue(MotionOrder::Configure(config)).is_ok());
+        assert!(
+            bench
+                .orders
+                .enqueue(MotionOrder::Configure(config.motion_settings()))
+                .is_ok()
+        );
         let (mut epoch, mut followed, mut taken, mut arrivals) = (0, None, 0, 0);
         let mut story: Vec<std::string::String> = Vec::new();
         for _ in 0..600 {
@@ -370,7 +375,7 @@ mod real {
         let target = Position { x_mm: 50.0, ..ABOVE };
         let mut bench = Bench::new();
         for order in [
-            MotionOrder::Configure(config),
+            MotionOrder::Configure(config.motion_settings()),
             MotionOrder::Place { pose, epoch: 1 },
             MotionOrder::Command(MotionCommand::MoveTo(target)),
         ] {

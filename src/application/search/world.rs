@@ -11,7 +11,7 @@ use super::inputs::{ANSWERS, BLIND, CHANGES, COMMANDS, Change, DRIVE, NEWS};
 use super::trajectory::{Data, Doing, Model};
 use crate::board::Interlock;
 use crate::link::protocol::Command;
-use crate::motion::task::MotionOrder;
+use crate::trajectory_task::MotionOrder;
 use std::vec::Vec;
 
 /// One transition.
@@ -330,7 +330,9 @@ impl State {
         match step {
             Move::Configure => {
                 self.application.configured(500);
-                self.order(&MotionOrder::Configure(crate::config::Config::default()));
+                self.order(&MotionOrder::Configure(
+                    crate::config::Config::default().motion_settings(),
+                ));
                 self.condition.unreferenced = Some(0);
                 self.supervisor_asked = true;
             }

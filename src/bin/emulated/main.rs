@@ -73,8 +73,8 @@ mod app {
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link::task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
-    use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
+    use etherpen::trajectory_task::TrajectoryTask;
 
     static SUPERVISOR: Metronome = Metronome::new();
     static NETWORK: Metronome = Metronome::new();

@@ -88,8 +88,8 @@ mod app {
     use etherpen::ethernet::phy::Phy;
     use etherpen::link::task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
-    use etherpen::motion::task::TrajectoryTask;
     use etherpen::network::NetworkTask;
+    use etherpen::trajectory_task::TrajectoryTask;
     use stm32_metapac::{Interrupt, UID};
 
     /// What the critical tasks share: they have one priority, so no lock exists.

@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn every_path_has_different_vertices_inside_the_work_area() {
         let config = etherpen::config::Config::default();
-        let mut admission = etherpen::motion::Admission::new(&config).unwrap();
+        let mut admission = etherpen::motion::Admission::new(&config.motion_settings()).unwrap();
         for path in samples().unwrap().iter().chain(&generated()) {
             admission.restart();
             for (index, vertex) in (0u32..).zip(&path.vertices) {

@@ -4,18 +4,17 @@
 //! of the sampler, so a release may take up to its deadline. Every committed plan ends at rest, so the robot comes to
 //! rest if a release never comes.
 
-use super::{MotionCommand, MotionState, PERIOD_MS, Trajectory, Vertex};
-use crate::config::Config;
 use crate::control::sampler::Queued;
-use crate::robot::JointAngles;
+use etherpen_motion::robot::JointAngles;
+use etherpen_motion::{MotionCommand, MotionState, PERIOD_MS, Settings, Trajectory, Vertex};
 use heapless::spsc::{Consumer, Producer};
 
 /// An order to the trajectory task.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // a handful, in static memory
 pub enum MotionOrder {
-    /// Use this configuration; discards everything planned.
-    Configure(Config),
+    /// Use these settings; discards everything planned.
+    Configure(Settings),
     /// Start at rest from this pose; the references carry the epoch.
     Place {
         /// The pose.
@@ -173,9 +172,9 @@ impl<'a> TrajectoryTask<'a> {
 
     fn take_order(&mut self, order: MotionOrder) {
         match order {
-            MotionOrder::Configure(config) => {
+            MotionOrder::Configure(settings) => {
                 // The link task has refused geometries that are none.
-                self.configured = self.trajectory.reconfigure(&config).is_ok();
+                self.configured = self.trajectory.reconfigure(&settings).is_ok();
                 self.epoch = None;
                 self.drop_path();
             }

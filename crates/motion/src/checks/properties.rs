@@ -2,13 +2,13 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::config::Orientation;
 use crate::robot::WorkArea;
+use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
-fn varied(random: &mut Random) -> Config {
-    let mut config = Config::default();
-    let motion = &mut config.motion;
+fn varied(random: &mut Random) -> Settings {
+    let mut settings = Settings::default();
+    let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
     motion.travel_speed_mm_s = motion.speed_mm_s * random.between(1.0, 3.0);
     motion.acceleration_mm_s2 = libm::pow(10.0, random.between(3.0, 5.0));
@@ -27,15 +27,15 @@ fn varied(random: &mut Random) -> Config {
     if random.below(2) == 0 {
         motion.orientation = Orientation::Path;
     }
-    config.paper.pen_lift_mm = random.between(0.5, 10.0);
-    assert_eq!(config.check(), Ok(()));
-    config
+    settings.paper.pen_lift_mm = random.between(0.5, 10.0);
+    assert_eq!(settings.check(), Ok(()));
+    settings
 }
 
 /// Strokes of all characters, lowered and lifted straight or on a slant.
-fn varied_path(random: &mut Random, config: &Config) -> Vec<Vertex> {
-    let down = config.paper.pen_down_z_mm;
-    let up = down + config.paper.pen_lift_mm;
+fn varied_path(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
+    let down = settings.paper.pen_down_z_mm;
+    let up = down + settings.paper.pen_lift_mm;
     let mut path = Vec::new();
     for stroke in 0..1 + random.below(3) as u32 {
         let slant = [0.0, random.between(-2.0, 2.0)][random.below(2)];
@@ -84,8 +84,8 @@ fn check_whole(run: &Run, name: &str) -> [f64; KINDS] {
 }
 
 /// Draws the path with a hold, an override and a resume at random times.
-fn check_held(random: &mut Random, config: &Config, path: &[Vertex], periods: usize, name: &str) {
-    let mut run = Run::new(config, path);
+fn check_held(random: &mut Random, settings: &Settings, path: &[Vertex], periods: usize, name: &str) {
+    let mut run = Run::new(settings, path);
     run.command(MotionCommand::Start);
     let hold_at = random.below(periods.max(1));
     let percent = 10 + random.below(91) as u8;
@@ -113,16 +113,16 @@ fn check_seeds(seeds: core::ops::Range<u64>) {
     let (mut worst, mut samples) = ([0.0_f64; KINDS], 0);
     for seed in seeds {
         let mut random = Random::new(seed);
-        let config = varied(&mut random);
-        let path = varied_path(&mut random, &config);
+        let settings = varied(&mut random);
+        let path = varied_path(&mut random, &settings);
         let name = format!("seed {seed}");
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         samples += run.references.len();
         for (all, one) in worst.iter_mut().zip(check_whole(&run, &name)) {
             *all = all.max(one);
         }
         let periods = run.references.len() / PERIOD_MS;
-        check_held(&mut random, &config, &path, periods, &format!("seed {seed}, held"));
+        check_held(&mut random, &settings, &path, periods, &format!("seed {seed}, held"));
     }
     println!("worst parts of the limits in {samples} samples: {worst:?}");
 }
@@ -139,15 +139,15 @@ fn another_five_hundred_random_paths_keep_all_limits_whole_and_held() {
 
 #[test]
 fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
-    let mut config = Config::default();
-    config.paper.pressing_depth_mm = 110.0;
-    config.motion.travel_tolerance_mm = 2.0;
-    config.motion.tolerance_mm = 1.0;
-    let area = WorkArea::new(&config).unwrap();
+    let mut settings = Settings::default();
+    settings.paper.pressing_depth_mm = 110.0;
+    settings.motion.travel_tolerance_mm = 2.0;
+    settings.motion.tolerance_mm = 1.0;
+    let area = WorkArea::new(&settings).unwrap();
     let (mut samples, mut refused) = (0, 0);
     for seed in 1..=60 {
         let mut random = Random::new(seed);
-        let mut admission = Admission::new(&config).unwrap();
+        let mut admission = Admission::new(&settings).unwrap();
         let mut path = Vec::new();
         while path.len() < 8 {
             let (radius, angle) = (random.between(300.0, 565.0), random.between(0.0, TAU));
@@ -160,7 +160,7 @@ fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
                 refused += 1;
             }
         }
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         run.check_limits(&format!("seed {seed}"));
         for reference in &run.references {
             let at = area.delta().forward(&JointAngles(reference.position_rad)).unwrap();

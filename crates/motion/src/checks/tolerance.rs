@@ -44,7 +44,7 @@ fn places(vertices: &[[f64; 3]]) -> Vec<usize> {
 
 /// Largest distances with the pen down: of a reference from its legs, and of a vertex from the references around it.
 fn distances(run: &Run) -> (f64, f64) {
-    let delta = Delta::new(&run.config.geometry).unwrap();
+    let delta = Delta::new(&run.settings.geometry).unwrap();
     let vertices: Vec<[f64; 3]> = run.path.iter().map(|vertex| vertex.position.into()).collect();
     let places = places(&vertices);
     let mut off_legs = 0.0_f64;
@@ -86,7 +86,7 @@ fn distances(run: &Run) -> (f64, f64) {
 
 /// Checks both distances; gives them as parts of the tolerance.
 pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
-    let motion = &run.config.motion;
+    let motion = &run.settings.motion;
     let (off_legs, missed) = distances(run);
     // Where nothing is averaged, references a millisecond apart cut a corner.
     let cut = if run.trajectory.jerk_window_ms() > 1 {
@@ -108,8 +108,8 @@ pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
     (off_legs / limit, (missed - cut) / limit)
 }
 
-fn check(config: &Config, path: &[Vertex], name: &str) -> (f64, f64) {
-    let run = Run::new(config, path).whole();
+fn check(settings: &Settings, path: &[Vertex], name: &str) -> (f64, f64) {
+    let run = Run::new(settings, path).whole();
     run.check_limits(name);
     check_distances(&run, name)
 }
@@ -143,16 +143,16 @@ fn drawings_of_every_scale_stay_within_the_tolerance_of_their_lines_and_reach_ev
     let mut worst = (0.0_f64, 0.0_f64);
     for seed in 1..=asked.unwrap_or(DRAWINGS_OF_THE_SUITE) {
         let mut random = Random::new(seed);
-        let mut config = Config::default();
+        let mut settings = Settings::default();
         if random.below(2) == 0 {
-            config.motion.tolerance_mm = libm::pow(10.0, random.between(-2.3, 0.5));
-            config.motion.travel_tolerance_mm = config.motion.tolerance_mm;
-            config.motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.5, 4.3));
-            config.motion.jerk_window_ms = [0, 4, 4, 8][random.below(4)];
+            settings.motion.tolerance_mm = libm::pow(10.0, random.between(-2.3, 0.5));
+            settings.motion.travel_tolerance_mm = settings.motion.tolerance_mm;
+            settings.motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.5, 4.3));
+            settings.motion.jerk_window_ms = [0, 4, 4, 8][random.below(4)];
         }
-        assert_eq!(config.check(), Ok(()));
-        let path = drawing(&mut random, config.motion.tolerance_mm);
-        let one = check(&config, &path, &format!("drawing {seed}"));
+        assert_eq!(settings.check(), Ok(()));
+        let path = drawing(&mut random, settings.motion.tolerance_mm);
+        let one = check(&settings, &path, &format!("drawing {seed}"));
         worst = (worst.0.max(one.0), worst.1.max(one.1));
     }
     println!(
@@ -163,7 +163,7 @@ fn drawings_of_every_scale_stay_within_the_tolerance_of_their_lines_and_reach_ev
 
 #[test]
 fn a_recorded_walk_of_short_legs_keeps_its_tolerance() {
-    let path = paths::sample_path(include_str!("../../../samples/motion/tolerance.csv"));
-    let (off_legs, missed) = check(&Config::default(), &path, "tolerance.csv");
+    let path = paths::sample_path(include_str!("../../../../samples/motion/tolerance.csv"));
+    let (off_legs, missed) = check(&Settings::default(), &path, "tolerance.csv");
     println!("parts of the tolerance: reference to line {off_legs:.4}, vertex to reference {missed:.4}");
 }

@@ -2,18 +2,18 @@
 
 use super::super::heading::{Winding, turn_to};
 use super::*;
-use crate::config::Orientation;
+use crate::settings::Orientation;
 
-fn following() -> Config {
-    let mut config = Config::default();
-    config.motion.orientation = Orientation::Path;
-    config
+fn following() -> Settings {
+    let mut settings = Settings::default();
+    settings.motion.orientation = Orientation::Path;
+    settings
 }
 
 /// Largest difference between the fourth axis and the direction of the drawn leg in the middle of long legs, rad, and
 /// over how many references.
 fn misalignment(run: &Run) -> (f64, usize) {
-    let delta = Delta::new(&run.config.geometry).unwrap();
+    let delta = Delta::new(&run.settings.geometry).unwrap();
     let (mut worst, mut samples) = (0.0_f64, 0);
     let drawn = |reference: &&Reference| reference.pen == Pen::Down && reference.velocity_rad_s[..3] != [0.0; 3];
     for reference in run.references.iter().filter(drawn) {
@@ -91,7 +91,7 @@ fn on_a_circle_the_fourth_axis_turns_on_and_on() {
     run.check_limits("circle");
     let turned = run.references.last().unwrap().position_rad[3] - PI / 2.0;
     assert!((turned - 3.0 * TAU).abs() < 0.1, "{turned} rad");
-    let constant = Run::new(&Config::default(), &path).whole();
+    let constant = Run::new(&Settings::default(), &path).whole();
     println!(
         "circles: {:.3} s, {:.3} s with a constant angle",
         run.duration_s(),

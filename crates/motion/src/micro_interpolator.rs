@@ -277,7 +277,7 @@ fn to_parts(angle_rad: f64) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Geometry;
+    use crate::settings::Geometry;
 
     /// Speeds up and slows down along x, then rests.
     struct There {

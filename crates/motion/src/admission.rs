@@ -11,9 +11,9 @@
 
 use super::heading::Winding;
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
-use crate::config::{Config, Orientation};
 use crate::robot::vector::{Vector, add_scaled, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
+use crate::settings::{Orientation, Settings};
 
 /// Distance between checked points on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
@@ -46,18 +46,18 @@ impl Admission {
     ///
     /// # Errors
     /// The dimensions do not form a valid delta robot.
-    pub fn new(config: &Config) -> Result<Self, GeometryError> {
+    pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
         Ok(Self {
-            area: WorkArea::new(config)?,
-            room_mm: config.motion.travel_tolerance_mm.max(config.motion.tolerance_mm) + LEG_ROOM_MM,
+            area: WorkArea::new(settings)?,
+            room_mm: settings.motion.travel_tolerance_mm.max(settings.motion.tolerance_mm) + LEG_ROOM_MM,
             previous: None,
             start: None,
-            winding: (config.motion.orientation == Orientation::Path).then(Winding::default),
+            winding: (settings.motion.orientation == Orientation::Path).then(Winding::default),
             wound_at: None,
-            turn_range_rad: config.geometry.turn_range_rad,
+            turn_range_rad: settings.geometry.turn_range_rad,
             pen_z_mm: [
-                config.paper.pen_down_z_mm,
-                config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+                settings.paper.pen_down_z_mm,
+                settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,
             ],
         })
     }
@@ -227,7 +227,7 @@ pub(crate) fn check_way_in(area: &WorkArea, from: &Position, to: &Position) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::Pen;
+    use crate::Pen;
     use crate::robot::Delta;
 
     fn vertex(x_mm: f64, y_mm: f64, z_mm: f64) -> Vertex {
@@ -240,7 +240,7 @@ mod tests {
 
     #[test]
     fn a_refusal_names_the_index_and_the_reason_and_changes_nothing() {
-        let mut admission = Admission::new(&Config::default()).unwrap();
+        let mut admission = Admission::new(&Settings::default()).unwrap();
         assert_eq!(admission.check(0, &vertex(10.0, 0.0, -850.0)), Ok(()));
         let refusal = admission.check(1, &vertex(f64::NAN, 0.0, -850.0)).unwrap_err();
         assert_eq!((refusal.index, refusal.reason), (1, RefusalReason::NotFinite));
@@ -253,9 +253,9 @@ mod tests {
 
     #[test]
     fn a_leg_that_winds_the_fourth_axis_out_of_its_range_is_refused() {
-        let mut config = Config::default();
-        config.motion.orientation = Orientation::Path;
-        config.geometry.turn_range_rad = [-7.0, 10.0];
+        let mut settings = Settings::default();
+        settings.motion.orientation = Orientation::Path;
+        settings.geometry.turn_range_rad = [-7.0, 10.0];
         let square = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
         let corner = |index: u32, left: bool| {
             let (x, y) = square[index as usize % 4];
@@ -264,7 +264,7 @@ mod tests {
         let refusal = |admission: &mut Admission, left: bool| {
             (0..20).find_map(|index| admission.check(index, &corner(index, left)).err())
         };
-        let mut admission = Admission::new(&config).unwrap();
+        let mut admission = Admission::new(&settings).unwrap();
         // The first leg has the direction 0; leg k turns to k quarters.
         let quarter = core::f64::consts::FRAC_PI_2;
         let wound = |index: u32, quarters: f64| {
@@ -280,7 +280,7 @@ mod tests {
         assert_eq!(refusal(&mut admission, true), wound(8, 7.0));
         admission.restart();
         assert_eq!(refusal(&mut admission, false), wound(6, -5.0));
-        let [a, b, c] = Delta::new(&config.geometry)
+        let [a, b, c] = Delta::new(&settings.geometry)
             .unwrap()
             .inverse(&Position {
                 x_mm: -5.0,
@@ -297,18 +297,18 @@ mod tests {
         );
         let target = corner(2, true).position;
         assert_eq!(admission.check_move(&JointAngles([a, b, c, 9.9]), &target), Ok(()));
-        config.motion.orientation = Orientation::Constant;
-        assert_eq!(refusal(&mut Admission::new(&config).unwrap(), true), None);
+        settings.motion.orientation = Orientation::Constant;
+        assert_eq!(refusal(&mut Admission::new(&settings).unwrap(), true), None);
     }
 
     #[test]
     fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
-        let mut config = Config::default();
+        let mut settings = Settings::default();
         // Below the lowest elbow hangs a sphere of the forearm's length that the platform cannot enter.
-        config.geometry.arm_range_rad[0] = 0.0;
-        config.geometry.arm_margin_rad = 0.2;
-        config.paper.pressing_depth_mm = 10.0;
-        let mut admission = Admission::new(&config).unwrap();
+        settings.geometry.arm_range_rad[0] = 0.0;
+        settings.geometry.arm_margin_rad = 0.2;
+        settings.paper.pressing_depth_mm = 10.0;
+        let mut admission = Admission::new(&settings).unwrap();
         assert_eq!(admission.check(0, &vertex(400.0, -150.0, -856.0)), Ok(()));
         let refusal = admission.check(1, &vertex(400.0, 150.0, -856.0)).unwrap_err();
         assert!(

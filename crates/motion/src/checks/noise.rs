@@ -4,7 +4,7 @@
 //! rounded to the link's micrometre. The time it may take follows from its length and its limits alone.
 
 use super::*;
-use crate::config::Orientation;
+use crate::settings::Orientation;
 
 /// Variable that asks for another number of walks than the one of the test suite, which takes seconds.
 const WALKS: &str = "ETHERPEN_NOISE_WALKS";
@@ -25,10 +25,10 @@ fn walks() -> impl Iterator<Item = u64> {
 }
 
 /// Limits of a walk: mostly the default ones, some far from them.
-pub(super) fn limits(random: &mut Random) -> Config {
-    let mut config = Config::default();
+pub(super) fn limits(random: &mut Random) -> Settings {
+    let mut settings = Settings::default();
     if random.below(3) == 0 {
-        let motion = &mut config.motion;
+        let motion = &mut settings.motion;
         motion.speed_mm_s = libm::pow(10.0, random.between(0.5, 3.0));
         motion.travel_speed_mm_s = motion.speed_mm_s;
         motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.0, 5.0));
@@ -39,10 +39,10 @@ pub(super) fn limits(random: &mut Random) -> Config {
         motion.pen_dwell_ms = [0, 0, 5][random.below(3)];
     }
     if random.below(6) == 0 {
-        config.motion.orientation = Orientation::Path;
+        settings.motion.orientation = Orientation::Path;
     }
-    assert_eq!(config.check(), Ok(()));
-    config
+    assert_eq!(settings.check(), Ok(()));
+    settings
 }
 
 /// A walk of a random character.
@@ -88,9 +88,9 @@ pub(super) fn walk(random: &mut Random) -> Vec<Vertex> {
 }
 
 /// How long a path takes that rests at each vertex, with half of what the joints allow, s.
-pub(super) fn duration_with_rests_s(config: &Config, path: &[Vertex]) -> f64 {
-    let delta = Delta::new(&config.geometry).unwrap();
-    let motion = &config.motion;
+pub(super) fn duration_with_rests_s(settings: &Settings, path: &[Vertex]) -> f64 {
+    let delta = Delta::new(&settings.geometry).unwrap();
+    let motion = &settings.motion;
     let [_, _, _, turn_acceleration] = motion.joint_acceleration_rad_s2;
     let turn_s = match motion.orientation {
         Orientation::Path => 4.0 * libm::sqrt(PI / turn_acceleration) + PI / motion.joint_speed_rad_s[3],
@@ -112,9 +112,9 @@ pub(super) fn duration_with_rests_s(config: &Config, path: &[Vertex]) -> f64 {
 }
 
 /// Runs a path to its end; the part of the time that it may take.
-pub(super) fn run_to_its_end(config: &Config, path: &[Vertex], name: &str) -> (Run, f64) {
-    let bound_s = SLOWER * duration_with_rests_s(config, path) + BESIDE_S;
-    let mut run = Run::new(config, path);
+pub(super) fn run_to_its_end(settings: &Settings, path: &[Vertex], name: &str) -> (Run, f64) {
+    let bound_s = SLOWER * duration_with_rests_s(settings, path) + BESIDE_S;
+    let mut run = Run::new(settings, path);
     run.feed(usize::MAX);
     run.command(MotionCommand::Start);
     let periods = (bound_s / (PERIOD_MS as f64 * TICK_S)) as usize + 1;
@@ -152,10 +152,10 @@ fn noise_of_every_scale_ends_at_its_last_vertex_in_bounded_time() {
     let (mut count, mut longest, mut worst, mut apart) = (0, 0.0_f64, [0.0_f64; KINDS], (0.0_f64, 0.0_f64));
     for seed in walks() {
         let mut random = Random::new(seed);
-        let config = limits(&mut random);
+        let settings = limits(&mut random);
         let path = walk(&mut random);
         let name = format!("walk {seed}");
-        let (run, part) = run_to_its_end(&config, &path, &name);
+        let (run, part) = run_to_its_end(&settings, &path, &name);
         let (parts, distances) = check_end(&run, &name);
         worst = core::array::from_fn(|kind| worst[kind].max(parts[kind]));
         apart = (apart.0.max(distances.0), apart.1.max(distances.1));
@@ -171,9 +171,9 @@ fn noise_of_every_scale_ends_at_its_last_vertex_in_bounded_time() {
 
 #[test]
 fn a_recorded_walk_of_ten_micrometres_with_reversals_ends() {
-    let path = paths::sample_path(include_str!("../../../samples/motion/stall.csv"));
-    let config = Config::default();
-    let (run, part) = run_to_its_end(&config, &path, "stall.csv");
+    let path = paths::sample_path(include_str!("../../../../samples/motion/stall.csv"));
+    let settings = Settings::default();
+    let (run, part) = run_to_its_end(&settings, &path, "stall.csv");
     check_end(&run, "stall.csv");
     println!("{:.3} s, {part:.3} of its bound", run.duration_s());
 }
@@ -182,12 +182,12 @@ fn a_recorded_walk_of_ten_micrometres_with_reversals_ends() {
 /// of its limits. None where it had ended before.
 pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
     let mut random = Random::new(seed);
-    let config = limits(&mut random);
+    let settings = limits(&mut random);
     let path = walk(&mut random);
     let name = format!("walk {seed}");
-    let bound_s = SLOWER * duration_with_rests_s(&config, &path) + BESIDE_S;
+    let bound_s = SLOWER * duration_with_rests_s(&settings, &path) + BESIDE_S;
     let periods = (bound_s / (PERIOD_MS as f64 * TICK_S)) as usize + 1;
-    let mut run = Run::new(&config, &path);
+    let mut run = Run::new(&settings, &path);
     run.command(MotionCommand::Start);
     for _ in 0..random.below(periods.min(200)) {
         run.feed(usize::MAX);
@@ -208,7 +208,7 @@ pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
     }
     run.command(command);
     // From the fastest that there is to a rest, the turn of the fourth axis at a stop, and the lift of the pen.
-    let motion = &config.motion;
+    let motion = &settings.motion;
     let turn_acceleration = motion.joint_acceleration_rad_s2[3];
     let brake_s = 2.0 * motion.speed_mm_s / motion.acceleration_mm_s2 + 4.0 * libm::sqrt(PI / turn_acceleration) + 3.0;
     for _ in 0..(brake_s / (PERIOD_MS as f64 * TICK_S)) as usize {
@@ -227,8 +227,8 @@ pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
     if state == MotionState::Held {
         resume_to_the_end(&mut run, periods, &name);
     }
-    run.config.motion.speed_mm_s *= 2.0;
-    run.config.motion.travel_speed_mm_s *= 2.0;
+    run.settings.motion.speed_mm_s *= 2.0;
+    run.settings.motion.travel_speed_mm_s *= 2.0;
     Some((rest_ms, run.check_limits(&name)))
 }
 
@@ -261,11 +261,11 @@ fn hold_cancel_and_override_act_in_the_middle_of_noise() {
 
 /// A line at 1 mm/s takes two seconds from one point of the grid to the next.
 fn slow_line() -> Run {
-    let mut config = Config::default();
-    config.motion.speed_mm_s = 1.0;
-    config.motion.travel_speed_mm_s = 1.0;
+    let mut settings = Settings::default();
+    settings.motion.speed_mm_s = 1.0;
+    settings.motion.travel_speed_mm_s = 1.0;
     let ends = [[0.0, 0.0, -850.0], [40.0, 0.0, -850.0]];
-    let mut run = Run::new(&config, &ends.map(|point| vertex(point, Pen::Down, 0)));
+    let mut run = Run::new(&settings, &ends.map(|point| vertex(point, Pen::Down, 0)));
     run.feed(usize::MAX);
     run.command(MotionCommand::Start);
     for _ in 0..100 {
@@ -278,7 +278,7 @@ fn slow_line() -> Run {
 fn a_hold_a_cancel_and_an_override_cut_a_long_stretch() {
     let speed = |run: &Run| {
         let mut ends = [run.references.len() - 2, run.references.len() - 1].into_iter();
-        let delta = Delta::new(&run.config.geometry).unwrap();
+        let delta = Delta::new(&run.settings.geometry).unwrap();
         let mut point = || {
             Vector::from(
                 delta
@@ -319,10 +319,10 @@ fn a_hold_a_cancel_and_an_override_cut_a_long_stretch() {
 fn a_motion_that_makes_no_progress_is_noticed_and_a_slow_one_goes_on() {
     let path = [[0.0, 0.0, -850.0], [0.02, 0.0, -850.0], [0.02, 0.02, -850.0]].map(|point| vertex(point, Pen::Down, 0));
     // Limits that no configuration may have: nothing can move.
-    let mut config = Config::default();
-    config.motion.speed_mm_s = 0.0;
-    config.motion.travel_speed_mm_s = 0.0;
-    let mut run = Run::new(&config, &path);
+    let mut settings = Settings::default();
+    settings.motion.speed_mm_s = 0.0;
+    settings.motion.travel_speed_mm_s = 0.0;
+    let mut run = Run::new(&settings, &path);
     run.feed(usize::MAX);
     run.command(MotionCommand::Start);
     let noticed = (1..=400).find(|_| {
@@ -333,16 +333,16 @@ fn a_motion_that_makes_no_progress_is_noticed_and_a_slow_one_goes_on() {
     assert!(run.trajectory.place(JointAngles(run.references[0].position_rad)));
     assert_eq!(run.trajectory.stalled_ms(), 0, "a new start is watched anew");
     // The slowest that a configuration may ask for.
-    let mut config = Config::default();
-    config.motion.speed_mm_s = 1.0;
-    config.motion.travel_speed_mm_s = 1.0;
-    config.motion.acceleration_mm_s2 = 10.0;
-    config.motion.joint_speed_rad_s[3] = 0.01;
-    config.motion.joint_acceleration_rad_s2 = [0.1; AXES];
-    config.motion.orientation = Orientation::Path;
-    config.motion.pen_dwell_ms = 10_000;
-    assert_eq!(config.check(), Ok(()));
-    let mut run = Run::new(&config, &path);
+    let mut settings = Settings::default();
+    settings.motion.speed_mm_s = 1.0;
+    settings.motion.travel_speed_mm_s = 1.0;
+    settings.motion.acceleration_mm_s2 = 10.0;
+    settings.motion.joint_speed_rad_s[3] = 0.01;
+    settings.motion.joint_acceleration_rad_s2 = [0.1; AXES];
+    settings.motion.orientation = Orientation::Path;
+    settings.motion.pen_dwell_ms = 10_000;
+    assert_eq!(settings.check(), Ok(()));
+    let mut run = Run::new(&settings, &path);
     run.command(MotionCommand::Override(10));
     run.feed(usize::MAX);
     run.command(MotionCommand::Start);

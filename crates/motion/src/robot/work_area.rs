@@ -11,7 +11,7 @@
 use super::kinematics::{AngleRange, Conditioning, Delta, GeometryError, KinematicsError};
 use super::vector::Vector;
 use super::{ARMS, Position};
-use crate::config::{Config, WorkArea as Cylinder};
+use crate::settings::{Settings, WorkCylinder as Cylinder};
 use serde::{Deserialize, Serialize};
 
 /// Smallest D/A: sine of the angle between an arm's plane projection of the forearm and the upper arm, in effect.
@@ -114,18 +114,18 @@ impl WorkArea {
     ///
     /// # Errors
     /// The dimensions do not form a valid delta robot, or the margins leave no range.
-    pub fn new(config: &Config) -> Result<Self, GeometryError> {
-        let [low, high] = config.geometry.arm_range_rad;
-        let margin = config.geometry.arm_margin_rad;
+    pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
+        let [low, high] = settings.geometry.arm_range_rad;
+        let margin = settings.geometry.arm_margin_rad;
         let (low_rad, high_rad) = (low + margin, high - margin);
-        let delta = Delta::new(&config.geometry)?;
+        let delta = Delta::new(&settings.geometry)?;
         if (low_rad..high_rad).is_empty() {
             return Err(GeometryError::Range { low_rad, high_rad });
         }
         Ok(Self {
             delta,
-            cylinder: config.work_area,
-            paper_low_mm: config.paper.pen_down_z_mm - config.paper.pressing_depth_mm,
+            cylinder: settings.work_area,
+            paper_low_mm: settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm,
             range_rad: [low_rad, high_rad],
             range: AngleRange::new([low_rad, high_rad]),
         })
@@ -271,7 +271,7 @@ mod tests {
     use super::*;
 
     fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; ARMS], Outside> {
-        WorkArea::new(&Config::default())
+        WorkArea::new(&Settings::default())
             .unwrap()
             .check(&Position { x_mm, y_mm, z_mm })
     }
@@ -297,9 +297,9 @@ mod tests {
 
     #[test]
     fn a_position_with_room_is_inside_all_around() {
-        let mut config = Config::default();
-        config.paper.pressing_depth_mm = 110.0;
-        let area = WorkArea::new(&config).unwrap();
+        let mut settings = Settings::default();
+        settings.paper.pressing_depth_mm = 110.0;
+        let area = WorkArea::new(&settings).unwrap();
         let (room_mm, mut state, mut borders) = (3.0, 7u64, 0);
         let mut number = || {
             state ^= state << 13;
@@ -327,19 +327,19 @@ mod tests {
 
     #[test]
     fn what_contains_says_is_what_check_says() {
-        let mut config = Config::default();
-        config.paper.pressing_depth_mm = 110.0;
+        let mut settings = Settings::default();
+        settings.paper.pressing_depth_mm = 110.0;
         let geometries = [
-            config.geometry,
-            crate::config::Geometry {
+            settings.geometry,
+            crate::settings::Geometry {
                 arm_range_rad: [-0.2, 0.6],
-                ..config.geometry
+                ..settings.geometry
             },
         ];
         let (mut inside, mut outside) = (0, 0);
         for geometry in geometries {
-            config.geometry = geometry;
-            let area = WorkArea::new(&config).unwrap();
+            settings.geometry = geometry;
+            let area = WorkArea::new(&settings).unwrap();
             for index in 0..40_000u32 {
                 let turn = f64::from(index % 60) * 0.1047;
                 let radius = f64::from(index / 60 % 25) * 24.0;
@@ -364,9 +364,9 @@ mod tests {
 
     #[test]
     fn a_margin_that_uses_up_the_range_is_refused() {
-        let mut config = Config::default();
-        config.geometry.arm_range_rad = [0.0, 0.1];
-        config.geometry.arm_margin_rad = 0.1;
-        assert!(matches!(WorkArea::new(&config), Err(GeometryError::Range { .. })));
+        let mut settings = Settings::default();
+        settings.geometry.arm_range_rad = [0.0, 0.1];
+        settings.geometry.arm_margin_rad = 0.1;
+        assert!(matches!(WorkArea::new(&settings), Err(GeometryError::Range { .. })));
     }
 }

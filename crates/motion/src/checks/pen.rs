@@ -4,7 +4,7 @@ use super::*;
 
 /// Largest vertical speed and acceleration of the references.
 fn vertical(run: &Run) -> (f64, f64) {
-    let delta = Delta::new(&run.config.geometry).unwrap();
+    let delta = Delta::new(&run.settings.geometry).unwrap();
     let heights: Vec<f64> = run
         .references
         .iter()
@@ -22,13 +22,13 @@ fn vertical(run: &Run) -> (f64, f64) {
 #[test]
 fn the_pen_has_limits_of_its_own() {
     for (speed, acceleration) in [(40.0, 1_000.0), (20.0, 0.0), (0.0, 500.0), (200.0, 4_000.0)] {
-        let mut config = Config::default();
-        config.motion.pen_speed_mm_s = speed;
-        config.motion.pen_acceleration_mm_s2 = acceleration;
+        let mut settings = Settings::default();
+        settings.motion.pen_speed_mm_s = speed;
+        settings.motion.pen_acceleration_mm_s2 = acceleration;
         for seed in 1..=12 {
             let name = format!("{speed} mm/s, {acceleration} mm/s2, seed {seed}");
             let (path, _) = portrait(&mut Random::new(seed), 4);
-            let mut run = Run::new(&config, &path);
+            let mut run = Run::new(&settings, &path);
             run.command(MotionCommand::Start);
             for _ in 0..30 {
                 run.feed(usize::MAX);
@@ -61,18 +61,18 @@ fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
     let (mut worst, mut samples) = ((0.0_f64, 0.0_f64), 0);
     for seed in 1..=250 {
         let mut random = Random::new(seed);
-        let mut config = Config::default();
-        let motion = &mut config.motion;
+        let mut settings = Settings::default();
+        let motion = &mut settings.motion;
         motion.pen_speed_mm_s = random.between(5.0, 300.0);
         motion.pen_acceleration_mm_s2 = random.between(200.0, 9_000.0);
         motion.travel_tolerance_mm = random.between(0.2, 1.0);
         motion.tolerance_mm = random.between(0.03, 0.2);
         motion.jerk_window_ms = random.below(9) as u16;
-        config.paper.pen_lift_mm = random.between(0.5, 10.0);
+        settings.paper.pen_lift_mm = random.between(0.5, 10.0);
         let (speed_max, acceleration_max) = (motion.pen_speed_mm_s, motion.pen_acceleration_mm_s2);
         let (down, up) = (
-            config.paper.pen_down_z_mm,
-            config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+            settings.paper.pen_down_z_mm,
+            settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,
         );
         let mut path = Vec::new();
         for stroke in 0..4 {
@@ -93,7 +93,7 @@ fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
             path.push(vertex([point[0] + slant, point[1] - slant, up], Pen::Up, stroke));
         }
         let name = format!("seed {seed}");
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         run.check_limits(&name);
         run.check_deviation(&name);
         let (speed, acceleration) = vertical(&run);
@@ -118,9 +118,9 @@ fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
 fn the_pen_changes_without_a_stop_unless_it_dwells() {
     let (path, _) = portrait(&mut Random::new(2), 5);
     let rests = |dwell_ms: u16| {
-        let mut config = Config::default();
-        config.motion.pen_dwell_ms = dwell_ms;
-        let run = Run::new(&config, &path).whole();
+        let mut settings = Settings::default();
+        settings.motion.pen_dwell_ms = dwell_ms;
+        let run = Run::new(&settings, &path).whole();
         run.check_limits("dwell");
         run.check_deviation("dwell");
         let moving = run.references.iter().skip_while(|r| r.velocity_rad_s == [0.0; AXES]);

@@ -11,8 +11,8 @@ use super::Pen;
 use super::curve::{BlendShape, Curve};
 use super::heading;
 use super::ring::Ring;
-use crate::config::Motion;
 use crate::robot::vector::{Vector, add, dot, length, scale, subtract};
+use crate::settings::MotionLimits;
 use heapless::Vec;
 
 /// Vertices that wait to be shaped.
@@ -212,7 +212,7 @@ impl Shaper {
         }
     }
 
-    pub(crate) fn configure(&mut self, tolerances: Tolerances, motion: &Motion) {
+    pub(crate) fn configure(&mut self, tolerances: Tolerances, motion: &MotionLimits) {
         self.tolerances = tolerances;
         self.dwells = motion.pen_dwell_ms > 0;
         self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;

@@ -20,12 +20,12 @@ pub(super) fn sample_path(text: &str) -> Vec<Vertex> {
 
 #[test]
 fn random_paths_keep_every_limit_and_the_tolerance_and_end_at_rest() {
-    let config = Config::default();
+    let settings = Settings::default();
     let mut worst = [0.0_f64; KINDS];
     for seed in 1..=250 {
         let mut random = Random::new(seed);
         let path = random_path(&mut random, 2);
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         let name = format!("seed {seed}");
         for (all, one) in worst.iter_mut().zip(run.check_limits(&name)) {
             *all = all.max(one);
@@ -41,9 +41,9 @@ fn random_paths_keep_every_limit_and_the_tolerance_and_end_at_rest() {
 
 #[test]
 fn a_lift_costs_a_tenth_of_a_second() {
-    let config = Config::default();
+    let settings = Settings::default();
     let (path, drawn_mm) = portrait(&mut Random::new(7), 40);
-    let run = Run::new(&config, &path).whole();
+    let run = Run::new(&settings, &path).whole();
     let worst = run.check_limits("portrait");
     run.check_deviation("portrait");
     let lifted = run.references.iter().filter(|r| r.pen == Pen::Up).count() as f64 * TICK_S;
@@ -59,19 +59,19 @@ fn a_lift_costs_a_tenth_of_a_second() {
 
 #[test]
 fn joint_limited_durations_are_near_the_optimum_of_the_shaped_path() {
-    let mut config = Config::default();
-    config.motion.speed_mm_s = 1.0e5;
-    config.motion.travel_speed_mm_s = 1.0e5;
-    config.motion.acceleration_mm_s2 = 1.0e7;
-    config.motion.tolerance_mm = 0.1;
-    config.motion.travel_tolerance_mm = 0.1;
-    config.motion.jerk_window_ms = 0;
+    let mut settings = Settings::default();
+    settings.motion.speed_mm_s = 1.0e5;
+    settings.motion.travel_speed_mm_s = 1.0e5;
+    settings.motion.acceleration_mm_s2 = 1.0e7;
+    settings.motion.tolerance_mm = 0.1;
+    settings.motion.travel_tolerance_mm = 0.1;
+    settings.motion.jerk_window_ms = 0;
     for (name, text, optimum_s) in [
-        ("square", include_str!("../../../samples/motion/square.csv"), 0.302),
-        ("circle", include_str!("../../../samples/motion/circle.csv"), 0.137),
-        ("text", include_str!("../../../samples/motion/text.csv"), 3.854),
+        ("square", include_str!("../../../../samples/motion/square.csv"), 0.302),
+        ("circle", include_str!("../../../../samples/motion/circle.csv"), 0.137),
+        ("text", include_str!("../../../../samples/motion/text.csv"), 3.854),
     ] {
-        let run = Run::new(&config, &sample_path(text)).whole();
+        let run = Run::new(&settings, &sample_path(text)).whole();
         let worst = run.check_limits(name);
         run.check_deviation(name);
         println!(
@@ -85,32 +85,32 @@ fn joint_limited_durations_are_near_the_optimum_of_the_shaped_path() {
 
 #[test]
 fn other_limits_hold_as_well() {
-    type Change = fn(&mut Config);
+    type Change = fn(&mut Settings);
     let changes: [Change; 5] = [
-        |config| config.motion.joint_acceleration_rad_s2 = [10.0; AXES],
-        |config| config.motion.joint_speed_rad_s = [0.3; AXES],
-        |config| {
-            config.motion.speed_mm_s = 10_000.0;
-            config.motion.travel_speed_mm_s = 10_000.0;
-            config.motion.acceleration_mm_s2 = 150_000.0;
+        |settings| settings.motion.joint_acceleration_rad_s2 = [10.0; AXES],
+        |settings| settings.motion.joint_speed_rad_s = [0.3; AXES],
+        |settings| {
+            settings.motion.speed_mm_s = 10_000.0;
+            settings.motion.travel_speed_mm_s = 10_000.0;
+            settings.motion.acceleration_mm_s2 = 150_000.0;
         },
-        |config| {
-            config.motion.jerk_window_ms = 32;
-            config.motion.acceleration_mm_s2 = 1_000.0;
+        |settings| {
+            settings.motion.jerk_window_ms = 32;
+            settings.motion.acceleration_mm_s2 = 1_000.0;
         },
-        |config| {
-            config.motion.tolerance_mm = 0.005;
-            config.motion.travel_tolerance_mm = 0.005;
-            config.motion.jerk_window_ms = 0;
+        |settings| {
+            settings.motion.tolerance_mm = 0.005;
+            settings.motion.travel_tolerance_mm = 0.005;
+            settings.motion.jerk_window_ms = 0;
         },
     ];
     for (number, change) in changes.iter().enumerate() {
         let mut worst = [0.0_f64; KINDS];
-        let mut config = Config::default();
-        change(&mut config);
+        let mut settings = Settings::default();
+        change(&mut settings);
         for seed in 1000..1012 {
             let path = random_path(&mut Random::new(seed), 2);
-            let run = Run::new(&config, &path).whole();
+            let run = Run::new(&settings, &path).whole();
             let name = format!("change {number}, seed {seed}");
             for (all, one) in worst.iter_mut().zip(run.check_limits(&name)) {
                 *all = all.max(one);

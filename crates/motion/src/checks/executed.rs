@@ -7,15 +7,15 @@ use super::*;
 /// Distance before a vertex that counts as none, mm: what angles in parts of a radian and their kinematics round.
 const ROUNDED_MM: f64 = 1.0e-6;
 
-fn unaveraged() -> Config {
-    let mut config = Config::default();
-    config.motion.jerk_window_ms = 0;
-    config
+fn unaveraged() -> Settings {
+    let mut settings = Settings::default();
+    settings.motion.jerk_window_ms = 0;
+    settings
 }
 
 /// Largest way that is left to a vertex where it is first counted, along the line from the vertex before to the one after.
 fn earliest_mm(run: &Run) -> f64 {
-    let delta = Delta::new(&run.config.geometry).unwrap();
+    let delta = Delta::new(&run.settings.geometry).unwrap();
     let mut worst = f64::MIN;
     for pair in run.references.windows(2) {
         let at = Vector::from(delta.forward(&JointAngles(pair[1].position_rad)).unwrap());
@@ -48,11 +48,11 @@ fn uneven(random: &mut Random, straight: bool) -> Vec<Vertex> {
 
 #[test]
 fn no_vertex_counts_before_the_path_reaches_it() {
-    let config = unaveraged();
+    let settings = unaveraged();
     let mut worst = f64::MIN;
     for seed in 1..=40 {
         let path = uneven(&mut Random::new(seed), seed % 2 == 0);
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         let early = earliest_mm(&run);
         assert!(early < ROUNDED_MM, "seed {seed}: counted {early} mm before");
         assert_eq!(run.trajectory.executed() as usize, path.len());
@@ -63,10 +63,10 @@ fn no_vertex_counts_before_the_path_reaches_it() {
 
 #[test]
 fn a_motion_that_rests_for_want_of_vertices_counts_only_those_that_it_has_reached() {
-    let config = unaveraged();
+    let settings = unaveraged();
     for seed in 1..=20 {
         let path = uneven(&mut Random::new(seed), seed % 2 == 0);
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.command(MotionCommand::Start);
         for _ in 1..path.len() {
             run.feed(1);

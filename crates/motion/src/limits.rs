@@ -5,8 +5,8 @@
 //! and in the middle of its curved intervals.
 
 use super::scan::Row;
-use crate::config::Motion;
 use crate::robot::ARMS;
+use crate::settings::MotionLimits;
 
 /// Part of the acceleration limits that the scan uses.
 const ACCELERATION_PART: f64 = 0.9998;
@@ -50,7 +50,7 @@ impl Limits {
         pen_acceleration: 0.0,
     };
 
-    pub(crate) fn new(motion: &Motion) -> Self {
+    pub(crate) fn new(motion: &MotionLimits) -> Self {
         let speed_squared = |speed: f64| speed * speed * SPEED_PART * SPEED_PART;
         let [a, b, c, fourth_speed] = motion.joint_speed_rad_s;
         let [d, e, f, fourth_acceleration] = motion.joint_acceleration_rad_s2;

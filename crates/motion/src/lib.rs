@@ -1,9 +1,9 @@
-//! Motion planning: from a list of coordinates to 1 ms references.
-//!
-//! Each stage is a module. Admission refuses paths that cannot be executed. Shaping smooths the polyline within a
-//! tolerance. The plan divides it into a grid and scans the grid for the largest speeds that keep every limit and end
-//! at rest. The micro-interpolator turns these into 1 ms joint references. The trajectory runs all of them in one step
-//! every 12 ms.
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
 
 mod admission;
 mod averaging;
@@ -19,15 +19,17 @@ mod outline;
 mod plan;
 mod progress;
 mod ring;
+pub mod robot;
 mod scan;
+pub mod settings;
 mod shaping;
 mod straight;
 mod stretches;
-pub mod task;
 mod trajectory;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
 pub use outline::{Outline, Section, Station};
+pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
 
 use crate::robot::{AXES, Outside, Position};

@@ -4,11 +4,11 @@ use super::*;
 
 #[test]
 fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
-    let config = Config::default();
+    let settings = Settings::default();
     let (path, _) = portrait(&mut Random::new(11), 3);
     for hold_at in 1..45 {
         let name = format!("hold after {hold_at} periods");
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.command(MotionCommand::Start);
         for _ in 0..hold_at {
             run.feed(usize::MAX);
@@ -29,7 +29,7 @@ fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
         run.check_limits(&name);
         // Off the path the pen is up: the retract is reported so.
         assert!(
-            run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS),
+            run.deviation().0 <= settings.motion.tolerance_mm * (1.0 + EXCESS),
             "{name}"
         );
         assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
@@ -38,11 +38,11 @@ fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
 
 #[test]
 fn a_hold_and_its_end_may_come_at_any_time() {
-    let config = Config::default();
+    let settings = Settings::default();
     let (path, _) = portrait(&mut Random::new(12), 2);
     for seed in 1..60 {
         let mut random = Random::new(seed);
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.command(MotionCommand::Start);
         for _ in 0..60 {
             run.feed(1 + random.below(6));
@@ -62,21 +62,21 @@ fn a_hold_and_its_end_may_come_at_any_time() {
             run.step();
         }
         let _ = run.trajectory.command(MotionCommand::Resume);
-        run.config.motion.speed_mm_s = 800.0;
+        run.settings.motion.speed_mm_s = 800.0;
         run.until(MotionState::Idle);
         run.check_limits(&format!("seed {seed}"));
-        assert!(run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS));
+        assert!(run.deviation().0 <= settings.motion.tolerance_mm * (1.0 + EXCESS));
         assert_eq!(run.trajectory.executed() as usize, path.len(), "seed {seed}");
     }
 }
 
 #[test]
 fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns() {
-    let config = Config::default();
+    let settings = Settings::default();
     let (path, _) = portrait(&mut Random::new(5), 3);
     for part in 4..30 {
         let name = format!("{part} vertices");
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.command(MotionCommand::Start);
         run.feed(part);
         for _ in 0..120 {
@@ -89,7 +89,7 @@ fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns
         run.until(MotionState::Idle);
         run.check_limits(&name);
         assert!(
-            run.deviation().0 <= config.motion.tolerance_mm * (1.0 + EXCESS),
+            run.deviation().0 <= settings.motion.tolerance_mm * (1.0 + EXCESS),
             "{name}"
         );
         assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
@@ -98,19 +98,19 @@ fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns
 
 #[test]
 fn an_override_scales_the_speed_within_the_other_limits() {
-    let config = Config::default();
+    let settings = Settings::default();
     let path = [
         vertex([-100.0, 0.0, -850.0], Pen::Up, 0),
         vertex([100.0, 0.0, -850.0], Pen::Down, 0),
     ];
     for (percent, speed) in [(10, 40.0), (50, 200.0), (100, 400.0), (200, 800.0)] {
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.command(MotionCommand::Override(percent));
-        run.config.motion.speed_mm_s = speed;
+        run.settings.motion.speed_mm_s = speed;
         let worst = run.whole().check_limits("override");
         assert!(worst[2] > 0.99, "{percent} %: {worst:?}");
     }
-    let mut run = Run::new(&config, &path);
+    let mut run = Run::new(&settings, &path);
     for percent in [0, 9, 201, 255] {
         let refusal = run.trajectory.command(MotionCommand::Override(percent));
         assert_eq!(refusal, Err(MotionRefusal::Override { percent }));
@@ -124,17 +124,17 @@ fn an_override_scales_the_speed_within_the_other_limits() {
         }
     }
     run.until(MotionState::Idle);
-    run.config.motion.speed_mm_s = 800.0;
+    run.settings.motion.speed_mm_s = 800.0;
     run.check_limits("changing override");
 }
 
 #[test]
 fn a_cancel_ends_on_the_path_with_the_pen_up_and_a_new_path_can_follow() {
-    let config = Config::default();
+    let settings = Settings::default();
     let (path, _) = portrait(&mut Random::new(3), 2);
     for cancel_at in 1..40 {
         let name = format!("cancel after {cancel_at} periods");
-        let mut run = Run::new(&config, &path);
+        let mut run = Run::new(&settings, &path);
         run.feed(usize::MAX);
         run.command(MotionCommand::Start);
         for _ in 0..cancel_at {
@@ -160,10 +160,10 @@ fn a_cancel_ends_on_the_path_with_the_pen_up_and_a_new_path_can_follow() {
 
 #[test]
 fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
-    let mut config = Config::default();
-    config.paper.pressing_depth_mm = 110.0;
+    let mut settings = Settings::default();
+    settings.paper.pressing_depth_mm = 110.0;
     let start = [vertex([0.0, 0.0, -850.0], Pen::Up, 0)];
-    let mut run = Run::new(&config, &start);
+    let mut run = Run::new(&settings, &start);
     for _ in 0..20 {
         run.command(MotionCommand::Jog([50.0, 0.0, 0.0]));
         run.step();
@@ -180,7 +180,7 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
             run.command(MotionCommand::Jog(direction));
             run.step();
         }
-        let area = crate::robot::WorkArea::new(&config).unwrap();
+        let area = crate::robot::WorkArea::new(&settings).unwrap();
         assert!(area.check(&run.end().into()).is_ok(), "{direction:?} leads outside");
         run.command(MotionCommand::JogStop);
         run.until(MotionState::Idle);
@@ -203,9 +203,9 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
 
 #[test]
 fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
-    let mut config = Config::default();
-    config.paper.pressing_depth_mm = 60.0;
-    let mut run = Run::new(&config, &[vertex([0.0, 0.0, -850.0], Pen::Up, 0)]);
+    let mut settings = Settings::default();
+    settings.paper.pressing_depth_mm = 60.0;
+    let mut run = Run::new(&settings, &[vertex([0.0, 0.0, -850.0], Pen::Up, 0)]);
     let at = |x_mm, y_mm, z_mm| Position { x_mm, y_mm, z_mm };
     for target in [at(400.0, 0.0, -900.0), at(-300.0, 300.0, -850.0), at(0.0, 0.0, -847.0)] {
         run.command(MotionCommand::MoveTo(target));
@@ -231,8 +231,8 @@ fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
 
 #[test]
 fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
-    let config = Config::default();
-    let mut trajectory = placed(&config, [0.0, 0.0, -850.0]);
+    let settings = Settings::default();
+    let mut trajectory = placed(&settings, [0.0, 0.0, -850.0]);
     let refusal = trajectory.push(vertex([f64::INFINITY, 0.0, 0.0], Pen::Up, 0));
     assert!(matches!(refusal, Err(MotionRefusal::Target(_))));
     let mut pushed = 0;
@@ -243,7 +243,7 @@ fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
         pushed += 1;
     }
     assert_eq!((pushed as usize, trajectory.free()), (QUEUE_VERTICES, 0));
-    let mut lost = Trajectory::new(&config).unwrap();
+    let mut lost = Trajectory::new(&settings).unwrap();
     assert!(!lost.place(JointAngles([f64::NAN; AXES])));
     assert_eq!(lost.command(MotionCommand::Start), Err(MotionRefusal::NotPlaced));
     assert!(lost.step().iter().all(|r| r.velocity_rad_s == [0.0; AXES]));
@@ -251,8 +251,8 @@ fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
 
 #[test]
 fn a_reconfigured_stage_is_as_good_as_new() {
-    let first = Config::default();
-    let mut second = Config::default();
+    let first = Settings::default();
+    let mut second = Settings::default();
     second.motion.tolerance_mm = 0.2;
     second.paper.pen_lift_mm += 1.0;
     let path = [[0.0, 0.0], [40.0, 10.0], [10.0, 60.0], [-30.0, 20.0]].map(|[x, y]| {
@@ -295,13 +295,13 @@ const OUTSIDE: [([f64; 3], [f64; 3]); 5] = [
 
 #[test]
 fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
-    let config = Config::default();
-    let area = crate::robot::WorkArea::new(&config).unwrap();
+    let settings = Settings::default();
+    let area = crate::robot::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
         let start = [vertex(outside, Pen::Up, 0)];
         let mut run = Run {
-            trajectory: Trajectory::new(&config).unwrap(),
-            ..Run::new(&config, &[vertex([0.0, 0.0, -800.0], Pen::Up, 0)])
+            trajectory: Trajectory::new(&settings).unwrap(),
+            ..Run::new(&settings, &[vertex([0.0, 0.0, -800.0], Pen::Up, 0)])
         };
         run.path = start.to_vec();
         run.pushed = 1;
@@ -310,7 +310,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
         let pose = JointAngles([a, b, c, 0.0]);
         assert!(area.check(&outside.into()).is_err(), "{outside:?} is inside");
         assert!(run.trajectory.place(pose));
-        let admission = Admission::new(&config).unwrap();
+        let admission = Admission::new(&settings).unwrap();
         let away = inwards.map(|part| -part);
         let along = [
             inwards[1] - inwards[2],
@@ -355,11 +355,11 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
 
 #[test]
 fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
-    let config = Config::default();
-    let area = crate::robot::WorkArea::new(&config).unwrap();
+    let settings = Settings::default();
+    let area = crate::robot::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
-        let mut trajectory = Trajectory::new(&config).unwrap();
-        let mut admission = Admission::new(&config).unwrap();
+        let mut trajectory = Trajectory::new(&settings).unwrap();
+        let mut admission = Admission::new(&settings).unwrap();
         let [a, b, c] = area.delta().angles(&outside);
         let pose = JointAngles([a, b, c, 0.0]);
         assert!(trajectory.place(pose));
@@ -381,7 +381,7 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
     }
     let beside = area.delta().angles(&[570.0, 0.0, -800.0]);
     let pose = JointAngles([beside[0], beside[1], beside[2], 0.0]);
-    let refusal = Admission::new(&config)
+    let refusal = Admission::new(&settings)
         .unwrap()
         .check_pen(&pose, Pen::Down)
         .unwrap_err();

@@ -2,8 +2,8 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::config::Orientation;
 use crate::robot::WorkArea;
+use crate::settings::Orientation;
 
 fn down(x_mm: f64, y_mm: f64) -> Vertex {
     vertex([x_mm, y_mm, -850.0], Pen::Down, 0)
@@ -12,9 +12,9 @@ fn down(x_mm: f64, y_mm: f64) -> Vertex {
 /// Draws a path with both orientations and checks what holds always.
 fn draw(name: &str, path: &[Vertex]) {
     for orientation in [Orientation::Constant, Orientation::Path] {
-        let mut config = Config::default();
-        config.motion.orientation = orientation;
-        let run = Run::new(&config, path).whole();
+        let mut settings = Settings::default();
+        settings.motion.orientation = orientation;
+        let run = Run::new(&settings, path).whole();
         run.check_limits(name);
         if path.len() > 1 {
             run.check_deviation(name);
@@ -25,13 +25,13 @@ fn draw(name: &str, path: &[Vertex]) {
 }
 
 fn refused(bad: [f64; 3], index: u32) -> RefusalReason {
-    let mut admission = Admission::new(&Config::default()).unwrap();
+    let mut admission = Admission::new(&Settings::default()).unwrap();
     for good in 0..index {
         assert_eq!(admission.check(good, &down(f64::from(good), 0.0)), Ok(()));
     }
     let refusal = admission.check(index, &vertex(bad, Pen::Down, 0)).unwrap_err();
     assert_eq!(refusal.index, index);
-    let mut trajectory = placed(&Config::default(), [0.0, 0.0, -850.0]);
+    let mut trajectory = placed(&Settings::default(), [0.0, 0.0, -850.0]);
     assert!(matches!(
         trajectory.push(vertex(bad, Pen::Down, 0)),
         Err(MotionRefusal::Target(_))
@@ -54,7 +54,7 @@ fn an_infinite_coordinate_is_refused_with_its_index() {
 
 #[test]
 fn repeated_vertices_are_refused_and_where_they_come_through_merged() {
-    let mut admission = Admission::new(&Config::default()).unwrap();
+    let mut admission = Admission::new(&Settings::default()).unwrap();
     assert_eq!(admission.check(0, &down(5.0, 0.0)), Ok(()));
     let refusal = admission.check(1, &down(5.0, 1.0e-4)).unwrap_err();
     assert!(matches!(
@@ -108,13 +108,13 @@ fn legs_of_a_metre_are_drawn() {
 
 #[test]
 fn a_stroke_of_a_million_vertices_costs_bounded_work_in_every_period() {
-    let config = Config::default();
+    let settings = Settings::default();
     const VERTICES: u32 = 1_000_000;
     let at = |index: u32| {
         let angle = 2.0e-4 * f64::from(index);
         down(60.0 * libm::cos(angle), 60.0 * libm::sin(angle))
     };
-    let mut trajectory = placed(&config, at(0).position.into());
+    let mut trajectory = placed(&settings, at(0).position.into());
     let (mut pushed, mut work, mut last, mut periods) = (0, 0, Reference::default(), 0_u32);
     trajectory.command(MotionCommand::Start).unwrap();
     while trajectory.executed() < VERTICES || trajectory.state() != MotionState::Idle {
@@ -128,7 +128,7 @@ fn a_stroke_of_a_million_vertices_costs_bounded_work_in_every_period() {
         for reference in trajectory.step() {
             for axis in 0..AXES {
                 let change = (reference.velocity_rad_s[axis] - last.velocity_rad_s[axis]) / TICK_S;
-                assert!(change.abs() <= config.motion.joint_acceleration_rad_s2[axis] * (1.0 + EXCESS));
+                assert!(change.abs() <= settings.motion.joint_acceleration_rad_s2[axis] * (1.0 + EXCESS));
             }
             last = reference;
         }
@@ -146,15 +146,15 @@ fn a_stroke_of_a_million_vertices_costs_bounded_work_in_every_period() {
 
 #[test]
 fn vertices_on_the_border_of_the_work_area_are_taken_or_refused_and_never_left() {
-    let config = Config::default();
-    let area = WorkArea::new(&config).unwrap();
+    let settings = Settings::default();
+    let area = WorkArea::new(&settings).unwrap();
     let (mut taken, mut refusals) = (0, 0);
-    for z in [config.work_area.z_high_mm, -850.0, -851.0, -851.1] {
-        let mut admission = Admission::new(&config).unwrap();
+    for z in [settings.work_area.z_high_mm, -850.0, -851.0, -851.1] {
+        let mut admission = Admission::new(&settings).unwrap();
         let mut path = Vec::new();
         for index in 0..36_u32 {
             let angle = TAU * f64::from(index) / 36.0;
-            let radius = config.work_area.radius_mm;
+            let radius = settings.work_area.radius_mm;
             let next = vertex([radius * libm::cos(angle), radius * libm::sin(angle), z], Pen::Down, 0);
             match admission.check(index, &next) {
                 Ok(()) => path.push(next),
@@ -168,7 +168,7 @@ fn vertices_on_the_border_of_the_work_area_are_taken_or_refused_and_never_left()
         if path.is_empty() {
             continue;
         }
-        let run = Run::new(&config, &path).whole();
+        let run = Run::new(&settings, &path).whole();
         run.check_limits("border");
         for reference in &run.references {
             let at = area.delta().forward(&JointAngles(reference.position_rad)).unwrap();
@@ -186,31 +186,31 @@ fn vertices_on_the_border_of_the_work_area_are_taken_or_refused_and_never_left()
 
 #[test]
 fn limits_of_zero_are_refused_and_never_moved_with() {
-    type Change = fn(&mut Config);
+    type Change = fn(&mut Settings);
     let zeros: [(&str, Change); 6] = [
-        ("motion.speed_mm_s", |config| config.motion.speed_mm_s = 0.0),
-        ("motion.travel_speed_mm_s", |config| {
-            config.motion.travel_speed_mm_s = 0.0
+        ("motion.speed_mm_s", |settings| settings.motion.speed_mm_s = 0.0),
+        ("motion.travel_speed_mm_s", |settings| {
+            settings.motion.travel_speed_mm_s = 0.0
         }),
-        ("motion.acceleration_mm_s2", |config| {
-            config.motion.acceleration_mm_s2 = 0.0
+        ("motion.acceleration_mm_s2", |settings| {
+            settings.motion.acceleration_mm_s2 = 0.0
         }),
-        ("motion.joint_speed_rad_s", |config| {
-            config.motion.joint_speed_rad_s = [0.0; AXES]
+        ("motion.joint_speed_rad_s", |settings| {
+            settings.motion.joint_speed_rad_s = [0.0; AXES]
         }),
-        ("motion.joint_acceleration_rad_s2", |config| {
-            config.motion.joint_acceleration_rad_s2 = [0.0; AXES]
+        ("motion.joint_acceleration_rad_s2", |settings| {
+            settings.motion.joint_acceleration_rad_s2 = [0.0; AXES]
         }),
-        ("motion.tolerance_mm", |config| config.motion.tolerance_mm = 0.0),
+        ("motion.tolerance_mm", |settings| settings.motion.tolerance_mm = 0.0),
     ];
     let path = [down(0.0, 0.0), down(20.0, 0.0), down(20.0, 20.0), down(0.0, 20.0)];
     for (name, change) in zeros {
         for orientation in [Orientation::Constant, Orientation::Path] {
-            let mut config = Config::default();
-            config.motion.orientation = orientation;
-            change(&mut config);
-            assert_eq!(config.check().unwrap_err().field.name(), name);
-            let mut run = Run::new(&config, &path);
+            let mut settings = Settings::default();
+            settings.motion.orientation = orientation;
+            change(&mut settings);
+            assert_eq!(settings.check().unwrap_err().bound.name, name);
+            let mut run = Run::new(&settings, &path);
             run.command(MotionCommand::Start);
             for _ in 0..50 {
                 run.feed(usize::MAX);
@@ -219,8 +219,11 @@ fn limits_of_zero_are_refused_and_never_moved_with() {
             for reference in &run.references {
                 for axis in 0..AXES {
                     let speed = reference.velocity_rad_s[axis].abs();
-                    assert!(speed <= config.motion.joint_speed_rad_s[axis], "{name}: {speed} rad/s");
-                    let still = config.motion.joint_acceleration_rad_s2[axis] == 0.0;
+                    assert!(
+                        speed <= settings.motion.joint_speed_rad_s[axis],
+                        "{name}: {speed} rad/s"
+                    );
+                    let still = settings.motion.joint_acceleration_rad_s2[axis] == 0.0;
                     assert!(!still || speed == 0.0, "{name}: {speed} rad/s");
                 }
             }
@@ -230,35 +233,37 @@ fn limits_of_zero_are_refused_and_never_moved_with() {
 
 #[test]
 fn contradictory_limits_are_refused_by_name() {
-    type Change = fn(&mut Config);
+    type Change = fn(&mut Settings);
     let contradictions: [(&str, Change); 6] = [
-        ("work_area.z_low_mm", |config| config.work_area.z_low_mm = -600.0),
-        ("motion.travel_tolerance_mm", |config| {
-            config.motion.travel_tolerance_mm = 0.01
+        ("work_area.z_low_mm", |settings| settings.work_area.z_low_mm = -600.0),
+        ("motion.travel_tolerance_mm", |settings| {
+            settings.motion.travel_tolerance_mm = 0.01
         }),
-        ("paper.pen_down_z_mm", |config| config.paper.pen_down_z_mm = -1_000.0),
-        ("paper.pen_lift_mm", |config| config.paper.pen_lift_mm = 200.0),
-        ("paper.pressing_depth_mm", |config| {
-            config.paper.pressing_depth_mm = 200.0
+        ("paper.pen_down_z_mm", |settings| {
+            settings.paper.pen_down_z_mm = -1_000.0
         }),
-        ("geometry.forearm_mm", |config| config.geometry.forearm_mm = 300.0),
+        ("paper.pen_lift_mm", |settings| settings.paper.pen_lift_mm = 200.0),
+        ("paper.pressing_depth_mm", |settings| {
+            settings.paper.pressing_depth_mm = 200.0
+        }),
+        ("geometry.forearm_mm", |settings| settings.geometry.forearm_mm = 300.0),
     ];
     for (name, change) in contradictions {
-        let mut config = Config::default();
-        change(&mut config);
-        assert_eq!(config.check().unwrap_err().field.name(), name);
+        let mut settings = Settings::default();
+        change(&mut settings);
+        assert_eq!(settings.check().unwrap_err().bound.name, name);
     }
-    let mut config = Config::default();
-    config.geometry.arm_range_rad = [0.0, 0.1];
-    config.geometry.arm_margin_rad = 0.1;
-    assert!(Trajectory::new(&config).is_err());
+    let mut settings = Settings::default();
+    settings.geometry.arm_range_rad = [0.0, 0.1];
+    settings.geometry.arm_margin_rad = 0.1;
+    assert!(Trajectory::new(&settings).is_err());
 }
 
 #[test]
 fn whatever_is_pushed_and_commanded_nothing_panics_and_references_are_numbers() {
     for seed in 1..200 {
         let mut random = Random::new(seed);
-        let mut trajectory = placed(&Config::default(), [0.0, 0.0, -850.0]);
+        let mut trajectory = placed(&Settings::default(), [0.0, 0.0, -850.0]);
         for _ in 0..60 {
             for _ in 0..random.below(8) {
                 let mut value = |scale: f64| match random.below(12) {

@@ -2,29 +2,29 @@
 
 use super::micro_interpolator::TICK_S;
 use super::shaping::Tolerances;
-use crate::config::Config;
+use crate::settings::Settings;
 
 /// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
 
 /// Tolerances for shaping: the configured ones less the part used by the moving average.
-pub(super) fn tolerances(config: &Config) -> Tolerances {
-    let (_, average_mm) = averaging(config);
+pub(super) fn tolerances(settings: &Settings) -> Tolerances {
+    let (_, average_mm) = averaging(settings);
     Tolerances {
-        drawing_mm: config.motion.tolerance_mm - average_mm,
-        travel_mm: config.motion.travel_tolerance_mm - average_mm,
+        drawing_mm: settings.motion.tolerance_mm - average_mm,
+        travel_mm: settings.motion.travel_tolerance_mm - average_mm,
     }
 }
 
 /// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for references the
 /// time t apart, which cut corners by A t^2 / 8 but average over t less.
-pub(super) fn averaging(config: &Config) -> (u16, f64) {
+pub(super) fn averaging(settings: &Settings) -> (u16, f64) {
     let deviation = |window_ms: u16| {
         let window_s = f64::from(window_ms) * TICK_S;
-        config.motion.acceleration_mm_s2 * (window_s * window_s + 2.0 * TICK_S * TICK_S) / 24.0
+        settings.motion.acceleration_mm_s2 * (window_s * window_s + 2.0 * TICK_S * TICK_S) / 24.0
     };
-    let mut window_ms = config.motion.jerk_window_ms;
-    while window_ms > 1 && deviation(window_ms) > AVERAGE_PART_MAX * config.motion.tolerance_mm {
+    let mut window_ms = settings.motion.jerk_window_ms;
+    while window_ms > 1 && deviation(window_ms) > AVERAGE_PART_MAX * settings.motion.tolerance_mm {
         window_ms -= 1;
     }
     if window_ms > 1 {

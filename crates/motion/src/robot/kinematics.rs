@@ -9,7 +9,7 @@
 
 use super::vector::{Vector, add_scaled, cross, dot, length, root, scale, subtract};
 use super::{ARMS, JointAngles, Position};
-use crate::config::Geometry;
+use crate::settings::Geometry;
 use serde::{Deserialize, Serialize};
 
 /// Smallest D/A that inverse kinematics accepts: below it the derivatives are undefined.

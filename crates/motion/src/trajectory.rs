@@ -18,9 +18,9 @@ use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper};
 use super::straight::Straight;
 use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Reference, Refusal, RefusalReason, Vertex};
-use crate::config::Config;
 use crate::robot::vector::{Vector, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
+use crate::settings::Settings;
 
 /// Most vertices queued for shaping.
 pub const QUEUE_VERTICES: usize = QUEUE;
@@ -121,9 +121,9 @@ impl Trajectory {
     ///
     /// # Errors
     /// The dimensions do not form a valid delta robot.
-    pub fn new(config: &Config) -> Result<Self, GeometryError> {
+    pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
         let mut trajectory = Self::unconfigured();
-        trajectory.reconfigure(config)?;
+        trajectory.reconfigure(settings)?;
         Ok(trajectory)
     }
 
@@ -131,19 +131,19 @@ impl Trajectory {
     ///
     /// # Errors
     /// The dimensions do not form a valid delta robot; nothing has changed.
-    pub fn reconfigure(&mut self, config: &Config) -> Result<(), GeometryError> {
-        let area = WorkArea::new(config)?;
-        let limits = Limits::new(&config.motion);
-        let (window_ms, _) = averaging(config);
+    pub fn reconfigure(&mut self, settings: &Settings) -> Result<(), GeometryError> {
+        let area = WorkArea::new(settings)?;
+        let limits = Limits::new(&settings.motion);
+        let (window_ms, _) = averaging(settings);
         let motion = &mut self.motion;
         motion.area = area;
         motion.limits = limits;
-        motion.pen_down_z_mm = config.paper.pen_down_z_mm;
-        motion.pen_lift_mm = config.paper.pen_lift_mm;
-        motion.starve_dwell_ms = usize::from(config.motion.starve_dwell_ms);
-        motion.dead_man_ms = config.bus.dead_man_ms;
-        motion.shaper.configure(tolerances(config), &config.motion);
-        motion.plan.reconfigure(*area.delta(), limits, &config.motion);
+        motion.pen_down_z_mm = settings.paper.pen_down_z_mm;
+        motion.pen_lift_mm = settings.paper.pen_lift_mm;
+        motion.starve_dwell_ms = usize::from(settings.motion.starve_dwell_ms);
+        motion.dead_man_ms = settings.dead_man_ms;
+        motion.shaper.configure(tolerances(settings), &settings.motion);
+        motion.plan.reconfigure(*area.delta(), limits, &settings.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;
         motion.begun = false;

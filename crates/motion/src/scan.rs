@@ -292,7 +292,7 @@ impl Interval<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Motion;
+    use crate::settings::MotionLimits;
 
     /// A seeded sequence of numbers from -1 to 1.
     fn numbers(seed: u64) -> impl FnMut() -> f64 {
@@ -307,7 +307,7 @@ mod tests {
 
     #[test]
     fn the_largest_entry_speed_is_feasible_and_nothing_above_it_is() {
-        let limits = Limits::new(&Motion::default());
+        let limits = Limits::new(&MotionLimits::default());
         for seed in 1..500 {
             let mut number = numbers(seed);
             let mut row = || Row {
@@ -359,7 +359,7 @@ mod tests {
 
     #[test]
     fn a_forced_rest_gives_the_speed_from_which_it_is_reached() {
-        let limits = Limits::new(&Motion::default());
+        let limits = Limits::new(&MotionLimits::default());
         let row = Row::default();
         let interval = Interval {
             limits: &limits,

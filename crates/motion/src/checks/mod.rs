@@ -18,9 +18,9 @@ extern crate std;
 
 use super::micro_interpolator::TICK_S;
 use super::*;
-use crate::config::Config;
 use crate::robot::vector::{Vector, add_scaled, dot, length, subtract};
 use crate::robot::{Delta, JointAngles};
+use crate::settings::Settings;
 use core::f64::consts::{PI, TAU};
 use std::vec::Vec;
 use std::{format, println};
@@ -65,16 +65,16 @@ fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
     }
 }
 
-fn placed(config: &Config, point: Vector) -> Trajectory {
-    let mut trajectory = Trajectory::new(config).unwrap();
-    let [a, b, c] = Delta::new(&config.geometry).unwrap().inverse(&point.into()).unwrap();
+fn placed(settings: &Settings, point: Vector) -> Trajectory {
+    let mut trajectory = Trajectory::new(settings).unwrap();
+    let [a, b, c] = Delta::new(&settings.geometry).unwrap().inverse(&point.into()).unwrap();
     assert!(trajectory.place(JointAngles([a, b, c, 0.0])));
     trajectory
 }
 
 /// A run: the stage, the vertices still to be pushed, and all references so far.
 struct Run {
-    config: Config,
+    settings: Settings,
     trajectory: Trajectory,
     path: Vec<Vertex>,
     pushed: usize,
@@ -85,10 +85,10 @@ struct Run {
 
 impl Run {
     /// At rest at the path's first vertex.
-    fn new(config: &Config, path: &[Vertex]) -> Self {
+    fn new(settings: &Settings, path: &[Vertex]) -> Self {
         let mut run = Self {
-            config: config.clone(),
-            trajectory: placed(config, path[0].position.into()),
+            settings: settings.clone(),
+            trajectory: placed(settings, path[0].position.into()),
             path: path.to_vec(),
             pushed: 0,
             references: Vec::new(),
@@ -157,8 +157,8 @@ impl Run {
 
     /// Speeds and accelerations of every sample, and rest at the end; with what is worst, as parts of the limits.
     fn check_limits(&self, name: &str) -> [f64; KINDS] {
-        let motion = &self.config.motion;
-        let delta = Delta::new(&self.config.geometry).unwrap();
+        let motion = &self.settings.motion;
+        let delta = Delta::new(&self.settings.geometry).unwrap();
         let point = |r: &Reference| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
         let mut worst = [0.0_f64; KINDS];
         let mut note = |kind: usize, value: f64, limit: f64, at: usize| {
@@ -168,7 +168,7 @@ impl Run {
                 "{name}: kind {kind} {value} over {limit} at {at} ms"
             );
         };
-        let window_ms = super::averaging::averaging(&self.config).0;
+        let window_ms = super::averaging::averaging(&self.settings).0;
         let jerk_s = f64::from(window_ms) * TICK_S;
         let mut accelerations = [0.0; AXES];
         let mut before: Option<(Vector, Vector, Reference)> = None;
@@ -212,7 +212,7 @@ impl Run {
 
     /// Largest distance of the references from the path, near the vertices that they report.
     fn deviation(&self) -> (f64, f64) {
-        let delta = Delta::new(&self.config.geometry).unwrap();
+        let delta = Delta::new(&self.settings.geometry).unwrap();
         let mut worst = (0.0_f64, 0.0_f64);
         for reference in &self.references {
             let at = Vector::from(delta.forward(&JointAngles(reference.position_rad)).unwrap());
@@ -234,13 +234,13 @@ impl Run {
 
     /// Checks the deviation with the pen down only: a hold has lifted the pen off the path.
     fn check_drawn(&self, name: &str) {
-        let (drawn, limit) = (self.deviation().0, self.config.motion.tolerance_mm);
+        let (drawn, limit) = (self.deviation().0, self.settings.motion.tolerance_mm);
         assert!(drawn <= limit * (1.0 + EXCESS), "{name}: {drawn} mm off");
     }
 
     fn check_deviation(&self, name: &str) {
         let (drawn, travelled) = self.deviation();
-        let motion = &self.config.motion;
+        let motion = &self.settings.motion;
         assert!(drawn <= motion.tolerance_mm * (1.0 + EXCESS), "{name}: {drawn} mm off");
         assert!(
             travelled <= motion.travel_tolerance_mm * (1.0 + EXCESS),
@@ -249,7 +249,7 @@ impl Run {
     }
 
     fn end(&self) -> Vector {
-        let delta = Delta::new(&self.config.geometry).unwrap();
+        let delta = Delta::new(&self.settings.geometry).unwrap();
         delta
             .forward(&JointAngles(self.references.last().unwrap().position_rad))
             .unwrap()

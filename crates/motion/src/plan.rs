@@ -19,9 +19,9 @@ use super::ring::Ring;
 use super::scan::{Middle, Row};
 use super::shaping::{PIECES_PER_LEG, Piece};
 use super::stretches::{STRETCH_MAX_S, braking, going, over_the_middle};
-use crate::config::{Motion, Orientation};
 use crate::robot::Delta;
 use crate::robot::vector::length;
+use crate::settings::{MotionLimits, Orientation};
 
 /// Points of the grid: the look-ahead.
 pub(crate) const POINTS: usize = 256;
@@ -118,7 +118,7 @@ impl Plan {
     }
 
     /// Sets robot and limits, resets the speed to that of the path, and discards what was pushed.
-    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits, motion: &Motion) {
+    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits, motion: &MotionLimits) {
         self.delta = delta;
         self.limits = limits;
         self.course.follows = motion.orientation == Orientation::Path;

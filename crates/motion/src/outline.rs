@@ -7,9 +7,9 @@ use super::averaging::tolerances;
 use super::ring::Ring;
 use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
 use super::{Pen, Vertex};
-use crate::config::Config;
 use crate::robot::vector::{Vector, length};
 use crate::robot::{Delta, GeometryError, JointRows};
+use crate::settings::Settings;
 use heapless::Vec;
 
 /// Shapes a path and returns its sections.
@@ -45,11 +45,11 @@ impl Outline {
     ///
     /// # Errors
     /// The dimensions do not form a valid delta robot.
-    pub fn new(config: &Config, first: &Vertex) -> Result<Self, GeometryError> {
+    pub fn new(settings: &Settings, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
-        shaper.configure(tolerances(config), &config.motion);
+        shaper.configure(tolerances(settings), &settings.motion);
         let mut outline = Self {
-            delta: Delta::new(&config.geometry)?,
+            delta: Delta::new(&settings.geometry)?,
             shaper,
             queue: Ring::new(Node::NONE),
             pushed: 0,
@@ -148,7 +148,7 @@ mod tests {
             pen: Pen::Down,
             stroke: 0,
         });
-        let mut outline = Outline::new(&Config::default(), &vertices[0]).unwrap();
+        let mut outline = Outline::new(&Settings::default(), &vertices[0]).unwrap();
         for vertex in &vertices[1..] {
             assert!(outline.push(vertex));
         }

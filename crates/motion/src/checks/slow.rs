@@ -4,7 +4,7 @@ use super::*;
 
 /// The platform's largest acceleration as a part of its limit, and when, ms.
 fn peak(run: &Run) -> (f64, usize) {
-    let delta = Delta::new(&run.config.geometry).unwrap();
+    let delta = Delta::new(&run.settings.geometry).unwrap();
     let points: Vec<Vector> = run
         .references
         .iter()
@@ -16,7 +16,7 @@ fn peak(run: &Run) -> (f64, usize) {
     };
     let worst = points.windows(3).map(acceleration).enumerate();
     let (at, worst) = worst.fold((0, 0.0), |most, one| if one.1 > most.1 { one } else { most });
-    (worst / run.config.motion.acceleration_mm_s2, at)
+    (worst / run.settings.motion.acceleration_mm_s2, at)
 }
 
 fn down(x: f64, y: f64) -> Vertex {
@@ -52,13 +52,13 @@ fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
     let mut worst = [0.0_f64; 2];
     for (seed, acceleration) in (1..).zip([10.0, 14.0, 30.0, 55.0, 100.0, 300.0, 1_000.0, 4_000.0, 30_000.0]) {
         for (window_ms, worst) in [0, 4].into_iter().zip(&mut worst) {
-            let mut config = Config::default();
-            config.motion.acceleration_mm_s2 = acceleration;
-            config.motion.jerk_window_ms = window_ms;
-            assert_eq!(config.check(), Ok(()));
+            let mut settings = Settings::default();
+            settings.motion.acceleration_mm_s2 = acceleration;
+            settings.motion.jerk_window_ms = window_ms;
+            assert_eq!(settings.check(), Ok(()));
             for (number, path) in paths(seed).iter().enumerate() {
                 let name = format!("{acceleration} mm/s2, seed {seed}, path {number}, window {window_ms}");
-                let run = Run::new(&config, path).whole();
+                let run = Run::new(&settings, path).whole();
                 let (part, at) = peak(&run);
                 assert!(part <= 1.0 + EXCESS, "{name}: {part} of the limit at {at} ms");
                 run.check_limits(&name);
@@ -71,8 +71,8 @@ fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
 }
 
 /// Runs with a speed that is asked for anew again and again; `change` gives it for a period, if it changes there.
-fn run_with_overrides(config: &Config, path: &[Vertex], mut change: impl FnMut(usize) -> Option<u8>) -> Run {
-    let mut run = Run::new(config, path);
+fn run_with_overrides(settings: &Settings, path: &[Vertex], mut change: impl FnMut(usize) -> Option<u8>) -> Run {
+    let mut run = Run::new(settings, path);
     run.command(MotionCommand::Start);
     for period in 0..PERIODS_MAX {
         run.feed(usize::MAX);
@@ -93,8 +93,8 @@ fn speeds_that_change_all_the_time_keep_the_acceleration() {
     let mut worst = 0.0_f64;
     for seed in (1..40).chain([308, 525, 905, 1596, 2334, 2513, 2784]) {
         let mut random = Random::new(seed);
-        let mut config = Config::default();
-        let motion = &mut config.motion;
+        let mut settings = Settings::default();
+        let motion = &mut settings.motion;
         motion.acceleration_mm_s2 = libm::pow(10.0, random.between(1.3, 3.5));
         motion.speed_mm_s = libm::pow(10.0, random.between(0.5, 2.5));
         motion.tolerance_mm = libm::pow(10.0, random.between(-2.0, -0.2));
@@ -108,7 +108,7 @@ fn speeds_that_change_all_the_time_keep_the_acceleration() {
             at[0] += leg_mm * libm::cos(heading);
             at[1] += leg_mm * libm::sin(heading);
         }
-        let (part, at) = peak(&run_with_overrides(&config, &path, |_| {
+        let (part, at) = peak(&run_with_overrides(&settings, &path, |_| {
             (random.below(3) == 0).then(|| match random.below(2) {
                 0 => 99 + random.below(3) as u8,
                 _ => 50 + random.below(151) as u8,

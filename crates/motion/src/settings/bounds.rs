@@ -1,0 +1,200 @@
+//! Hard bounds: a table with the lowest and highest value that any settings may hold.
+//!
+//! A bound that depends on another value expresses a relation between the two.
+
+use super::Settings;
+
+/// A value and its bounds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound {
+    /// Name of the value as configuration files write it.
+    pub name: &'static str,
+    /// The value.
+    pub value: f64,
+    /// The lowest value allowed.
+    pub low: f64,
+    /// The highest value allowed.
+    pub high: f64,
+}
+
+/// A row of a table of bounds.
+#[must_use]
+pub const fn bound(name: &'static str, value: f64, low: f64, high: f64) -> Bound {
+    Bound { name, value, low, high }
+}
+
+/// A value that is not finite or outside its bounds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Violation {
+    /// Row of the table, from 0.
+    pub row: u8,
+    /// The value and its bounds.
+    pub bound: Bound,
+}
+
+/// Finds the first row whose value is not finite or outside its bounds.
+///
+/// # Errors
+/// That row.
+pub fn first_violation(rows: &[Bound]) -> Result<(), Violation> {
+    let within = |bound: &Bound| bound.value.is_finite() && bound.value >= bound.low && bound.value <= bound.high;
+    match (0_u8..).zip(rows).find(|(_, bound)| !within(bound)) {
+        Some((row, bound)) => Err(Violation { row, bound: *bound }),
+        None => Ok(()),
+    }
+}
+
+impl Settings {
+    /// Number of rows in [`Settings::bounds`].
+    pub const BOUNDS: usize = 36;
+
+    /// Hard bounds of every value but the dead man's time, which the bus's settings bound.
+    #[must_use]
+    pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
+        let (geometry, area, paper, motion) = (&self.geometry, &self.work_area, &self.paper, &self.motion);
+        let reach = geometry.upper_arm_mm + geometry.forearm_mm;
+        [
+            bound("geometry.base_radius_mm", geometry.base_radius_mm, 10.0, 2000.0),
+            bound("geometry.upper_arm_mm", geometry.upper_arm_mm, 10.0, 2000.0),
+            bound(
+                "geometry.forearm_mm",
+                geometry.forearm_mm,
+                geometry.upper_arm_mm,
+                4000.0,
+            ),
+            bound(
+                "geometry.platform_radius_mm",
+                geometry.platform_radius_mm,
+                0.0,
+                geometry.base_radius_mm,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[0]",
+                geometry.arm_azimuths_deg[0],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[1]",
+                geometry.arm_azimuths_deg[1],
+                -360.0,
+                360.0,
+            ),
+            bound(
+                "geometry.arm_azimuths_deg[2]",
+                geometry.arm_azimuths_deg[2],
+                -360.0,
+                360.0,
+            ),
+            bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
+            bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
+            bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
+            bound("geometry.turn_range_rad[0]", geometry.turn_range_rad[0], -6300.0, 0.0),
+            bound("geometry.turn_range_rad[1]", geometry.turn_range_rad[1], 0.0, 6300.0),
+            bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
+            bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
+            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
+            bound(
+                "paper.centre_mm[0]",
+                paper.centre_mm[0],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound(
+                "paper.centre_mm[1]",
+                paper.centre_mm[1],
+                -area.radius_mm,
+                area.radius_mm,
+            ),
+            bound("paper.size_mm[0]", paper.size_mm[0], 1.0, 2.0 * area.radius_mm),
+            bound("paper.size_mm[1]", paper.size_mm[1], 1.0, 2.0 * area.radius_mm),
+            bound(
+                "paper.pen_down_z_mm",
+                paper.pen_down_z_mm,
+                area.z_low_mm,
+                area.z_high_mm,
+            ),
+            bound(
+                "paper.pen_lift_mm",
+                paper.pen_lift_mm,
+                0.5,
+                area.z_high_mm - paper.pen_down_z_mm,
+            ),
+            bound(
+                "paper.pressing_depth_mm",
+                paper.pressing_depth_mm,
+                0.0,
+                paper.pen_down_z_mm - area.z_low_mm,
+            ),
+            bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
+            bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
+            bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),
+            bound("motion.pen_speed_mm_s", motion.pen_speed_mm_s, 0.0, 10_000.0),
+            bound(
+                "motion.pen_acceleration_mm_s2",
+                motion.pen_acceleration_mm_s2,
+                0.0,
+                150_000.0,
+            ),
+            bound("motion.pen_dwell_ms", f64::from(motion.pen_dwell_ms), 0.0, 10_000.0),
+            bound(
+                "motion.joint_speed_rad_s",
+                largest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_speed_rad_s",
+                smallest(&motion.joint_speed_rad_s),
+                0.01,
+                50.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                largest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound(
+                "motion.joint_acceleration_rad_s2",
+                smallest(&motion.joint_acceleration_rad_s2),
+                0.1,
+                2000.0,
+            ),
+            bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
+            bound(
+                "motion.travel_tolerance_mm",
+                motion.travel_tolerance_mm,
+                motion.tolerance_mm,
+                10.0,
+            ),
+            bound("motion.jerk_window_ms", f64::from(motion.jerk_window_ms), 0.0, 32.0),
+            bound(
+                "motion.starve_dwell_ms",
+                f64::from(motion.starve_dwell_ms),
+                0.0,
+                60_000.0,
+            ),
+        ]
+    }
+
+    /// Checks every value against its hard bounds.
+    ///
+    /// # Errors
+    /// The first value that is not finite or outside its bounds.
+    pub fn check(&self) -> Result<(), Violation> {
+        first_violation(&self.bounds())
+    }
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::NEG_INFINITY, |a, b| if b.is_nan() || *b > a { *b } else { a })
+}
+
+fn smallest(values: &[f64]) -> f64 {
+    values
+        .iter()
+        .fold(f64::INFINITY, |a, b| if b.is_nan() || *b < a { *b } else { a })
+}
