@@ -20,9 +20,6 @@ const SPEEDS_MM_S: [f64; 6] = [5.0, 20.0, 100.0, 300.0, 1_000.0, 2_500.0];
 const CASES: u64 = 8;
 /// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
 const SLOW_MAX_MM: f64 = 5.0;
-/// Most deviation of the pen up to 5 mm/s in torque mode with a frozen feedback, mm: friction may hide that a slow arm's
-/// load changes.
-const SLOW_FROZEN_TORQUE_MAX_MM: f64 = 12.0;
 const MEDIUM_MAX_MM: f64 = 20.0;
 /// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, for the way that the pen has gone:
 /// a joint that shows 0.9 of its motion moves by 1 / 0.9.
@@ -113,10 +110,9 @@ fn assert_within_limits(mode: AxisMode, table: &[(Kind, Vec<Worst>)]) {
                 assert!(of_way <= most, "{kind:?} at {speed_mm_s} mm/s: {of_way:.3} of the way");
                 continue;
             }
-            let limit_mm = match (*speed_mm_s, mode, kind) {
-                (..=5.0, AxisMode::Torque, Kind::Frozen) => SLOW_FROZEN_TORQUE_MAX_MM,
-                (..=5.0, ..) => SLOW_MAX_MM,
-                (..=1_000.0, ..) => MEDIUM_MAX_MM,
+            let limit_mm = match *speed_mm_s {
+                ..=5.0 => SLOW_MAX_MM,
+                ..=1_000.0 => MEDIUM_MAX_MM,
                 _ => f64::INFINITY,
             };
             assert!(

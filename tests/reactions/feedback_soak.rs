@@ -1,6 +1,7 @@
 //! A sound robot, with friction and noise, draws, moves and jogs as chance has it: its feedback is believed.
 //!
-//! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute.
+//! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is the
+//! first seed instead of 0. A seed lasts ten minutes of robot time.
 
 use crate::feedback::{splitmix, with};
 use crate::robot::{Robot, Used};
@@ -112,9 +113,11 @@ fn act(robot: &mut Robot, chance: &mut Chance) -> u64 {
 fn soak(mode: AxisMode) {
     let asked = std::env::var("ETHERPEN_SOAK_HOURS").ok();
     let hours: f64 = asked.map_or(HOURS, |hours| hours.parse().expect("a number of hours"));
+    let asked = std::env::var("ETHERPEN_SOAK_SEED").ok();
+    let first: u64 = asked.map_or(0, |seed| seed.parse().expect("a seed"));
     let (mut left_ms, mut passed_ms) = ((hours * 3.6e6) as u64, 0);
     let mut most = Used::default();
-    for seed in 0.. {
+    for seed in first.. {
         let options = CellOptions {
             resolver_noise_increments: NOISE_INCREMENTS,
             friction_rad_s: 0.016,
@@ -132,7 +135,9 @@ fn soak(mode: AxisMode) {
             (slice_ms, passed_ms) = (slice_ms.saturating_sub(took_ms), passed_ms + took_ms);
         }
         let passed_h = passed_ms as f64 / 3.6e6;
-        println!("{mode:?}: {passed_h:.3} robot hours, seeds 0 to {seed}; of the limits of {COMPARISONS:?} {most:.3?}");
+        println!(
+            "{mode:?}: {passed_h:.3} robot hours, seeds {first} to {seed}; of the limits of {COMPARISONS:?} {most:.3?}"
+        );
         if left_ms == 0 {
             break;
         }
