@@ -4,9 +4,9 @@
 
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
-use host_tools::commands::prepare::prepare;
-use host_tools::commands::run::task;
-use host_tools::link::error::JobError;
+use host_tools::drawing::preparation::prepare::prepare;
+use host_tools::job::error::JobError;
+use host_tools::run::task;
 use host_tools::run::{Drawn, Task, simulate};
 use std::path::Path;
 

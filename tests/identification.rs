@@ -4,10 +4,11 @@
 
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
-use host_tools::commands::prepare::prepare;
-use host_tools::commands::run::{conclude, task};
+use host_tools::drawing::preparation::prepare::prepare;
 use host_tools::identification::{apply, identify, test_config, test_path};
 use host_tools::report::Report;
+use host_tools::report::output::conclude;
+use host_tools::run::task;
 use host_tools::run::{self, Task};
 use std::path::Path;
 

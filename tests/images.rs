@@ -1,7 +1,7 @@
 //! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may reach.
 
 use etherpen as _;
-use host_tools::image::{CallGraph, Function, Image, StackBound};
+use host_tools::firmware_image::{CallGraph, Function, Image, StackBound};
 use host_tools::setup;
 use std::ops::Range;
 

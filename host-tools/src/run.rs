@@ -5,9 +5,12 @@
 
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions};
+use crate::drawing::preparation::prepare::Prepared;
+use crate::drawing::preparation::wire::to_wire;
 use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, LogLine};
-use crate::link::error::JobError;
-use crate::link::job::{Job, JobOptions, JobReport};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
+use crate::job::{Job, JobOptions, JobReport};
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
@@ -44,6 +47,16 @@ impl Task {
 
     fn cell(&self, sink: Option<Sink>) -> io::Result<CapturedCell> {
         CapturedCell::new(Cell::new(&self.config, self.cell.clone()), sink)
+    }
+}
+
+/// A task for a prepared file in the default cell.
+pub fn task(config: &Config, prepared: &Prepared) -> Task {
+    let path = prepared.path.iter().map(to_wire).collect();
+    Task {
+        config: config.clone(),
+        path,
+        cell: CellOptions::default(),
     }
 }
 
@@ -93,6 +106,15 @@ impl std::fmt::Display for RunError {
 }
 
 impl std::error::Error for RunError {}
+
+impl From<&RunError> for ProgramError {
+    fn from(error: &RunError) -> Self {
+        match error {
+            RunError::Emulator(error) => error.into(),
+            RunError::Capture(_) => Self::new(code::FAILED, error),
+        }
+    }
+}
 
 struct SimulatedHost<'a> {
     job: Job,

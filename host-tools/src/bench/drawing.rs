@@ -6,12 +6,12 @@
 //! default limits; vpype converts curves into its own lines.
 
 use super::{BenchError, Report, Row, Selection};
-use crate::commands::prepare::planned_s;
-use crate::commands::quickest::travelling;
+use crate::drawing::preparation::choose_order::travelling;
 use crate::drawing::{
     Drawing, Input, OrderOptions, Stroke, Travel, VectorizeOptions, edge_coverage, load, order, order_with_effort,
     render_rgb, tone_correlation, vectorize_image,
 };
+use crate::planning::planned_s;
 use crate::setup;
 use etherpen::config::Config;
 use image::{RgbImage, imageops};

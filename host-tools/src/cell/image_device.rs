@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn no_image_breaks_it() {
-        let mut random = crate::cell::random::Random::new(5);
+        let mut random = crate::random::Random::new(5);
         for round in 0..2_000u64 {
             let mut image: Vec<u8> = (0..random.next() % 600).map(|_| random.next() as u8).collect();
             if let Some(kind) = image.get_mut(128..130).filter(|_| round % 2 == 0) {

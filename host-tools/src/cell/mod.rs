@@ -38,7 +38,6 @@ mod kind;
 mod motor;
 mod paper;
 mod process_data;
-mod random;
 mod registers;
 mod resolver;
 mod robot;
@@ -61,6 +60,7 @@ pub use kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
 pub use paper::{InkStroke, PEN_SPRING_MM};
 pub use resolver::ResolverFault;
 
+use crate::random::Random;
 use controller::Nature;
 use drive::Drive;
 use dynamics::Dynamics;
@@ -68,7 +68,6 @@ use etherpen::config::Config;
 use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
 use faults::Schedule;
 use paper::Sheet;
-use random::Random;
 use robot::Robot;
 use segment::{Now, Segment, Travel};
 use servo::Servo;
@@ -434,6 +433,6 @@ mod master_tests;
 #[cfg(test)]
 mod replay_tests;
 #[cfg(test)]
-mod test_bench;
+mod rig;
 #[cfg(test)]
 mod tests;

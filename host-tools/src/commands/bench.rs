@@ -1,7 +1,8 @@
 //! `etherpen bench`: the project's figures together with those of its peers, measured in one run.
 
-use super::{CommandError, code, print_json};
+use super::print_json;
 use crate::bench::{BenchError, Report, Row, Selection, console, drawing, ethercat, motion, recording};
+use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
 
@@ -88,14 +89,14 @@ impl Options {
 ///
 /// # Errors
 /// A tool is missing, or a measurement failed. A missed target is not an error.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
     if !matches!(arguments.bench, Bench::Recording(_) | Bench::Console(_)) {
         setup::ensure_sources()?;
     }
     let (options, report) = match &arguments.bench {
         Bench::Console(options) => {
-            let program = std::env::current_exe().map_err(|cause| CommandError::failed("this program", cause))?;
+            let program = std::env::current_exe().map_err(|cause| ProgramError::failed("this program", cause))?;
             let report = console::run(&options.selection(), &program, CONSOLE_STOPS, progress);
             (options, report)
         }
@@ -108,11 +109,11 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         }
     };
     let report = report.map_err(|error| match error {
-        BenchError::Setup(error) => CommandError::from(error),
-        BenchError::Program { .. } => CommandError::new(code::FAILED, error),
+        BenchError::Setup(error) => ProgramError::from(error),
+        BenchError::Program { .. } => ProgramError::new(code::FAILED, error),
     })?;
     if report.rows.is_empty() {
-        return Err(CommandError::new(
+        return Err(ProgramError::new(
             code::USAGE,
             "no case has that name; without --case all are shown",
         ));
@@ -122,7 +123,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     std::io::stdout()
         .write_all(table(&report).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 /// One line for each case: the project's figure, its target, the peers' figures, and the ratio of the project's to the

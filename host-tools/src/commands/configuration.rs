@@ -1,7 +1,8 @@
 //! `etherpen config show`: the values in force, and the source of each.
 
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{ConfigArguments, print_json};
+use crate::error::{ProgramError, code};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -48,7 +49,7 @@ struct Entry {
 ///
 /// # Errors
 /// The configuration cannot be used.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let Command::Show(show) = &arguments.command;
     let entries = entries(show)?;
     if show.json {
@@ -68,14 +69,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             true => format!("{key} = {}  # {}", entry.value, entry.origin),
             false => format!("{key} = {}", entry.value),
         };
-        writeln!(out, "{line}").map_err(|cause| CommandError::failed("stdout", cause))?;
+        writeln!(out, "{line}").map_err(|cause| ProgramError::failed("stdout", cause))?;
     }
     Ok(())
 }
 
-fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, CommandError> {
+fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, ProgramError> {
     let config = show.config.load()?;
-    let failed = |cause: &dyn std::fmt::Display| CommandError::new(code::USAGE, format!("the configuration: {cause}"));
+    let failed = |cause: &dyn std::fmt::Display| ProgramError::new(code::USAGE, format!("the configuration: {cause}"));
     let mut entries = BTreeMap::new();
     let built_in = "built-in";
     let values = serde_json::to_value(&config).map_err(|cause| failed(&cause))?;

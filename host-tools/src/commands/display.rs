@@ -1,8 +1,8 @@
 //! Shows progress and events of a job: a bar with the remaining time on a terminal, plain lines elsewhere.
 
-use crate::link::job::{Job, JobEvent};
-use crate::link::port::Show;
-use crate::link::progress::Progress;
+use crate::job::over_port::Show;
+use crate::job::progress::Progress;
+use crate::job::{Job, JobEvent};
 use crate::link::text;
 use etherpen::application::Mode;
 use indicatif::{ProgressBar, ProgressStyle};

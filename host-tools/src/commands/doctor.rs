@@ -4,11 +4,14 @@
 //! status.
 
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, counted, in_colour, print_json, session_number};
-use crate::link::error::JobError;
+use super::{ConfigArguments, print_json};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
 use crate::link::port::{Line, Port, PortName};
+use crate::link::session::session_number;
 use crate::link::session::{Event, Session};
 use crate::link::text;
+use crate::terminal::{counted, in_colour};
 use crate::{probe, setup};
 use etherpen::link::protocol::{Status, Welcome};
 use nix::errno::Errno;
@@ -86,7 +89,7 @@ impl Check {
 ///
 /// # Errors
 /// A port's name is invalid, or a check failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let port = arguments.port.unless(None)?;
     let mut checks = vec![toolchain(), qemu(), probe_rs(), st_link(), raw_sockets(), namespaces()];
     checks.push(configuration(&arguments.config));
@@ -101,7 +104,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     match checks.iter().filter(|check| check.verdict == Verdict::Failed).count() {
         0 => Ok(()),
-        failed => Err(CommandError::new(
+        failed => Err(ProgramError::new(
             code::FAILED,
             format!("{failed} of {} failed", counted(checks.len(), "check")),
         )),

@@ -3,22 +3,27 @@
 //! The machine is shared during the drawing, so that other terminals can hold, resume, cancel and stop it. Every
 //! drawing is recorded in the log of jobs, from which an interrupted one can be resumed.
 
-use super::broken::{self, Plan, Resumption, config_hash, state};
 use super::display::Display;
 use super::operator::{Key, Operator};
-use super::outline::around;
-use super::outputs::{Outcome, make_folder, refuse_inputs_in, summarise, write_bytes};
 use super::ports::PortArguments;
-use super::prepare::{Prepared, compose, planned_s, prepare_with, to_wire};
-use super::source::SourceArguments;
-use super::{CommandError, DrawingArguments, code, print_json};
+use super::{DrawingArguments, print_json};
+use crate::drawing::preparation::outline::around;
+use crate::drawing::preparation::prepare::{Prepared, compose, prepare_with};
+use crate::drawing::preparation::source::SourceArguments;
+use crate::drawing::preparation::wire::to_wire;
 use crate::drawing::take_photograph;
-use crate::history::{self, Entry, Record, hash_text};
-use crate::link::error::Phase;
-use crate::link::job::{JobEvent, JobReport, path_hash};
-use crate::link::port::Show;
-use crate::link::progress::{PathMeasure, Progress};
+use crate::error::{ProgramError, code};
+use crate::job::error::Phase;
+use crate::job::history::{self, Entry, Record, hash_text};
+use crate::job::over_port::Show;
+use crate::job::progress::{PathMeasure, Progress};
+use crate::job::resume::{self, MachineState, ResumePlan, Resumption, config_hash};
+use crate::job::{JobEvent, JobReport, path_hash};
 use crate::machine::{DrawOrder, Failure, Machine, MachineOptions, News, NoNews, Order, Subscription};
+use crate::output_file::{make_folder, write_bytes};
+use crate::planning::planned_s;
+use crate::report::output::{Outcome, refuse_inputs_in};
+use crate::report::summary::summarise;
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
@@ -77,7 +82,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.drawing.config.load()?;
     let resumption = resumption(arguments)?;
     let file = file(arguments, resumption.as_ref())?;
@@ -112,10 +117,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 /// Goes around the drawing with the pen up, and waits until the operator starts the drawing.
-fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), CommandError> {
+fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), ProgramError> {
     if file.as_os_str() == "-" {
         let text = "--outline reads the file once more for the drawing: standard input cannot be read again";
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     let prepared = prepare_with(file, config, &arguments.drawing.source)?;
     let Some((border, [width_mm, height_mm])) = around(&prepared.path, config) else {
@@ -123,13 +128,14 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     };
     let machine = start(arguments, config)?;
     // Before a machine has said where it stands it goes at its own pace.
-    let pace = state(&machine)?
+    let pace = machine
+        .known_state()?
         .status
         .map_or(PACE_FULL, |status| status.override_percent);
     // A machine that does not take the pace goes at its own.
     let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
     paced(OUTLINE_PACE);
-    let plan = Plan::whole(&border, None);
+    let plan = ResumePlan::whole(&border, None);
     let ended = Session::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
     paced(pace);
     ended?.result?;
@@ -139,38 +145,38 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     );
     match operator.wait_or_early() {
         Some(Key::Enter) => Ok(()),
-        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+        Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
             code::INTERRUPTED,
             "ended after the outline; nothing was drawn",
         )),
     }
 }
 
-fn start(arguments: &Arguments, config: &Config) -> Result<Machine, CommandError> {
+fn start(arguments: &Arguments, config: &Config) -> Result<Machine, ProgramError> {
     let options = MachineOptions {
         acknowledge: arguments.acknowledge,
         ..MachineOptions::default()
     };
     Machine::start(arguments.port.port.clone(), config.clone(), options)
-        .map_err(|cause| CommandError::new(code::CONNECTION, cause))
+        .map_err(|cause| ProgramError::new(code::CONNECTION, cause))
 }
 
 /// Names of a file's layers, in the order of drawing.
-fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, CommandError> {
+fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, ProgramError> {
     if file.as_os_str() == "-" {
         let text = "--pause reads the file once for each layer: standard input cannot be read again";
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     let composed = compose(file, config, source)?;
     Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
 }
 
 /// Waits with the machine at rest and without power until the pen is changed.
-fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), CommandError> {
+fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), ProgramError> {
     eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
     match operator.wait() {
         Some(Key::Enter) => Ok(()),
-        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+        Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
             code::INTERRUPTED,
             format!("ended before layer {layer}; --layer draws it alone, in its place"),
         )),
@@ -203,9 +209,9 @@ fn draw(
     part: &Part,
     resumption: Option<&Resumption>,
     operator: &mut Operator,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     if let Some(dir) = &part.out {
-        refuse_inputs_in(dir, &part.source.inputs(part.file, &arguments.drawing.config))?;
+        refuse_inputs_in(dir, &part.source.inputs(part.file, arguments.drawing.config.path()))?;
     }
     let prepared = prepare_with(part.file, config, &part.source)?;
     if let Some(dir) = &part.out {
@@ -219,8 +225,8 @@ fn draw(
     };
     let machine = start(arguments, config)?;
     let plan = match before.is_empty() {
-        false => broken::plan(before, &machine, config, &path)?,
-        true => Plan::whole(&path, begin_log(arguments, part, config, &path, hash)),
+        false => resume::plan(before, &state_of(&machine)?, config, &path)?,
+        true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path, hash)),
     };
     let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
     let ended = session.draw(&part.name)?;
@@ -230,9 +236,19 @@ fn draw(
     finished
 }
 
+/// What the machine says of itself before a drawing goes on.
+fn state_of(machine: &Machine) -> Result<MachineState, ProgramError> {
+    let known = machine.known_state()?;
+    Ok(MachineState {
+        welcome: known.welcome,
+        status: known.status,
+        path: known.path,
+    })
+}
+
 /// The target of `--resume`. Without a file argument, a value that names no job of the log but a file is that file:
 /// `draw --resume FILE`.
-fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError> {
+fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, ProgramError> {
     let Some(name) = &arguments.resume else {
         return Ok(None);
     };
@@ -240,29 +256,29 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError>
         ("", Some(file)) => Ok(Some(Resumption::Last(file.clone()))),
         ("", None) => {
             let text = "--resume needs the file to go on with, or the name of a job: etherpen jobs lists them";
-            Err(CommandError::new(code::USAGE, text))
+            Err(ProgramError::new(code::USAGE, text))
         }
         (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),
-        (name, _) => broken::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
+        (name, _) => resume::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
     }
 }
 
 /// The file to draw: the given one, that of the job to resume, or a photograph from a camera.
-fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, CommandError> {
+fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, ProgramError> {
     let Some(device) = &arguments.camera else {
         let of_job = || resumption.map(|resumption| resumption.file().to_owned());
         return Ok(arguments.file.clone().or_else(of_job).unwrap_or_default());
     };
     let unusable =
-        |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{}: {cause}", device.display()));
+        |cause: &dyn std::fmt::Display| ProgramError::new(code::INPUT, format!("{}: {cause}", device.display()));
     let picture = take_photograph(device).map_err(|cause| unusable(&cause))?;
-    let folder = history::folder().map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    let folder = history::folder().map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
     make_folder(&folder)?;
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let file = folder.join(format!("camera-{}.png", since.as_millis()));
     let mut png = Cursor::new(Vec::new());
     let encoded = picture.write_to(&mut png, image::ImageFormat::Png);
-    encoded.map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    encoded.map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
     write_bytes(&file, png.get_ref())?;
     eprintln!(
         "etherpen: {} x {} pixels from {}, kept as {}",
@@ -275,7 +291,7 @@ fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBu
 }
 
 /// Options of the conversion into strokes: the given ones, or those of the job to resume.
-fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, CommandError> {
+fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, ProgramError> {
     let given = &arguments.drawing.source;
     let Some(resumption) = resumption.filter(|_| arguments.file.is_none()) else {
         return Ok(given.clone());
@@ -284,7 +300,7 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
         Some(_) if given.is_given() => {
             let text =
                 "--resume JOB takes the options of the file from the log of jobs: leave them out, or name the file too";
-            Err(CommandError::new(code::USAGE, text))
+            Err(ProgramError::new(code::USAGE, text))
         }
         Some(of_job) => Ok(of_job),
         None => Ok(given.clone()),
@@ -318,7 +334,7 @@ fn finish(
     prepared: &Prepared,
     job: &JobReport,
     completed: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let image = job
         .welcome
         .as_ref()
@@ -360,7 +376,7 @@ struct Session<'a> {
     machine: &'a Machine,
     news: Subscription,
     measure: PathMeasure,
-    plan: Plan,
+    plan: ResumePlan,
     display: Display,
     operator: &'a mut Operator,
     begun: bool,
@@ -373,7 +389,7 @@ impl<'a> Session<'a> {
         machine: &'a Machine,
         config: &Config,
         path: &[PathVertex],
-        plan: Plan,
+        plan: ResumePlan,
         operator: &'a mut Operator,
         json: bool,
     ) -> Self {
@@ -390,7 +406,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    fn draw(&mut self, name: &str) -> Result<Ended, CommandError> {
+    fn draw(&mut self, name: &str) -> Result<Ended, ProgramError> {
         let order = Order::Draw(DrawOrder {
             drawing: self.plan.drawing.clone(),
             name: name.to_owned(),
@@ -420,7 +436,7 @@ impl<'a> Session<'a> {
                         break Ended { result, report };
                     }
                 }
-                Err(NoNews::Closed) => return Err(CommandError::failed("drawing", "the machine's thread has ended")),
+                Err(NoNews::Closed) => return Err(ProgramError::failed("drawing", "the machine's thread has ended")),
             }
         };
         self.display.finish();

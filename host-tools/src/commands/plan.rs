@@ -1,13 +1,16 @@
 //! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
-use super::outputs::{refuse_input, unwritable};
-use super::prepare::{prepare_with, unusable};
-use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, counted, print_json};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::compose::unusable;
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::{Input, Path3d, load};
+use crate::error::{ProgramError, code};
 use crate::link::text;
 use crate::output_file::OutputFile;
+use crate::output_file::{refuse_input, unwritable};
 use crate::planning::{Analysis, Findings, PlanningError, Sample, plan};
+use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
 use etherpen::motion::{Admission, Pen, RefusalReason, Vertex};
@@ -119,9 +122,12 @@ struct Answer {
 ///
 /// # Errors
 /// The file or the configuration cannot be used, or a vertex is refused: its index, its line and why.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if let Some(table) = &arguments.samples {
-        refuse_input(table, &arguments.source.inputs(&arguments.file, &arguments.config))?;
+        refuse_input(
+            table,
+            &arguments.source.inputs(&arguments.file, arguments.config.path()),
+        )?;
     }
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
@@ -155,14 +161,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     io::stdout()
         .write_all(shown(&answer).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 /// The path of a file, every vertex admitted, and how many vertices were merged.
-fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), CommandError> {
+fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), ProgramError> {
     match load(file).map_err(|cause| unusable(file, &cause))? {
         Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
-            Refused::Geometry(refusal) => CommandError::new(code::USAGE, text::config_refusal(&refusal)),
+            Refused::Geometry(refusal) => ProgramError::new(code::USAGE, text::config_refusal(&refusal)),
             Refused::Path(cause) => unusable(file, &cause),
         }),
         Input::Photograph(_) | Input::Drawing(_) | Input::Artwork(_) => {
@@ -206,7 +212,7 @@ struct Table {
 }
 
 impl Table {
-    fn new(file: &Path) -> Result<Self, CommandError> {
+    fn new(file: &Path) -> Result<Self, ProgramError> {
         let failed = |cause| unwritable(file, &cause);
         let mut out = OutputFile::create(file).map_err(failed)?;
         let names = (1..=AXES).map(|axis| format!("q{axis}_rad,"));

@@ -1,10 +1,14 @@
 //! `etherpen preview`: shows how a file would be drawn, as a picture and in figures.
 
-use super::outputs::{refuse_input, write_bytes, write_text};
-use super::prepare::{Composed, compose, in_sequence, planned_s, refused, unusable};
-use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, counted, print_json};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::compose::{Composed, in_sequence, unusable};
+use crate::drawing::preparation::prepare::{compose, refused};
+use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::{Drawing, PreviewScene, Stroke};
+use crate::error::{ProgramError, code};
+use crate::output_file::{refuse_input, write_bytes, write_text};
+use crate::planning::planned_s;
+use crate::terminal::counted;
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
 use serde::Serialize;
@@ -77,14 +81,14 @@ const PX_PER_MM: f64 = 6.0;
 /// # Errors
 /// The file or the configuration cannot be used, the picture cannot be written, or strokes are refused; in the last
 /// case the picture is written and shows them.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let is_png = match arguments.out.extension().and_then(|extension| extension.to_str()) {
         Some(extension) if extension.eq_ignore_ascii_case("png") => true,
         Some(extension) if extension.eq_ignore_ascii_case("svg") => false,
         _ if arguments.out.as_os_str() == "-" => false,
         _ => {
             let shown = arguments.out.display();
-            return Err(CommandError::new(
+            return Err(ProgramError::new(
                 code::USAGE,
                 format!("{shown}: the picture's name ends in .svg or .png"),
             ));
@@ -92,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     refuse_input(
         &arguments.out,
-        &arguments.source.inputs(&arguments.file, &arguments.config),
+        &arguments.source.inputs(&arguments.file, arguments.config.path()),
     )?;
     let config = arguments.config.load()?;
     let composed = compose(&arguments.file, &config, &arguments.source)?;
@@ -119,7 +123,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if is_png {
         let png = scene
             .png(PX_PER_MM)
-            .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
+            .map_err(|cause| ProgramError::failed("the picture cannot be made", cause))?;
         write_bytes(&arguments.out, &png)?;
     } else {
         write_text(&arguments.out, &scene.svg())?;

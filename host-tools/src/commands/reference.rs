@@ -1,15 +1,18 @@
 //! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
 
 use super::ports::SessionPort;
-use super::{CommandError, ConfigArguments, code, counted, job_error, print_json, session_number};
+use super::{ConfigArguments, print_json};
 use crate::cell::{Cell, CellOptions};
-use crate::link::job::Ready;
+use crate::error::{ProgramError, code};
+use crate::job::Ready;
+use crate::job::reference::{Pose, Reading, ReferenceJob, Referenced, Wanted, all};
 use crate::link::port::{Line, Port};
-use crate::link::reference::{Pose, Reading, ReferenceJob, Referenced, Wanted, all};
+use crate::link::session::session_number;
 use crate::link::text;
 use crate::machine::{Client, Order, Snapshot};
 use crate::settings::Settings;
 use crate::simulation;
+use crate::terminal::counted;
 use etherpen::application::Mode;
 use etherpen::application::reference::resolver_angle_rad;
 use etherpen::config::Config;
@@ -103,11 +106,11 @@ struct Answer {
 /// # Errors
 /// Errors of the configuration or the machine, a pose that disagrees with the resolvers or the measured position, or
 /// errors of the file.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let delta = Delta::new(&config.geometry).map_err(|cause| {
         let text = text::config_refusal(&cause.into());
-        CommandError::new(code::USAGE, text)
+        ProgramError::new(code::USAGE, text)
     })?;
     let wanted = wanted(arguments, &delta)?;
     let found = take(arguments, &config, wanted)?;
@@ -136,13 +139,13 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> {
+fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, ProgramError> {
     let position = arguments.position.map(|Numbers(position)| Position::from(position));
     let pose = match (arguments.pose, &position) {
         (Some(Numbers(pose)), _) => Pose::Joints(JointAngles(pose)),
         (None, Some(position)) => Pose::Arms(delta.inverse(position).map_err(|cause| {
             let why = text::outside(&Outside::Kinematics(cause));
-            CommandError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
+            ProgramError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
         })?),
         (None, None) => Pose::Marks,
     };
@@ -153,14 +156,14 @@ fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> 
     })
 }
 
-fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, CommandError> {
+fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
     let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
     match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
         Some(name) => {
             if let Some(client) = Client::find(&name) {
                 return through(client, arguments.acknowledge, config, &wanted);
             }
-            let lost = |cause| CommandError::new(code::CONNECTION, cause);
+            let lost = |cause| ProgramError::new(code::CONNECTION, cause);
             let mut line = Line::start(Port::open(&name).map_err(lost)?);
             while job.outcome().is_none() {
                 line.exchange(|now_ms, incoming, outgoing, room| job.step(now_ms, incoming, outgoing, room))
@@ -174,8 +177,8 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
     }
     match job.outcome() {
         Some(Ok(found)) => Ok(found.clone()),
-        Some(Err(error)) => Err(job_error(error)),
-        None => Err(CommandError::new(
+        Some(Err(error)) => Err(error.into()),
+        None => Err(ProgramError::new(
             code::FAILED,
             "the run ended before the reference was taken",
         )),
@@ -188,14 +191,14 @@ fn through(
     acknowledge: bool,
     config: &Config,
     wanted: &Wanted,
-) -> Result<Referenced, CommandError> {
+) -> Result<Referenced, ProgramError> {
     let owner = client.owner().clone();
     if wanted.calibrate {
         let text = format!(
             "--calibrate gives the machine another configuration, and {owner} owns the port with its own; end that \
              program, then calibrate"
         );
-        return Err(CommandError::new(code::CONNECTION, text));
+        return Err(ProgramError::new(code::CONNECTION, text));
     }
     let mode = client.snapshot()?.status.map(|status| status.mode);
     if acknowledge && mode == Some(Mode::Fault) {
@@ -208,7 +211,7 @@ fn through(
         let text = format!(
             "{owner} owns the port and works with another configuration; use the same one (--config), or end that program"
         );
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
     let mut reading = Reading::default();
@@ -220,7 +223,7 @@ fn through(
 }
 
 /// A value from the machine's state, once it is known.
-fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, CommandError> {
+fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, ProgramError> {
     let until = Instant::now() + STATE_MAX;
     while Instant::now() < until {
         if let Some(known) = said(&client.snapshot()?) {
@@ -229,12 +232,12 @@ fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -
         std::thread::sleep(LOOK);
     }
     let text = "the machine does not tell its resolvers' positions; look at the bus (etherpen bus scan)";
-    Err(CommandError::new(code::FAILED, text))
+    Err(ProgramError::new(code::FAILED, text))
 }
 
 /// Stores the pose as the marks, and reads it back.
-fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
-    let failed = |cause| CommandError::failed(format!("{} cannot be changed", path.display()), cause);
+fn store(path: &Path, found: &Referenced) -> Result<(), ProgramError> {
+    let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
     let mut settings = Settings::open(path).map_err(failed)?;
     let changed = settings.store_axes(&found.marked()).map_err(failed)?;
     settings.save(path).map_err(failed)?;
@@ -251,7 +254,7 @@ fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
                  {angle_rad} rad; look whether another program writes the file",
                 path.display()
             );
-            return Err(CommandError::new(code::FAILED, message));
+            return Err(ProgramError::new(code::FAILED, message));
         }
     }
     eprintln!(
@@ -262,7 +265,7 @@ fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn print(answer: &Answer) -> Result<(), CommandError> {
+fn print(answer: &Answer) -> Result<(), ProgramError> {
     let mut shown = String::new();
     for axis in &answer.axes {
         shown.push_str(&format!(
@@ -279,5 +282,5 @@ fn print(answer: &Answer) -> Result<(), CommandError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }

@@ -6,8 +6,8 @@
 use super::hub::{Hub, Level, Topic};
 use super::words::on_page;
 use super::{Console, lock};
-use crate::link::error::Phase;
-use crate::link::job::{JobEvent, Ready};
+use crate::job::error::Phase;
+use crate::job::{JobEvent, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
@@ -242,7 +242,7 @@ impl Console {
         let Some(((name, path), activation)) = drawing else {
             return false;
         };
-        self.order_drawing(heard, activation, name, crate::link::job::Drawing::new(path));
+        self.order_drawing(heard, activation, name, crate::job::Drawing::new(path));
         true
     }
 
@@ -260,15 +260,15 @@ impl Console {
             unfinished.map(|unfinished| (unfinished, hub.jobs.activation().unwrap_or_default()))
         });
         let (unfinished, activation) = unfinished?;
-        let drawing = crate::link::job::Drawing {
+        let drawing = crate::job::Drawing {
             may_reference: unfinished.is_whole,
-            ..crate::link::job::Drawing::new(unfinished.path)
+            ..crate::job::Drawing::new(unfinished.path)
         };
         self.order_drawing(heard, activation, unfinished.name, drawing);
         Ok(())
     }
 
-    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::link::job::Drawing) {
+    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::job::Drawing) {
         let order = DrawOrder {
             drawing,
             name,
@@ -283,10 +283,10 @@ impl Console {
     pub(super) fn reference_here(&self) -> Option<Command> {
         let hub = self.hub();
         let (known, status) = (hub.known()?, hub.status()?);
-        let increments = crate::link::reference::all(&status.increments)?;
+        let increments = crate::job::reference::all(&status.increments)?;
         let [x_mm, y_mm, z_mm] = known.platform_mm.map(f64::from);
-        let wanted = crate::link::reference::Wanted {
-            pose: crate::link::reference::Pose::Seen(known.joints_rad.map(f64::from)),
+        let wanted = crate::job::reference::Wanted {
+            pose: crate::job::reference::Pose::Seen(known.joints_rad.map(f64::from)),
             position: Some(Position { x_mm, y_mm, z_mm }),
             calibrate: false,
         };

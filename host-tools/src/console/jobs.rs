@@ -6,9 +6,9 @@
 //! unfinished ones.
 
 use super::signals::Row;
-use crate::link::ink::Ink;
-use crate::link::progress::{PathMeasure, Progress};
-use crate::link::remainder::{OVERLAP_UM, Remainder};
+use crate::job::ink::Ink;
+use crate::job::progress::{PathMeasure, Progress};
+use crate::job::remainder::{OVERLAP_UM, Remainder};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;

@@ -4,8 +4,10 @@
 
 use super::jobs::Drawing;
 use super::words::on_page;
-use crate::commands::prepare::{planned_s, prepare_with, to_wire};
-use crate::commands::source::SourceArguments;
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::source::SourceArguments;
+use crate::drawing::preparation::wire::to_wire;
+use crate::planning::planned_s;
 use clap::{CommandFactory, Parser};
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;

@@ -27,6 +27,7 @@ mod order;
 mod path;
 mod photo;
 mod plot;
+pub mod preparation;
 mod preview;
 mod raster;
 mod render;

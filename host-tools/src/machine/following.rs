@@ -5,7 +5,7 @@
 //! machine never waits for a follower.
 
 use super::{Client, Failure, Machine, News, NoNews, Subscription};
-use crate::link::job::JobEvent;
+use crate::job::JobEvent;
 use crate::link::text;
 use etherpen::link::protocol::{Sample, Status, Welcome};
 use serde::{Deserialize, Serialize};
@@ -129,7 +129,7 @@ impl Source {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::code;
+    use crate::error::code;
     use etherpen::application::Mode;
     use etherpen::motion::Pen;
 

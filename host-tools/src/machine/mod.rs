@@ -26,11 +26,13 @@ mod sharing;
 mod subscription;
 mod work;
 
-use crate::link::error::JobError;
-use crate::link::job::{Drawing, JobEvent, JobReport, Motion, Ready};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
+use crate::job::progress::Progress;
+use crate::job::{Drawing, JobEvent, JobReport, Motion, Ready};
 use crate::link::ownership::Ownership;
 use crate::link::port::{self, Line, Port, PortError, PortName};
-use crate::link::progress::Progress;
+use crate::link::session::session_number;
 use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
@@ -52,6 +54,12 @@ use work::Work;
 
 /// Time between two attempts to reconnect.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// Longest wait for a machine's state; the link's own time limit is shorter.
+const STATE_MAX: Duration = Duration::from_secs(10);
+/// Longest wait for the path state of a firmware that holds a drawing.
+const PATH_MAX: Duration = Duration::from_millis(500);
+/// Time between two checks.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// An order to a machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,7 +148,18 @@ impl std::error::Error for Failure {}
 
 impl From<&JobError> for Failure {
     fn from(error: &JobError) -> Self {
-        let error = crate::commands::job_error(error);
+        ProgramError::from(error).into()
+    }
+}
+
+impl From<&PortError> for Failure {
+    fn from(error: &PortError) -> Self {
+        ProgramError::from(error).into()
+    }
+}
+
+impl From<ProgramError> for Failure {
+    fn from(error: ProgramError) -> Self {
         Self {
             code: error.code,
             text: error.message,
@@ -148,9 +167,9 @@ impl From<&JobError> for Failure {
     }
 }
 
-impl From<&PortError> for Failure {
-    fn from(error: &PortError) -> Self {
-        Self::new(crate::commands::code::CONNECTION, error)
+impl From<Failure> for ProgramError {
+    fn from(failure: Failure) -> Self {
+        Self::new(failure.code, failure.text)
     }
 }
 
@@ -329,7 +348,7 @@ impl Machine {
     /// # Errors
     /// Why the order was not carried out.
     pub fn carry_out(&self, order: Order) -> Answer {
-        let ended = || Failure::new(crate::commands::code::FAILED, "the machine's thread has ended");
+        let ended = || Failure::new(code::FAILED, "the machine's thread has ended");
         self.order(order).recv().map_err(|_| ended())?
     }
 
@@ -345,6 +364,34 @@ impl Machine {
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .clone()
+    }
+
+    /// Where the machine stands, and what it says of the path that it has; waits until it has said so.
+    ///
+    /// # Errors
+    /// There is no connection, or the machine does not answer.
+    pub fn known_state(&self) -> Result<Snapshot, Failure> {
+        let until = Instant::now() + STATE_MAX;
+        let mut known_since = None;
+        loop {
+            let snapshot = self.snapshot();
+            if let Some(lost) = snapshot.lost {
+                return Err(lost);
+            }
+            if snapshot.status.is_some() && snapshot.phase.is_none() {
+                let since = *known_since.get_or_insert_with(Instant::now);
+                if snapshot.path.is_some() || since.elapsed() > PATH_MAX {
+                    return Ok(snapshot);
+                }
+            }
+            if Instant::now() > until {
+                return Err(Failure::new(
+                    code::CONNECTION,
+                    "the machine does not say where it stands",
+                ));
+            }
+            std::thread::sleep(LOOK);
+        }
     }
 }
 
@@ -389,7 +436,7 @@ fn attend(
 
 /// Runs one connection until it breaks (returns the reason) or the machine is dropped.
 fn converse(port: Port, work: &mut Work, orders: &mut Taken, shared: &Shared, attempt: &mut u32) -> Option<Failure> {
-    work.connect(crate::commands::session_number());
+    work.connect(session_number());
     let mut line = Line::start(port);
     while !shared.ended.load(Ordering::Relaxed) {
         let exchanged = line.exchange(|now_ms, incoming, outgoing, room| {

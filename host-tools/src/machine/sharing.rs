@@ -9,10 +9,10 @@
 
 use super::lanes::Lanes;
 use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
-use crate::commands::code;
+use crate::error::code;
+use crate::job::task::Life;
 use crate::link::ownership::{Owner, socket_path};
 use crate::link::port::PortName;
-use crate::link::terms::Life;
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::Shutdown;

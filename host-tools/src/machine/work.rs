@@ -6,9 +6,9 @@
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
-use crate::commands::code;
-use crate::link::error::{JobError, Phase};
-use crate::link::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Life, Task};
+use crate::error::code;
+use crate::job::error::{JobError, Phase};
+use crate::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Life, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::service::ServiceResult;

@@ -207,6 +207,12 @@ fn fill<'p>(
     Ok(())
 }
 
+/// Duration that the firmware's planner computes for a path, s, from rest at its first vertex to rest at its end; NaN
+/// if it cannot be planned.
+pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
+    plan(config, path, |_, _| ()).map_or(f64::NAN, |run| run.duration_ms as f64 / 1_000.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,13 +1,14 @@
 //! The deviation of every style's drawing, against the planner's own analysis and against a brute-force search.
 
+use super::output::conclude;
 use super::{Report, Row, drawn_part, rows, strokes};
-use crate::commands::prepare::prepare_with;
-use crate::commands::run::{conclude, task};
-use crate::commands::source::SourceArguments;
 use crate::drawing::Style;
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::source::SourceArguments;
 use crate::matching::{between, distance};
 use crate::planning::{Analysis, Sample as Planned, plan};
 use crate::run::simulate;
+use crate::run::task;
 use clap::Parser;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::Sample;

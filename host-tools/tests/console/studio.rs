@@ -1,7 +1,7 @@
 //! A file on its way to a drawing: it is never lost, and every wish plans it anew.
 
 use super::browser::Browser;
-use super::client::{Bench, Client, TOKEN};
+use super::client::{Client, Rig, TOKEN};
 use super::page::{DESKTOP, begin, drop_file, let_fall, short_drawing, small_photograph};
 use serde_json::json;
 
@@ -21,11 +21,11 @@ const KEPT: &str = "(document.getElementById('kept').hidden ? '' : document.getE
 #[test]
 fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_it_is_not_free() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
 
     // Control is free: the drop takes it.
-    look(browser, &bench.url());
+    look(browser, &rig.url());
     assert_eq!(browser.value("etherpen.link.controls"), false);
     let_fall(browser, "free.csv", short_drawing().as_bytes());
     browser.until(&is_ready("free.csv"));
@@ -34,7 +34,7 @@ fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_i
     browser.press("#control");
 
     // Somebody else has it: the file waits, the page says for what, and a press gets it on.
-    let mut other = bench.viewer("other");
+    let mut other = rig.viewer("other");
     browser.until("etherpen.link.state.control.holder === null");
     other.send(&json!({"type": "take"}));
     let you = other.sections["you"]["id"].clone();
@@ -71,9 +71,9 @@ fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_i
 #[test]
 fn a_page_without_the_token_keeps_the_file_and_says_what_is_to_be_done() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    look(browser, &bench.url().replace(TOKEN, "wrong"));
+    look(browser, &rig.url().replace(TOKEN, "wrong"));
     let_fall(browser, "guest.csv", short_drawing().as_bytes());
     browser.until(&format!(
         "{KEPT}.includes('guest.csv is kept') && {KEPT}.includes('address')"
@@ -99,9 +99,9 @@ fn wish(browser: &mut Browser, wishes: [&str; 3]) {
 #[test]
 fn every_wish_plans_the_file_anew_and_the_last_one_wins() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     browser.value(
         "{ globalThis.ready = []; globalThis.dimmed = []; etherpen.link.on('path', (path) => { if (path.use === 2) globalThis.path = path; }); \
          etherpen.link.on('studio', (made) => { if (made?.state === 'ready') ready.push(made.wishes); }); }",
@@ -185,8 +185,8 @@ fn every_wish_plans_the_file_anew_and_the_last_one_wins() {
 
 #[test]
 fn an_older_preparation_never_replaces_a_newer_one() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("one");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("one");
     viewer.send(&json!({"type": "take"}));
     let you = viewer.sections["you"]["id"].clone();
     viewer.state("control", |control| control["holder"] == you);
@@ -194,9 +194,9 @@ fn an_older_preparation_never_replaces_a_newer_one() {
     viewer.until("refused", |why| why.as_str().is_some_and(|why| why.contains("no file")));
     let head = format!(
         "POST /file HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: {TOKEN}\r\nx-etherpen-viewer: {you}\r\nx-etherpen-name: portrait.png",
-        bench.address()
+        rig.address()
     );
-    let answer = bench.http(&head, &small_photograph());
+    let answer = rig.http(&head, &small_photograph());
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
     let sizes: Vec<String> = (40..60).map(|mm| format!("{mm}mm")).collect();
     for size in &sizes {

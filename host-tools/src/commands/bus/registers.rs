@@ -3,7 +3,8 @@
 use super::access::{self, BusAccess};
 use super::table;
 use super::value::hex;
-use crate::commands::{CommandError, print_json};
+use crate::commands::print_json;
+use crate::error::ProgramError;
 use etherpen::ethercat::service::SlaveErrors;
 use etherpen::ethercat::wire::register;
 use etherpen::ethercat::wire::register::PortErrors;
@@ -60,7 +61,7 @@ struct Memory {
 }
 
 /// `bus registers [N]`: the registers that have a name here.
-pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), CommandError> {
+pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), ProgramError> {
     let slaves = match only {
         Some(slave) => slave..=slave,
         None => 1..=access::bus(access)?.slaves,
@@ -107,7 +108,7 @@ pub(super) fn dump(
     address: u16,
     length: u16,
     json: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let memory = access::registers(access, slave, address, length)?;
     if json {
         return print_json(&Memory {
@@ -189,7 +190,7 @@ fn verdict(counted: &PortErrors, cable: &str) -> Option<String> {
 }
 
 /// `bus errors`.
-pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Result<(), CommandError> {
+pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Result<(), ProgramError> {
     let mut views = Vec::new();
     let mut verdicts = Vec::new();
     for slave in 1..=access::bus(access)?.slaves {

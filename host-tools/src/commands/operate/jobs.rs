@@ -1,7 +1,9 @@
 //! `etherpen jobs`: the drawings of this computer's log.
 
-use crate::commands::{CommandError, counted, print_json};
-use crate::history::{Entry, Record, folder, list};
+use crate::commands::print_json;
+use crate::error::ProgramError;
+use crate::job::history::{Entry, Record, folder, list};
+use crate::terminal::counted;
 use serde::Serialize;
 
 /// Options of `etherpen jobs`.
@@ -19,10 +21,10 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The log cannot be read.
-pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let records = folder()
         .and_then(|folder| list(&folder))
-        .map_err(|cause| CommandError::failed("the log of jobs cannot be read", cause))?;
+        .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))?;
     let mut entries: Vec<Job> = records.into_iter().map(Job::from).collect();
     if arguments.newest > 0 {
         let first = entries.len().saturating_sub(arguments.newest);
