@@ -13,7 +13,9 @@ pub mod latency;
 pub mod motion;
 mod programs;
 pub mod recording;
+pub mod table;
 
+use crate::error::{ProgramError, code};
 use crate::setup::SetupError;
 use serde::Serialize;
 
@@ -114,6 +116,15 @@ impl std::fmt::Display for BenchError {
 }
 
 impl std::error::Error for BenchError {}
+
+impl From<BenchError> for ProgramError {
+    fn from(error: BenchError) -> Self {
+        match error {
+            BenchError::Setup(error) => error.into(),
+            BenchError::Program { .. } => Self::new(code::FAILED, error),
+        }
+    }
+}
 
 impl From<SetupError> for BenchError {
     fn from(error: SetupError) -> Self {

@@ -3,11 +3,13 @@
 //! A command takes effect `output_delay` milliseconds after it arrived on the bus. A position appears on the bus
 //! `input_delay` milliseconds after it was measured.
 
-use super::device::Emergency;
 use super::drive::{Demand, Drive};
 use std::collections::VecDeque;
 
 const ERROR_REGISTER_GENERIC: u8 = 0x01;
+
+/// An emergency message: error code, error register, five manufacturer-specific bytes.
+pub(super) type Emergency = (u16, u8, [u8; 5]);
 
 /// Values of the drive at one time.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,10 +1,10 @@
 //! `etherpen bench latency`: the latency of the critical tasks, with and without disturbance.
 
-use super::bench::table;
 use super::print_json;
+use crate::bench::Report;
 use crate::bench::latency::{self, Disturbance, Isolation, LatencyReport, Plan, plot};
-use crate::bench::{BenchError, Report};
-use crate::error::{ProgramError, code};
+use crate::bench::table::table;
+use crate::error::ProgramError;
 use crate::output_file::write_text;
 use std::io::Write;
 use std::path::PathBuf;
@@ -83,8 +83,5 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 
 /// Measures, with progress on stderr.
 pub(super) fn measure(plan: &Plan) -> Result<LatencyReport, ProgramError> {
-    latency::run(plan, |what| eprintln!("etherpen: {what}")).map_err(|error| match error {
-        BenchError::Setup(error) => ProgramError::from(error),
-        BenchError::Program { .. } => ProgramError::new(code::FAILED, error),
-    })
+    latency::run(plan, |what| eprintln!("etherpen: {what}")).map_err(ProgramError::from)
 }

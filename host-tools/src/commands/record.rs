@@ -203,7 +203,7 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), P
 fn source(config: &Config, port: &PortName) -> Result<Source, ProgramError> {
     if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
-        return Ok(client.follow()?);
+        return Ok(Source::follow(client)?);
     }
     let machine = Machine::start(port.clone(), config.clone(), MachineOptions::default())
         .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;

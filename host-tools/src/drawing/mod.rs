@@ -40,7 +40,7 @@ mod vectorize;
 
 pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
 pub use camera::{CameraError, take_photograph};
-pub use csv::{Path3d, read_csv};
+pub use csv::{Coordinates, Path3d, read_csv};
 pub use error::{DrawingError, FilePlace};
 pub use input::{Input, load, load_content, load_with, read_file};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};

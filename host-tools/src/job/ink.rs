@@ -162,20 +162,14 @@ impl Ink {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn random(state: &mut u64, below: u64) -> u64 {
-        *state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 33) % below
-    }
+    use crate::random::Lcg;
 
     /// Strokes with reversals, parallels a tenth of a millimetre apart, and lines on top of each other.
     fn dense(seed: u64) -> Arc<[PathVertex]> {
-        let mut state = seed;
+        let mut random = Lcg::new(seed);
         let mut path = Vec::new();
         for stroke in 0..4 {
-            let (mut x_um, mut y_um) = (random(&mut state, 50_000) as i32, random(&mut state, 50_000) as i32);
+            let (mut x_um, mut y_um) = (random.below(50_000) as i32, random.below(50_000) as i32);
             let vertex = |x_um, y_um, pen| PathVertex {
                 position_um: [x_um, y_um, -850_000],
                 pen,
@@ -183,8 +177,8 @@ mod tests {
             };
             path.push(vertex(x_um, y_um, Pen::Up));
             for _ in 0..30 {
-                let length_um = 200 + random(&mut state, 10_000) as i32;
-                match random(&mut state, 4) {
+                let length_um = 200 + random.below(10_000) as i32;
+                match random.below(4) {
                     0 => x_um += length_um,
                     1 => x_um -= length_um,
                     2 => y_um += length_um.min(100),
@@ -211,11 +205,11 @@ mod tests {
     #[test]
     fn the_place_goes_with_the_pen_on_dense_paths_and_is_never_far_ahead_of_it() {
         for seed in 1..60_u64 {
-            let (path, mut state) = (dense(seed), seed);
+            let (path, mut random) = (dense(seed), Lcg::new(seed));
             let mut ink = Ink::new(path.clone());
             let mut drawn = 0.0;
             let (mut behind_mm, mut ahead_mm) = (0.0_f64, 0.0_f64);
-            let step_mm = 0.02 + random(&mut state, 300) as f64 / 1_000.0;
+            let step_mm = 0.02 + random.below(300) as f64 / 1_000.0;
             for leg in 1..path.len() {
                 if path[leg].pen == Pen::Up {
                     ink.lifted();
@@ -226,10 +220,10 @@ mod tests {
                 let steps = (length_mm / step_mm).ceil().max(1.0) as u64;
                 for step in 1..=steps {
                     let mut pen = between(&begin, &end, step as f64 / steps as f64);
-                    let noise = |state: &mut u64| (random(state, 2_001) as f64 / 1_000.0 - 1.0) * 0.02;
-                    pen.iter_mut().for_each(|mm| *mm += noise(&mut state));
+                    let noise = |random: &mut Lcg| (random.below(2_001) as f64 / 1_000.0 - 1.0) * 0.02;
+                    pen.iter_mut().for_each(|mm| *mm += noise(&mut random));
                     // A tenth of the samples is lost.
-                    if random(&mut state, 10) > 0 {
+                    if random.below(10) > 0 {
                         ink.draws(path[leg].stroke, pen);
                     }
                     let (found, place) = ink.end();

@@ -128,6 +128,7 @@ fn distance_um(a: &[i32; 3], b: &[i32; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Lcg;
 
     const LIFT_UM: i32 = 5_000;
 
@@ -216,13 +217,8 @@ mod tests {
                 .map(|(from, to)| distance_um(&from.position_um, &to.position_um))
                 .sum()
         };
-        let mut random = 1_u64;
-        let mut next = |below: i64| {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (random >> 33) as i64 % below
-        };
+        let mut random = Lcg::new(1);
+        let mut next = |below: usize| random.below(below);
         for case in 0..500 {
             let mut path = Vec::new();
             for stroke in 0..1 + next(4) as u32 {
@@ -238,7 +234,7 @@ mod tests {
                 path.extend((0..4).map(|_| vertex(point(), Pen::Down)));
             }
             let legs: Vec<usize> = (0..path.len()).filter(|leg| path[*leg].pen == Pen::Down).collect();
-            let leg = legs[next(legs.len() as i64) as usize];
+            let leg = legs[next(legs.len())];
             let (from, to) = (path[leg - 1].position_um, path[leg].position_um);
             let share = next(1_000) as f64 / 1_000.0;
             let end: [i32; 3] =

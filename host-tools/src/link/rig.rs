@@ -1,5 +1,6 @@
 //! Test rig for both ends of the link: a faulty line and a small firmware around the real endpoint, in virtual time.
 
+use crate::random::Xorshift;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
@@ -18,7 +19,7 @@ use std::time::{Duration, Instant};
 
 /// One direction of a serial line that damages bytes.
 pub(crate) struct FaultyLine {
-    state: u64,
+    random: Xorshift,
     /// Faults of each kind in a million bytes.
     faults_per_million: u64,
     /// Faults so far.
@@ -28,29 +29,22 @@ pub(crate) struct FaultyLine {
 impl FaultyLine {
     pub(crate) fn new(seed: u64, faults_per_million: u64) -> Self {
         Self {
-            state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            random: Xorshift::new(seed),
             faults_per_million,
             spoilt: 0,
         }
-    }
-
-    pub(crate) fn random(&mut self) -> u64 {
-        self.state ^= self.state << 13;
-        self.state ^= self.state >> 7;
-        self.state ^= self.state << 17;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11
     }
 
     /// Carries bytes: each may be lost, damaged, doubled, or followed by a repetition of the eight bytes before it.
     pub(crate) fn carry(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();
         for byte in bytes {
-            let kind = self.random() % 1_000_000 / self.faults_per_million.max(1);
+            let kind = self.random.scrambled() % 1_000_000 / self.faults_per_million.max(1);
             self.spoilt += u32::from(self.faults_per_million > 0 && kind < 4);
             match kind {
                 _ if self.faults_per_million == 0 => out.push(*byte),
                 0 => {}
-                1 => out.push(byte ^ (1 << (self.random() % 8))),
+                1 => out.push(byte ^ (1 << (self.random.scrambled() % 8))),
                 2 => out.extend([*byte, *byte]),
                 3 => {
                     out.push(*byte);

@@ -7,7 +7,7 @@
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
 //!     .snapshot()        -> Snapshot           the last that is known, for who comes late
 //! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
-//!     .follow()                              and what a recording is made of
+//! Source::follow(client)                     and what a recording is made of
 //! ```
 //!
 //! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
@@ -20,6 +20,7 @@
 //! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the
 //! firmware still has it. No reader and no user can block the thread.
 
+mod account;
 mod following;
 mod lanes;
 mod sharing;
@@ -33,11 +34,12 @@ use crate::job::{Drawing, JobEvent, JobReport, Motion, Ready};
 use crate::link::ownership::Ownership;
 use crate::link::port::{self, Line, Port, PortError, PortName};
 use crate::link::session::session_number;
+pub use account::Account;
 use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
-pub use following::{Account, Source};
+pub use following::Source;
 use lanes::{Lanes, Taken};
 pub use lanes::{OVERTAKEN, Ticket};
 use serde::{Deserialize, Serialize};

@@ -191,7 +191,7 @@ fn a_follower_in_another_process_hears_every_sample_of_a_drawing() {
     let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
     let news = machine.subscribe(100_000);
-    let mut source = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    let mut source = Source::follow(Client::find(machine.port()).expect("it is shared")).unwrap();
     assert!(matches!(source.next_within(PATIENCE), Ok(Account::Connected(_))));
     assert_eq!(machine.carry_out(draw(300)), Ok(Reply::Done));
     let (mut heard, mut told) = (Vec::new(), Vec::new());
@@ -350,7 +350,7 @@ fn however_many_programs_are_connected_and_say_nothing_a_stop_finds_its_way() {
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
     let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
-    let mut follower = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    let mut follower = Source::follow(Client::find(machine.port()).expect("it is shared")).unwrap();
     assert!(matches!(follower.next_within(PATIENCE), Ok(Account::Connected(_))));
     let idle: Vec<_> = (0..100).filter_map(|_| says(&machine, "")).collect();
     assert_eq!(idle.len(), 100, "each is let in");

@@ -1,4 +1,5 @@
 use super::*;
+use crate::random::Lcg;
 
 /// Resolution of the reference implementation, mm.
 const FINE_MM: f64 = 0.05;
@@ -59,25 +60,8 @@ fn brute_force_mm(line: &[Position], positions: &[Position]) -> f64 {
     row.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// A sequence of numbers from 0 to 1 that depends on a seed alone.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as f64 / (1_u64 << 31) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.unit()
-    }
-}
-
 /// Strokes that come close to themselves, each with its name.
-fn strokes(random: &mut Random) -> Vec<(&'static str, Vec<Position>)> {
+fn strokes(random: &mut Lcg) -> Vec<(&'static str, Vec<Position>)> {
     let pitch = random.between(0.3, 1.2);
     let parallels = (0..12).map(|k| place(if (k + 1) / 2 % 2 == 0 { 0.0 } else { 6.0 }, f64::from(k / 2) * pitch));
     let mut reversals = vec![place(0.0, 0.0)];
@@ -106,7 +90,7 @@ fn strokes(random: &mut Random) -> Vec<(&'static str, Vec<Position>)> {
 }
 
 /// Positions along a line, each a distance off it that swings up to `most_mm`.
-fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Random) -> Vec<Position> {
+fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Lcg) -> Vec<Position> {
     let line = Line::new(points.to_vec());
     let (period_mm, phase) = (random.between(3.0, 9.0), random.between(0.0, 6.0));
     let count = (line.length_mm() / step_mm).ceil() as usize;
@@ -125,7 +109,7 @@ fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Random) -> 
 #[test]
 fn the_distance_is_that_of_a_brute_force_search_on_lines_that_come_close_to_themselves() {
     for seed in 1..=4 {
-        let mut random = Random(seed);
+        let mut random = Lcg::new(seed);
         for (name, points) in strokes(&mut random) {
             for most_mm in [0.0, 0.05, 0.4, 1.5] {
                 let positions = off(&points, 0.3, most_mm, &mut random);

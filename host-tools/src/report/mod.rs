@@ -17,7 +17,6 @@ pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
 pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
-pub(crate) use tracking_plot::{marks, number};
 
 use crate::job::verification::Verdict;
 use crate::matching::distance;

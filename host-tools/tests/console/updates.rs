@@ -3,6 +3,7 @@
 use super::browser::Browser;
 use super::client::{Client, Rig};
 use super::page::{begin, drop_file, short_drawing};
+use host_tools::random::Lcg;
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -57,8 +58,7 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
     let rig = Rig::start();
     let browser = &mut browser;
     page_with_lists(browser, &rig);
-    let mut random: u64 = 20_261_122;
-    println!("seed {random}");
+    let mut random = Lcg::new(20_261_122);
     // What is pressed is counted and not done: the page is to stay as it is.
     browser.value(
         "{ globalThis.pressed = {}; globalThis.total = 0; globalThis.shown = 0; globalThis.without = 0; \
@@ -84,10 +84,7 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
             browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
             let place = browser.place(selector);
             let before = browser.value("[without, total]");
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            std::thread::sleep(Duration::from_millis((random >> 33) % 120));
+            std::thread::sleep(Duration::from_millis(random.next() % 120));
             browser.mouse(true, place);
             std::thread::sleep(HELD);
             browser.mouse(false, place);

@@ -109,6 +109,7 @@ fn durations_s<const N: usize>(drawings: [&Drawing; N], config: &Config) -> [Opt
 mod tests {
     use super::*;
     use crate::drawing::Stroke;
+    use crate::random::Lcg;
 
     const SHEET_MM: [f64; 2] = [200.0, 200.0];
 
@@ -121,13 +122,8 @@ mod tests {
 
     /// Strokes of all lengths anywhere, some in clusters, some in order already.
     fn scattered(seed: u64) -> Drawing {
-        let mut state = seed;
-        let mut unit = || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as f64 / (1_u64 << 31) as f64
-        };
+        let mut random = Lcg::new(seed);
+        let mut unit = || random.unit();
         let (size, spread) = (1.0 + 20.0 * unit(), 20.0 + 130.0 * unit());
         let strokes = (0..2 + seed % 13).map(|_| {
             let (x, y) = (10.0 + spread * unit(), 10.0 + spread * unit());

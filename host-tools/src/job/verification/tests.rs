@@ -1,28 +1,12 @@
 use super::*;
 use crate::planning::{Sample as Planned, plan};
+use crate::random::Lcg;
 use etherpen::motion::Vertex;
 
 const LIFT_MM: f64 = 5.0;
 
-/// A sequence of numbers from 0 to 1 that depends on a seed alone.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as f64 / (1_u64 << 31) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.unit()
-    }
-}
-
 /// Strokes of all kinds: serpentines of dense rows, ways back over the way there, rings, dots.
-fn drawing(random: &mut Random, config: &Config) -> Vec<Vertex> {
+fn drawing(random: &mut Lcg, config: &Config) -> Vec<Vertex> {
     let z_mm = config.paper.pen_down_z_mm;
     let mut path = Vec::new();
     for stroke in 0..8 {
@@ -102,7 +86,7 @@ fn verdict(config: &Config, path: &[Vertex], samples: &[Sample]) -> Verdict {
 fn a_drawing_that_was_followed_is_complete_to_the_last_millimetre() {
     let config = Config::default();
     for seed in 1..=6 {
-        let path = drawing(&mut Random(seed), &config);
+        let path = drawing(&mut Lcg::new(seed), &config);
         let verdict = verdict(&config, &path, &telemetry(&config, &path));
         assert_eq!(
             (verdict.missing_mm, verdict.strokes.len()),
@@ -122,7 +106,7 @@ fn a_drawing_that_was_followed_is_complete_to_the_last_millimetre() {
 fn lost_samples_are_not_verified_and_never_missing() {
     let config = Config::default();
     for seed in 1..=20 {
-        let mut random = Random(seed);
+        let mut random = Lcg::new(seed);
         let path = drawing(&mut random, &config);
         let mut samples = telemetry(&config, &path);
         let total = samples.len();
@@ -152,7 +136,7 @@ fn an_axis_that_stands_still_is_noticed_with_the_length_that_it_takes() {
     let place = |rad: [f32; 4]| delta.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
     let mut noticed = 0;
     for seed in 1..=24 {
-        let mut random = Random(seed);
+        let mut random = Lcg::new(seed);
         let path = drawing(&mut random, &config);
         let mut samples = telemetry(&config, &path);
         let (axis, from) = (
@@ -200,7 +184,7 @@ fn an_axis_that_stands_still_is_noticed_with_the_length_that_it_takes() {
 #[test]
 fn a_stroke_that_was_never_begun_is_missing() {
     let config = Config::default();
-    let path = drawing(&mut Random(5), &config);
+    let path = drawing(&mut Lcg::new(5), &config);
     let drawn: Vec<Vertex> = path.iter().filter(|vertex| vertex.stroke != 4).copied().collect();
     let ended: Vec<Vertex> = path.iter().filter(|vertex| vertex.stroke < 6).copied().collect();
     let first_of = |stroke: u32| {
@@ -218,7 +202,7 @@ fn a_stroke_that_was_never_begun_is_missing() {
 #[test]
 fn two_connections_together_have_seen_the_whole_drawing() {
     let config = Config::default();
-    let path = drawing(&mut Random(7), &config);
+    let path = drawing(&mut Lcg::new(7), &config);
     let samples = telemetry(&config, &path);
     let (before, after) = samples.split_at(samples.len() / 2);
     let mut first = Verifier::new(&wire(&path), &config, true);
@@ -234,7 +218,7 @@ fn two_connections_together_have_seen_the_whole_drawing() {
 }
 
 /// A stroke of vertices at random within a square, and a line of 30 mm behind them.
-fn noise(random: &mut Random, config: &Config, count: usize, half_mm: f64) -> Vec<Vertex> {
+fn noise(random: &mut Lcg, config: &Config, count: usize, half_mm: f64) -> Vec<Vertex> {
     let z_mm = config.paper.pen_down_z_mm;
     let vertex = |x_mm: f64, y_mm: f64, z_mm: f64, pen: Pen| Vertex {
         position: Position { x_mm, y_mm, z_mm },
@@ -271,7 +255,7 @@ fn noise_of_any_size_takes_bounded_work_and_memory_and_is_never_missing() {
         (3_000, 1.0),
     ];
     for (count, half_mm) in sizes {
-        let path = noise(&mut Random(9), &config, count, half_mm);
+        let path = noise(&mut Lcg::new(9), &config, count, half_mm);
         let samples = telemetry(&config, &path);
         let mut verifier = Verifier::new(&wire(&path), &config, true);
         let (mut most, mut parts, mut rows) = (0, 0, 0);
@@ -332,7 +316,7 @@ fn noise_of_any_size_takes_bounded_work_and_memory_and_is_never_missing() {
 #[test]
 fn the_result_does_not_depend_on_how_the_work_is_divided() {
     let config = Config::default();
-    let path = drawing(&mut Random(3), &config);
+    let path = drawing(&mut Lcg::new(3), &config);
     let samples = telemetry(&config, &path);
     let whole = verdict(&config, &path, &samples);
     for looks in [1, 1_000] {
@@ -351,7 +335,7 @@ fn the_result_does_not_depend_on_how_the_work_is_divided() {
 #[test]
 fn samples_that_are_left_out_are_not_verified_and_never_missing() {
     let config = Config::default();
-    let path = drawing(&mut Random(11), &config);
+    let path = drawing(&mut Lcg::new(11), &config);
     let samples = telemetry(&config, &path);
     for given_up in [0.2, 0.5, 0.8, 1.0] {
         let mut verifier = Verifier::new(&wire(&path), &config, true);

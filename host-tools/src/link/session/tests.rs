@@ -142,15 +142,15 @@ fn a_reset_of_the_firmware_is_noticed() {
 #[test]
 fn garbage_makes_no_panic_and_no_event() {
     for seed in SEEDS {
-        let mut line = crate::link::rig::FaultyLine::new(seed, 0);
+        let mut random = crate::random::Random::new(seed);
         let mut session = Session::new(3);
         session.connect();
         let bytes: Vec<u8> = (0..100_000)
             .map(|_| {
-                if line.random().is_multiple_of(16) {
+                if random.next().is_multiple_of(16) {
                     0
                 } else {
-                    line.random() as u8
+                    random.next() as u8
                 }
             })
             .collect();

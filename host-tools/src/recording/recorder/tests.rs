@@ -1,6 +1,7 @@
 use super::super::playback::{Entry, Playback};
 use super::super::statistics::statistics;
 use super::*;
+use crate::random::Lcg;
 use crate::recording::signals::columns;
 use crate::report::{rows, write_telemetry};
 use etherpen::robot::AXES;
@@ -153,14 +154,10 @@ fn a_recording_cut_anywhere_gives_all_but_its_last_second() {
     }
     recorder.finish().unwrap();
     let bytes = std::mem::take(recorder.storage_mut());
-    let mut seed = 77_u64;
-    println!("seed {seed}");
+    let mut random = Lcg::new(77);
     let head = lengths[0];
     for _ in 0..40 {
-        seed = seed
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        let length = head + (seed >> 33) as usize % (bytes.len() - head);
+        let length = head + random.below(bytes.len() - head);
         let times = times_ms(&bytes[..length]);
         // Whoever is killed when the file is this long has taken at most these samples.
         let taken = lengths.iter().filter(|at| **at <= length).count();
