@@ -31,7 +31,7 @@ pub type Sink = Box<dyn Write + Send>;
 
 /// A drawing and its cell.
 #[derive(Clone, Debug)]
-pub struct Task {
+pub struct RunTask {
     /// The configuration.
     pub config: Config,
     /// The path.
@@ -40,7 +40,7 @@ pub struct Task {
     pub cell: CellOptions,
 }
 
-impl Task {
+impl RunTask {
     fn job(&self) -> Job {
         Job::draw(self.config.clone(), self.path.clone(), JobOptions::default())
     }
@@ -51,9 +51,9 @@ impl Task {
 }
 
 /// A task for a prepared file in the default cell.
-pub fn task(config: &Config, prepared: &Prepared) -> Task {
+pub fn task(config: &Config, prepared: &Prepared) -> RunTask {
     let path = prepared.path.iter().map(to_wire).collect();
-    Task {
+    RunTask {
         config: config.clone(),
         path,
         cell: CellOptions::default(),
@@ -138,7 +138,7 @@ impl Host for SimulatedHost<'_> {
 ///
 /// # Errors
 /// The capture cannot be written.
-pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
+pub fn simulate(task: &RunTask, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
     let mut cell = task.cell(sink).map_err(RunError::Capture)?;
     let mut host = SimulatedHost { job: task.job(), look };
     let begun_s = processor_s();
@@ -175,7 +175,7 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 /// # Errors
 /// The emulator cannot be started or ended before the job did, or the capture cannot be written.
 pub fn emulate(
-    task: &Task,
+    task: &RunTask,
     image: &Path,
     sink: Option<Sink>,
     look: &mut dyn FnMut(&mut Job),

@@ -11,8 +11,8 @@ use etherpen::motion::Pen;
 use host_tools::cell::InkStroke;
 use host_tools::emulator::{LINK_BYTES_MAX, Link};
 use host_tools::job::error::{JobError, Phase};
-use host_tools::job::{Drawing, Job, JobEvent, JobOptions, Task as JobTask};
-use host_tools::run::Task;
+use host_tools::job::{DrawTask, Job, JobEvent, JobOptions, Task as JobTask};
+use host_tools::run::RunTask;
 use host_tools::simulation::Host;
 use std::collections::{BTreeSet, VecDeque};
 
@@ -85,7 +85,7 @@ fn options(session: u32) -> JobOptions {
 /// A person with a program at the end of a bad line.
 pub(crate) struct BadLine {
     config: Config,
-    drawing: Drawing,
+    drawing: DrawTask,
     job: Job,
     session: u32,
     job_begun_ms: u64,
@@ -105,9 +105,9 @@ pub(crate) struct BadLine {
 }
 
 impl BadLine {
-    pub(crate) fn new(task: &Task, seed: u64) -> Self {
+    pub(crate) fn new(task: &RunTask, seed: u64) -> Self {
         println!("seed {seed:#x}");
-        let drawing = Drawing::new(task.path.clone());
+        let drawing = DrawTask::new(task.path.clone());
         let job = Job::new(task.config.clone(), JobTask::Draw(drawing.clone()), options(1));
         Self {
             config: task.config.clone(),
@@ -192,7 +192,7 @@ impl BadLine {
         self.plugged_in_ms = None;
         self.session += 1;
         self.job_begun_ms = ms;
-        let held = Drawing {
+        let held = DrawTask {
             held: true,
             ..self.drawing.clone()
         };

@@ -24,7 +24,7 @@ const MORE_IS_BETTER: [&str; 2] = ["correlation", "share"];
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct BenchRow {
     /// The measured case and its platform: `cyclic/lrw@host`.
     pub case: String,
     /// `etherpen`, or the peer.
@@ -33,11 +33,11 @@ pub struct Row {
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// Upper limit, if there is one; lower limit where larger is better ([`Row::is_more_better`]).
+    /// Upper limit, if there is one; lower limit where larger is better ([`BenchRow::is_more_better`]).
     pub target: Option<f64>,
 }
 
-impl Row {
+impl BenchRow {
     /// Whether the figure is within its target; `None` without a target.
     #[must_use]
     pub fn met(&self) -> Option<bool> {
@@ -60,11 +60,11 @@ impl Row {
 
 /// The figures of one benchmark.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct BenchReport {
     /// Name of the benchmark.
     pub bench: &'static str,
     /// Its figures.
-    pub rows: Vec<Row>,
+    pub rows: Vec<BenchRow>,
 }
 
 /// Selection of a benchmark's cases.

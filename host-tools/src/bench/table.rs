@@ -1,10 +1,10 @@
 //! The table of a benchmark as text.
 
-use super::{Report, Row};
+use super::{BenchReport, BenchRow};
 
 /// One line for each case: the project's figure, its target, the peers' figures, and the ratio of the project's to the
 /// smallest of them.
-pub fn table(report: &Report) -> String {
+pub fn table(report: &BenchReport) -> String {
     let mut text = format!(
         "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
         "case", "etherpen", "", "target", "ratio"
@@ -31,7 +31,8 @@ pub fn table(report: &Report) -> String {
         text.push_str(line.trim_end());
         text.push('\n');
     }
-    let alone = |row: &&Row| row.subject != "etherpen" && !report.rows.iter().any(|other| other.subject == "etherpen");
+    let alone =
+        |row: &&BenchRow| row.subject != "etherpen" && !report.rows.iter().any(|other| other.subject == "etherpen");
     for row in report.rows.iter().filter(alone) {
         text.push_str(&format!(
             "{:<52} {:>9} {:<13} {}\n",
@@ -53,7 +54,7 @@ fn figure(value: f64) -> String {
     format!("{value:.places$}")
 }
 
-fn target(row: &Row) -> String {
+fn target(row: &BenchRow) -> String {
     let sign = if row.is_more_better() { ">=" } else { "<=" };
     match (row.target, row.met()) {
         (Some(target), Some(true)) => format!("{sign} {} met", figure(target)),

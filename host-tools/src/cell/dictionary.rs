@@ -176,7 +176,7 @@ pub(super) enum Content {
 
 /// One entry of a dictionary.
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
+pub(super) struct ObjectEntry {
     /// Sub-index.
     pub(super) sub: u8,
     /// Name.
@@ -199,12 +199,12 @@ pub(super) struct Object {
     /// Kind of the object.
     pub(super) code: ObjectCode,
     /// Entries in the order of their sub-indices.
-    pub(super) entries: Vec<Entry>,
+    pub(super) entries: Vec<ObjectEntry>,
 }
 
 impl Object {
     /// The entry at a sub-index.
-    pub(super) fn entry(&self, sub: u8) -> Option<&Entry> {
+    pub(super) fn entry(&self, sub: u8) -> Option<&ObjectEntry> {
         self.entries.iter().find(|entry| entry.sub == sub)
     }
 }
@@ -240,7 +240,7 @@ impl Dictionary {
     /// Adds the objects of a table.
     pub(super) fn add_table(&mut self, rows: &[ObjectRow]) {
         for row in rows {
-            let entry = |&(sub, name, kind, access, value): &EntryRow| Entry {
+            let entry = |&(sub, name, kind, access, value): &EntryRow| ObjectEntry {
                 sub,
                 name: name.to_owned(),
                 kind,
@@ -260,14 +260,14 @@ impl Dictionary {
                     Value::Live => Content::Live,
                 },
             };
-            let entries: Vec<Entry> = row.entries.iter().map(entry).collect();
+            let entries: Vec<ObjectEntry> = row.entries.iter().map(entry).collect();
             self.add(row.index, row.name, row.code, entries);
         }
     }
 
     /// Adds a constant text at sub-index 0.
     pub(super) fn add_text(&mut self, index: u16, name: &str, text: &str) {
-        let entry = Entry {
+        let entry = ObjectEntry {
             sub: 0,
             name: name.to_owned(),
             kind: DataType::VisibleString,
@@ -279,7 +279,7 @@ impl Dictionary {
 
     /// Adds an object of constant numbers.
     pub(super) fn add_numbers(&mut self, index: u16, name: &str, numbers: &[(&str, DataType, i64)]) {
-        let entry = |(sub, (name, kind, number)): (u8, &(&str, DataType, i64))| Entry {
+        let entry = |(sub, (name, kind, number)): (u8, &(&str, DataType, i64))| ObjectEntry {
             sub,
             name: (*name).to_owned(),
             kind: *kind,
@@ -304,7 +304,7 @@ impl Dictionary {
 
     /// Adds an object whose values are a list of the process data.
     pub(super) fn add_list(&mut self, list: &List) {
-        let entry = |sub, name: &str, kind| Entry {
+        let entry = |sub, name: &str, kind| ObjectEntry {
             sub,
             name: name.to_owned(),
             kind,
@@ -316,10 +316,10 @@ impl Dictionary {
         self.add(list.index, list.name, list.code, entries);
     }
 
-    fn add(&mut self, index: u16, name: &str, code: ObjectCode, mut entries: Vec<Entry>) {
+    fn add(&mut self, index: u16, name: &str, code: ObjectCode, mut entries: Vec<ObjectEntry>) {
         if code != ObjectCode::Variable && entries.first().is_none_or(|entry| entry.sub != 0) {
             let last = entries.last().map_or(0, |entry| entry.sub);
-            let number = Entry {
+            let number = ObjectEntry {
                 sub: 0,
                 name: "Number of entries".to_owned(),
                 kind: DataType::Unsigned8,
@@ -350,7 +350,7 @@ impl Dictionary {
     }
 
     /// The entry at an index and a sub-index.
-    pub(super) fn entry(&self, index: u16, sub: u8) -> Result<&Entry, Abort> {
+    pub(super) fn entry(&self, index: u16, sub: u8) -> Result<&ObjectEntry, Abort> {
         self.object(index)?.entry(sub).ok_or(Abort::NO_SUB_INDEX)
     }
 

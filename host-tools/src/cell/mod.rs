@@ -71,7 +71,7 @@ use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
 use faults::Schedule;
 use paper::Sheet;
 use robot::Robot;
-use segment::{Now, Segment, Travel};
+use segment::{CellSegment, Now, TravelTimes};
 use servo::Servo;
 use slave::Slave;
 use std::collections::BTreeMap;
@@ -221,7 +221,7 @@ pub struct CellState {
 /// The virtual cell.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    segment: Segment,
+    segment: CellSegment,
     robot: Robot,
     dynamics: Dynamics,
     sheet: Sheet,
@@ -260,9 +260,9 @@ impl Cell {
                 nature(&mut clocks, &options),
             )
         });
-        let segment = Segment::new(
+        let segment = CellSegment::new(
             slaves.collect(),
-            Travel {
+            TravelTimes {
                 cable_ns: options.clocks.cable_ns.min(TRAVEL_MAX_NS),
                 forwarding_ns: options.clocks.forwarding_ns.min(TRAVEL_MAX_NS),
             },
@@ -418,7 +418,7 @@ fn nature(random: &mut Random, options: &CellOptions) -> Nature {
     }
 }
 
-fn joints(segment: &Segment) -> JointAngles {
+fn joints(segment: &CellSegment) -> JointAngles {
     let mut joints = [0.0; AXES];
     for (joint, drive) in joints.iter_mut().zip(segment.drives()) {
         *joint = drive.joint_rad();

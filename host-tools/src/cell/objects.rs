@@ -2,7 +2,7 @@
 
 use super::abort::Abort;
 use super::application::AlState;
-use super::dictionary::{Content, Dictionary, Entry, Object, ObjectCode, access};
+use super::dictionary::{Content, Dictionary, Object, ObjectCode, ObjectEntry, access};
 use super::live_objects::LiveObjects;
 use super::process_data::ProcessData;
 
@@ -124,7 +124,7 @@ impl Objects<'_> {
         }
     }
 
-    fn check_write(&self, entry: &Entry) -> Result<(), Abort> {
+    fn check_write(&self, entry: &ObjectEntry) -> Result<(), Abort> {
         let bit = match self.state {
             AlState::Init | AlState::PreOperational => 0x08,
             AlState::SafeOperational => 0x10,

@@ -40,7 +40,7 @@ struct Show {
 
 /// A value and where it comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-struct Entry {
+struct ConfigEntry {
     value: serde_json::Value,
     origin: String,
 }
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     Ok(())
 }
 
-fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, ProgramError> {
+fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let config = show.config.load()?;
     let failed = |cause: &dyn std::fmt::Display| ProgramError::new(code::USAGE, format!("the configuration: {cause}"));
     let mut entries = BTreeMap::new();
@@ -82,7 +82,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, ProgramError> {
     let values = serde_json::to_value(&config).map_err(|cause| failed(&cause))?;
     flatten(&values, "", &mut |key, value| {
         let (value, origin) = (value.clone(), built_in.to_owned());
-        entries.insert(key, Entry { value, origin });
+        entries.insert(key, ConfigEntry { value, origin });
     });
     if let Some((path, how)) = show.config.file() {
         let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
@@ -100,7 +100,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, ProgramError> {
         None => (serde_json::Value::Null, built_in),
     };
     let origin = origin.to_owned();
-    entries.insert("port".into(), Entry { value, origin });
+    entries.insert("port".into(), ConfigEntry { value, origin });
     Ok(entries)
 }
 
@@ -142,7 +142,7 @@ pub(super) fn named(flag: Option<&PathBuf>) -> Option<(PathBuf, &'static str)> {
 mod tests {
     use super::*;
 
-    fn show(config: Option<PathBuf>) -> BTreeMap<String, Entry> {
+    fn show(config: Option<PathBuf>) -> BTreeMap<String, ConfigEntry> {
         let show = Show {
             origin: true,
             json: false,

@@ -19,7 +19,7 @@ pub(super) struct Display {
 
 /// How far a drawing is, as a line of JSON.
 #[derive(Serialize)]
-struct Line<'a> {
+struct ProgressLine<'a> {
     event: &'static str,
     #[serde(flatten)]
     progress: &'a Progress,
@@ -92,7 +92,7 @@ impl Display {
     fn advance(&mut self, progress: &Progress) {
         if self.json {
             let event = "progress";
-            if let Ok(line) = serde_json::to_string(&Line { event, progress }) {
+            if let Ok(line) = serde_json::to_string(&ProgressLine { event, progress }) {
                 eprintln!("{line}");
             }
             return;

@@ -42,7 +42,7 @@ pub struct Arguments {
 /// How a check ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Verdict {
+enum CheckVerdict {
     Ok,
     Warning,
     Failed,
@@ -52,7 +52,7 @@ enum Verdict {
 #[derive(Clone, Debug, Serialize)]
 struct Check {
     check: &'static str,
-    verdict: Verdict,
+    verdict: CheckVerdict,
     found: String,
     /// What to try; empty when nothing has to be done.
     #[serde(rename = "try")]
@@ -63,7 +63,7 @@ impl Check {
     fn ok(check: &'static str, found: impl Into<String>) -> Self {
         Self {
             check,
-            verdict: Verdict::Ok,
+            verdict: CheckVerdict::Ok,
             found: found.into(),
             remedy: String::new(),
         }
@@ -71,7 +71,7 @@ impl Check {
 
     fn warning(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Warning,
+            verdict: CheckVerdict::Warning,
             remedy: remedy.into(),
             ..Self::ok(check, found)
         }
@@ -79,7 +79,7 @@ impl Check {
 
     fn failed(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Failed,
+            verdict: CheckVerdict::Failed,
             ..Self::warning(check, found, remedy)
         }
     }
@@ -102,7 +102,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     } else {
         checks.iter().for_each(print);
     }
-    match checks.iter().filter(|check| check.verdict == Verdict::Failed).count() {
+    match checks
+        .iter()
+        .filter(|check| check.verdict == CheckVerdict::Failed)
+        .count()
+    {
         0 => Ok(()),
         failed => Err(ProgramError::new(
             code::FAILED,
@@ -113,9 +117,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 
 fn print(check: &Check) {
     let verdict = match check.verdict {
-        Verdict::Ok => in_colour("ok     ", "32"),
-        Verdict::Warning => in_colour("warning", "33"),
-        Verdict::Failed => in_colour("failed ", "31"),
+        CheckVerdict::Ok => in_colour("ok     ", "32"),
+        CheckVerdict::Warning => in_colour("warning", "33"),
+        CheckVerdict::Failed => in_colour("failed ", "31"),
     };
     println!("{verdict}  {:13}  {}", check.check, check.found);
     for line in check.remedy.lines() {
@@ -337,7 +341,7 @@ fn firmware(name: &PortName) -> Vec<Check> {
         }
     };
     let mut checks = vec![Check::ok(PORT, format!("{name} is open"))];
-    match greet(port) {
+    match handshake(port) {
         Ok((welcome, status)) => {
             checks.push(Check::ok(
                 FIRMWARE,
@@ -387,7 +391,7 @@ fn state(status: &Status) -> Check {
 }
 
 /// Greets the firmware and waits for its status.
-fn greet(port: Port) -> Result<(Welcome, Option<Status>), Box<JobError>> {
+fn handshake(port: Port) -> Result<(Welcome, Option<Status>), Box<JobError>> {
     let mut line = Line::start(port);
     let mut session = Session::new(session_number());
     session.connect();

@@ -14,7 +14,7 @@ use crate::drawing::preparation::wire::to_wire;
 use crate::drawing::take_photograph;
 use crate::error::{ProgramError, code};
 use crate::job::error::Phase;
-use crate::job::history::{self, Entry, Record, hash_text};
+use crate::job::history::{self, HistoryEntry, Record, hash_text};
 use crate::job::over_port::Show;
 use crate::job::progress::{PathMeasure, Progress};
 use crate::job::resume::{self, MachineState, ResumePlan, Resumption, config_hash};
@@ -136,7 +136,7 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
     paced(OUTLINE_PACE);
     let plan = ResumePlan::whole(&border, None);
-    let ended = Session::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
+    let ended = DrawingSession::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
     paced(pace);
     ended?.result?;
     drop(machine);
@@ -228,7 +228,7 @@ fn draw(
         false => resume::plan(before, &state_of(&machine)?, config, &path)?,
         true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path, hash)),
     };
-    let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
+    let mut session = DrawingSession::new(&machine, config, &path, plan, operator, arguments.drawing.json);
     let ended = session.draw(&part.name)?;
     let (result, job) = (ended.result, ended.report);
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
@@ -309,7 +309,7 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
 
 fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
-    let entry = Entry {
+    let entry = HistoryEntry {
         file: std::fs::canonicalize(part.file).unwrap_or_else(|_| part.file.to_owned()),
         // Options that cannot be noted have to be given again.
         options: serde_json::to_value(&part.source).unwrap_or_default(),
@@ -318,7 +318,7 @@ fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVe
         config_hash: config_hash(config),
         vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
         strokes_total: total.strokes_total,
-        ..Entry::default()
+        ..HistoryEntry::default()
     };
     let begun = history::folder().and_then(|folder| Record::begin(&folder, entry));
     begun
@@ -372,7 +372,7 @@ struct Ended {
 }
 
 /// One drawing on the machine: what is shown, what is asked for and what is logged.
-struct Session<'a> {
+struct DrawingSession<'a> {
     machine: &'a Machine,
     news: Subscription,
     measure: PathMeasure,
@@ -384,7 +384,7 @@ struct Session<'a> {
     logged: Instant,
 }
 
-impl<'a> Session<'a> {
+impl<'a> DrawingSession<'a> {
     fn new(
         machine: &'a Machine,
         config: &Config,

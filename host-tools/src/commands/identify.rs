@@ -11,12 +11,12 @@ use super::ports::OptionalPort;
 use crate::cell::CellOptions;
 use crate::error::{ProgramError, code};
 use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
-use crate::job::over_port::{RunError, run_job};
+use crate::job::over_port::{OverPortError, run_job};
 use crate::job::{Job, JobOptions, JobReport};
 use crate::link::port::{Port, PortName};
 use crate::link::session::session_number;
 use crate::report::tracking;
-use crate::run::{self, Task};
+use crate::run::{self, RunTask};
 use crate::settings::Settings;
 use crate::terminal::counted;
 use etherpen::config::Config;
@@ -166,7 +166,7 @@ fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operato
     let path = test_path(config);
     let mut display = Display::new();
     let (Some(port), Some(operator)) = (port, operator) else {
-        let task = Task {
+        let task = RunTask {
             config: config.clone(),
             path,
             cell: CellOptions::default(),
@@ -191,8 +191,8 @@ fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operato
     });
     display.finish();
     result.map_err(|error| match error {
-        RunError::Job(error) => ProgramError::from(&*error),
-        RunError::Port(error) => ProgramError::new(code::CONNECTION, error),
+        OverPortError::Job(error) => ProgramError::from(&*error),
+        OverPortError::Port(error) => ProgramError::new(code::CONNECTION, error),
     })?;
     Ok(job.into_report())
 }

@@ -1,8 +1,8 @@
 //! `etherpen bench latency`: the latency of the critical tasks, with and without disturbance.
 
 use super::print_json;
-use crate::bench::Report;
-use crate::bench::latency::{self, Disturbance, Isolation, LatencyReport, Plan, plot};
+use crate::bench::BenchReport;
+use crate::bench::latency::{self, Disturbance, Isolation, LatencyPlan, LatencyReport, plot};
 use crate::bench::table::table;
 use crate::error::ProgramError;
 use crate::output_file::write_text;
@@ -51,7 +51,7 @@ fn rate(text: &str) -> Result<u32, String> {
 /// A tool is missing, the firmware could not be measured, or a file could not be written. A missed target is not an
 /// error.
 pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
-    let plan = Plan {
+    let plan = LatencyPlan {
         cycles: arguments.cycles.max(1),
         disturbance: arguments.disturbance,
         at_rest: true,
@@ -67,7 +67,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if arguments.json {
         return print_json(&report);
     }
-    let figures = Report {
+    let figures = BenchReport {
         bench: report.bench,
         rows: report.rows.clone(),
     };
@@ -82,6 +82,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 /// Measures, with progress on stderr.
-pub(super) fn measure(plan: &Plan) -> Result<LatencyReport, ProgramError> {
+pub(super) fn measure(plan: &LatencyPlan) -> Result<LatencyReport, ProgramError> {
     latency::run(plan, |what| eprintln!("etherpen: {what}")).map_err(ProgramError::from)
 }

@@ -9,7 +9,7 @@ use crate::error::{ProgramError, code};
 use crate::link::text;
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
-use crate::planning::{Analysis, Findings, PlanningError, Sample, plan};
+use crate::planning::{Analysis, Findings, PlannedSample, PlanningError, plan};
 use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
@@ -168,8 +168,8 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), ProgramError> {
     match load(file).map_err(|cause| unusable(file, &cause))? {
         Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
-            Refused::Geometry(refusal) => ProgramError::new(code::USAGE, text::config_refusal(&refusal)),
-            Refused::Path(cause) => unusable(file, &cause),
+            PathRefusal::Geometry(refusal) => ProgramError::new(code::USAGE, text::config_refusal(&refusal)),
+            PathRefusal::Path(cause) => unusable(file, &cause),
         }),
         Input::Photograph(_) | Input::Drawing(_) | Input::Artwork(_) => {
             Ok((prepare_with(file, config, source)?.path, 0))
@@ -179,25 +179,26 @@ fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<V
 
 /// Why a listed path is not planned.
 #[derive(Debug)]
-enum Refused {
+enum PathRefusal {
     Geometry(ConfigRefusal),
     Path(String),
 }
 
 /// Checks the vertices of a listed path; leaves out those that coincide with the previous one.
-fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused> {
-    let mut admission = Admission::new(config).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
+fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), PathRefusal> {
+    let mut admission =
+        Admission::new(config).map_err(|cause| PathRefusal::Geometry(ConfigRefusal::Geometry(cause)))?;
     let mut admitted = Vec::with_capacity(path.vertices.len());
     for (index, (vertex, line)) in (0u32..).zip(path.vertices.iter().zip(&path.lines)) {
         match admission.check(index, vertex) {
             Ok(()) => admitted.push(*vertex),
             Err(refusal) if matches!(refusal.reason, RefusalReason::Repeated { .. }) => {}
-            Err(refusal) => return Err(Refused::Path(format!("line {line}: {}", text::vertex(&refusal)))),
+            Err(refusal) => return Err(PathRefusal::Path(format!("line {line}: {}", text::vertex(&refusal)))),
         }
     }
     if admitted.len() < 2 {
         let vertices = admitted.len();
-        return Err(Refused::Path(PlanningError::TooShort { vertices }.to_string()));
+        return Err(PathRefusal::Path(PlanningError::TooShort { vertices }.to_string()));
     }
     let merged = path.vertices.len() - admitted.len();
     Ok((admitted, merged))
@@ -207,7 +208,7 @@ fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused
 struct Table {
     out: OutputFile,
     /// Rows that repeat the last one written.
-    waiting: Vec<Sample>,
+    waiting: Vec<PlannedSample>,
     last: Option<[f64; AXES]>,
 }
 
@@ -226,7 +227,7 @@ impl Table {
         })
     }
 
-    fn step(&mut self, sample: &Sample) -> io::Result<()> {
+    fn step(&mut self, sample: &PlannedSample) -> io::Result<()> {
         let position = sample.reference.position_rad;
         if self.last.replace(position) == Some(position) {
             self.waiting.push(*sample);
@@ -243,7 +244,7 @@ impl Table {
     }
 }
 
-fn row(out: &mut impl Write, sample: &Sample) -> io::Result<()> {
+fn row(out: &mut impl Write, sample: &PlannedSample) -> io::Result<()> {
     let [x, y, z] = sample.point;
     write!(out, "{},{x:.9},{y:.9},{z:.9}", sample.t_ms)?;
     for angle in sample.reference.position_rad {

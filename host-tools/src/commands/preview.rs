@@ -49,12 +49,12 @@ struct Answer {
     /// How many strokes would be refused.
     refused: usize,
     /// The first of them.
-    refusals: Vec<Refusal>,
+    refusals: Vec<RefusalAnswer>,
     layers: Vec<LayerAnswer>,
 }
 
 #[derive(Debug, Serialize)]
-struct Refusal {
+struct RefusalAnswer {
     /// Number in the order of drawing, the first is 1.
     stroke: u32,
     /// Place in the robot's frame.
@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         },
         refused: refused.len(),
         refusals: listed
-            .map(|refused| Refusal {
+            .map(|refused| RefusalAnswer {
                 stroke: refused.stroke + 1,
                 x_mm: refused.position.x_mm,
                 y_mm: refused.position.y_mm,

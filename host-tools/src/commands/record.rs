@@ -13,7 +13,7 @@ use crate::link::port::PortName;
 use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
-use crate::recording::messages::Level;
+use crate::recording::messages::Severity;
 use crate::recording::{About, Recorder};
 use crate::run;
 use crate::run::task;
@@ -293,22 +293,22 @@ fn put(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
 }
 
 /// Level, name and text of an account that is recorded as an event.
-fn event(account: &Account) -> Option<(Level, &'static str, String)> {
+fn event(account: &Account) -> Option<(Severity, &'static str, String)> {
     match account {
         Account::Samples { .. } | Account::Status(_) => None,
         Account::Connected(welcome) => {
             let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
-            Some((Level::Info, "link", text))
+            Some((Severity::Info, "link", text))
         }
-        Account::Lost(failure) => Some((Level::Warning, "link", failure.text.clone())),
-        Account::Task { bad: false, text } => Some((Level::Info, "job", text.clone())),
-        Account::Task { bad: true, text } => Some((Level::Warning, "job", text.clone())),
+        Account::Lost(failure) => Some((Severity::Warning, "link", failure.text.clone())),
+        Account::Task { bad: false, text } => Some((Severity::Info, "job", text.clone())),
+        Account::Task { bad: true, text } => Some((Severity::Warning, "job", text.clone())),
         Account::Missed(lost) => {
             let text = format!(
                 "{} lost on the way to this program: the disk is too slow",
                 counted(*lost, "message")
             );
-            Some((Level::Warning, "link", text))
+            Some((Severity::Warning, "link", text))
         }
     }
 }

@@ -1,8 +1,8 @@
 //! `etherpen verify`: all checks of continuous integration in one command.
 
 use super::latency;
-use crate::bench::Row;
-use crate::bench::latency::{Disturbance, Isolation, Plan};
+use crate::bench::BenchRow;
+use crate::bench::latency::{Disturbance, Isolation, LatencyPlan};
 use crate::error::{ProgramError, code};
 use crate::setup::{self, TARGET};
 use crate::terminal::in_colour;
@@ -113,7 +113,7 @@ const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 /// Measures whether the firmware is in time with foreign frames around every release; the tests apply all loads for
 /// fewer cycles.
 fn in_time() -> Result<(), ProgramError> {
-    let report = latency::measure(&Plan {
+    let report = latency::measure(&LatencyPlan {
         cycles: LATENCY_CYCLES,
         disturbance: Disturbance {
             network: true,
@@ -124,7 +124,7 @@ fn in_time() -> Result<(), ProgramError> {
         rate_khz: 1,
         instruction_shift: 3,
     })?;
-    let is_bound = |row: &&Row| IN_TIME.iter().any(|case| row.case.starts_with(case));
+    let is_bound = |row: &&BenchRow| IN_TIME.iter().any(|case| row.case.starts_with(case));
     let missed = report
         .rows
         .iter()

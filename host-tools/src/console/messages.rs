@@ -6,7 +6,7 @@
 
 use super::capture::Condition;
 use super::history::Bucket;
-use super::studio::Wishes;
+use super::preparation::Wishes;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;

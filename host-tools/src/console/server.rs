@@ -11,7 +11,7 @@ use super::assets::{ASSETS, POLICY};
 use super::control::Change;
 use super::hub::Level;
 use super::messages::{FILE_BYTES_MAX, REQUEST_BYTES_MAX};
-use super::studio::Wishes;
+use super::preparation::Wishes;
 use super::{Console, viewer};
 use axum::Router;
 use axum::body::Body;

@@ -65,13 +65,13 @@ pub fn read_csv(text: &str) -> Result<Coordinates, DrawingError> {
     strokes(&rows).map(Coordinates::Sheet)
 }
 
-struct Row {
+struct CsvRow {
     line: usize,
     position_mm: [f64; 3],
     pen_down: bool,
 }
 
-fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingError> {
+fn read_row(line: &str, number: usize, columns: usize) -> Result<CsvRow, DrawingError> {
     let fields: Vec<&str> = line.split(',').map(str::trim).collect();
     if fields.len() != columns {
         return Err(DrawingError::CsvColumns {
@@ -98,7 +98,7 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
         "0" => false,
         _ => return Err(DrawingError::CsvPen { line: number }),
     };
-    Ok(Row {
+    Ok(CsvRow {
         line: number,
         position_mm,
         pen_down,
@@ -106,7 +106,7 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
 }
 
 /// A pen raised after a drawn leg ends a stroke.
-fn vertices(rows: &[Row]) -> Vec<Vertex> {
+fn vertices(rows: &[CsvRow]) -> Vec<Vertex> {
     let (mut stroke, mut was_down) = (0, false);
     let mut result = Vec::with_capacity(rows.len());
     for row in rows {
@@ -123,7 +123,7 @@ fn vertices(rows: &[Row]) -> Vec<Vertex> {
     result
 }
 
-fn strokes(rows: &[Row]) -> Result<Drawing, DrawingError> {
+fn strokes(rows: &[CsvRow]) -> Result<Drawing, DrawingError> {
     let mut drawing = Drawing {
         sheet_mm: SHEET_MM,
         strokes: Vec::new(),

@@ -16,7 +16,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// One drawing.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Entry {
+pub struct HistoryEntry {
     /// Start time, s since 1970.
     pub begun_unix_s: u64,
     /// Time of the last update, s since 1970.
@@ -56,7 +56,7 @@ pub struct Entry {
     pub result: Option<String>,
 }
 
-impl Entry {
+impl HistoryEntry {
     /// Takes the progress of the whole path.
     pub fn progress(&mut self, progress: &Progress) {
         self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
@@ -76,7 +76,7 @@ pub fn hash_text(hash: u64) -> String {
 pub struct Record {
     path: PathBuf,
     /// Content of the file.
-    pub entry: Entry,
+    pub entry: HistoryEntry,
 }
 
 impl Record {
@@ -84,7 +84,7 @@ impl Record {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn begin(folder: &Path, mut entry: Entry) -> io::Result<Self> {
+    pub fn begin(folder: &Path, mut entry: HistoryEntry) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         entry.begun_unix_s = since.as_secs();
@@ -180,11 +180,11 @@ mod tests {
     fn a_drawing_is_found_again_as_far_as_it_was_written() {
         let folder = std::env::temp_dir().join(format!("etherpen-history-{}", std::process::id()));
         assert!(list(&folder).unwrap().is_empty());
-        let entry = Entry {
+        let entry = HistoryEntry {
             file: "portrait.png".into(),
             path_hash: hash_text(0xab),
             vertices: 100,
-            ..Entry::default()
+            ..HistoryEntry::default()
         };
         let mut record = Record::begin(&folder, entry).unwrap();
         record.entry.progress(&Progress {

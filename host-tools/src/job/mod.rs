@@ -37,7 +37,7 @@ pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use progress::{PathMeasure, Progress};
 use std::collections::VecDeque;
 use std::sync::Arc;
-pub use task::{Control, Drawing, JobEvent, JobOptions, JobReport, Life, Motion, Ready, Task, path_hash, path_number};
+pub use task::{Control, DrawTask, JobEvent, JobOptions, JobReport, Life, Motion, Ready, Task, path_hash, path_number};
 use verification::{Verification, Verifier};
 
 /// Looks at a leg of the path in one step, to verify the drawing. A look takes some tens of nanoseconds.
@@ -173,7 +173,7 @@ impl Job {
 
     /// A job that draws `vertices` with this configuration.
     pub fn draw(config: Config, vertices: impl Into<Arc<[PathVertex]>>, options: JobOptions) -> Self {
-        Self::new(config, Task::Draw(Drawing::new(vertices)), options)
+        Self::new(config, Task::Draw(DrawTask::new(vertices)), options)
     }
 
     /// Starts another task over the present connection, after the last one has ended.

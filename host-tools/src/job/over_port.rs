@@ -11,14 +11,14 @@ const PROGRESS_MS: u64 = 100;
 
 /// Why a job over a port ended early.
 #[derive(Debug)]
-pub enum RunError {
+pub enum OverPortError {
     /// The job failed.
     Job(Box<JobError>),
     /// The port failed.
     Port(PortError),
 }
 
-impl fmt::Display for RunError {
+impl fmt::Display for OverPortError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Job(error) => error.fmt(f),
@@ -27,7 +27,7 @@ impl fmt::Display for RunError {
     }
 }
 
-impl std::error::Error for RunError {}
+impl std::error::Error for OverPortError {}
 
 /// What a running job reports.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +49,7 @@ pub fn run_job(
     job: &mut Job,
     control: &mut dyn FnMut() -> Option<Control>,
     show: &mut dyn FnMut(Show<'_>),
-) -> Result<(), RunError> {
+) -> Result<(), OverPortError> {
     let mut line = Line::start(port);
     let mut shown_ms = 0;
     loop {
@@ -60,7 +60,7 @@ pub fn run_job(
                 }
                 job.step(now_ms, incoming, outgoing, room);
             })
-            .map_err(RunError::Port)?;
+            .map_err(OverPortError::Port)?;
         while let Some(event) = job.next_event() {
             show(Show::Event(&event));
         }
@@ -70,7 +70,7 @@ pub fn run_job(
             show(Show::Progress(&job.progress()));
         }
         if let Some(outcome) = outcome {
-            return outcome.map_err(|error| RunError::Job(Box::new(error)));
+            return outcome.map_err(|error| OverPortError::Job(Box::new(error)));
         }
     }
 }
@@ -122,7 +122,7 @@ mod tests {
         let error = run_job(port, &mut job(1), &mut || None, &mut |_| {}).unwrap_err();
         assert!(matches!(
             error,
-            RunError::Port(PortError::Closed { .. } | PortError::Failed { .. })
+            OverPortError::Port(PortError::Closed { .. } | PortError::Failed { .. })
         ));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::Job;
 use super::error::{JobError, Phase};
-use super::task::{Drawing, Motion, Ready, Task};
+use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command;
@@ -196,7 +196,7 @@ impl Job {
     }
 
     /// Resumes a drawing that the firmware holds since another connection, if it is this drawing.
-    fn take_up(&mut self, mode: Mode, drawing: &Drawing, waited_ms: u64) {
+    fn take_up(&mut self, mode: Mode, drawing: &DrawTask, waited_ms: u64) {
         let in_force = self.status.as_ref().and_then(|status| status.config);
         let held = self
             .session

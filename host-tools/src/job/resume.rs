@@ -1,6 +1,6 @@
 //! Resumes an interrupted drawing: from what the firmware holds, or else from the log.
 
-use super::Drawing;
+use super::DrawTask;
 use super::history::{self, Record, hash_text};
 use super::remainder::{OVERLAP_UM, Remainder};
 use crate::error::{ProgramError, code};
@@ -25,7 +25,7 @@ pub struct MachineState {
 /// What is given to the machine, and what it means for the whole path.
 pub struct ResumePlan {
     /// The path that is given to the machine.
-    pub drawing: Drawing,
+    pub drawing: DrawTask,
     /// The entry of the log, if there is one.
     pub record: Option<Record>,
     /// Time that was drawn before, s.
@@ -38,7 +38,7 @@ impl ResumePlan {
     /// The whole path.
     pub fn whole(path: &[PathVertex], record: Option<Record>) -> Self {
         Self {
-            drawing: Drawing::new(path),
+            drawing: DrawTask::new(path),
             record,
             drawn_before_s: 0.0,
             part: None,
@@ -211,10 +211,10 @@ pub fn plan(
             ack.executed,
             vertices.len()
         );
-        let drawing = Drawing {
+        let drawing = DrawTask {
             held: true,
             number: entry.number,
-            ..Drawing::new(vertices)
+            ..DrawTask::new(vertices)
         };
         return Ok(ResumePlan {
             drawing,
@@ -259,9 +259,9 @@ pub fn plan(
         });
     }
     Ok(ResumePlan {
-        drawing: Drawing {
+        drawing: DrawTask {
             may_reference: false,
-            ..Drawing::new(remainder.vertices.clone())
+            ..DrawTask::new(remainder.vertices.clone())
         },
         drawn_before_s,
         part: Some((remainder, executed as usize)),
@@ -351,7 +351,7 @@ impl From<ConfigChanged> for ProgramError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::history::Entry;
+    use crate::job::history::HistoryEntry;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     /// The log's jobs of one path, the oldest first: strokes begun, and whether it was drawn to its end.
@@ -360,13 +360,13 @@ mod tests {
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let folder = std::env::temp_dir().join(format!("etherpen-resume-{}-{number}", std::process::id()));
         let of = |(number, (strokes, completed)): (u16, &(u32, bool))| {
-            let entry = Entry {
+            let entry = HistoryEntry {
                 path_hash: "ab".into(),
                 number,
                 strokes: *strokes,
                 executed: 10 * strokes,
                 completed: *completed,
-                ..Entry::default()
+                ..HistoryEntry::default()
             };
             Record::begin(&folder, entry).expect("a log")
         };

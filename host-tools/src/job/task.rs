@@ -89,7 +89,7 @@ pub enum Task {
     /// Prepare, move, then restore the power state.
     Motion(Motion),
     /// Prepare, draw, then switch the power off.
-    Draw(Drawing),
+    Draw(DrawTask),
 }
 
 /// How far a machine is prepared.
@@ -121,7 +121,7 @@ pub enum Motion {
 
 /// A path to draw.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Drawing {
+pub struct DrawTask {
     /// Number of the drawing, repeated in acknowledgements; [`path_number`] computes it from a
     /// path.
     pub number: u16,
@@ -133,7 +133,7 @@ pub struct Drawing {
     pub may_reference: bool,
 }
 
-impl Drawing {
+impl DrawTask {
     /// A drawing from its beginning.
     pub fn new(vertices: impl Into<Arc<[PathVertex]>>) -> Self {
         let vertices = vertices.into();

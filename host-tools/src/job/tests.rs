@@ -408,9 +408,9 @@ fn a_drawing_that_is_held_since_another_connection_goes_on_exactly_where_it_is()
     let (mut rig, now_ms) = left_behind(1_000, 400);
     let executed = rig.executed;
     assert!(executed > 50 && rig.vertices.len() < 1_000);
-    let held = Drawing {
+    let held = DrawTask {
         held: true,
-        ..Drawing::new(path(1_000))
+        ..DrawTask::new(path(1_000))
     };
     let mut second = with_task(Task::Draw(held), 2);
     go_on(&mut rig, &mut second, now_ms);
@@ -432,9 +432,9 @@ fn a_drawing_that_is_held_since_another_connection_goes_on_exactly_where_it_is()
 fn another_drawing_than_the_one_that_is_held_is_refused_and_nothing_is_commanded() {
     let (mut rig, now_ms) = left_behind(1_000, 400);
     let commands = rig.commands.clone();
-    let other = Drawing {
+    let other = DrawTask {
         held: true,
-        ..Drawing::new(path(999))
+        ..DrawTask::new(path(999))
     };
     let mut second = with_task(Task::Draw(other), 2);
     go_on(&mut rig, &mut second, now_ms);

@@ -16,7 +16,7 @@
 mod parts;
 
 use super::error::JobError;
-use crate::matching::{Limits, Line, Progress, Search, Step, distance, thinned};
+use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::{PathVertex, Sample};
@@ -60,7 +60,7 @@ const SPEED_SHARE: f64 = 2.0;
 
 /// A stroke and where it lies among all strokes.
 #[derive(Clone, Debug)]
-struct Stroke {
+struct VerifiedStroke {
     number: u32,
     /// The first of its vertices in the path.
     vertex: u32,
@@ -75,7 +75,7 @@ struct Stroke {
 /// Result of verifying the telemetry of a drawing; results of several connections can be merged.
 #[derive(Clone, Debug, Default)]
 pub struct Verification {
-    strokes: Vec<Stroke>,
+    strokes: Vec<VerifiedStroke>,
     followed: Parts,
     /// Parts where the pen was elsewhere, or which it skipped.
     off: Parts,
@@ -157,7 +157,7 @@ impl Verification {
 
 /// One millisecond of a stroke.
 #[derive(Clone, Copy)]
-struct Row {
+struct StrokeRow {
     reference: Position,
     measured: Position,
     /// Milliseconds since the previous row.
@@ -170,7 +170,7 @@ struct Row {
 struct Piece {
     line: usize,
     /// Empty where there were too many to be matched.
-    rows: Vec<Row>,
+    rows: Vec<StrokeRow>,
     /// Whether the pen has come to the line with it.
     begins: bool,
 }
@@ -187,7 +187,7 @@ struct Matching {
 /// Watches a drawing's telemetry.
 pub struct Verifier {
     result: Verification,
-    lines: Vec<Line>,
+    lines: Vec<Polyline>,
     /// The first line of each stroke.
     numbers: HashMap<u32, usize>,
     delta: Option<Delta>,
@@ -200,7 +200,7 @@ pub struct Verifier {
     has_gap: bool,
     /// The line that is drawn, and its rows that do not wait to be matched yet.
     line: Option<usize>,
-    rows: Vec<Row>,
+    rows: Vec<StrokeRow>,
     /// Whether none of the line's rows waits to be matched or was matched.
     begins: bool,
     last_ms: Option<u32>,
@@ -247,9 +247,9 @@ impl Verifier {
         };
         let mut begin_mm = 0.0;
         for (points, number, vertex) in lines(path) {
-            let line = Line::new(thinned(&points, THINNED_MM));
+            let line = Polyline::new(thinned(&points, THINNED_MM));
             let (drawn_mm, length_mm) = (length(&points), line.length_mm());
-            result.result.strokes.push(Stroke {
+            result.result.strokes.push(VerifiedStroke {
                 number,
                 vertex,
                 begin_mm,
@@ -382,7 +382,7 @@ impl Verifier {
             .last_ms
             .replace(sample.t_ms)
             .map_or(1, |last_ms| sample.t_ms.wrapping_sub(last_ms));
-        self.rows.push(Row {
+        self.rows.push(StrokeRow {
             reference,
             measured,
             passed_ms,
@@ -433,7 +433,7 @@ impl Verifier {
             };
             first.is_after_gap |= self.is_left_out;
             let first = &piece.rows[0];
-            let unseen_mm = |row: &Row| self.speed_mm_s * f64::from(row.passed_ms) / 1_000.0 + BEGIN_MM;
+            let unseen_mm = |row: &StrokeRow| self.speed_mm_s * f64::from(row.passed_ms) / 1_000.0 + BEGIN_MM;
             let steps: Vec<Step> = (piece.rows.iter())
                 .map(|row| Step {
                     position: row.reference,
@@ -447,7 +447,7 @@ impl Verifier {
                 None if is_at_begin => [0.0, BEGIN_MM],
                 None => [0.0, f64::INFINITY],
             };
-            let limits = Limits {
+            let limits = SearchLimits {
                 looks: LOOKS_PER_ROW * steps.len() + LOOKS_PER_LEG * line.legs(),
                 parts: PARTS_PER_ROW * steps.len(),
                 parts_at_once: PARTS_AT_ONCE,
@@ -470,10 +470,10 @@ impl Verifier {
             let progress = matching.search.go_on(line, looks);
             used = matching.search.looks() - before;
             match progress {
-                Progress::Unfinished => return (used, State::Unfinished),
-                Progress::TooMuch => return (used, State::LeftOut),
-                Progress::Found(found) if found.places_mm.is_empty() => return (used, State::LeftOut),
-                Progress::Found(found) => matching.places_mm = found.places_mm,
+                SearchProgress::Unfinished => return (used, State::Unfinished),
+                SearchProgress::TooMuch => return (used, State::LeftOut),
+                SearchProgress::Found(found) if found.places_mm.is_empty() => return (used, State::LeftOut),
+                SearchProgress::Found(found) => matching.places_mm = found.places_mm,
             }
         }
         let reach_mm = ALONG * self.near_mm;

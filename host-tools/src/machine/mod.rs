@@ -30,7 +30,7 @@ mod work;
 use crate::error::{ProgramError, code};
 use crate::job::error::JobError;
 use crate::job::progress::Progress;
-use crate::job::{Drawing, JobEvent, JobReport, Motion, Ready};
+use crate::job::{DrawTask, JobEvent, JobReport, Motion, Ready};
 use crate::link::ownership::Ownership;
 use crate::link::port::{self, Line, Port, PortError, PortName};
 use crate::link::session::session_number;
@@ -103,7 +103,7 @@ pub enum Order {
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrawOrder {
     /// The path with its options.
-    pub drawing: Drawing,
+    pub drawing: DrawTask,
     /// Name for display.
     pub name: String,
     /// Whether all samples are kept for the report.
@@ -209,7 +209,7 @@ pub enum News {
         /// Its name.
         name: String,
         /// Its path.
-        drawing: Drawing,
+        drawing: DrawTask,
     },
     /// A task has ended.
     Ended {

@@ -1,7 +1,7 @@
 //! A machine over a socket against the rig that answers as the firmware does.
 
 use super::*;
-use crate::job::Drawing;
+use crate::job::DrawTask;
 use crate::link::ownership::socket_path;
 use crate::link::rig::{Rig, path, serve};
 use etherpen::application::Mode;
@@ -47,7 +47,7 @@ fn wait(news: &Subscription, mut wanted: impl FnMut(&News) -> bool) {
 
 fn draw(count: usize) -> Order {
     Order::Draw(DrawOrder {
-        drawing: Drawing::new(path(count)),
+        drawing: DrawTask::new(path(count)),
         name: "a path".into(),
         keep_samples: true,
     })

@@ -22,7 +22,7 @@ const HORIZONTAL_MIN: f64 = 0.1;
 
 /// One millisecond of a planned path.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub struct PlannedSample {
     /// Time since the path began, ms.
     pub t_ms: u64,
     /// The reference, as the position controllers get it.
@@ -109,7 +109,11 @@ impl std::error::Error for PlanningError {}
 ///
 /// # Errors
 /// Why the path was not planned.
-pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &Run)) -> Result<Run, PlanningError> {
+pub fn plan(
+    config: &Config,
+    path: &[Vertex],
+    mut observe: impl FnMut(&PlannedSample, &Run),
+) -> Result<Run, PlanningError> {
     let [first, _, ..] = path else {
         return Err(PlanningError::TooShort { vertices: path.len() });
     };
@@ -118,7 +122,7 @@ pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &
     let [a, b, c] = delta.inverse(&first.position).map_err(PlanningError::Start)?;
     let pose = JointAngles([a, b, c, first_angle(config, path)]);
     trajectory.place(pose);
-    let mut sample = Sample {
+    let mut sample = PlannedSample {
         t_ms: 0,
         reference: Reference {
             position_rad: pose.0,

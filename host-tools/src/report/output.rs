@@ -10,7 +10,7 @@ use crate::job::JobReport;
 use crate::output_file::{OutputFile, create, refuse_input, unwritable};
 use crate::planning::planned_s;
 use crate::recording::{About, Recorder};
-use crate::run::{Drawn, Sink, Task};
+use crate::run::{Drawn, RunTask, Sink};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Status};
 use std::io::{self, BufWriter, Write};
@@ -213,7 +213,7 @@ pub fn capture(dir: &Path) -> Result<(Growing, Sink), ProgramError> {
 /// # Errors
 /// The results cannot be written, or the job failed.
 pub fn conclude(
-    task: &Task,
+    task: &RunTask,
     prepared: &Prepared,
     drawn: &Drawn,
     image: String,

@@ -6,7 +6,7 @@ use crate::drawing::Style;
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::drawing::preparation::source::SourceArguments;
 use crate::matching::{between, distance};
-use crate::planning::{Analysis, Sample as Planned, plan};
+use crate::planning::{Analysis, PlannedSample as Planned, plan};
 use crate::run::simulate;
 use crate::run::task;
 use clap::Parser;

@@ -127,7 +127,7 @@ pub(super) fn dump(
 
 /// The counters of one port for a program.
 #[derive(Debug, Serialize)]
-struct PortView {
+struct PortCounters {
     port: usize,
     cable: String,
     invalid_frames: u8,
@@ -138,9 +138,9 @@ struct PortView {
 
 /// The counters of one slave for a program.
 #[derive(Debug, Serialize)]
-struct SlaveView {
+struct SlaveCounters {
     slave: u8,
-    ports: Vec<PortView>,
+    ports: Vec<PortCounters>,
     processing_unit: u8,
     processor_interface: u8,
     watchdog: u8,
@@ -158,13 +158,13 @@ fn cable(slave: u8, port: usize, partner: Option<u8>) -> String {
     }
 }
 
-impl SlaveView {
+impl SlaveCounters {
     fn new(slave: u8, errors: &SlaveErrors) -> Self {
         let ports = errors.ports.iter().zip(errors.partners).enumerate();
         Self {
             slave,
             ports: ports
-                .map(|(port, (counted, partner))| PortView {
+                .map(|(port, (counted, partner))| PortCounters {
                     port,
                     cable: cable(slave, port, partner),
                     invalid_frames: counted.invalid_frames,
@@ -195,7 +195,7 @@ pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Res
     let mut verdicts = Vec::new();
     for slave in 1..=access::bus(access)?.slaves {
         let errors = access::errors(access, slave)?;
-        let view = SlaveView::new(slave, &errors);
+        let view = SlaveCounters::new(slave, &errors);
         let told = errors.ports.iter().zip(&view.ports);
         verdicts.extend(told.filter_map(|(counted, port)| {
             let verdict = verdict(counted, &port.cable)?;
@@ -249,7 +249,7 @@ pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Res
     verdicts.iter().try_for_each(|line| table::say(line))
 }
 
-impl PortView {
+impl PortCounters {
     fn is_told(&self) -> bool {
         [
             self.invalid_frames,

@@ -52,7 +52,7 @@ impl StateView {
 
 /// One port for a program.
 #[derive(Debug, Serialize)]
-struct PortView {
+struct PortAnswer {
     port: usize,
     link: bool,
     loop_closed: bool,
@@ -80,7 +80,7 @@ impl DriveView {
 
 /// A slave for a program.
 #[derive(Debug, Serialize)]
-struct SlaveView {
+struct SlaveAnswer {
     slave: u8,
     name: String,
     driver: String,
@@ -99,7 +99,7 @@ struct SlaveView {
     protocols: Vec<&'static str>,
     output_bytes: u16,
     input_bytes: u16,
-    ports: Vec<PortView>,
+    ports: Vec<PortAnswer>,
     clock: Option<ClockView>,
 }
 
@@ -111,10 +111,10 @@ struct ClockView {
     difference_ns: i32,
 }
 
-impl SlaveView {
+impl SlaveAnswer {
     fn new(slave: u8, info: &SlaveInfo) -> Self {
         let known = PROTOCOLS.iter().filter(|(bit, _)| info.protocols & bit != 0);
-        let ports = info.ports.iter().enumerate().map(|(port, state)| PortView {
+        let ports = info.ports.iter().enumerate().map(|(port, state)| PortAnswer {
             port,
             link: state.link,
             loop_closed: state.loop_closed,
@@ -151,28 +151,28 @@ impl SlaveView {
 
 /// The bus for a program.
 #[derive(Debug, Serialize)]
-struct BusView {
+struct BusAnswer {
     answering: u16,
     operational: bool,
     reference_clock: Option<u16>,
-    slaves: Vec<SlaveView>,
+    slaves: Vec<SlaveAnswer>,
 }
 
 /// All slaves, or one.
-fn read(access: &mut dyn BusAccess, only: Option<u8>) -> Result<(BusView, Vec<SlaveInfo>), ProgramError> {
+fn read(access: &mut dyn BusAccess, only: Option<u8>) -> Result<(BusAnswer, Vec<SlaveInfo>), ProgramError> {
     let bus = access::bus(access)?;
     let mut infos = Vec::new();
     let wanted = only.map_or(1..=bus.slaves, |slave| slave..=slave);
     for slave in wanted.clone() {
         infos.push(access::slave(access, slave)?);
     }
-    let view = BusView {
+    let view = BusAnswer {
         answering: bus.answering,
         operational: bus.operational,
         reference_clock: bus.reference_clock.map(|slave| u16::from(slave) + 1),
         slaves: wanted
             .zip(&infos)
-            .map(|(slave, info)| SlaveView::new(slave, info))
+            .map(|(slave, info)| SlaveAnswer::new(slave, info))
             .collect(),
     };
     Ok((view, infos))
@@ -236,7 +236,7 @@ pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> 
 }
 
 /// Prints one slave as text.
-fn describe(slave: &SlaveView) -> Result<(), ProgramError> {
+fn describe(slave: &SlaveAnswer) -> Result<(), ProgramError> {
     table::say(&format!("slave {}: {}", slave.slave, slave.name))?;
     let line = |what: &str, value: String| table::say(&format!("  {what:<16} {value}"));
     let identity = format!(

@@ -19,9 +19,9 @@ fn only_what_has_changed_is_news_and_each_change_once() {
         news.len()
     };
     assert_eq!(news(&hub), 3);
-    hub.say(Topic::Studio, &"a");
-    hub.say(Topic::Studio, &"a");
-    hub.say(Topic::Studio, &"b");
+    hub.say(Topic::Preparation, &"a");
+    hub.say(Topic::Preparation, &"a");
+    hub.say(Topic::Preparation, &"b");
     assert_eq!(news(&hub), 1);
     assert_eq!(news(&hub), 0);
 }

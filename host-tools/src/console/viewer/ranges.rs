@@ -4,7 +4,7 @@
 //! refused with the reason before anything is computed.
 
 use crate::console::capture::CAPTURE_MAX_MS;
-use crate::console::history::{Bucket, Decimator, Snapshot};
+use crate::console::history::{Bucket, Decimator, HistorySnapshot};
 use crate::console::messages::{self, COLUMNS_MAX, WINDOW_MAX_MS};
 
 /// Bytes after which a message is sent and another one is started.
@@ -66,7 +66,7 @@ impl Wanted {
 /// An answer sent in parts.
 pub(super) struct Parts {
     wanted: Wanted,
-    snapshot: Snapshot,
+    snapshot: HistorySnapshot,
     decimator: Decimator,
     /// Start of the next part, ms.
     next_ms: u64,
@@ -74,7 +74,7 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    pub(super) fn new(wanted: Wanted, snapshot: &Snapshot) -> Self {
+    pub(super) fn new(wanted: Wanted, snapshot: &HistorySnapshot) -> Self {
         Self {
             // The rest can be freed.
             snapshot: snapshot.cut(wanted.from_ms, wanted.to_ms),

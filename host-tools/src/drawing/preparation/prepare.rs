@@ -24,7 +24,7 @@ pub struct Prepared {
 }
 
 /// A stroke that would not be drawn.
-pub struct Refused {
+pub struct RefusedStroke {
     /// Its number in the order of drawing, the first is 0.
     pub stroke: u32,
     /// Where, in the robot's frame.
@@ -76,15 +76,15 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
 ///
 /// # Errors
 /// The configured dimensions do not form a valid delta robot.
-pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, ProgramError> {
-    let mut result: Vec<Refused> = Vec::new();
+pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<RefusedStroke>, ProgramError> {
+    let mut result: Vec<RefusedStroke> = Vec::new();
     let mut admission = Admission::new(config)
         .map_err(|cause| ProgramError::new(code::USAGE, text::config_refusal(&ConfigRefusal::Geometry(cause))))?;
     for (index, vertex) in (0u32..).zip(&composed.path) {
         if let Err(refusal) = admission.check(index, vertex)
             && result.last().is_none_or(|known| known.stroke != vertex.stroke)
         {
-            result.push(Refused {
+            result.push(RefusedStroke {
                 stroke: vertex.stroke,
                 position: vertex.position,
                 reason: text::vertex(&refusal),
@@ -100,7 +100,7 @@ pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<Refused>, Pro
             x_um: (at[0] * 1_000.0) as i64,
             y_um: (at[1] * 1_000.0) as i64,
         };
-        result.push(Refused {
+        result.push(RefusedStroke {
             stroke: number,
             position: Position {
                 x_mm: config.paper.centre_mm[0] + at[0] - 0.5 * config.paper.size_mm[0],

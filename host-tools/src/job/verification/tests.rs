@@ -1,5 +1,5 @@
 use super::*;
-use crate::planning::{Sample as Planned, plan};
+use crate::planning::{PlannedSample as Planned, plan};
 use crate::random::Lcg;
 use etherpen::motion::Vertex;
 

@@ -1,4 +1,4 @@
-use super::super::playback::{Entry, Playback};
+use super::super::playback::{Playback, RecordingEntry};
 use super::super::statistics::statistics;
 use super::*;
 use crate::random::Lcg;
@@ -33,7 +33,7 @@ fn about(config: &Config) -> About<'_> {
     }
 }
 
-fn entries(bytes: &[u8]) -> Vec<(f64, Entry)> {
+fn entries(bytes: &[u8]) -> Vec<(f64, RecordingEntry)> {
     let mut playback = Playback::new(bytes).unwrap();
     let mut entries = Vec::new();
     while let Some(entry) = playback.next_entry().unwrap() {
@@ -44,7 +44,7 @@ fn entries(bytes: &[u8]) -> Vec<(f64, Entry)> {
 
 fn times_ms(bytes: &[u8]) -> Vec<u32> {
     let moments = entries(bytes).into_iter().filter_map(|(_, entry)| match entry {
-        Entry::Moment(moment) => Some(moment.sample.t_ms),
+        RecordingEntry::Moment(moment) => Some(moment.sample.t_ms),
         _ => None,
     });
     moments.collect()
@@ -120,10 +120,14 @@ fn missing_samples_and_a_new_start_are_stored_where_they_happened() {
     let mut seen = Vec::new();
     for (time_s, entry) in entries(&bytes) {
         match entry {
-            Entry::Moment(moment) => seen.push(format!("{:.0} ms: sample {}", time_s * 1e3, moment.sample.t_ms)),
-            Entry::Gap(gap) => seen.push(format!("{} to {}: {} missing", gap.before_ms, gap.t_ms, gap.missing)),
-            Entry::Event(event) if event.name == "link" => seen.push(event.text),
-            Entry::Event(_) | Entry::State(_) => {}
+            RecordingEntry::Moment(moment) => {
+                seen.push(format!("{:.0} ms: sample {}", time_s * 1e3, moment.sample.t_ms))
+            }
+            RecordingEntry::Gap(gap) => {
+                seen.push(format!("{} to {}: {} missing", gap.before_ms, gap.t_ms, gap.missing))
+            }
+            RecordingEntry::Event(event) if event.name == "link" => seen.push(event.text),
+            RecordingEntry::Event(_) | RecordingEntry::State(_) => {}
         }
     }
     assert_eq!(
@@ -274,14 +278,14 @@ fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_cl
     .unwrap();
     let wall = |ms: u64| begin_ns + ms * MILLISECOND_NS;
     recorder.set_time(wall(10));
-    recorder.event(Level::Info, "link", "connected").unwrap();
+    recorder.event(Severity::Info, "link", "connected").unwrap();
     // The device runs at half the wall's speed.
     recorder.set_time(wall(20));
     recorder.samples(0, &[sample(100)]).unwrap();
     recorder.set_time(wall(220));
     recorder.samples(0, &[sample(200)]).unwrap();
     recorder.set_time(wall(250));
-    recorder.event(Level::Info, "job", "begun").unwrap();
+    recorder.event(Severity::Info, "job", "begun").unwrap();
     recorder.set_time(wall(1_250));
     recorder.samples(0, &[sample(1)]).unwrap();
     recorder.finish().unwrap();
@@ -289,8 +293,8 @@ fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_cl
     let mut times_ms = Vec::new();
     for (time_s, entry) in entries(&bytes) {
         let what = match entry {
-            Entry::Moment(moment) => moment.sample.t_ms.to_string(),
-            Entry::Event(event) if event.name == "link" || event.name == "job" => event.text[..4].to_owned(),
+            RecordingEntry::Moment(moment) => moment.sample.t_ms.to_string(),
+            RecordingEntry::Event(event) if event.name == "link" || event.name == "job" => event.text[..4].to_owned(),
             _ => continue,
         };
         times_ms.push(format!("{what} at {:.0}", time_s * 1e3));

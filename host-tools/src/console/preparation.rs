@@ -1,9 +1,9 @@
-//! Studio: from a dropped file to a drawing that can be started: strokes, check, planned time.
+//! Preparation: from a dropped file to a drawing that can be started: strokes, check, planned time.
 //!
 //! Invariant: the preview shows exactly the path that is sent to the firmware.
 
-use super::jobs::Drawing;
-use super::words::on_page;
+use super::jobs::PreparedDrawing;
+use super::page_text::for_page;
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::preparation::wire::to_wire;
@@ -23,7 +23,7 @@ static FILES: AtomicU32 = AtomicU32::new(0);
 
 /// A preparation as shown on the page.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct StudioView {
+pub struct PreparationView {
     /// `idle`, `working`, `ready` or `failed`.
     pub state: &'static str,
     /// Number of the preparation.
@@ -44,7 +44,7 @@ pub struct StudioView {
     pub wishes: Wishes,
 }
 
-impl StudioView {
+impl PreparationView {
     /// A preparation in progress.
     pub fn working(number: u64, name: &str, wishes: &Wishes) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl StudioView {
     }
 
     /// Result of a preparation of a file.
-    pub fn of(result: &Result<Drawing, String>, number: u64, name: &str, wishes: &Wishes) -> Self {
+    pub fn of(result: &Result<PreparedDrawing, String>, number: u64, name: &str, wishes: &Wishes) -> Self {
         let plain = Self::working(number, name, wishes);
         match result {
             Ok(drawing) => {
@@ -165,7 +165,7 @@ fn why(error: &clap::Error) -> String {
 
 /// A message of the preparation, worded for the page.
 fn told(message: &str) -> String {
-    let mut told = on_page(message);
+    let mut told = for_page(message);
     if message.contains("--size") {
         told.push_str("; give a size that fits");
     }
@@ -210,7 +210,7 @@ pub fn shown_name(name: &str) -> String {
 ///
 /// # Errors
 /// Why it cannot be drawn, as text for display.
-pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> Result<Drawing, String> {
+pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> Result<PreparedDrawing, String> {
     let name = shown_name(name);
     let options = options(wishes)?;
     let file = Dropped::write(&name, content).map_err(|cause| format!("{name} cannot be stored: {cause}"))?;
@@ -218,7 +218,7 @@ pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> 
     let prepared =
         prepare_with(&file.0, config, &options).map_err(|error| told(&error.message.replace(&stored, &name)))?;
     let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
-    Ok(Drawing {
+    Ok(PreparedDrawing {
         name,
         strokes: path.iter().map(|vertex| vertex.stroke + 1).max().unwrap_or(0),
         path: path.into(),

@@ -1,7 +1,7 @@
 //! The program's messages, worded for the page.
 //!
 //! The page has buttons and fields; a message with a terminal command does not help there. Invariant: the result of
-//! [`on_page`] names no command and no option, and is empty only for an empty message.
+//! [`for_page`] names no command and no option, and is empty only for an empty message.
 
 /// Whether a text names a command of this program or an option.
 fn is_terminal(text: &str) -> bool {
@@ -39,7 +39,7 @@ fn without(text: &str, separator: &str, part: impl Fn(&str) -> Option<String>) -
 }
 
 /// A message without advice that is for the terminal.
-pub(super) fn on_page(message: &str) -> String {
+pub(super) fn for_page(message: &str) -> String {
     if !is_terminal(message) {
         return message.to_owned();
     }
@@ -77,7 +77,7 @@ mod tests {
             ("etherpen cancel", "this is not possible now"),
             ("x -- y, 3--4 and a-b", "x -- y, 3--4 and a-b"),
         ] {
-            assert_eq!(on_page(message), told);
+            assert_eq!(for_page(message), told);
         }
     }
 
@@ -119,10 +119,10 @@ mod tests {
         let advising: Vec<&String> = all.iter().filter(|text| is_terminal(text)).collect();
         assert!(advising.len() > 5, "the search finds them: {advising:?}");
         for text in advising {
-            let told = on_page(text);
+            let told = for_page(text);
             assert!(!is_terminal(&told) && !told.is_empty(), "{text}: {told}");
             // Whatever stands around it.
-            let told = on_page(&format!("portrait.png: stroke 1; {text}"));
+            let told = for_page(&format!("portrait.png: stroke 1; {text}"));
             assert!(
                 told.starts_with("portrait.png: stroke 1") && !is_terminal(&told),
                 "{told}"

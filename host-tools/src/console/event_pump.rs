@@ -4,7 +4,7 @@
 //! configuration and brings up its bus.
 
 use super::hub::{Hub, Level, Topic};
-use super::words::on_page;
+use super::page_text::for_page;
 use super::{Console, lock};
 use crate::job::error::Phase;
 use crate::job::{JobEvent, Ready};
@@ -35,7 +35,7 @@ const EXPECTED_MAX: usize = 256;
 
 /// Waits for answers to orders.
 #[derive(Default)]
-pub(super) struct Attendant {
+pub(super) struct EventPump {
     expected: Mutex<Vec<(&'static str, Receiver<Answer>)>>,
     /// Viewers that have asked for stops not yet logged.
     stops: Mutex<Vec<String>>,
@@ -47,7 +47,7 @@ pub(super) struct Attendant {
     refused: Mutex<Option<(u64, String, Instant)>>,
 }
 
-impl Attendant {
+impl EventPump {
     /// Reports the failure of an order once its answer arrives; of too many orders the oldest are dropped.
     pub(super) fn expect(&self, what: &'static str, answer: Receiver<Answer>) {
         let mut expected = lock(&self.expected);
@@ -128,11 +128,11 @@ impl Attendant {
 }
 
 /// Takes the machine's news in a separate thread until the console or the machine has ended.
-pub(super) fn attend(console: &Arc<Console>, news: Subscription) {
+pub(super) fn pump(console: &Arc<Console>, news: Subscription) {
     let console = Arc::downgrade(console);
     // Without the thread the page shows that no news arrives.
     let _ = std::thread::Builder::new()
-        .name("attendant".to_owned())
+        .name("event pump".to_owned())
         .spawn(move || follow(&console, &news));
 }
 
@@ -140,7 +140,7 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
     loop {
         let next = news.next_within(WAIT);
         let Some(console) = console.upgrade() else { return };
-        for who in std::mem::take(&mut *lock(&console.attendant.stops)) {
+        for who in std::mem::take(&mut *lock(&console.event_pump.stops)) {
             console.change(|hub| hub.stop_asked(&who));
         }
         match next {
@@ -152,10 +152,10 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
         if lost > 0 {
             console.change(|hub| hub.note(Level::Warning, format!("this console was too slow for {lost} news")));
         }
-        for refusal in console.attendant.refusals() {
+        for refusal in console.event_pump.refusals() {
             console.change(|hub| hub.note(Level::Warning, refusal));
         }
-        if let Some((activation, why)) = console.attendant.refused_drawing() {
+        if let Some((activation, why)) = console.event_pump.refused_drawing() {
             console.change(|hub| hub.refused_drawing(activation, &why));
         }
     }
@@ -171,9 +171,9 @@ fn take(console: &Console, news: News) {
                 }
                 hub.take_status(&status);
             });
-            if status.mode == Mode::Startup && console.attendant.has_to_prepare() {
+            if status.mode == Mode::Startup && console.event_pump.has_to_prepare() {
                 let answer = console.machine.order(Order::Prepare(Ready::Bus));
-                *lock(&console.attendant.preparing) = Some((Instant::now(), answer));
+                *lock(&console.event_pump.preparing) = Some((Instant::now(), answer));
             }
         }
         News::Progress(progress) => console.change(|hub| {
@@ -201,7 +201,7 @@ fn take(console: &Console, news: News) {
                         Ok(()) => hub.note(Level::Info, "the drawing is done"),
                         Err(_) => hub.note(Level::Warning, format!("the drawing ended early: {text}")),
                     }
-                    hub.jobs.end(result.is_ok(), on_page(&text));
+                    hub.jobs.end(result.is_ok(), for_page(&text));
                     hub.say_jobs();
                 });
             }
@@ -242,7 +242,7 @@ impl Console {
         let Some(((name, path), activation)) = drawing else {
             return false;
         };
-        self.order_drawing(heard, activation, name, crate::job::Drawing::new(path));
+        self.order_drawing(heard, activation, name, crate::job::DrawTask::new(path));
         true
     }
 
@@ -260,22 +260,22 @@ impl Console {
             unfinished.map(|unfinished| (unfinished, hub.jobs.activation().unwrap_or_default()))
         });
         let (unfinished, activation) = unfinished?;
-        let drawing = crate::job::Drawing {
+        let drawing = crate::job::DrawTask {
             may_reference: unfinished.is_whole,
-            ..crate::job::Drawing::new(unfinished.path)
+            ..crate::job::DrawTask::new(unfinished.path)
         };
         self.order_drawing(heard, activation, unfinished.name, drawing);
         Ok(())
     }
 
-    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::job::Drawing) {
+    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::job::DrawTask) {
         let order = DrawOrder {
             drawing,
             name,
             keep_samples: false,
         };
         let answer = self.machine.order_for(heard, Order::Draw(order));
-        *lock(&self.attendant.drawing) = Some((activation, answer));
+        *lock(&self.event_pump.drawing) = Some((activation, answer));
     }
 
     /// The reference at the last pose in which the arms were referenced; the firmware checks it against its resolvers
