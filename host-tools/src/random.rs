@@ -17,7 +17,7 @@ impl Random {
     }
 
     /// The next 64 bits.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (self.state ^ (self.state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
@@ -26,7 +26,7 @@ impl Random {
 
     /// A number from 0 (included) to 1 (excluded).
     pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 }
 
@@ -44,7 +44,7 @@ impl Lcg {
     }
 
     /// The next 31 bits.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.state = self
             .state
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -54,7 +54,7 @@ impl Lcg {
 
     /// A number from 0 (included) to 1 (excluded).
     pub fn unit(&mut self) -> f64 {
-        self.next() as f64 / (1_u64 << 31) as f64
+        self.bits() as f64 / (1_u64 << 31) as f64
     }
 
     /// A number from `low` (included) to `high` (excluded).
@@ -64,7 +64,7 @@ impl Lcg {
 
     /// A whole number below `bound`, which is not 0.
     pub fn below(&mut self, bound: usize) -> usize {
-        self.next() as usize % bound
+        self.bits() as usize % bound
     }
 }
 
@@ -84,7 +84,7 @@ impl Xorshift {
     }
 
     /// The next 64 bits.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.state ^= self.state << 13;
         self.state ^= self.state >> 7;
         self.state ^= self.state << 17;
@@ -93,12 +93,12 @@ impl Xorshift {
 
     /// The next 53 bits, of which each depends on all bits of the state.
     pub fn scrambled(&mut self) -> u64 {
-        self.next().wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11
+        self.bits().wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11
     }
 
     /// A number from 0 (included) to 1 (excluded).
     pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 }
 
@@ -131,10 +131,10 @@ mod tests {
     #[test]
     fn sequences_are_those_of_the_definitions() {
         let mut random = Random::new(1_234_567);
-        assert_eq!(random.next(), 6_457_827_717_110_365_317);
-        assert_eq!(random.next(), 3_203_168_211_198_807_973);
+        assert_eq!(random.bits(), 6_457_827_717_110_365_317);
+        assert_eq!(random.bits(), 3_203_168_211_198_807_973);
         let mut lcg = Lcg::new(0);
-        assert_eq!(lcg.next(), 1_442_695_040_888_963_407 >> 33);
+        assert_eq!(lcg.bits(), 1_442_695_040_888_963_407 >> 33);
         let mut star = XorshiftStar::new(1);
         assert_eq!(star.below(u64::MAX), 5_180_492_295_206_395_165 >> 33);
     }

@@ -12,6 +12,7 @@ use host_tools::cell::InkStroke;
 use host_tools::emulator::{LINK_BYTES_MAX, Link};
 use host_tools::job::error::{JobError, Phase};
 use host_tools::job::{DrawTask, Job, JobEvent, JobOptions, Task as JobTask};
+use host_tools::random::Xorshift;
 use host_tools::run::RunTask;
 use host_tools::simulation::Host;
 use std::collections::{BTreeSet, VecDeque};
@@ -28,7 +29,7 @@ const SAME_MM: f64 = 0.03;
 
 /// One direction.
 struct Direction {
-    state: u64,
+    random: Xorshift,
     kept: Option<u8>,
     queue: VecDeque<u8>,
 }
@@ -36,26 +37,23 @@ struct Direction {
 impl Direction {
     fn new(seed: u64) -> Self {
         Self {
-            state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            random: Xorshift::new(seed),
             kept: None,
             queue: VecDeque::new(),
         }
     }
 
-    fn random(&mut self) -> u64 {
-        self.state ^= self.state << 13;
-        self.state ^= self.state >> 7;
-        self.state ^= self.state << 17;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11
-    }
-
     /// Carries bytes; those that are doubled wait for room.
     fn carry(&mut self, bytes: &[u8], spoils: bool, room: usize) -> Vec<u8> {
         for byte in bytes {
-            let number = if spoils { self.random() % 1_000_000 } else { u64::MAX };
+            let number = if spoils {
+                self.random.scrambled() % 1_000_000
+            } else {
+                u64::MAX
+            };
             let other = |kind: u64| DAMAGED + kind * OTHERWISE_SPOILT;
             if number < DAMAGED {
-                let bit = self.random() % 8;
+                let bit = self.random.scrambled() % 8;
                 self.queue.push_back(byte ^ (1 << bit));
             } else if number < other(1) {
                 continue;

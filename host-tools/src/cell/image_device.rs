@@ -202,7 +202,7 @@ mod tests {
     fn no_image_breaks_it() {
         let mut random = crate::random::Random::new(5);
         for round in 0..2_000u64 {
-            let mut image: Vec<u8> = (0..random.next() % 600).map(|_| random.next() as u8).collect();
+            let mut image: Vec<u8> = (0..random.bits() % 600).map(|_| random.bits() as u8).collect();
             if let Some(kind) = image.get_mut(128..130).filter(|_| round % 2 == 0) {
                 let kinds = [10u8, 30, 41, 50, 51];
                 kind.copy_from_slice(&[kinds[(round / 2 % 5) as usize], 0]);

@@ -274,7 +274,7 @@ impl Cell {
             robot,
             dynamics: Dynamics::new(&config.geometry, options.dry_friction_nm),
             sheet: Sheet::new(config.paper),
-            schedule: Schedule::new(&options.faults, random.next()),
+            schedule: Schedule::new(&options.faults, random.bits()),
             boundary_us: None,
             last_frame_us: None,
             steps: 0,
@@ -413,7 +413,7 @@ fn nature(random: &mut Random, options: &CellOptions) -> Nature {
     let drift_ppm = options.clocks.drift_max_ppm.clamp(0.0, DRIFT_MAX_PPM);
     Nature {
         drift_ppb: ((2.0 * random.unit() - 1.0) * drift_ppm * 1000.0) as i64,
-        local_ns: random.next() % CLOCK_AGE_MAX_NS,
+        local_ns: random.bits() % CLOCK_AGE_MAX_NS,
         sii_busy_ns: options.sii_busy_us.min(SII_BUSY_MAX_US) * 1000,
     }
 }

@@ -76,7 +76,7 @@ impl Rig {
     }
 
     pub(super) fn send(&mut self, frame: &[u8]) -> Vec<Vec<u8>> {
-        let jitter_us = self.jitter.as_mut().map_or(0, |random| random.next() % 450);
+        let jitter_us = self.jitter.as_mut().map_or(0, |random| random.bits() % 450);
         let at_us = self.time_us + jitter_us;
         let replies = self.cell.frame(at_us, frame);
         if let Some(capture) = &mut self.capture {

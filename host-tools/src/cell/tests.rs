@@ -31,9 +31,9 @@ fn a_broken_or_foreign_frame_is_ignored() {
     }
     for _ in 0..20_000 {
         let mut frame = good.clone();
-        for _ in 0..=random.next() % 4 {
-            let at = (random.next() % frame.len() as u64) as usize;
-            frame[at] = random.next() as u8;
+        for _ in 0..=random.bits() % 4 {
+            let at = (random.bits() % frame.len() as u64) as usize;
+            frame[at] = random.bits() as u8;
         }
         rig.cell.frame(0, &frame);
     }
@@ -353,15 +353,15 @@ fn no_registers_mailboxes_or_frames_break_the_cell() {
         0x0010, 0x0120, 0x0400, 0x0500, 0x0502, 0x0600, 0x0800, 0x0F80, 0x1000, 0x1800, 0x1C00, 0x2FF0,
     ];
     for _ in 0..30_000 {
-        let length = [1, 2, 4, 8, 16, 64, 512][(random.next() % 7) as usize];
-        let mut data: Vec<u8> = (0..length).map(|_| random.next() as u8).collect();
-        let register = registers[(random.next() % 12) as usize] + (random.next() % 20) as u16;
+        let length = [1, 2, 4, 8, 16, 64, 512][(random.bits() % 7) as usize];
+        let mut data: Vec<u8> = (0..length).map(|_| random.bits() as u8).collect();
+        let register = registers[(random.bits() % 12) as usize] + (random.bits() % 20) as u16;
         if register & !3 == 0x1800 && length > 8 {
             let kind = 3 | data[5] & 0xF0;
             data[..8].copy_from_slice(&[10, 0, 0, 0, 0, kind, 0, 0x20]);
         }
-        let command = (random.next() % 16) as u8;
-        let device = [0, 0xFFFF, 0x1001, 0x1003][(random.next() % 4) as usize];
+        let command = (random.bits() % 16) as u8;
+        let device = [0, 0xFFFF, 0x1001, 0x1003][(random.bits() % 4) as usize];
         rig.send(&frame_of(&[(command, device, register, &data)]));
     }
     rig.cell.inject(Fault::Join);

@@ -9,11 +9,11 @@ use crate::error::{ProgramError, code};
 use crate::link::text;
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
-use crate::planning::{Analysis, Findings, PlannedSample, PlanningError, plan};
+use crate::planning::{Analysis, Findings, PlanningError, Table, plan};
 use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
-use etherpen::motion::{Admission, Pen, RefusalReason, Vertex};
+use etherpen::motion::{Admission, RefusalReason, Vertex};
 use etherpen::robot::AXES;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -132,7 +132,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     let (path, vertices_merged) = read(&arguments.file, &config, &arguments.source)?;
-    let mut table = arguments.samples.as_deref().map(Table::new).transpose()?;
+    let mut table = arguments.samples.as_deref().map(begin).transpose()?;
     let mut analysis = None;
     let mut failed = None;
     let run = plan(&config, &path, |sample, run| {
@@ -145,7 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     })
     .map_err(|cause| unusable(&arguments.file, &cause))?;
     if let (Some(cause), Some(file)) = (
-        failed.or_else(|| table.and_then(|table| table.finish().err())),
+        failed.or_else(|| table.and_then(|table| table.finish().commit().err())),
         &arguments.samples,
     ) {
         return Err(unwritable(file, &cause));
@@ -162,6 +162,13 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     io::stdout()
         .write_all(shown(&answer).as_bytes())
         .map_err(|cause| ProgramError::failed("stdout", cause))
+}
+
+/// Begins the table of references.
+fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
+    OutputFile::create(file)
+        .and_then(Table::new)
+        .map_err(|cause| unwritable(file, &cause))
 }
 
 /// The path of a file, every vertex admitted, and how many vertices were merged.
@@ -202,58 +209,6 @@ fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), PathRef
     }
     let merged = path.vertices.len() - admitted.len();
     Ok((admitted, merged))
-}
-
-/// The references as a table; those at rest at the end are left out.
-struct Table {
-    out: OutputFile,
-    /// Rows that repeat the last one written.
-    waiting: Vec<PlannedSample>,
-    last: Option<[f64; AXES]>,
-}
-
-impl Table {
-    fn new(file: &Path) -> Result<Self, ProgramError> {
-        let failed = |cause| unwritable(file, &cause);
-        let mut out = OutputFile::create(file).map_err(failed)?;
-        let names = (1..=AXES).map(|axis| format!("q{axis}_rad,"));
-        let speeds = (1..=AXES).map(|axis| format!("v{axis}_rad_s,"));
-        let heading: String = names.chain(speeds).collect();
-        writeln!(out, "t_ms,x_mm,y_mm,z_mm,{heading}pen").map_err(failed)?;
-        Ok(Self {
-            out,
-            waiting: Vec::new(),
-            last: None,
-        })
-    }
-
-    fn step(&mut self, sample: &PlannedSample) -> io::Result<()> {
-        let position = sample.reference.position_rad;
-        if self.last.replace(position) == Some(position) {
-            self.waiting.push(*sample);
-            return Ok(());
-        }
-        for waiting in self.waiting.drain(..) {
-            row(&mut self.out, &waiting)?;
-        }
-        row(&mut self.out, sample)
-    }
-
-    fn finish(self) -> io::Result<()> {
-        self.out.commit()
-    }
-}
-
-fn row(out: &mut impl Write, sample: &PlannedSample) -> io::Result<()> {
-    let [x, y, z] = sample.point;
-    write!(out, "{},{x:.9},{y:.9},{z:.9}", sample.t_ms)?;
-    for angle in sample.reference.position_rad {
-        write!(out, ",{angle:.13}")?;
-    }
-    for speed in sample.reference.velocity_rad_s {
-        write!(out, ",{speed:.10}")?;
-    }
-    writeln!(out, ",{}", u8::from(sample.reference.pen == Pen::Down))
 }
 
 /// The findings as text.

@@ -4,13 +4,12 @@ use super::{ConfigArguments, print_json};
 use crate::drawing::preparation::compose::{Composed, in_sequence, unusable};
 use crate::drawing::preparation::prepare::{compose, refused};
 use crate::drawing::preparation::source::SourceArguments;
-use crate::drawing::{Drawing, PreviewScene, Stroke};
+use crate::drawing::{Drawing, PreviewScene, from_path};
 use crate::error::{ProgramError, code};
 use crate::output_file::{refuse_input, write_bytes, write_text};
 use crate::planning::planned_s;
 use crate::terminal::counted;
-use etherpen::config::Config;
-use etherpen::motion::{Pen, Vertex};
+use etherpen::motion::Vertex;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -101,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let composed = compose(&arguments.file, &config, &arguments.source)?;
     let drawing = if composed.parts.is_empty() {
-        drawing_of(&composed.path, &config)
+        from_path(&composed.path, &config.paper)
     } else {
         in_sequence(&composed.parts)
     };
@@ -179,36 +178,6 @@ fn layers(composed: &Composed) -> Vec<LayerAnswer> {
         .iter()
         .map(|(layer, drawing)| answer(&layer.name, drawing)))
     .collect()
-}
-
-/// A path's drawn parts as strokes on the sheet.
-fn drawing_of(path: &[Vertex], config: &Config) -> Drawing {
-    let paper = &config.paper;
-    let place = |vertex: &Vertex| {
-        [
-            vertex.position.x_mm - paper.centre_mm[0] + 0.5 * paper.size_mm[0],
-            paper.centre_mm[1] - vertex.position.y_mm + 0.5 * paper.size_mm[1],
-        ]
-    };
-    let mut strokes: Vec<Stroke> = Vec::new();
-    let mut was_down = false;
-    for ends in path.windows(2) {
-        let [from, to] = ends else { continue };
-        let is_down = to.pen == Pen::Down;
-        if is_down && !was_down {
-            strokes.push(Stroke {
-                points: vec![place(from)],
-            });
-        }
-        if let (true, Some(stroke)) = (is_down, strokes.last_mut()) {
-            stroke.points.push(place(to));
-        }
-        was_down = is_down;
-    }
-    Drawing {
-        sheet_mm: paper.size_mm,
-        strokes,
-    }
 }
 
 fn show(answer: &Answer, out: &Path) {

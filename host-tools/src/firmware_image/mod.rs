@@ -132,7 +132,10 @@ impl Image {
         let machine = file.elf_header().e_machine(endian);
         if machine != EM_ARM {
             return Err(ImageError::Format {
-                reason: format!("it is for another processor (ELF machine {machine}, an Arm has {EM_ARM})"),
+                reason: format!(
+                    "it is for another processor (ELF machine {}, an Arm has {})",
+                    machine.0, EM_ARM.0
+                ),
             });
         }
         let mut sections = Vec::new();
@@ -142,7 +145,7 @@ impl Image {
             let data = section.data().map_err(format)?.to_vec();
             if section.elf_section_header().sh_type(endian) == SHT_ARM_ATTRIBUTES {
                 attributes = data;
-            } else if section.elf_section_header().sh_flags(endian) & SHF_ALLOC != 0 {
+            } else if section.elf_section_header().sh_flags(endian).contains(SHF_ALLOC) {
                 sections.push(Section {
                     name,
                     address: section.address() as u32,

@@ -183,6 +183,7 @@ fn other_path(file: &Path, record: &Record, hash: &str) -> ProgramError {
     );
     ProgramError::new(code::INPUT, text)
 }
+
 /// Looks what the machine still has of a drawing, and says how it goes on.
 ///
 /// # Errors
@@ -193,45 +194,65 @@ pub fn plan(
     config: &Config,
     path: &[PathVertex],
 ) -> Result<ResumePlan, ProgramError> {
-    let mut record = chosen(candidates, machine)?;
+    let record = chosen(candidates, machine)?;
     check_board(&record, machine)?;
-    let entry = &record.entry;
-    let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
-    let rest_after = |executed: u32| Remainder::new(path, executed as usize, OVERLAP_UM, lift_um);
-    let given = (entry.given_from > 0).then(|| (rest_after(entry.given_from), entry.given_from as usize));
     let mode = machine.status.as_ref().map(|status| status.mode);
-    let held = machine.path.filter(|ack| ack.job == entry.number);
-    if let (Some(ack), Some(Mode::Holding | Mode::Drawing)) = (held, mode) {
-        check_config(&record, config)?;
-        let vertices = given
-            .as_ref()
-            .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
-        eprintln!(
-            "the firmware still holds this drawing, {} of {} vertices executed: going on exactly there",
-            ack.executed,
-            vertices.len()
-        );
-        let drawing = DrawTask {
-            held: true,
-            number: entry.number,
-            ..DrawTask::new(vertices)
-        };
-        return Ok(ResumePlan {
-            drawing,
-            drawn_before_s: entry.drawn_s,
-            part: given,
-            record: Some(record),
-        });
+    let held = machine.path.filter(|ack| ack.job == record.entry.number);
+    match (held, mode) {
+        (Some(ack), Some(Mode::Holding | Mode::Drawing)) => from_firmware(record, &ack, config, path),
+        (_, Some(mode @ (Mode::Holding | Mode::Drawing | Mode::Moving))) => {
+            let text = format!(
+                "the machine is busy with something else: {}; end that first (etherpen cancel)",
+                text::mode(mode)
+            );
+            Err(ProgramError::new(code::FAILED, text))
+        }
+        _ => from_log(record, config, path),
     }
-    if let Some(mode @ (Mode::Holding | Mode::Drawing | Mode::Moving)) = mode {
-        let text = format!(
-            "the machine is busy with something else: {}; end that first (etherpen cancel)",
-            text::mode(mode)
-        );
-        return Err(ProgramError::new(code::FAILED, text));
-    }
-    let executed = entry.executed;
-    let remainder = rest_after(executed);
+}
+
+/// The remainder of a path after so many executed vertices.
+fn rest_after(executed: u32, config: &Config, path: &[PathVertex]) -> Remainder {
+    let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
+    Remainder::new(path, executed as usize, OVERLAP_UM, lift_um)
+}
+
+/// Goes on with what the firmware holds.
+fn from_firmware(
+    record: Record,
+    ack: &PathAck,
+    config: &Config,
+    path: &[PathVertex],
+) -> Result<ResumePlan, ProgramError> {
+    check_config(&record, config)?;
+    let entry = &record.entry;
+    let rest = || (rest_after(entry.given_from, config, path), entry.given_from as usize);
+    let given = (entry.given_from > 0).then(rest);
+    let vertices = given
+        .as_ref()
+        .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
+    eprintln!(
+        "the firmware still holds this drawing, {} of {} vertices executed: going on exactly there",
+        ack.executed,
+        vertices.len()
+    );
+    let drawing = DrawTask {
+        held: true,
+        number: entry.number,
+        ..DrawTask::new(vertices)
+    };
+    Ok(ResumePlan {
+        drawing,
+        drawn_before_s: entry.drawn_s,
+        part: given,
+        record: Some(record),
+    })
+}
+
+/// Goes on from the last corner that the log knows.
+fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<ResumePlan, ProgramError> {
+    let executed = record.entry.executed;
+    let remainder = rest_after(executed, config, path);
     let Some(next) = remainder.vertices.first() else {
         record.entry.completed = true;
         // A log that cannot be written says the same the next time.
@@ -243,7 +264,7 @@ pub fn plan(
         "the firmware does not hold this drawing any more: going on from the log at stroke {} of {}, from the last \
          corner that the log knows; what was drawn beyond it, and {:.0} mm before it, are drawn again",
         next.stroke.saturating_add(1),
-        entry.strokes_total,
+        record.entry.strokes_total,
         OVERLAP_UM / 1_000.0
     );
     if let Err(changed) = check_config(&record, config) {

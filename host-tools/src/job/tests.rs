@@ -321,10 +321,10 @@ fn nonsense_in_good_frames_makes_no_panic() {
             });
             let mut payload = [[0u8; 32]; 4];
             for byte in payload.as_flattened_mut() {
-                *byte = random.next() as u8 >> (random.next() % 8);
+                *byte = random.bits() as u8 >> (random.bits() % 8);
             }
             // Any message but a greeting, which ends the connection.
-            payload[0][0] = 1 + (random.next() % 6) as u8;
+            payload[0][0] = 1 + (random.bits() % 6) as u8;
             let mut frame = [0; etherpen::link::frame::FRAME_BYTES_MAX];
             let length = etherpen::link::frame::encode(&payload, &mut frame).unwrap();
             job.step(now_ms, &frame[..length], &mut Vec::new(), 0);
@@ -525,7 +525,7 @@ fn a_jog_is_repeated_only_on_fresh_signs_of_life_and_ends_with_them() {
         });
         let mut job = Job::new(Config::default(), task, JobOptions::default());
         job.live_on(life.clone());
-        let (every_ms, until_ms) = (1 + random.next() % 60, 2_000 + random.next() % 3_000);
+        let (every_ms, until_ms) = (1 + random.bits() % 60, 2_000 + random.bits() % 3_000);
         let is_jog = |command: &&Command| matches!(command, Command::Jog { velocity_mm_s } if velocity_mm_s[0] > 0.0);
         let jogs = |rig: &Rig| rig.commands.iter().filter(is_jog).count();
         let (mut jogs_at_silence, mut last_ms) = (0, 0);
@@ -552,7 +552,7 @@ fn a_jog_is_repeated_only_on_fresh_signs_of_life_and_ends_with_them() {
 /// Vertices at random within 0.2 mm, as a digitiser's noise: many legs are near each sample.
 fn noise(count: usize) -> Vec<PathVertex> {
     let mut random = Random::new(4);
-    let mut um = || (random.next() % 400) as i32 - 200;
+    let mut um = || (random.bits() % 400) as i32 - 200;
     let vertices = (0..count).map(|index| PathVertex {
         position_um: [um(), um(), -850_000],
         pen: if index == 0 { Pen::Up } else { Pen::Down },

@@ -23,6 +23,7 @@
 mod account;
 mod following;
 mod lanes;
+mod reference;
 mod sharing;
 mod subscription;
 mod work;
@@ -42,6 +43,7 @@ use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 pub use following::Source;
 use lanes::{Lanes, Taken};
 pub use lanes::{OVERTAKEN, Ticket};
+pub use reference::reference_through;
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;

@@ -6,9 +6,11 @@
 //! Invariant: every run ends: at rest at the path's end, with a refusal, without progress, or after a day.
 
 mod analysis;
+mod table;
 mod track;
 
 pub use analysis::{Analysis, Findings, Limits, Peaks, Violation};
+pub use table::Table;
 
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Reference, Trajectory, Vertex};

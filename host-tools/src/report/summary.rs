@@ -9,11 +9,6 @@ const DEVIATION_GOOD_MM: f64 = 0.1;
 
 /// Prints the result of the drawing.
 pub fn summarise(report: &Report, dir: Option<&Path>) {
-    let good = |ok: bool, text: String| in_colour(&text, if ok { "32" } else { "1;31" });
-    let clean = report.cycles_late == 0
-        && report.frames_lost == 0
-        && report.working_counter_errors == 0
-        && report.reference_underruns == 0;
     eprintln!();
     eprintln!(
         "Drew {}, {:.2} m of line, in {:.1} s (planned {:.1} s).",
@@ -22,6 +17,34 @@ pub fn summarise(report: &Report, dir: Option<&Path>) {
         report.drawn_s,
         report.planned_s
     );
+    deviations(report);
+    cycles(report);
+    if let (Some(ratio), Some(processor_s)) = (report.virtual_to_processor_ratio, report.processor_s) {
+        eprintln!("Virtual time ran {ratio:.0} times as fast as this process' processor time ({processor_s:.2} s).");
+    }
+    if let Some(correlation) = report.tone_correlation {
+        eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
+    }
+    if let Some(dir) = dir {
+        let pictures = if report.drives.is_some() {
+            "drawn.png, drawn.svg, bus.pcapng, "
+        } else {
+            ""
+        };
+        eprintln!(
+            "Written to {}: {pictures}report.json, telemetry.csv, telemetry.mcap, tracking.svg, intended.csv",
+            dir.display()
+        );
+    }
+}
+
+/// A text in green, or in red where it is not as it should be.
+fn good(ok: bool, text: String) -> String {
+    in_colour(&text, if ok { "32" } else { "1;31" })
+}
+
+/// Prints how far pen and ink were from the lines.
+fn deviations(report: &Report) {
     eprintln!(
         "The pen stayed within {} of the intended lines ({:.3} mm rms).",
         good(
@@ -63,6 +86,14 @@ pub fn summarise(report: &Report, dir: Option<&Path>) {
         "Joints used at most {:.0} % of their acceleration limit.",
         100.0 * share
     );
+}
+
+/// Prints what went wrong in the cycles.
+fn cycles(report: &Report) {
+    let clean = report.cycles_late == 0
+        && report.frames_lost == 0
+        && report.working_counter_errors == 0
+        && report.reference_underruns == 0;
     eprintln!(
         "{}{}: {}.",
         counted(report.cycles, "millisecond"),
@@ -82,21 +113,4 @@ pub fn summarise(report: &Report, dir: Option<&Path>) {
             )
         )
     );
-    if let (Some(ratio), Some(processor_s)) = (report.virtual_to_processor_ratio, report.processor_s) {
-        eprintln!("Virtual time ran {ratio:.0} times as fast as this process' processor time ({processor_s:.2} s).");
-    }
-    if let Some(correlation) = report.tone_correlation {
-        eprintln!("Seen from afar, the drawing correlates with the photograph by {correlation:.2}.");
-    }
-    if let Some(dir) = dir {
-        let pictures = if report.drives.is_some() {
-            "drawn.png, drawn.svg, bus.pcapng, "
-        } else {
-            ""
-        };
-        eprintln!(
-            "Written to {}: {pictures}report.json, telemetry.csv, telemetry.mcap, tracking.svg, intended.csv",
-            dir.display()
-        );
-    }
 }

@@ -84,7 +84,7 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
             browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
             let place = browser.place(selector);
             let before = browser.value("[without, total]");
-            std::thread::sleep(Duration::from_millis(random.next() % 120));
+            std::thread::sleep(Duration::from_millis(random.bits() % 120));
             browser.mouse(true, place);
             std::thread::sleep(HELD);
             browser.mouse(false, place);

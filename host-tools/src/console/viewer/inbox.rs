@@ -68,7 +68,7 @@ mod tests {
             let (mut inbox, mut random) = (Inbox::default(), Lcg::new(seed));
             let (mut last_range, mut last_jog) = (None, None);
             for _ in 0..500 {
-                let asked = request(random.next());
+                let asked = request(random.bits());
                 let is_range = matches!(asked, Request::Range { .. });
                 let has_room = inbox.push(Ticket::default(), asked.clone());
                 if has_room && matches!(asked, Request::Jog { .. }) {

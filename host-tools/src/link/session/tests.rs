@@ -147,10 +147,10 @@ fn garbage_makes_no_panic_and_no_event() {
         session.connect();
         let bytes: Vec<u8> = (0..100_000)
             .map(|_| {
-                if random.next().is_multiple_of(16) {
+                if random.bits().is_multiple_of(16) {
                     0
                 } else {
-                    random.next() as u8
+                    random.bits() as u8
                 }
             })
             .collect();

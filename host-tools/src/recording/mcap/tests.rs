@@ -89,7 +89,7 @@ fn a_changed_bit_costs_its_chunk_and_never_the_program() {
         let mut damaged = bytes.clone();
         for _ in 0..3 {
             let place = random.below(damaged.len());
-            damaged[place] = random.next() as u8;
+            damaged[place] = random.bits() as u8;
         }
         // An error or what is left; nothing else.
         let _ = numbers(&damaged);
