@@ -1,4 +1,4 @@
-//! The commands of the program: options, order of work, messages and exit codes.
+//! The commands of the program: options, calls, printed results and exit codes.
 //!
 //! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
 

@@ -37,7 +37,7 @@ use gate::Gate;
 use hub::{Hub, Level, Topic};
 use jobs::PreparedDrawing;
 use messages::Injection;
-use preparation::{PreparationView, Wishes};
+use preparation::{PageOptions, PreparationView};
 use serde::Serialize;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -81,7 +81,7 @@ struct Source {
 #[derive(Clone)]
 struct Preparation {
     source: Arc<Source>,
-    wishes: Wishes,
+    wishes: PageOptions,
 }
 
 /// The drawing being prepared.
@@ -273,14 +273,14 @@ impl Console {
     }
 
     /// Prepares a file, replacing any other.
-    fn prepare(self: &Arc<Self>, name: &str, wishes: Wishes, content: Vec<u8>) -> Result<(), String> {
+    fn prepare(self: &Arc<Self>, name: &str, wishes: PageOptions, content: Vec<u8>) -> Result<(), String> {
         let name = preparation::shown_name(name);
         let source = Arc::new(Source { name, content });
         self.want(Preparation { source, wishes })
     }
 
     /// Prepares the present file with other options.
-    fn replan(self: &Arc<Self>, wishes: Wishes) -> Result<(), String> {
+    fn replan(self: &Arc<Self>, wishes: PageOptions) -> Result<(), String> {
         let wanted = lock(&self.preview).wanted.clone();
         let Some(Preparation { source, .. }) = wanted else {
             return Err("there is no file to plan; drop one".to_owned());

@@ -41,12 +41,12 @@ pub struct PreparationView {
     /// Duration computed by the planner, s.
     pub planned_s: f64,
     /// Options requested.
-    pub wishes: Wishes,
+    pub wishes: PageOptions,
 }
 
 impl PreparationView {
     /// A preparation in progress.
-    pub fn working(number: u64, name: &str, wishes: &Wishes) -> Self {
+    pub fn working(number: u64, name: &str, wishes: &PageOptions) -> Self {
         Self {
             state: "working",
             number,
@@ -57,7 +57,7 @@ impl PreparationView {
     }
 
     /// Result of a preparation of a file.
-    pub fn of(result: &Result<PreparedDrawing, String>, number: u64, name: &str, wishes: &Wishes) -> Self {
+    pub fn of(result: &Result<PreparedDrawing, String>, number: u64, name: &str, wishes: &PageOptions) -> Self {
         let plain = Self::working(number, name, wishes);
         match result {
             Ok(drawing) => {
@@ -91,7 +91,7 @@ struct Options {
 /// Options of a drawing from the page; empty ones take their defaults.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Wishes {
+pub struct PageOptions {
     /// Style in which a photograph is drawn.
     pub style: String,
     /// Largest size on the sheet, with its unit.
@@ -100,7 +100,7 @@ pub struct Wishes {
     pub max_time: String,
 }
 
-impl Wishes {
+impl PageOptions {
     /// Parses the page's options, JSON; an empty text means defaults.
     ///
     /// # Errors
@@ -130,7 +130,7 @@ pub fn styles() -> Vec<String> {
     })
 }
 
-fn options(wishes: &Wishes) -> Result<SourceArguments, String> {
+fn options(wishes: &PageOptions) -> Result<SourceArguments, String> {
     let values = [&wishes.style, &wishes.size, &wishes.max_time];
     let mut options = SourceArguments::default();
     let mut words = Vec::new();
@@ -210,7 +210,7 @@ pub fn shown_name(name: &str) -> String {
 ///
 /// # Errors
 /// Why it cannot be drawn, as text for display.
-pub fn compose(config: &Config, name: &str, wishes: &Wishes, content: &[u8]) -> Result<PreparedDrawing, String> {
+pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]) -> Result<PreparedDrawing, String> {
     let name = shown_name(name);
     let options = options(wishes)?;
     let file = Dropped::write(&name, content).map_err(|cause| format!("{name} cannot be stored: {cause}"))?;
@@ -251,7 +251,7 @@ mod tests {
     fn a_dropped_list_of_coordinates_becomes_a_drawing_and_its_file_goes() {
         let file = crate::setup::workspace().join("samples/strokes.csv");
         let content = std::fs::read(file).unwrap();
-        let drawing = compose(&Config::default(), "strokes.csv", &Wishes::default(), &content).unwrap();
+        let drawing = compose(&Config::default(), "strokes.csv", &PageOptions::default(), &content).unwrap();
         assert!(drawing.strokes > 0 && drawing.planned_s > 0.0);
         let (down_mm, up_mm) = lengths_mm(&drawing.path);
         assert!(down_mm > 10.0 && up_mm > 0.0);
@@ -259,7 +259,13 @@ mod tests {
 
     #[test]
     fn what_is_no_picture_is_refused_by_the_name_it_was_dropped_with() {
-        let error = compose(&Config::default(), "holiday\n.png", &Wishes::default(), b"no picture").unwrap_err();
+        let error = compose(
+            &Config::default(),
+            "holiday\n.png",
+            &PageOptions::default(),
+            b"no picture",
+        )
+        .unwrap_err();
         assert!(
             error.contains("holiday.png") && !error.contains("etherpen-drop"),
             "{error}"
@@ -268,13 +274,13 @@ mod tests {
 
     #[test]
     fn wishes_are_read_as_on_the_command_line_and_errors_name_the_pages_fields() {
-        let wishes = |style: &str, size: &str, max_time: &str| Wishes {
+        let wishes = |style: &str, size: &str, max_time: &str| PageOptions {
             style: style.to_owned(),
             size: size.to_owned(),
             max_time: max_time.to_owned(),
         };
         assert!(options(&wishes("hatch", "90mm", "2m")).is_ok());
-        assert!(options(&Wishes::default()).is_ok());
+        assert!(options(&PageOptions::default()).is_ok());
         for (wrong, field) in [
             (wishes("", "ninety", ""), "size: "),
             (wishes("watercolour", "90mm", ""), "style: "),
@@ -284,14 +290,14 @@ mod tests {
             println!("{error}");
             assert!(error.starts_with(field) && !error.contains("--"), "{error}");
         }
-        assert!(Wishes::parse(r#"{"colour": "red"}"#).is_err() && Wishes::parse("{").is_err());
-        assert_eq!(Wishes::parse(""), Ok(Wishes::default()));
+        assert!(PageOptions::parse(r#"{"colour": "red"}"#).is_err() && PageOptions::parse("{").is_err());
+        assert_eq!(PageOptions::parse(""), Ok(PageOptions::default()));
     }
 
     #[test]
     fn a_drawing_that_leaves_the_sheet_is_refused_in_the_pages_words() {
         let rows = b"x_mm,y_mm,pen\n10,10,0\n9000,10,1\n";
-        let error = compose(&Config::default(), "wide.csv", &Wishes::default(), rows).unwrap_err();
+        let error = compose(&Config::default(), "wide.csv", &PageOptions::default(), rows).unwrap_err();
         assert!(error.contains("wide.csv") && !error.contains("--"), "{error}");
     }
 }

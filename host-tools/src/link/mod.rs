@@ -1,6 +1,6 @@
-//! The host's end of the link: session, drawing job, ports and texts.
+//! The host's end of the link: session, ports and texts.
 //!
-//! [`Session`](session::Session) and [`Job`](job::Job) are state machines without clock, input or output. The
+//! [`Session`](session::Session) and [`Job`](crate::job::Job) are state machines without clock, input or output. The
 //! emulator's lockstep loop and a real [`port`] drive this code, and a run in virtual time repeats exactly.
 
 pub mod measurement;

@@ -27,7 +27,7 @@ const INK_BY_TORQUE_MAX_MM: f64 = 1.5;
 
 #[derive(Parser)]
 #[command(no_binary_name = true)]
-struct Words {
+struct CommandLine {
     #[command(flatten)]
     source: SourceArguments,
 }
@@ -77,7 +77,7 @@ fn check(style: &str, mode: AxisMode) {
         (axis.mode, axis.feedback_gain_per_s) = (mode, TORQUE_FEEDBACK_GAIN_PER_S);
     }
     let photograph = crate::setup::workspace().join("samples/astronaut.png");
-    let options = Words::parse_from(["--style", style, "--size", "70mm", "--max-time", "25s"]).source;
+    let options = CommandLine::parse_from(["--style", style, "--size", "70mm", "--max-time", "25s"]).source;
     let prepared = prepare_with(&photograph, &config, &options).expect("a photograph");
     let mut planned: Vec<Planned> = Vec::new();
     let run = plan(&config, &prepared.path, |sample, _| planned.push(*sample)).expect("it can be planned");

@@ -13,13 +13,13 @@ const SHARE_CHANGE: [f64; 2] = [0.5, 2.0];
 
 #[derive(Parser)]
 #[command(no_binary_name = true)]
-struct Words {
+struct CommandLine {
     #[command(flatten)]
     source: SourceArguments,
 }
 
 fn options(words: &[&str]) -> SourceArguments {
-    Words::parse_from(words).source
+    CommandLine::parse_from(words).source
 }
 
 fn drawn(file: &str, words: &[&str]) -> Result<(Drawing, f64), String> {
