@@ -4,10 +4,11 @@
 
 use etherpen::config::{AxisMode, Config};
 use host_tools::cell::SlaveKind;
-use host_tools::commands::prepare::prepare;
-use host_tools::commands::run::{conclude, task};
+use host_tools::drawing::preparation::prepare::prepare;
 use host_tools::report::Report;
+use host_tools::report::output::conclude;
 use host_tools::run;
+use host_tools::run::task;
 use std::path::Path;
 
 /// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's default bandwidth.

@@ -6,7 +6,7 @@ mod golden;
 use broken::{BadLine, assert_same_ink};
 use host_tools::cell::Cell;
 use host_tools::emulator::{Emulator, Options};
-use host_tools::run::{Drawn, Task, emulate};
+use host_tools::run::{Drawn, RunTask, emulate};
 use host_tools::setup;
 use std::hint::black_box;
 use std::path::Path;
@@ -18,12 +18,12 @@ use std::time::Duration;
 /// Threads that take the machine's processors away from the emulator and its peer.
 const BUSY_THREADS: usize = 2;
 
-fn draw(task: &Task, image: &Path) -> Drawn {
+fn draw(task: &RunTask, image: &Path) -> Drawn {
     emulate(task, image, None, &mut |_| {}, |_| {}).expect("the emulator runs")
 }
 
 /// Draws over a line that spoils bytes and is unplugged; asserts that the ink is that of the undisturbed drawing.
-fn assert_same_over_a_bad_line(task: &Task, image: &Path, undisturbed: &Drawn) {
+fn assert_same_over_a_bad_line(task: &RunTask, image: &Path, undisturbed: &Drawn) {
     let cell = Arc::new(Mutex::new(Cell::new(&task.config, task.cell.clone())));
     let line = Arc::new(Mutex::new(BadLine::new(task, 0x5eed)));
     let emulator = Emulator::start(image, &Options::default(), cell.clone(), line.clone(), |_| {});
@@ -40,7 +40,7 @@ fn assert_same_over_a_bad_line(task: &Task, image: &Path, undisturbed: &Drawn) {
     );
 }
 
-fn draw_on_a_busy_machine(task: &Task, image: &Path) -> Drawn {
+fn draw_on_a_busy_machine(task: &RunTask, image: &Path) -> Drawn {
     let over = AtomicBool::new(false);
     thread::scope(|scope| {
         for _ in 0..BUSY_THREADS {

@@ -4,10 +4,10 @@
 
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
-use host_tools::commands::prepare::prepare;
-use host_tools::commands::run::task;
-use host_tools::link::error::JobError;
-use host_tools::run::{Drawn, Task, simulate};
+use host_tools::drawing::preparation::prepare::prepare;
+use host_tools::job::error::JobError;
+use host_tools::run::task;
+use host_tools::run::{Drawn, RunTask, simulate};
 use std::path::Path;
 
 /// Ink that may be missing of a drawing that counts as finished, mm.
@@ -19,7 +19,7 @@ const INK_REACH_MM: f64 = 0.5;
 const STEP_MM: f64 = 0.1;
 
 /// Intended length without ink near it, mm: every place against every point of ink.
-fn ink_missing_mm(task: &Task, path: &[Vertex], drawn: &Drawn) -> f64 {
+fn ink_missing_mm(task: &RunTask, path: &[Vertex], drawn: &Drawn) -> f64 {
     let paper = &task.config.paper;
     let mut missing_mm = 0.0;
     for pair in path.windows(2).filter(|pair| pair[1].pen == Pen::Down) {

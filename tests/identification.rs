@@ -4,11 +4,12 @@
 
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
-use host_tools::commands::prepare::prepare;
-use host_tools::commands::run::{conclude, task};
+use host_tools::drawing::preparation::prepare::prepare;
 use host_tools::identification::{apply, identify, test_config, test_path};
 use host_tools::report::Report;
-use host_tools::run::{self, Task};
+use host_tools::report::output::conclude;
+use host_tools::run::task;
+use host_tools::run::{self, RunTask};
 use std::path::Path;
 
 /// How far a lead may be from the cell's, ms.
@@ -27,7 +28,7 @@ fn true_lead_ms(cell: &CellOptions, measurement_age_ms: f64) -> f64 {
 
 fn identified(config: &Config, cell: &CellOptions) -> Config {
     let test = test_config(config);
-    let task = Task {
+    let task = RunTask {
         path: test_path(&test),
         config: test,
         cell: cell.clone(),

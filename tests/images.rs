@@ -3,7 +3,7 @@
 //! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` writes the list of the functions that lie in ITCM anew.
 
 use etherpen as _;
-use host_tools::image::{CallGraph, Function, Image, StackBound, section_pattern};
+use host_tools::firmware_image::{CallGraph, Function, Image, StackBound, section_pattern};
 use host_tools::setup;
 use std::collections::BTreeSet;
 use std::ops::Range;

@@ -2,9 +2,10 @@
 
 use etherpen::config::Config;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
-use host_tools::commands::prepare::{prepare, to_wire};
+use host_tools::drawing::preparation::prepare::prepare;
+use host_tools::drawing::preparation::wire::to_wire;
 use host_tools::emulator::{Emulator, EmulatorError, LINK_BYTES_MAX, Link, LogLine, Options, Segment};
-use host_tools::link::job::{Job, JobOptions};
+use host_tools::job::{Job, JobOptions};
 use host_tools::setup;
 use std::sync::{Arc, Mutex};
 

@@ -10,8 +10,8 @@
 
 use etherpen::config::Config;
 use host_tools::emulator::LINK_BYTES_MAX;
-use host_tools::image::Image;
-use host_tools::link::job::{Job, JobOptions};
+use host_tools::firmware_image::Image;
+use host_tools::job::{Job, JobOptions};
 use std::fmt::Write;
 use std::path::Path;
 

@@ -1,4 +1,21 @@
 //! The etherpen program's parts: drawing tools, virtual cell, emulator and reports.
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only; the test of [`layers`] reads this list and the sources.
+//!
+//! 1. `error`, `hash`, `random`, `terminal`, `plot_scale`, `layers`: what every module may use
+//! 2. `output_file`, `setup`, `probe`, `transport`, `firmware_image`, `matching`, `planning`, `identification`: files,
+//!    programs, networks and computations
+//! 3. `drawing`, `link`, `cell`, `emulator`, `master`: strokes of a file; the host's end of the link to the firmware; the
+//!    virtual cell; firmware in the emulator; an EtherCAT master in this process
+//! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `simulation`: from a file to an admitted path;
+//!    recordings of telemetry; configuration files; the cell with a capture of its bus; firmware in virtual time
+//! 5. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
+//! 6. `machine`, `run`, `report`: one machine with several users; one drawing against the virtual cell; its figures
+//! 7. `report::output`, `console`: the files of a drawing; the console in the browser
+//! 8. `bench`: measurements of the project and of its peers
+//! 9. `commands`: options, calls and printed results of the program's commands
 #![forbid(unsafe_code)]
 
 pub mod bench;
@@ -8,20 +25,26 @@ pub mod commands;
 pub mod console;
 pub mod drawing;
 pub mod emulator;
-pub mod history;
+pub mod error;
+pub mod firmware_image;
+pub mod hash;
 pub mod identification;
-pub mod image;
+pub mod job;
+pub mod layers;
 pub mod link;
 pub mod machine;
 pub mod master;
 pub mod matching;
 pub mod output_file;
 pub mod planning;
+pub mod plot_scale;
 pub mod probe;
+pub mod random;
 pub mod recording;
 pub mod report;
 pub mod run;
 pub mod settings;
 pub mod setup;
 pub mod simulation;
+pub mod terminal;
 pub mod transport;

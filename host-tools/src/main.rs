@@ -3,10 +3,12 @@
 
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
-    self, CommandError, bench, bus, configuration, confined, console, demo, doctor, draw, emulate, flash, identify,
-    kinematics, operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize,
-    verify,
+    bench, bus, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics, operate, order, plan,
+    preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
+use host_tools::drawing::preparation::confined;
+use host_tools::error::ProgramError;
+use host_tools::terminal::in_colour;
 use std::process::ExitCode;
 
 /// Shown under the help and in the manual page of every command.
@@ -130,8 +132,8 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(CommandError { code, message }) => {
-            eprintln!("{}: {message}", commands::in_colour("etherpen", "1;31"));
+        Err(ProgramError { code, message }) => {
+            eprintln!("{}: {message}", in_colour("etherpen", "1;31"));
             ExitCode::from(code)
         }
     }

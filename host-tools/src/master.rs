@@ -64,7 +64,7 @@ pub enum MasterError {
 }
 
 /// Report of the thread.
-enum Report {
+enum MasterReport {
     Event(BusEvent),
     Answer(Box<ServiceResult>),
     Lost(io::Error),
@@ -73,7 +73,7 @@ enum Report {
 /// A running master.
 pub struct Master {
     requests: Sender<ServiceRequest>,
-    reports: Receiver<Report>,
+    reports: Receiver<MasterReport>,
     events: Vec<BusEvent>,
     counters: Arc<Mutex<BusCounters>>,
     ended: Arc<AtomicBool>,
@@ -98,13 +98,13 @@ impl Master {
         let until = Instant::now() + wait;
         loop {
             match master.report(until, wait)? {
-                Report::Event(BusEvent::Operational) => return Ok(master),
-                Report::Event(BusEvent::Refused { position, step, error }) => {
+                MasterReport::Event(BusEvent::Operational) => return Ok(master),
+                MasterReport::Event(BusEvent::Refused { position, step, error }) => {
                     return Err(MasterError::Refused { position, step, error });
                 }
-                Report::Event(event) => master.events.push(event),
-                Report::Answer(_) => {}
-                Report::Lost(error) => return Err(MasterError::Transport(error)),
+                MasterReport::Event(event) => master.events.push(event),
+                MasterReport::Answer(_) => {}
+                MasterReport::Lost(error) => return Err(MasterError::Transport(error)),
             }
         }
     }
@@ -146,9 +146,9 @@ impl Master {
         let until = Instant::now() + wait;
         loop {
             match self.report(until, wait)? {
-                Report::Answer(result) => return Ok(*result),
-                Report::Event(event) => self.events.push(event),
-                Report::Lost(error) => return Err(MasterError::Transport(error)),
+                MasterReport::Answer(result) => return Ok(*result),
+                MasterReport::Event(event) => self.events.push(event),
+                MasterReport::Lost(error) => return Err(MasterError::Transport(error)),
             }
         }
     }
@@ -156,7 +156,7 @@ impl Master {
     /// Events of the supervisor since the last call.
     pub fn events(&mut self) -> Vec<BusEvent> {
         while let Ok(report) = self.reports.try_recv() {
-            if let Report::Event(event) = report {
+            if let MasterReport::Event(event) = report {
                 self.events.push(event);
             }
         }
@@ -168,7 +168,7 @@ impl Master {
         *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn report(&self, until: Instant, wait: Duration) -> Result<Report, MasterError> {
+    fn report(&self, until: Instant, wait: Duration) -> Result<MasterReport, MasterError> {
         let left = until.saturating_duration_since(Instant::now());
         self.reports.recv_timeout(left).map_err(|error| match error {
             RecvTimeoutError::Timeout => MasterError::Silent { waited: wait },
@@ -190,7 +190,7 @@ impl Drop for Master {
 /// The thread's side.
 struct Worker {
     transport: Box<dyn Transport>,
-    reporter: Sender<Report>,
+    reporter: Sender<MasterReport>,
     asked: Receiver<ServiceRequest>,
     ended: Arc<AtomicBool>,
     counters: Arc<Mutex<BusCounters>>,
@@ -213,7 +213,7 @@ impl Worker {
         let (mut polled_ms, mut released) = (0, begun);
         while !self.ended.load(Ordering::Relaxed) {
             if let Err(error) = self.cycle(&mut exchange, released + PERIOD) {
-                let _ = self.reporter.send(Report::Lost(error));
+                let _ = self.reporter.send(MasterReport::Lost(error));
                 return;
             }
             released = Instant::now();
@@ -224,10 +224,10 @@ impl Worker {
             polled_ms = now_ms;
             *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = exchange.counters();
             while let Some(event) = application.events.dequeue() {
-                let _ = self.reporter.send(Report::Event(event));
+                let _ = self.reporter.send(MasterReport::Event(event));
             }
             while let Some(answer) = application.answers.dequeue() {
-                let _ = self.reporter.send(Report::Answer(Box::new(answer)));
+                let _ = self.reporter.send(MasterReport::Answer(Box::new(answer)));
             }
             if application.services.ready()
                 && let Ok(request) = self.asked.try_recv()

@@ -13,7 +13,7 @@
 mod search;
 
 use etherpen::robot::Position;
-pub use search::{Limits, Progress, Search};
+pub use search::{Search, SearchLimits, SearchProgress};
 
 /// How far back along the line positions may go on after a break, mm: a pen that is set down again touches a little
 /// before the place where it was lifted.
@@ -99,7 +99,7 @@ fn within(place: &Position, a: &Position, b: &Position, reach_mm: f64) -> Option
 
 /// A polyline to be followed.
 #[derive(Clone, Debug, Default)]
-pub struct Line {
+pub struct Polyline {
     points: Vec<Position>,
     /// Distance of each point along the line, mm.
     along_mm: Vec<f64>,
@@ -125,7 +125,7 @@ pub struct Match {
     pub places_mm: Vec<f64>,
 }
 
-impl Line {
+impl Polyline {
     /// A line through these points.
     #[must_use]
     pub fn new(points: Vec<Position>) -> Self {

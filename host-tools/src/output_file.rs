@@ -7,6 +7,7 @@
 //!
 //! Devices, pipes, and paths of file descriptors (`/dev/stdout`) are written directly: they have no content to lose.
 
+use crate::error::{ProgramError, code};
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Write};
@@ -252,6 +253,64 @@ fn sync_folder(target: &Path) {
     let synced = File::open(folder_of(target)).and_then(|folder| folder.sync_all());
     // Some file systems cannot sync a folder; the file itself is on the disk.
     let _ = synced;
+}
+
+/// Refuses an output that is one of the files that the command reads, whatever names both have.
+///
+/// # Errors
+/// Both names, and what to try.
+pub fn refuse_input(output: &Path, inputs: &[PathBuf]) -> Result<(), ProgramError> {
+    match inputs.iter().find(|input| is_same_file(output, input)) {
+        None => Ok(()),
+        Some(input) => {
+            let (output, input) = (output.display(), input.display());
+            let text = format!("{output} is the input file {input}, which would be lost; choose another output");
+            Err(ProgramError::new(code::USAGE, text))
+        }
+    }
+}
+
+/// Writes a text to a file, or to standard output for `-`.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_text(path: &Path, text: &str) -> Result<(), ProgramError> {
+    write_bytes(path, text.as_bytes())
+}
+
+/// Writes bytes to a file, or to standard output for `-`.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), ProgramError> {
+    let written = OutputFile::create_or_stdout(path).and_then(|mut out| {
+        out.write_all(bytes)?;
+        out.commit()
+    });
+    written.map_err(|cause| unwritable(path, &cause))
+}
+
+/// An output that could not be written.
+pub fn unwritable(path: &Path, cause: &io::Error) -> ProgramError {
+    ProgramError::failed(format!("{} cannot be written", path.display()), cause)
+}
+
+/// Makes the output folder.
+///
+/// # Errors
+/// The folder cannot be made.
+pub fn make_folder(dir: &Path) -> Result<(), ProgramError> {
+    std::fs::create_dir_all(dir)
+        .map_err(|cause| ProgramError::failed(format!("the folder {} cannot be made", dir.display()), cause))
+}
+
+/// Begins a file of the output folder.
+///
+/// # Errors
+/// The file cannot be made.
+pub fn create(dir: &Path, name: &str) -> Result<OutputFile, ProgramError> {
+    let path = dir.join(name);
+    OutputFile::create(&path).map_err(|cause| unwritable(&path, &cause))
 }
 
 #[cfg(test)]

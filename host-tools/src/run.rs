@@ -5,9 +5,12 @@
 
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions};
+use crate::drawing::preparation::prepare::Prepared;
+use crate::drawing::preparation::wire::to_wire;
 use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, LogLine};
-use crate::link::error::JobError;
-use crate::link::job::{Job, JobOptions, JobReport};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
+use crate::job::{Job, JobOptions, JobReport};
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
@@ -28,7 +31,7 @@ pub type Sink = Box<dyn Write + Send>;
 
 /// A drawing and its cell.
 #[derive(Clone, Debug)]
-pub struct Task {
+pub struct RunTask {
     /// The configuration.
     pub config: Config,
     /// The path.
@@ -37,13 +40,23 @@ pub struct Task {
     pub cell: CellOptions,
 }
 
-impl Task {
+impl RunTask {
     fn job(&self) -> Job {
         Job::draw(self.config.clone(), self.path.clone(), JobOptions::default())
     }
 
     fn cell(&self, sink: Option<Sink>) -> io::Result<CapturedCell> {
         CapturedCell::new(Cell::new(&self.config, self.cell.clone()), sink)
+    }
+}
+
+/// A task for a prepared file in the default cell.
+pub fn task(config: &Config, prepared: &Prepared) -> RunTask {
+    let path = prepared.path.iter().map(to_wire).collect();
+    RunTask {
+        config: config.clone(),
+        path,
+        cell: CellOptions::default(),
     }
 }
 
@@ -94,6 +107,15 @@ impl std::fmt::Display for RunError {
 
 impl std::error::Error for RunError {}
 
+impl From<&RunError> for ProgramError {
+    fn from(error: &RunError) -> Self {
+        match error {
+            RunError::Emulator(error) => error.into(),
+            RunError::Capture(_) => Self::new(code::FAILED, error),
+        }
+    }
+}
+
 struct SimulatedHost<'a> {
     job: Job,
     look: &'a mut dyn FnMut(&mut Job),
@@ -116,7 +138,7 @@ impl Host for SimulatedHost<'_> {
 ///
 /// # Errors
 /// The capture cannot be written.
-pub fn simulate(task: &Task, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
+pub fn simulate(task: &RunTask, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
     let mut cell = task.cell(sink).map_err(RunError::Capture)?;
     let mut host = SimulatedHost { job: task.job(), look };
     let begun_s = processor_s();
@@ -153,7 +175,7 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 /// # Errors
 /// The emulator cannot be started or ended before the job did, or the capture cannot be written.
 pub fn emulate(
-    task: &Task,
+    task: &RunTask,
     image: &Path,
     sink: Option<Sink>,
     look: &mut dyn FnMut(&mut Job),

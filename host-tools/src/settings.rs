@@ -6,11 +6,17 @@
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
 //! all.
 
+use crate::error::{ProgramError, code};
+use etherpen::application::reference::resolver_angle_rad;
 use etherpen::config::{Config, ConfigError};
+use etherpen::robot::AXES;
 use std::io;
 use std::path::Path;
 use toml_edit::{DocumentMut, Item, TomlError, Value};
 
+/// Largest difference between the angles of a reference at stored marks and the stored angles, rad; an increment of a
+/// resolver is less.
+const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
 /// All values with their defaults and comments.
 const SAMPLE: &str = include_str!("../../samples/etherpen.toml");
 
@@ -157,6 +163,39 @@ impl Settings {
         self.config()?;
         crate::output_file::write(path, self.document.to_string().as_bytes()).map_err(SettingsError::File)
     }
+}
+
+/// Stores a pose as the marks in a configuration file, and reads it back; gives the number of changed values.
+///
+/// # Errors
+/// The file cannot be changed, or has other values after it was changed.
+pub fn store_reference(
+    path: &Path,
+    marked: &Config,
+    increments: [u32; AXES],
+    pose_rad: [f64; AXES],
+) -> Result<usize, ProgramError> {
+    let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
+    let mut settings = Settings::open(path).map_err(failed)?;
+    let changed = settings.store_axes(marked).map_err(failed)?;
+    settings.save(path).map_err(failed)?;
+    let stored = Settings::open(path)
+        .and_then(|settings| settings.config())
+        .map_err(failed)?;
+    let shown = stored.axes.iter().zip(increments).zip(pose_rad);
+    for (number, ((axis, increments), angle_rad)) in (1..).zip(shown) {
+        let again_rad = resolver_angle_rad(axis, i64::from(increments), None);
+        let difference_rad = (again_rad - angle_rad).abs();
+        if difference_rad.is_nan() || difference_rad > STORED_DIFFERENCE_MAX_RAD {
+            let message = format!(
+                "{}: axis {number} would be at {again_rad} rad after a reference at the stored marks, and is at \
+                 {angle_rad} rad; look whether another program writes the file",
+                path.display()
+            );
+            return Err(ProgramError::new(code::FAILED, message));
+        }
+    }
+    Ok(changed)
 }
 
 #[cfg(test)]

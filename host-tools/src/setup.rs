@@ -2,6 +2,7 @@
 //!
 //! A new user runs one command; missing parts are installed, or the exact command to install them is shown.
 
+use crate::error::{ProgramError, code};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -28,6 +29,12 @@ impl std::fmt::Display for SetupError {
 }
 
 impl std::error::Error for SetupError {}
+
+impl From<SetupError> for ProgramError {
+    fn from(error: SetupError) -> Self {
+        Self::new(code::TOOL, error)
+    }
+}
 
 fn error<T>(message: impl Into<String>) -> Result<T, SetupError> {
     Err(SetupError {

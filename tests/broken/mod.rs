@@ -10,9 +10,10 @@ use etherpen::link::protocol::{Command, Sample};
 use etherpen::motion::Pen;
 use host_tools::cell::InkStroke;
 use host_tools::emulator::{LINK_BYTES_MAX, Link};
-use host_tools::link::error::{JobError, Phase};
-use host_tools::link::job::{Drawing, Job, JobEvent, JobOptions, Task as JobTask};
-use host_tools::run::Task;
+use host_tools::job::error::{JobError, Phase};
+use host_tools::job::{DrawTask, Job, JobEvent, JobOptions, Task as JobTask};
+use host_tools::random::Xorshift;
+use host_tools::run::RunTask;
 use host_tools::simulation::Host;
 use std::collections::{BTreeSet, VecDeque};
 
@@ -28,7 +29,7 @@ const SAME_MM: f64 = 0.03;
 
 /// One direction.
 struct Direction {
-    state: u64,
+    random: Xorshift,
     kept: Option<u8>,
     queue: VecDeque<u8>,
 }
@@ -36,26 +37,23 @@ struct Direction {
 impl Direction {
     fn new(seed: u64) -> Self {
         Self {
-            state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            random: Xorshift::new(seed),
             kept: None,
             queue: VecDeque::new(),
         }
     }
 
-    fn random(&mut self) -> u64 {
-        self.state ^= self.state << 13;
-        self.state ^= self.state >> 7;
-        self.state ^= self.state << 17;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 11
-    }
-
     /// Carries bytes; those that are doubled wait for room.
     fn carry(&mut self, bytes: &[u8], spoils: bool, room: usize) -> Vec<u8> {
         for byte in bytes {
-            let number = if spoils { self.random() % 1_000_000 } else { u64::MAX };
+            let number = if spoils {
+                self.random.scrambled() % 1_000_000
+            } else {
+                u64::MAX
+            };
             let other = |kind: u64| DAMAGED + kind * OTHERWISE_SPOILT;
             if number < DAMAGED {
-                let bit = self.random() % 8;
+                let bit = self.random.scrambled() % 8;
                 self.queue.push_back(byte ^ (1 << bit));
             } else if number < other(1) {
                 continue;
@@ -85,7 +83,7 @@ fn options(session: u32) -> JobOptions {
 /// A person with a program at the end of a bad line.
 pub(crate) struct BadLine {
     config: Config,
-    drawing: Drawing,
+    drawing: DrawTask,
     job: Job,
     session: u32,
     job_begun_ms: u64,
@@ -105,9 +103,9 @@ pub(crate) struct BadLine {
 }
 
 impl BadLine {
-    pub(crate) fn new(task: &Task, seed: u64) -> Self {
+    pub(crate) fn new(task: &RunTask, seed: u64) -> Self {
         println!("seed {seed:#x}");
-        let drawing = Drawing::new(task.path.clone());
+        let drawing = DrawTask::new(task.path.clone());
         let job = Job::new(task.config.clone(), JobTask::Draw(drawing.clone()), options(1));
         Self {
             config: task.config.clone(),
@@ -192,7 +190,7 @@ impl BadLine {
         self.plugged_in_ms = None;
         self.session += 1;
         self.job_begun_ms = ms;
-        let held = Drawing {
+        let held = DrawTask {
             held: true,
             ..self.drawing.clone()
         };

@@ -9,10 +9,11 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::Sample;
 use etherpen::robot::AXES;
-use host_tools::commands::prepare::{Prepared, prepare};
-use host_tools::commands::run::{conclude, task};
+use host_tools::drawing::preparation::prepare::{Prepared, prepare};
+use host_tools::report::output::conclude;
 use host_tools::report::{Report, rows};
-use host_tools::run::{Drawn, Task};
+use host_tools::run::task;
+use host_tools::run::{Drawn, RunTask};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -28,7 +29,7 @@ const GOLDEN: &str = "tests/golden/strokes.csv";
 const RENEW: &str = "ETHERPEN_RENEW_GOLDEN";
 
 /// The short drawing, ready to be drawn.
-pub(crate) fn strokes() -> (Prepared, Task) {
+pub(crate) fn strokes() -> (Prepared, RunTask) {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("samples/strokes.csv");
     let config = Config::default();
     let prepared = prepare(&file, &config).expect("the sample can be drawn");
@@ -37,7 +38,7 @@ pub(crate) fn strokes() -> (Prepared, Task) {
 }
 
 /// Asserts that a run drew everything, in time and without a loss; gives its report.
-pub(crate) fn assert_clean(prepared: &Prepared, task: &Task, drawn: &Drawn) -> Report {
+pub(crate) fn assert_clean(prepared: &Prepared, task: &RunTask, drawn: &Drawn) -> Report {
     let report = conclude(task, prepared, drawn, String::new(), None).expect("the drawing was drawn");
     let counted = [
         report.cycles_late,
@@ -67,7 +68,7 @@ pub(crate) fn assert_clean(prepared: &Prepared, task: &Task, drawn: &Drawn) -> R
 }
 
 /// Compares a run with the golden file, or writes the file when that is asked for.
-pub(crate) fn compare(task: &Task, drawn: &Drawn, report: &Report) {
+pub(crate) fn compare(task: &RunTask, drawn: &Drawn, report: &Report) {
     let table = table(task, drawn, report);
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(GOLDEN);
     if std::env::var_os(RENEW).is_some() {
@@ -94,7 +95,7 @@ fn is_close(golden: &str, now: &str) -> bool {
     }
 }
 
-fn table(task: &Task, drawn: &Drawn, report: &Report) -> String {
+fn table(task: &RunTask, drawn: &Drawn, report: &Report) -> String {
     let ink = drawn.cell.ink();
     let ink_mm: f64 = ink
         .iter()

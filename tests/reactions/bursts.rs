@@ -10,6 +10,7 @@ use etherpen::ethercat::service::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::link::protocol::Command;
 use host_tools::cell::{AlState, Fault, MailFault, MailStep, Product, ResolverFault, SiiFault};
+use host_tools::random::XorshiftStar;
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -24,20 +25,17 @@ const QUIET_MS: u32 = 1_600;
 /// Acknowledgements that a whole world may need; each fault that waits for the next request of its kind may cost one more.
 const ACKNOWLEDGEMENTS_MAX: u32 = 2;
 
-/// xorshift64*.
-pub(crate) struct Random(u64);
+/// Choices by chance.
+pub(crate) struct Random(XorshiftStar);
 
 impl Random {
     pub(crate) fn new(seed: u64) -> Self {
-        Self((seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+        Self(XorshiftStar::new((seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15)))
     }
 
     /// A number below a bound.
     pub(crate) fn below(&mut self, bound: u64) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % bound
+        self.0.below(bound)
     }
 
     pub(crate) fn one_of<T: Copy>(&mut self, values: &[T]) -> T {

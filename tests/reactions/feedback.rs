@@ -10,6 +10,7 @@ use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::Command;
 use etherpen::robot::{ARMS, Position};
 use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
+use host_tools::random::Random;
 
 /// Where a motion begins, mm.
 const POSES_MM: [[f64; 3]; 4] = [
@@ -112,16 +113,9 @@ pub(crate) struct Outcome {
     pub(crate) way_mm: f64,
 }
 
-pub(crate) fn splitmix(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    mixed ^ (mixed >> 31)
-}
-
 pub(crate) fn case(kind: Option<Kind>, speed_mm_s: f64, seed: u64) -> Case {
-    let mut state = seed ^ (speed_mm_s.to_bits() << 1);
-    let mut pick = |count: usize| (splitmix(&mut state) % count as u64) as usize;
+    let mut random = Random::new(seed ^ (speed_mm_s.to_bits() << 1));
+    let mut pick = |count: usize| (random.bits() % count as u64) as usize;
     let start_mm = POSES_MM[pick(POSES_MM.len())];
     let axis = pick(ARMS);
     let moving = pick(2) == 1;

@@ -3,7 +3,7 @@
 //! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is the
 //! first seed instead of 0. A seed lasts ten minutes of robot time.
 
-use crate::feedback::{splitmix, with};
+use crate::feedback::with;
 use crate::robot::{Robot, Used};
 use etherpen::application::Mode;
 use etherpen::config::AxisMode;
@@ -12,6 +12,7 @@ use etherpen::link::protocol::{Command, PathVertex};
 use etherpen::motion::Pen;
 use etherpen::robot::Position;
 use host_tools::cell::CellOptions;
+use host_tools::random::Random;
 
 /// Length without the variable, hours.
 const HOURS: f64 = 1.0 / 60.0;
@@ -29,15 +30,15 @@ const PAPER_MM: f64 = 80.0;
 const JOG_MAX_MM_S: f64 = 140.0;
 
 /// Numbers by chance.
-struct Chance(u64);
+struct Chance(Random);
 
 impl Chance {
     fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (splitmix(&mut self.0) >> 11) as f64 / (1_u64 << 53) as f64
+        low + (high - low) * self.0.unit()
     }
 
     fn one_of(&mut self, count: u64) -> u64 {
-        splitmix(&mut self.0) % count
+        self.0.bits() % count
     }
 }
 
@@ -125,7 +126,10 @@ fn soak(mode: AxisMode) {
             seed,
             ..CellOptions::default()
         };
-        let (mut robot, mut chance) = (Robot::of(&with(mode, 1_000.0), options).enabled(), Chance(seed));
+        let (mut robot, mut chance) = (
+            Robot::of(&with(mode, 1_000.0), options).enabled(),
+            Chance(Random::new(seed)),
+        );
         let mut slice_ms = SLICE_MS.min(left_ms);
         left_ms -= slice_ms;
         while slice_ms > 0 {

@@ -3,7 +3,7 @@
 //! The console is a separate process in front of a simulated robot. This process relays all bytes between the two and
 //! records the time at which the stop's telegram passes. The loads are threads of this process.
 
-use super::{BenchError, Report, Row, Selection};
+use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::cell::CellOptions;
 use crate::console::virtual_cell::{Firmware, VirtualCell};
 use crate::link::port::PortName;
@@ -77,7 +77,12 @@ fn failed(cause: impl std::fmt::Display) -> BenchError {
 ///
 /// # Errors
 /// The console does not start, or a stop does not come through within a minute.
-pub fn run(selection: &Selection, program: &Path, stops: usize, progress: impl Fn(&str)) -> Result<Report, BenchError> {
+pub fn run(
+    selection: &Selection,
+    program: &Path,
+    stops: usize,
+    progress: impl Fn(&str),
+) -> Result<BenchReport, BenchError> {
     let mut bench = Bench::start(program).map_err(failed)?;
     thread::sleep(TELEMETRY);
     let mut rows = Vec::new();
@@ -91,7 +96,7 @@ pub fn run(selection: &Selection, program: &Path, stops: usize, progress: impl F
         let units = [("ms", DELAY_MAX_MS), ("ms", DELAY_MAX_MS), ("MiB", MEMORY_MAX_MIB)];
         for ((case, value), (unit, target)) in cases.into_iter().zip(figures).zip(units) {
             if selection.wants(&case, "etherpen") {
-                rows.push(Row {
+                rows.push(BenchRow {
                     case,
                     subject: "etherpen",
                     value,
@@ -101,7 +106,7 @@ pub fn run(selection: &Selection, program: &Path, stops: usize, progress: impl F
             }
         }
     }
-    Ok(Report { bench: "console", rows })
+    Ok(BenchReport { bench: "console", rows })
 }
 
 /// A console, its simulated robot, and an operator.

@@ -5,13 +5,13 @@
 //! the computer; the target is a share of vpype's time on it. Drawing times come from the firmware's planner at its
 //! default limits; vpype converts curves into its own lines.
 
-use super::{BenchError, Report, Row, Selection};
-use crate::commands::prepare::planned_s;
-use crate::commands::quickest::travelling;
+use super::{BenchError, BenchReport, BenchRow, Selection};
+use crate::drawing::preparation::choose_order::travelling;
 use crate::drawing::{
     Drawing, Input, OrderOptions, Stroke, Travel, VectorizeOptions, edge_coverage, load, order, order_with_effort,
     render_rgb, tone_correlation, vectorize_image,
 };
+use crate::planning::planned_s;
 use crate::setup;
 use etherpen::config::Config;
 use image::{RgbImage, imageops};
@@ -79,7 +79,7 @@ fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
 ///
 /// # Errors
 /// A sample cannot be read, or vpype cannot be set up or fails.
-pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, BenchError> {
+pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<BenchReport, BenchError> {
     let mut rows = Vec::new();
     let wants = |file: &str, names: &[&str], subject: &str| {
         names
@@ -110,8 +110,8 @@ pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<Report, Ben
         vectors(file, peers.get(k), &mut rows)?;
     }
     mean_ratio(&mut rows);
-    rows.retain(|row: &Row| selection.wants(&row.case, row.subject));
-    Ok(Report { bench: "drawing", rows })
+    rows.retain(|row: &BenchRow| selection.wants(&row.case, row.subject));
+    Ok(BenchReport { bench: "drawing", rows })
 }
 
 fn sample(file: &str) -> PathBuf {
@@ -123,7 +123,7 @@ fn sample(file: &str) -> PathBuf {
     }
 }
 
-fn photograph(file: &str, rows: &mut Vec<Row>) -> Result<(), BenchError> {
+fn photograph(file: &str, rows: &mut Vec<BenchRow>) -> Result<(), BenchError> {
     let Input::Photograph(picture) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
         return Err(failed(file, "this is no photograph"));
     };
@@ -153,7 +153,7 @@ fn photograph(file: &str, rows: &mut Vec<Row>) -> Result<(), BenchError> {
         ),
         ("edges", edge_coverage(&picture, &rendered), "share", None),
     ];
-    rows.extend(figures.map(|(name, value, unit, target)| Row {
+    rows.extend(figures.map(|(name, value, unit, target)| BenchRow {
         case: format!("{name}/{file}"),
         subject: "etherpen",
         value,
@@ -175,7 +175,7 @@ fn rendered(
     Ok(imageops::crop_imm(&whole, left, top, width, height).to_image())
 }
 
-fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<Row>) -> Result<(), BenchError> {
+fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<BenchRow>) -> Result<(), BenchError> {
     let Input::Artwork(artwork) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
         return Err(failed(file, "this is no vector file"));
     };
@@ -206,7 +206,7 @@ fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<Row>) -> Result<(), B
         .map_or(long, |peer| peer.pen_up_mm.min(long))
         .min(report.pen_up_mm_after);
     let mut row = |name: &str, subject, value, unit, target| {
-        rows.push(Row {
+        rows.push(BenchRow {
             case: format!("{name}/{file}"),
             subject,
             value,
@@ -254,9 +254,9 @@ fn drawing_times(given: &Drawing, ordered: &Drawing, peer: Option<&Peer>) -> Vec
 }
 
 /// The mean ratio of travel length to the best known length, over all vector files.
-fn mean_ratio(rows: &mut Vec<Row>) {
+fn mean_ratio(rows: &mut Vec<BenchRow>) {
     for subject in ["etherpen", "vpype"] {
-        let ratio = |row: &Row| {
+        let ratio = |row: &BenchRow| {
             let best = rows
                 .iter()
                 .find(|best| best.case == row.case && best.subject == "best known")?;
@@ -264,7 +264,7 @@ fn mean_ratio(rows: &mut Vec<Row>) {
         };
         let ratios: Vec<f64> = rows.iter().filter_map(ratio).collect();
         if !ratios.is_empty() {
-            rows.push(Row {
+            rows.push(BenchRow {
                 case: "pen_up_ratio".to_owned(),
                 subject,
                 value: ratios.iter().sum::<f64>() / ratios.len() as f64,

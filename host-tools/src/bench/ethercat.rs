@@ -2,7 +2,7 @@
 //! ethercrab.
 
 use super::programs::{self, Machine};
-use super::{BenchError, Report, Row, Selection, bring_up};
+use super::{BenchError, BenchReport, BenchRow, Selection, bring_up};
 
 const SUBJECTS: [&str; 2] = ["etherpen", "ethercrab"];
 /// Cyclic exchanges of four drives, by their names in the crate `benchmarks`.
@@ -89,7 +89,7 @@ fn rows() -> Vec<Wanted> {
 ///
 /// # Errors
 /// The first failure.
-pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Report, BenchError> {
+pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<BenchReport, BenchError> {
     let mut wanted = rows();
     wanted.retain(|row| selection.wants(&row.case, row.subject));
     build(&wanted, &mut progress)?;
@@ -126,7 +126,7 @@ pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Repo
             Measure::BringUp => bring_up::ethercrab()?,
         };
         let value = value as f64;
-        rows.push(Row {
+        rows.push(BenchRow {
             case,
             subject,
             value,
@@ -134,7 +134,7 @@ pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Repo
             target,
         });
     }
-    Ok(Report {
+    Ok(BenchReport {
         bench: "ethercat",
         rows,
     })

@@ -13,7 +13,9 @@ pub mod latency;
 pub mod motion;
 mod programs;
 pub mod recording;
+pub mod table;
 
+use crate::error::{ProgramError, code};
 use crate::setup::SetupError;
 use serde::Serialize;
 
@@ -22,7 +24,7 @@ const MORE_IS_BETTER: [&str; 2] = ["correlation", "share"];
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct BenchRow {
     /// The measured case and its platform: `cyclic/lrw@host`.
     pub case: String,
     /// `etherpen`, or the peer.
@@ -31,11 +33,11 @@ pub struct Row {
     pub value: f64,
     /// Its unit.
     pub unit: &'static str,
-    /// Upper limit, if there is one; lower limit where larger is better ([`Row::is_more_better`]).
+    /// Upper limit, if there is one; lower limit where larger is better ([`BenchRow::is_more_better`]).
     pub target: Option<f64>,
 }
 
-impl Row {
+impl BenchRow {
     /// Whether the figure is within its target; `None` without a target.
     #[must_use]
     pub fn met(&self) -> Option<bool> {
@@ -58,11 +60,11 @@ impl Row {
 
 /// The figures of one benchmark.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct BenchReport {
     /// Name of the benchmark.
     pub bench: &'static str,
     /// Its figures.
-    pub rows: Vec<Row>,
+    pub rows: Vec<BenchRow>,
 }
 
 /// Selection of a benchmark's cases.
@@ -114,6 +116,15 @@ impl std::fmt::Display for BenchError {
 }
 
 impl std::error::Error for BenchError {}
+
+impl From<BenchError> for ProgramError {
+    fn from(error: BenchError) -> Self {
+        match error {
+            BenchError::Setup(error) => error.into(),
+            BenchError::Program { .. } => Self::new(code::FAILED, error),
+        }
+    }
+}
 
 impl From<SetupError> for BenchError {
     fn from(error: SetupError) -> Self {

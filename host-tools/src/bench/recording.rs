@@ -3,7 +3,7 @@
 //! One thread records, another reads the output from a pipe, so a day of data needs no disk. Every sample is checked.
 //! Memory is this process's resident size at the end, compared with that after the first minute.
 
-use super::{BenchError, Report, Row};
+use super::{BenchError, BenchReport, BenchRow};
 use crate::recording::statistics::statistics;
 use crate::recording::{About, Playback, Recorder};
 use etherpen::application::Mode;
@@ -23,7 +23,7 @@ const GROWTH_MAX_MB_PER_HOUR: f64 = 1.0;
 ///
 /// # Errors
 /// The pipe, the recorder or the reader failed.
-pub fn run(hours: f64) -> Result<Report, BenchError> {
+pub fn run(hours: f64) -> Result<BenchReport, BenchError> {
     let samples = (hours * 3_600_000.0) as u32;
     let failed = |cause: io::Error| BenchError::Program {
         program: "the recorder".into(),
@@ -36,7 +36,7 @@ pub fn run(hours: f64) -> Result<Report, BenchError> {
     let recorded = recording.join().unwrap_or_else(|_| Err(io::ErrorKind::Other.into()));
     let (bytes, warm_mb) = recorded.map_err(failed)?;
     let growth_mb = memory_mb() - warm_mb;
-    let row = |case: &str, value: f64, unit: &'static str, target: Option<f64>| Row {
+    let row = |case: &str, value: f64, unit: &'static str, target: Option<f64>| BenchRow {
         case: case.into(),
         subject: "etherpen",
         value,
@@ -44,7 +44,7 @@ pub fn run(hours: f64) -> Result<Report, BenchError> {
         target,
     };
     let lost = f64::from(samples) - figures.samples as f64;
-    Ok(Report {
+    Ok(BenchReport {
         bench: "recording",
         rows: vec![
             row("samples", f64::from(samples), "samples", None),

@@ -6,7 +6,8 @@
 //! codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
 
 use super::abort::Abort;
-use super::dictionary::{Dictionary, Objects};
+use super::dictionary::Dictionary;
+use super::objects::Objects;
 use super::sdo_information;
 use std::collections::VecDeque;
 

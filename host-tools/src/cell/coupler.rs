@@ -2,6 +2,7 @@
 
 use super::device::{ClockWidth, Device, Silicon, Windows};
 use super::dictionary::Dictionary;
+use super::live_objects::LiveObjects;
 use super::process_data::ProcessData;
 use super::servo::Servo;
 use super::sii::{self, Description};
@@ -22,6 +23,8 @@ impl Coupler {
         Self { parked }
     }
 }
+
+impl LiveObjects for Coupler {}
 
 impl Device for Coupler {
     fn image(&self) -> Vec<u8> {

@@ -201,7 +201,7 @@ fn big_endian(frame: &[u8], at: usize) -> Option<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::test_bench::*;
+    use crate::cell::rig::*;
 
     fn commands(frame: &mut [u8]) -> Vec<Command> {
         let mut found = Vec::new();

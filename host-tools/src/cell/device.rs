@@ -4,10 +4,10 @@
 //! of its live objects and mapped process data, and is stepped every millisecond. All access by a master goes through
 //! the controller, the mailbox server and the object tables; no device knows the bus.
 
-use super::abort::Abort;
 use super::dictionary::Dictionary;
+use super::live_objects::LiveObjects;
 use super::process_data::ProcessData;
-use super::servo::Servo;
+use super::servo::{Emergency, Servo};
 use etherpen::ethercat::wire::register::{CONTROL_INPUTS, CONTROL_MAILBOX_IN, CONTROL_MAILBOX_OUT, CONTROL_OUTPUTS};
 use etherpen::ethercat::wire::sii::MailboxWindow;
 use std::fmt;
@@ -105,11 +105,8 @@ pub(super) struct SyncManagerDefault {
     pub(super) kind: u8,
 }
 
-/// An emergency message: error code, error register, five manufacturer-specific bytes.
-pub(super) type Emergency = (u16, u8, [u8; 5]);
-
 /// A device behind a slave controller.
-pub(super) trait Device: fmt::Debug + Send {
+pub(super) trait Device: LiveObjects + fmt::Debug + Send {
     /// The slave information image.
     fn image(&self) -> Vec<u8>;
     /// The controller's silicon.
@@ -124,19 +121,6 @@ pub(super) trait Device: fmt::Debug + Send {
     fn dictionary(&self) -> Dictionary;
     /// Resets everything but the motor to its state after power-up.
     fn power_up(&mut self) {}
-    /// The value of a live object; `None` if the device has none.
-    fn get(&self, _index: u16, _sub: u8) -> Option<i64> {
-        None
-    }
-    /// Writes a live object through the mailbox.
-    ///
-    /// # Errors
-    /// An [`Abort`] for a value that the device refuses.
-    fn set(&mut self, _index: u16, _sub: u8, _value: i64) -> Result<(), Abort> {
-        Err(Abort::READ_ONLY)
-    }
-    /// Takes a value from the outputs.
-    fn set_output(&mut self, _index: u16, _sub: u8, _value: i64) {}
     /// Advances by one millisecond; `operational` if the outputs are valid.
     fn step(&mut self, _operational: bool) {}
     /// Advances by one millisecond in which the processor is stopped, too short for the power stage to notice.

@@ -7,9 +7,6 @@
 //! Invariant: access to an entry follows its description.
 
 use super::abort::Abort;
-use super::application::AlState;
-use super::device::Device;
-use super::process_data::ProcessData;
 use etherpen::ethercat::wire::sii::Identity;
 
 /// Data type of an entry, by its number.
@@ -50,14 +47,14 @@ impl DataType {
     }
 
     /// The little-endian bytes of a number, cut to the type's length.
-    fn encode(self, number: i64) -> Vec<u8> {
+    pub(super) fn encode(self, number: i64) -> Vec<u8> {
         let mut bytes = number.to_le_bytes().to_vec();
         bytes.truncate(self.bytes().unwrap_or(0));
         bytes
     }
 
     /// Decodes a number of exactly the type's length.
-    fn decode(self, value: &[u8]) -> Result<i64, Abort> {
+    pub(super) fn decode(self, value: &[u8]) -> Result<i64, Abort> {
         let bytes = self.bytes().ok_or(Abort::LENGTH)?;
         check_length(value.len(), bytes)?;
         let negative = self.is_signed() && value.last().is_some_and(|last| last & 0x80 != 0);
@@ -150,18 +147,36 @@ pub(super) const fn record(index: u16, name: &'static str, entries: &'static [En
     }
 }
 
+/// Where the value of an entry is.
 #[derive(Clone, Debug)]
-enum Content {
+pub(super) enum Content {
+    /// A constant.
     Fixed(Vec<u8>),
-    Number { value: i64, low: i64, high: i64 },
-    Bytes { value: Vec<u8>, longest: usize },
+    /// A number that the dictionary keeps.
+    Number {
+        /// The value.
+        value: i64,
+        /// Lowest value.
+        low: i64,
+        /// Highest value.
+        high: i64,
+    },
+    /// Bytes that the dictionary keeps.
+    Bytes {
+        /// The value.
+        value: Vec<u8>,
+        /// Most bytes.
+        longest: usize,
+    },
+    /// In the device.
     Live,
+    /// In the lists of the process data.
     ProcessData,
 }
 
 /// One entry of a dictionary.
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
+pub(super) struct ObjectEntry {
     /// Sub-index.
     pub(super) sub: u8,
     /// Name.
@@ -170,7 +185,8 @@ pub(super) struct Entry {
     pub(super) kind: DataType,
     /// Access bits.
     pub(super) access: u16,
-    content: Content,
+    /// Where the value is.
+    pub(super) content: Content,
 }
 
 /// One object of a dictionary.
@@ -183,14 +199,35 @@ pub(super) struct Object {
     /// Kind of the object.
     pub(super) code: ObjectCode,
     /// Entries in the order of their sub-indices.
-    pub(super) entries: Vec<Entry>,
+    pub(super) entries: Vec<ObjectEntry>,
 }
 
 impl Object {
     /// The entry at a sub-index.
-    pub(super) fn entry(&self, sub: u8) -> Option<&Entry> {
+    pub(super) fn entry(&self, sub: u8) -> Option<&ObjectEntry> {
         self.entries.iter().find(|entry| entry.sub == sub)
     }
+}
+
+/// A list of the process data as an object.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct List<'a> {
+    /// Index.
+    pub(super) index: u16,
+    /// Name.
+    pub(super) name: &'a str,
+    /// Kind of the object.
+    pub(super) code: ObjectCode,
+    /// Access bits.
+    pub(super) access: u16,
+    /// Name of sub-index 0.
+    pub(super) count_name: &'a str,
+    /// Name of every other entry.
+    pub(super) entry_name: &'a str,
+    /// Data type of every other entry.
+    pub(super) kind: DataType,
+    /// Most entries.
+    pub(super) length: u8,
 }
 
 /// The objects of one slave, in the order of their indices.
@@ -203,7 +240,7 @@ impl Dictionary {
     /// Adds the objects of a table.
     pub(super) fn add_table(&mut self, rows: &[ObjectRow]) {
         for row in rows {
-            let entry = |&(sub, name, kind, access, value): &EntryRow| Entry {
+            let entry = |&(sub, name, kind, access, value): &EntryRow| ObjectEntry {
                 sub,
                 name: name.to_owned(),
                 kind,
@@ -223,14 +260,14 @@ impl Dictionary {
                     Value::Live => Content::Live,
                 },
             };
-            let entries: Vec<Entry> = row.entries.iter().map(entry).collect();
+            let entries: Vec<ObjectEntry> = row.entries.iter().map(entry).collect();
             self.add(row.index, row.name, row.code, entries);
         }
     }
 
     /// Adds a constant text at sub-index 0.
     pub(super) fn add_text(&mut self, index: u16, name: &str, text: &str) {
-        let entry = Entry {
+        let entry = ObjectEntry {
             sub: 0,
             name: name.to_owned(),
             kind: DataType::VisibleString,
@@ -242,7 +279,7 @@ impl Dictionary {
 
     /// Adds an object of constant numbers.
     pub(super) fn add_numbers(&mut self, index: u16, name: &str, numbers: &[(&str, DataType, i64)]) {
-        let entry = |(sub, (name, kind, number)): (u8, &(&str, DataType, i64))| Entry {
+        let entry = |(sub, (name, kind, number)): (u8, &(&str, DataType, i64))| ObjectEntry {
             sub,
             name: (*name).to_owned(),
             kind: *kind,
@@ -265,43 +302,24 @@ impl Dictionary {
         self.add_numbers(0x1018, "Identity", &numbers);
     }
 
-    /// Adds the assignment and mapping objects of the process data.
-    pub(super) fn add_process_data(&mut self, process_data: &ProcessData) {
-        let entry = |sub, name: &str, kind, access| Entry {
+    /// Adds an object whose values are a list of the process data.
+    pub(super) fn add_list(&mut self, list: &List) {
+        let entry = |sub, name: &str, kind| ObjectEntry {
             sub,
             name: name.to_owned(),
             kind,
-            access,
+            access: list.access,
             content: Content::ProcessData,
         };
-        for (index, name) in [
-            (ProcessData::OUTPUTS, "RxPDO assign"),
-            (ProcessData::INPUTS, "TxPDO assign"),
-        ] {
-            let rights = access::READ | access::WRITE_PREOP;
-            let mut entries = vec![entry(0, "Number of assigned PDOs", DataType::Unsigned8, rights)];
-            for sub in 1..=ProcessData::ASSIGNED_MAX {
-                entries.push(entry(sub, "Assigned PDO", DataType::Unsigned16, rights));
-            }
-            self.add(index, name, ObjectCode::Array, entries);
-        }
-        for pdo in process_data.pdos() {
-            let (rights, count) = match pdo.fixed {
-                true => (access::READ, pdo.entries.len() as u8),
-                false => (access::READ | access::WRITE_PREOP, ProcessData::MAPPED_MAX),
-            };
-            let mut entries = vec![entry(0, "Number of mapped objects", DataType::Unsigned8, rights)];
-            for sub in 1..=count {
-                entries.push(entry(sub, "Mapped object", DataType::Unsigned32, rights));
-            }
-            self.add(pdo.index, &pdo.name, ObjectCode::Record, entries);
-        }
+        let mut entries = vec![entry(0, list.count_name, DataType::Unsigned8)];
+        entries.extend((1..=list.length).map(|sub| entry(sub, list.entry_name, list.kind)));
+        self.add(list.index, list.name, list.code, entries);
     }
 
-    fn add(&mut self, index: u16, name: &str, code: ObjectCode, mut entries: Vec<Entry>) {
+    fn add(&mut self, index: u16, name: &str, code: ObjectCode, mut entries: Vec<ObjectEntry>) {
         if code != ObjectCode::Variable && entries.first().is_none_or(|entry| entry.sub != 0) {
             let last = entries.last().map_or(0, |entry| entry.sub);
-            let number = Entry {
+            let number = ObjectEntry {
                 sub: 0,
                 name: "Number of entries".to_owned(),
                 kind: DataType::Unsigned8,
@@ -331,145 +349,14 @@ impl Dictionary {
         at.ok().and_then(|at| self.objects.get(at)).ok_or(Abort::NO_OBJECT)
     }
 
-    fn entry(&self, index: u16, sub: u8) -> Result<&Entry, Abort> {
+    /// The entry at an index and a sub-index.
+    pub(super) fn entry(&self, index: u16, sub: u8) -> Result<&ObjectEntry, Abort> {
         self.object(index)?.entry(sub).ok_or(Abort::NO_SUB_INDEX)
     }
-}
 
-/// Access to the objects of one slave in its present state.
-pub(super) struct Objects<'a> {
-    /// The object table.
-    pub(super) dictionary: &'a mut Dictionary,
-    /// Assignment and mapping.
-    pub(super) process_data: &'a mut ProcessData,
-    /// The device that provides the live values.
-    pub(super) device: &'a mut dyn Device,
-    /// State of the application layer.
-    pub(super) state: AlState,
-}
-
-impl Objects<'_> {
-    /// The value of an entry, little-endian.
-    pub(super) fn upload(&self, index: u16, sub: u8) -> Result<Vec<u8>, Abort> {
-        let entry = self.dictionary.entry(index, sub)?;
-        if entry.access & access::READ == 0 {
-            return Err(Abort::WRITE_ONLY);
-        }
-        Ok(match &entry.content {
-            Content::Fixed(value) | Content::Bytes { value, .. } => value.clone(),
-            Content::Number { value, .. } => entry.kind.encode(*value),
-            Content::Live => entry
-                .kind
-                .encode(self.device.get(index, sub).ok_or(Abort::NO_SUB_INDEX)?),
-            Content::ProcessData => entry
-                .kind
-                .encode(self.process_data.get(index, sub).ok_or(Abort::NO_SUB_INDEX)?),
-        })
-    }
-
-    /// Writes an entry.
-    pub(super) fn download(&mut self, index: u16, sub: u8, value: &[u8]) -> Result<(), Abort> {
-        let entry = self.dictionary.entry(index, sub)?;
-        self.check_write(entry)?;
-        let kind = entry.kind;
-        match &entry.content {
-            Content::Fixed(_) => Err(Abort::READ_ONLY),
-            Content::Live => self.device.set(index, sub, kind.decode(value)?),
-            Content::ProcessData => {
-                let number = kind.decode(value)?;
-                self.process_data.set(index, sub, number, self.dictionary)
-            }
-            Content::Number { .. } | Content::Bytes { .. } => self.keep(index, sub, value),
-        }
-    }
-
-    /// All entries of an object as one value: from sub-index 0 (as 16 bits) or from sub-index 1.
-    pub(super) fn upload_complete(&self, index: u16, first: u8) -> Result<Vec<u8>, Abort> {
-        let object = self.complete(index, first)?;
-        let mut value = Vec::new();
-        let count = self.upload(index, 0)?.first().copied().unwrap_or(0);
-        if first == 0 {
-            value.extend_from_slice(&[count, 0]);
-        }
-        for entry in object.entries.iter().filter(|entry| (1..=count).contains(&entry.sub)) {
-            value.extend(self.upload(index, entry.sub)?);
-        }
-        Ok(value)
-    }
-
-    /// Writes all entries of an object; a list is emptied first and gets its count last.
-    pub(super) fn download_complete(&mut self, index: u16, first: u8, value: &[u8]) -> Result<(), Abort> {
-        let object = self.complete(index, first)?;
-        let is_list = object
-            .entry(0)
-            .is_some_and(|entry| matches!(entry.content, Content::ProcessData));
-        let parts: Vec<(u8, usize)> = object
-            .entries
-            .iter()
-            .filter(|entry| entry.sub > 0)
-            .map(|entry| (entry.sub, entry.kind.bytes().unwrap_or(0)))
-            .collect();
-        let (count, mut rest) = match value.split_first_chunk::<2>() {
-            Some(([count, _], rest)) if first == 0 => (Some(*count), rest),
-            None if first == 0 => return Err(Abort::TOO_SHORT),
-            _ => (None, value),
-        };
-        let kept = self.process_data.clone();
-        if is_list {
-            self.download(index, 0, &[0])?;
-        }
-        let mut written = 0;
-        let result = (|| {
-            for (sub, bytes) in parts {
-                let Some((part, behind)) = rest.split_at_checked(bytes).filter(|_| bytes > 0) else {
-                    break;
-                };
-                if count.is_some_and(|count| sub > count) || part.is_empty() {
-                    break;
-                }
-                self.download(index, sub, part)?;
-                (rest, written) = (behind, sub);
-            }
-            match count {
-                Some(count) if count != written => Err(Abort::TOO_SHORT),
-                _ if !rest.is_empty() => Err(Abort::TOO_LONG),
-                _ if is_list => self.download(index, 0, &[written]),
-                _ => Ok(()),
-            }
-        })();
-        if result.is_err() {
-            *self.process_data = kept;
-        }
-        result
-    }
-
-    fn complete(&self, index: u16, first: u8) -> Result<&Object, Abort> {
-        let object = self.dictionary.object(index)?;
-        let varies = object.entries.iter().any(|entry| entry.kind.bytes().is_none());
-        match (object.code, first) {
-            (ObjectCode::Variable, _) => Err(Abort::UNSUPPORTED_ACCESS),
-            _ if varies => Err(Abort::VARIABLE_LENGTH),
-            (_, 0 | 1) => Ok(object),
-            _ => Err(Abort::UNSUPPORTED_ACCESS),
-        }
-    }
-
-    fn check_write(&self, entry: &Entry) -> Result<(), Abort> {
-        let bit = match self.state {
-            AlState::Init | AlState::PreOperational => 0x08,
-            AlState::SafeOperational => 0x10,
-            AlState::Operational => 0x20,
-        };
-        match entry.access & access::WRITE {
-            0 => Err(Abort::READ_ONLY),
-            rights if rights & bit == 0 => Err(Abort::STATE),
-            _ => Ok(()),
-        }
-    }
-
-    fn keep(&mut self, index: u16, sub: u8, bytes: &[u8]) -> Result<(), Abort> {
+    /// Stores the value of an entry that keeps it.
+    pub(super) fn store(&mut self, index: u16, sub: u8, bytes: &[u8]) -> Result<(), Abort> {
         let object = self
-            .dictionary
             .objects
             .iter_mut()
             .find(|object| object.index == index)

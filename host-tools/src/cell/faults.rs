@@ -8,8 +8,8 @@
 use super::application::AlState;
 use super::eeprom::SiiFault;
 use super::fault_kinds::{Fault, MailFault, MailStep, Product};
-use super::random::Random;
 use super::resolver::ResolverFault;
+use crate::random::Random;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;

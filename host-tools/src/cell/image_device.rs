@@ -6,6 +6,7 @@
 
 use super::device::{Device, Windows};
 use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
+use super::live_objects::LiveObjects;
 use super::process_data::{Pdo, PdoEntry, ProcessData};
 use etherpen::ethercat::wire::sii::{
     CATEGORY_END, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO,
@@ -91,6 +92,8 @@ impl ImageDevice {
     }
 }
 
+impl LiveObjects for ImageDevice {}
+
 impl Device for ImageDevice {
     fn image(&self) -> Vec<u8> {
         self.image.clone()
@@ -109,7 +112,7 @@ impl Device for ImageDevice {
         dictionary.add_table(OBJECTS);
         dictionary.add_text(0x1008, "Device name", &self.name);
         dictionary.add_identity(&FixedPart::parse(&self.image).unwrap_or_default().identity);
-        dictionary.add_process_data(&self.process_data);
+        self.process_data.describe(&mut dictionary);
         dictionary
     }
 
@@ -197,9 +200,9 @@ mod tests {
 
     #[test]
     fn no_image_breaks_it() {
-        let mut random = crate::cell::random::Random::new(5);
+        let mut random = crate::random::Random::new(5);
         for round in 0..2_000u64 {
-            let mut image: Vec<u8> = (0..random.next() % 600).map(|_| random.next() as u8).collect();
+            let mut image: Vec<u8> = (0..random.bits() % 600).map(|_| random.bits() as u8).collect();
             if let Some(kind) = image.get_mut(128..130).filter(|_| round % 2 == 0) {
                 let kinds = [10u8, 30, 41, 50, 51];
                 kind.copy_from_slice(&[kinds[(round / 2 % 5) as usize], 0]);

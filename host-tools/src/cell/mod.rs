@@ -35,10 +35,11 @@ mod fmmu;
 mod generic_drive;
 mod image_device;
 mod kind;
+mod live_objects;
 mod motor;
+mod objects;
 mod paper;
 mod process_data;
-mod random;
 mod registers;
 mod resolver;
 mod robot;
@@ -61,6 +62,7 @@ pub use kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
 pub use paper::{InkStroke, PEN_SPRING_MM};
 pub use resolver::ResolverFault;
 
+use crate::random::Random;
 use controller::Nature;
 use drive::Drive;
 use dynamics::Dynamics;
@@ -68,9 +70,8 @@ use etherpen::config::Config;
 use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
 use faults::Schedule;
 use paper::Sheet;
-use random::Random;
 use robot::Robot;
-use segment::{Now, Segment, Travel};
+use segment::{CellSegment, Now, TravelTimes};
 use servo::Servo;
 use slave::Slave;
 use std::collections::BTreeMap;
@@ -220,7 +221,7 @@ pub struct CellState {
 /// The virtual cell.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    segment: Segment,
+    segment: CellSegment,
     robot: Robot,
     dynamics: Dynamics,
     sheet: Sheet,
@@ -259,9 +260,9 @@ impl Cell {
                 nature(&mut clocks, &options),
             )
         });
-        let segment = Segment::new(
+        let segment = CellSegment::new(
             slaves.collect(),
-            Travel {
+            TravelTimes {
                 cable_ns: options.clocks.cable_ns.min(TRAVEL_MAX_NS),
                 forwarding_ns: options.clocks.forwarding_ns.min(TRAVEL_MAX_NS),
             },
@@ -273,7 +274,7 @@ impl Cell {
             robot,
             dynamics: Dynamics::new(&config.geometry, options.dry_friction_nm),
             sheet: Sheet::new(config.paper),
-            schedule: Schedule::new(&options.faults, random.next()),
+            schedule: Schedule::new(&options.faults, random.bits()),
             boundary_us: None,
             last_frame_us: None,
             steps: 0,
@@ -412,12 +413,12 @@ fn nature(random: &mut Random, options: &CellOptions) -> Nature {
     let drift_ppm = options.clocks.drift_max_ppm.clamp(0.0, DRIFT_MAX_PPM);
     Nature {
         drift_ppb: ((2.0 * random.unit() - 1.0) * drift_ppm * 1000.0) as i64,
-        local_ns: random.next() % CLOCK_AGE_MAX_NS,
+        local_ns: random.bits() % CLOCK_AGE_MAX_NS,
         sii_busy_ns: options.sii_busy_us.min(SII_BUSY_MAX_US) * 1000,
     }
 }
 
-fn joints(segment: &Segment) -> JointAngles {
+fn joints(segment: &CellSegment) -> JointAngles {
     let mut joints = [0.0; AXES];
     for (joint, drive) in joints.iter_mut().zip(segment.drives()) {
         *joint = drive.joint_rad();
@@ -434,6 +435,6 @@ mod master_tests;
 #[cfg(test)]
 mod replay_tests;
 #[cfg(test)]
-mod test_bench;
+mod rig;
 #[cfg(test)]
 mod tests;

@@ -5,9 +5,9 @@
 //! entries and setting the count again. Layout: CiA 301, PDO mapping; IEC 61158-6-12, sync manager PDO assignment.
 
 use super::abort::Abort;
-use super::device::Device;
-use super::dictionary::{Dictionary, access};
+use super::dictionary::{DataType, Dictionary, List, ObjectCode, access};
 use super::fmmu::{bit, set_bit};
+use super::live_objects::LiveObjects;
 
 /// One mapped entry; index 0 is a gap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -161,8 +161,40 @@ impl ProcessData {
         }
     }
 
+    /// Adds the assignment and mapping objects to a dictionary.
+    pub(super) fn describe(&self, dictionary: &mut Dictionary) {
+        for (index, name) in [(Self::OUTPUTS, "RxPDO assign"), (Self::INPUTS, "TxPDO assign")] {
+            dictionary.add_list(&List {
+                index,
+                name,
+                code: ObjectCode::Array,
+                access: access::READ | access::WRITE_PREOP,
+                count_name: "Number of assigned PDOs",
+                entry_name: "Assigned PDO",
+                kind: DataType::Unsigned16,
+                length: Self::ASSIGNED_MAX,
+            });
+        }
+        for pdo in self.pdos() {
+            let (access, length) = match pdo.fixed {
+                true => (access::READ, pdo.entries.len() as u8),
+                false => (access::READ | access::WRITE_PREOP, Self::MAPPED_MAX),
+            };
+            dictionary.add_list(&List {
+                index: pdo.index,
+                name: &pdo.name,
+                code: ObjectCode::Record,
+                access,
+                count_name: "Number of mapped objects",
+                entry_name: "Mapped object",
+                kind: DataType::Unsigned32,
+                length,
+            });
+        }
+    }
+
     /// Passes the outputs to the device.
-    pub(super) fn unpack(&self, outputs: &[u8], device: &mut dyn Device) {
+    pub(super) fn unpack(&self, outputs: &[u8], device: &mut dyn LiveObjects) {
         let mut at = 0;
         for entry in self.entries(&self.outputs) {
             let bits = usize::from(entry.bits);
@@ -185,7 +217,7 @@ impl ProcessData {
     }
 
     /// Collects the inputs from the device.
-    pub(super) fn pack(&self, device: &dyn Device) -> Vec<u8> {
+    pub(super) fn pack(&self, device: &dyn LiveObjects) -> Vec<u8> {
         let mut inputs = vec![0; self.bytes().1];
         let mut at = 0;
         for entry in self.entries(&self.inputs) {

@@ -2,7 +2,7 @@
 //!
 //! A resolver fault does not affect the motor: the drive's own loops continue with the true angle.
 
-use super::random::Random;
+use crate::random::Random;
 
 /// Fault of a resolver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

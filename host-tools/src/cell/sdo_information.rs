@@ -4,7 +4,7 @@
 //! does not fit the mailbox is split into fragments. Layout: IEC 61158-6-12, CoE, SDO information.
 
 use super::abort::Abort;
-use super::dictionary::{Dictionary, Entry, Object, ObjectCode, access};
+use super::dictionary::{Dictionary, Object, ObjectCode, ObjectEntry, access};
 
 const HEADER: usize = 4;
 const MAILBOX_AND_COE: usize = 8;
@@ -110,7 +110,7 @@ fn entry(body: &[u8], dictionary: &Dictionary) -> Result<Vec<u8>, Abort> {
     let index = word(body, 0).ok_or(Abort::COMMAND)?;
     let sub = body.get(2).copied().ok_or(Abort::COMMAND)?;
     let object = dictionary.object(index)?;
-    let Entry { kind, access, name, .. } = object.entry(sub).ok_or(Abort::NO_SUB_INDEX)?;
+    let ObjectEntry { kind, access, name, .. } = object.entry(sub).ok_or(Abort::NO_SUB_INDEX)?;
     let bits = kind.bytes().map_or(0, |bytes| bytes as u16 * 8);
     let mut content = Vec::from(index.to_le_bytes());
     content.extend_from_slice(&[sub, 0]);

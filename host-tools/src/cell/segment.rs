@@ -40,7 +40,7 @@ pub(super) struct Now {
 
 /// Propagation times of a frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Travel {
+pub(super) struct TravelTimes {
     /// Through one cable, ns.
     pub(super) cable_ns: u64,
     /// Through one slave, in either direction, ns.
@@ -49,7 +49,7 @@ pub(super) struct Travel {
 
 /// Slaves, cables and frames in flight.
 #[derive(Clone, Debug)]
-pub(super) struct Segment {
+pub(super) struct CellSegment {
     slaves: Vec<Slave>,
     /// Cable k is behind slave k; cable 0 is the master's.
     cut: Vec<bool>,
@@ -58,15 +58,15 @@ pub(super) struct Segment {
     stalled_until_ms: u64,
     /// Frames that each cable still destroys.
     damaging: Vec<u64>,
-    travel: Travel,
+    travel: TravelTimes,
     frames: u64,
     delayed: VecDeque<(u64, Vec<u8>)>,
     /// Drives with exchanged resolvers, from 1, and the remaining time, ms.
     exchanges: Vec<(usize, usize, u64)>,
 }
 
-impl Segment {
-    pub(super) fn new(slaves: Vec<Slave>, travel: Travel) -> Self {
+impl CellSegment {
+    pub(super) fn new(slaves: Vec<Slave>, travel: TravelTimes) -> Self {
         let count = slaves.len();
         let mut segment = Self {
             slaves,
@@ -226,7 +226,7 @@ impl Segment {
         if reached.is_empty() {
             return false;
         }
-        let Travel {
+        let TravelTimes {
             cable_ns,
             forwarding_ns,
         } = self.travel;

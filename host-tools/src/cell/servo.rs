@@ -3,15 +3,17 @@
 //! A command takes effect `output_delay` milliseconds after it arrived on the bus. A position appears on the bus
 //! `input_delay` milliseconds after it was measured.
 
-use super::device::Emergency;
 use super::drive::{Demand, Drive};
 use std::collections::VecDeque;
 
 const ERROR_REGISTER_GENERIC: u8 = 0x01;
 
+/// An emergency message: error code, error register, five manufacturer-specific bytes.
+pub(super) type Emergency = (u16, u8, [u8; 5]);
+
 /// Values of the drive at one time.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Sample {
+pub(super) struct DriveValues {
     /// Position, increments.
     pub(super) position: i32,
     /// Speed in digits of the velocity demand.
@@ -29,9 +31,9 @@ pub(super) struct Servo {
     pub(super) drive: Drive,
     /// Last demand from the bus.
     pub(super) demand: Demand,
-    shown: Sample,
+    shown: DriveValues,
     demands: VecDeque<Demand>,
-    samples: VecDeque<Sample>,
+    samples: VecDeque<DriveValues>,
     output_delay: usize,
     input_delay: usize,
 }
@@ -42,7 +44,7 @@ impl Servo {
         Self {
             drive,
             demand: Demand::default(),
-            shown: Sample::default(),
+            shown: DriveValues::default(),
             demands: VecDeque::new(),
             samples: VecDeque::new(),
             output_delay,
@@ -81,7 +83,7 @@ impl Servo {
 
     /// Takes a sample, and shows the one taken `input_delay` milliseconds ago.
     pub(super) fn sample(&mut self) {
-        self.samples.push_back(Sample {
+        self.samples.push_back(DriveValues {
             position: self.drive.position(),
             velocity: self.drive.velocity_digits(),
             torque: self.drive.torque_digits(),
@@ -95,7 +97,7 @@ impl Servo {
     }
 
     /// The sample visible on the bus.
-    pub(super) fn shown(&self) -> Sample {
+    pub(super) fn shown(&self) -> DriveValues {
         self.shown
     }
 

@@ -4,11 +4,12 @@
 //! type needs a file with a `MODEL`, and a line in `kind.rs`.
 
 use super::abort::Abort;
-use super::device::{Device, Emergency, Windows};
+use super::device::{Device, Windows};
 use super::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
 use super::drive::Profile;
+use super::live_objects::LiveObjects;
 use super::process_data::ProcessData;
-use super::servo::Servo;
+use super::servo::{Emergency, Servo};
 use super::sii::{self, Description};
 use DataType::{Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32};
 use Value::{Live, Number};
@@ -106,6 +107,20 @@ impl ServoDevice {
     }
 }
 
+impl LiveObjects for ServoDevice {
+    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
+        (self.model.get)(&self.servo, index)
+    }
+
+    fn set(&mut self, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
+        (self.model.set)(&mut self.servo, index, value)
+    }
+
+    fn set_output(&mut self, index: u16, _sub: u8, value: i64) {
+        (self.model.set_output)(&mut self.servo, index, value);
+    }
+}
+
 impl Device for ServoDevice {
     fn image(&self) -> Vec<u8> {
         sii::image(&Description {
@@ -132,24 +147,12 @@ impl Device for ServoDevice {
         dictionary.add_table(COMMON_OBJECTS);
         dictionary.add_table(self.model.objects);
         dictionary.add_identity(&self.identity());
-        dictionary.add_process_data(&self.process_data());
+        self.process_data().describe(&mut dictionary);
         dictionary
     }
 
     fn power_up(&mut self) {
         self.servo.power_up();
-    }
-
-    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
-        (self.model.get)(&self.servo, index)
-    }
-
-    fn set(&mut self, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
-        (self.model.set)(&mut self.servo, index, value)
-    }
-
-    fn set_output(&mut self, index: u16, _sub: u8, value: i64) {
-        (self.model.set_output)(&mut self.servo, index, value);
     }
 
     fn step(&mut self, operational: bool) {

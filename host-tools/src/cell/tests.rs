@@ -1,16 +1,16 @@
 //! The cell as a whole, driven by hand-made frames.
 
-use super::random::Random;
-use super::test_bench::*;
+use super::rig::*;
 use super::*;
+use crate::random::Random;
 use etherpen::config::Axis;
 use etherpen::control::position::PositionController;
 use etherpen::robot::Delta;
 
 #[test]
 fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
-    let mut bench = bench();
-    let replies = bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+    let mut rig = rig();
+    let replies = rig.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
     let (data, count) = content(&replies[0], 2);
     assert_eq!((data, count), (vec![1, 0], 4));
     assert_eq!(replies[0][6], 0x12);
@@ -24,47 +24,47 @@ fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
 #[test]
 fn a_broken_or_foreign_frame_is_ignored() {
     let good = frame_of(&[(BRD, 0, 0x0130, &[0, 0]), (LRW, 0, 0, &[0; 30])]);
-    let mut bench = bench();
+    let mut rig = rig();
     let mut random = Random::new(11);
     for length in 0..good.len() {
-        bench.cell.frame(0, &good[..length]);
+        rig.cell.frame(0, &good[..length]);
     }
     for _ in 0..20_000 {
         let mut frame = good.clone();
-        for _ in 0..=random.next() % 4 {
-            let at = (random.next() % frame.len() as u64) as usize;
-            frame[at] = random.next() as u8;
+        for _ in 0..=random.bits() % 4 {
+            let at = (random.bits() % frame.len() as u64) as usize;
+            frame[at] = random.bits() as u8;
         }
-        bench.cell.frame(0, &frame);
+        rig.cell.frame(0, &frame);
     }
     let mut arp = good;
     (arp[12], arp[13]) = (0x08, 0x06);
-    assert!(bench.send(&arp).is_empty());
+    assert!(rig.send(&arp).is_empty());
 }
 
 #[test]
 fn the_information_memory_is_read_through_its_registers() {
-    let mut bench = bench();
-    bench.addresses();
+    let mut rig = rig();
+    rig.addresses();
     for (word, expected) in [
         (0x08u32, [2, 0, 0, 0, 0x14, 0x60, 0xD0, 0x07]),
         (0x0C, [0x0A, 0x11, 0, 0, 3, 0, 0, 0]),
     ] {
         let mut command = vec![0x00, 0x01];
         command.extend_from_slice(&word.to_le_bytes());
-        bench.write(0x1003, 0x0502, &command);
-        assert_eq!(bench.read(0x1003, 0x0502, 2), [0x40, 0x00]);
-        assert_eq!(bench.read(0x1003, 0x0508, 8), expected);
+        rig.write(0x1003, 0x0502, &command);
+        assert_eq!(rig.read(0x1003, 0x0502, 2), [0x40, 0x00]);
+        assert_eq!(rig.read(0x1003, 0x0508, 8), expected);
     }
 }
 
 #[test]
 fn hand_made_frames_bring_the_drives_from_init_to_op() {
-    let mut bench = bench();
-    bench.bring_up();
-    let state = bench.cell.state();
+    let mut rig = rig();
+    rig.bring_up();
+    let state = rig.cell.state();
     assert!(state.slaves.iter().all(|slave| slave.al_state == AlState::Operational));
-    let (positions, status) = bench.cycle([0; 4], 0x0F);
+    let (positions, status) = rig.cycle([0; 4], 0x0F);
     assert!(status.iter().all(|status| status & 0x6F == 0x27), "{status:x?}");
     for (axis, (position, joint)) in positions.iter().zip(state.joints.0).enumerate() {
         let Axis {
@@ -78,50 +78,49 @@ fn hand_made_frames_bring_the_drives_from_init_to_op() {
 
 #[test]
 fn a_step_up_without_its_configuration_is_refused_with_its_code() {
-    let mut bench = bench();
-    bench.addresses();
-    bench.request(2);
-    assert_eq!(bench.al_status(0x1001), (0x11, 0x0016));
-    bench.mailboxes();
-    bench.request(0x11);
-    bench.request(2);
-    bench.request(4);
-    assert_eq!(bench.al_status(0x1001), (0x12, 0x001D));
-    bench.request(0x12);
-    bench.process_data();
-    bench.request(4);
-    bench.request(8);
+    let mut rig = rig();
+    rig.addresses();
+    rig.request(2);
+    assert_eq!(rig.al_status(0x1001), (0x11, 0x0016));
+    rig.mailboxes();
+    rig.request(0x11);
+    rig.request(2);
+    rig.request(4);
+    assert_eq!(rig.al_status(0x1001), (0x12, 0x001D));
+    rig.request(0x12);
+    rig.process_data();
+    rig.request(4);
+    rig.request(8);
     for _ in 0..250 {
-        bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+        rig.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
     }
-    assert_eq!(bench.al_status(0x1001), (0x14, 0x001B));
+    assert_eq!(rig.al_status(0x1001), (0x14, 0x001B));
 }
 
 #[test]
 fn silence_of_the_bus_stops_the_motors_and_leaves_op() {
-    let mut bench = bench();
-    bench.bring_up();
+    let mut rig = rig();
+    rig.bring_up();
     for _ in 0..50 {
-        bench.cycle([60_000; 4], 0x0F);
+        rig.cycle([60_000; 4], 0x0F);
     }
-    let before = bench.cell.state();
+    let before = rig.cell.state();
     assert!(before.velocities.0.iter().all(|speed| *speed > 3.0), "{before:?}");
-    let last_us = bench.time_us - 1000;
-    bench.cell.advance_to(last_us + 9_600);
+    let last_us = rig.time_us - 1000;
+    rig.cell.advance_to(last_us + 9_600);
     assert!(
-        bench
-            .cell
+        rig.cell
             .state()
             .slaves
             .iter()
             .all(|s| s.drive == DriveState::OperationEnabled)
     );
-    bench.cell.advance_to(last_us + 10_600);
-    let expired = bench.cell.state();
+    rig.cell.advance_to(last_us + 10_600);
+    let expired = rig.cell.state();
     assert!(expired.slaves.iter().all(|s| s.al_state == AlState::SafeOperational));
     assert!(expired.slaves.iter().all(|s| s.al_status_code == 0x001B));
-    bench.cell.advance_to(last_us + 100_000);
-    let stopped = bench.cell.state();
+    rig.cell.advance_to(last_us + 100_000);
+    let stopped = rig.cell.state();
     assert_eq!(stopped.velocities.0, [0.0; AXES]);
     assert!(
         stopped
@@ -129,8 +128,8 @@ fn silence_of_the_bus_stops_the_motors_and_leaves_op() {
             .iter()
             .all(|s| (s.drive, s.drive_error) == (DriveState::Fault, 0x8130))
     );
-    bench.time_us = last_us + 101_000;
-    assert_eq!(bench.al_status(0x1002), (0x14, 0x001B));
+    rig.time_us = last_us + 101_000;
+    assert_eq!(rig.al_status(0x1002), (0x14, 0x001B));
     let ramp_rad = before.velocities.0[0].powi(2) / (2.0 * 100.0);
     let way_rad = stopped.joints.0[0] - expired.joints.0[0];
     assert!(
@@ -142,19 +141,19 @@ fn silence_of_the_bus_stops_the_motors_and_leaves_op() {
 #[test]
 fn a_velocity_step_answers_with_the_bandwidth_and_the_delays() {
     for (bandwidth_hz, delay) in [(50.0, 0), (100.0, 1), (200.0, 2)] {
-        let mut bench = Bench::new(CellOptions {
+        let mut rig = Rig::new(CellOptions {
             drive_bandwidth_hz: bandwidth_hz,
             input_delay_cycles: delay,
             output_delay_cycles: delay,
             ..CellOptions::default()
         });
-        bench.bring_up();
+        rig.bring_up();
         let digits = 20_000;
-        let start = bench.cycle([0; 4], 0x0F).0[0];
+        let start = rig.cycle([0; 4], 0x0F).0[0];
         let rate = std::f64::consts::TAU * bandwidth_hz;
         let increments_s = f64::from(digits) * 1_875.0 / 262_144.0 / 60.0 * f64::from(1 << 20);
         for cycle in 0..30 {
-            let (positions, _) = bench.cycle([digits; 4], 0x0F);
+            let (positions, _) = rig.cycle([digits; 4], 0x0F);
             let time_s = (f64::from(cycle) - 2.0 * delay as f64).max(0.0) * 1e-3;
             let expected = increments_s * (time_s - (1.0 - (-rate * time_s).exp()) / rate);
             let moved = f64::from((positions[0] - start).rem_euclid(1 << 20));
@@ -168,110 +167,110 @@ fn a_velocity_step_answers_with_the_bandwidth_and_the_delays() {
 
 #[test]
 fn objects_are_read_written_and_refused_with_the_right_codes() {
-    let mut bench = bench();
-    bench.addresses();
-    bench.mailboxes();
-    bench.request(2);
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.request(2);
     let station = 0x1001;
     assert_eq!(
-        bench.upload(station, 0x1018, 2),
+        rig.upload(station, 0x1018, 2),
         [0x43, 0x18, 0x10, 2, 0x14, 0x60, 0xD0, 0x07]
     );
-    let name = bench.upload(station, 0x1008, 0);
+    let name = rig.upload(station, 0x1008, 0);
     assert_eq!((name[0], &name[8..]), (0x41, NAME.as_bytes()));
-    assert_eq!(outcome(&bench.upload(station, 0x1018, 9)), 0x0609_0011);
-    assert_eq!(outcome(&bench.upload(station, 0x5555, 0)), 0x0602_0000);
-    assert_eq!(bench.download(station, 0x1000, 0, &[0; 4]), 0x0601_0002);
-    assert_eq!(bench.download(station, 0x6060, 0, &[0, 0]), 0x0607_0012);
-    assert_eq!(bench.download(station, 0x6085, 0, &[1]), 0x0607_0013);
-    assert_eq!(bench.download(station, 0x6060, 0, &[9]), 0x0609_0030);
-    assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0x0601_0003);
-    assert_eq!(bench.download(station, 0x1C12, 0, &[0]), 0);
-    assert_eq!(bench.download(station, 0x1C12, 1, &[4, 0x17]), 0x0604_0041);
-    assert_eq!(bench.download(station, 0x1C12, 1, &[2, 0x17]), 0);
-    assert_eq!(bench.download(station, 0x1C12, 0, &[1]), 0);
+    assert_eq!(outcome(&rig.upload(station, 0x1018, 9)), 0x0609_0011);
+    assert_eq!(outcome(&rig.upload(station, 0x5555, 0)), 0x0602_0000);
+    assert_eq!(rig.download(station, 0x1000, 0, &[0; 4]), 0x0601_0002);
+    assert_eq!(rig.download(station, 0x6060, 0, &[0, 0]), 0x0607_0012);
+    assert_eq!(rig.download(station, 0x6085, 0, &[1]), 0x0607_0013);
+    assert_eq!(rig.download(station, 0x6060, 0, &[9]), 0x0609_0030);
+    assert_eq!(rig.download(station, 0x1C12, 1, &[2, 0x17]), 0x0601_0003);
+    assert_eq!(rig.download(station, 0x1C12, 0, &[0]), 0);
+    assert_eq!(rig.download(station, 0x1C12, 1, &[4, 0x17]), 0x0604_0041);
+    assert_eq!(rig.download(station, 0x1C12, 1, &[2, 0x17]), 0);
+    assert_eq!(rig.download(station, 0x1C12, 0, &[1]), 0);
     let complete = |sub| [0x50, 0x18, 0x10, sub, 0, 0, 0, 0];
-    let identity = bench.sdo(station, &complete(0));
+    let identity = rig.sdo(station, &complete(0));
     assert_eq!(identity[8..14], [4, 0, 2, 0, 0, 0], "sub-index 0 takes 16 bits");
-    assert_eq!(bench.sdo(station, &complete(1))[8..], identity[10..]);
-    assert_eq!(outcome(&bench.sdo(station, &complete(2))), 0x0601_0000);
+    assert_eq!(rig.sdo(station, &complete(1))[8..], identity[10..]);
+    assert_eq!(outcome(&rig.sdo(station, &complete(2))), 0x0601_0000);
 }
 
 #[test]
 fn a_long_object_travels_in_segments_both_ways() {
-    let mut bench = bench();
-    bench.addresses();
-    bench.mailboxes();
-    bench.request(2);
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.request(2);
     let station = 0x1002;
     let text: Vec<u8> = (0..1200u32).map(|n| (n * 7) as u8).collect();
     let mut sdo = vec![0x21, 0xFE, 0x2F, 0];
     sdo.extend_from_slice(&1200u32.to_le_bytes());
     sdo.extend_from_slice(&text[..400]);
-    assert_eq!(bench.sdo(station, &sdo)[0], 0x60);
+    assert_eq!(rig.sdo(station, &sdo)[0], 0x60);
     for (command, part) in [(0x00, &text[400..800]), (0x11, &text[800..])] {
         let mut sdo = vec![command];
         sdo.extend_from_slice(part);
-        assert_eq!(bench.sdo(station, &sdo)[0], 0x20 | command & 0x10);
+        assert_eq!(rig.sdo(station, &sdo)[0], 0x20 | command & 0x10);
     }
-    let first = bench.upload(station, 0x2FFE, 0);
+    let first = rig.upload(station, 0x2FFE, 0);
     let mut read = first[8..].to_vec();
     for toggle in [0x00, 0x10] {
-        let part = bench.sdo(station, &[0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+        let part = rig.sdo(station, &[0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(part[0] & 0x10, toggle);
         read.extend_from_slice(&part[1..]);
         assert_eq!(part[0] & 1 != 0, read.len() == 1200, "the last part says so");
     }
     assert_eq!(read, text);
-    assert_eq!(outcome(&bench.sdo(station, &[0x60, 0, 0, 0, 0, 0, 0, 0])), 0x0504_0001);
+    assert_eq!(outcome(&rig.sdo(station, &[0x60, 0, 0, 0, 0, 0, 0, 0])), 0x0504_0001);
 }
 
 #[test]
 fn a_lost_answer_is_fetched_again_by_the_repeat_bit() {
-    let mut bench = bench();
-    bench.addresses();
-    bench.mailboxes();
-    bench.request(2);
-    let answer = bench.upload(0x1001, 0x1000, 0);
-    bench.write(0x1001, 0x080E, &[0x03]);
-    assert_eq!(bench.read(0x1001, 0x080F, 1)[0] & 0x02, 0x02);
-    assert_eq!(bench.fetch(0x1001)[2..], answer);
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.request(2);
+    let answer = rig.upload(0x1001, 0x1000, 0);
+    rig.write(0x1001, 0x080E, &[0x03]);
+    assert_eq!(rig.read(0x1001, 0x080F, 1)[0] & 0x02, 0x02);
+    assert_eq!(rig.fetch(0x1001)[2..], answer);
 }
 
 #[test]
 fn a_drive_fault_sends_an_emergency_and_stops_that_drive() {
-    let mut bench = bench();
-    bench.bring_up();
-    bench.cell.inject(Fault::Drive(2, 0x2310));
+    let mut rig = rig();
+    rig.bring_up();
+    rig.cell.inject(Fault::Drive(2, 0x2310));
     for _ in 0..20 {
-        bench.cycle([0; 4], 0x0F);
+        rig.cycle([0; 4], 0x0F);
     }
-    let (_, status) = bench.cycle([0; 4], 0x0F);
+    let (_, status) = rig.cycle([0; 4], 0x0F);
     assert_eq!(status.map(|status| status & 0x4F), [0x07, 0x08, 0x07, 0x07]);
-    assert_eq!(bench.fetch(0x1002), [0, 0x10, 0x10, 0x23, 1, 0, 0, 0, 0, 0]);
+    assert_eq!(rig.fetch(0x1002), [0, 0x10, 0x10, 0x23, 1, 0, 0, 0, 0, 0]);
 }
 
 #[test]
 fn logical_reads_and_writes_count_three_and_one_reads_others_write() {
-    let mut bench = bench();
-    bench.bring_up();
+    let mut rig = rig();
+    rig.bring_up();
     let frame = frame_of(&[(LRW, 0, 1, &[0; 0x40 + 24])]);
-    let replies = bench.send(&frame);
+    let replies = rig.send(&frame);
     assert_eq!(content(&replies[0], 0x40 + 24).1, 12);
-    let (_, count) = bench.ask(FRMW, 0x1002, 0x0910, &[0; 4]);
+    let (_, count) = rig.ask(FRMW, 0x1002, 0x0910, &[0; 4]);
     assert_eq!(count, 4);
-    let (data, count) = bench.ask(APRD, 0u16.wrapping_sub(3), 0x0010, &[0, 0]);
+    let (data, count) = rig.ask(APRD, 0u16.wrapping_sub(3), 0x0010, &[0, 0]);
     assert_eq!((data, count), (vec![0x04, 0x10], 1));
 }
 
 #[test]
 fn a_pulled_cable_a_bypass_and_a_power_cycle_shorten_the_chain() {
-    let mut bench = script("ms 10 cut 2\nms 20 join\nms 30 remove 1\nms 40 insert 1\nms 50 power 4 15");
-    bench.addresses();
+    let mut rig = script("ms 10 cut 2\nms 20 join\nms 30 remove 1\nms 40 insert 1\nms 50 power 4 15");
+    rig.addresses();
     let mut counts = Vec::new();
-    while bench.cell.state().time_ms < 70 {
-        let count = bench.ask(BRD, 0, 0x0130, &[0, 0]).1;
-        counts.push((bench.cell.state().time_ms, count));
+    while rig.cell.state().time_ms < 70 {
+        let count = rig.ask(BRD, 0, 0x0130, &[0, 0]).1;
+        counts.push((rig.cell.state().time_ms, count));
     }
     let at = |ms: u64| {
         counts
@@ -281,26 +280,26 @@ fn a_pulled_cable_a_bypass_and_a_power_cycle_shorten_the_chain() {
     };
     assert_eq!([9, 12, 22, 32, 42, 52, 68].map(at), [4, 2, 4, 3, 4, 3, 4].map(Some));
     assert_eq!(
-        bench.ask(FPRD, 0x1004, 0x0130, &[0, 0]).1,
+        rig.ask(FPRD, 0x1004, 0x0130, &[0, 0]).1,
         0,
         "the station address is gone"
     );
-    assert_eq!(bench.ask(FPRD, 0x1003, 0x0130, &[0, 0]).1, 1);
+    assert_eq!(rig.ask(FPRD, 0x1003, 0x0130, &[0, 0]).1, 1);
     cut_at_the_master();
 }
 
 fn cut_at_the_master() {
-    let mut bench = script("frame 1 cut 0");
-    assert!(bench.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])])).is_empty());
+    let mut rig = script("frame 1 cut 0");
+    assert!(rig.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])])).is_empty());
 }
 
 #[test]
 fn frame_faults_do_what_they_say() {
     let text = "frame 1 drop\nframe 2 lose\nframe 3 duplicate\nframe 4 truncate 30\nframe 5 index 3\n\
                 frame 6 foreign\nframe 7 counter -1\nframe 8 delay 2\nframe 11..12 drop\nms 14 stall 3";
-    let mut bench = script(text);
+    let mut rig = script(text);
     let ask = frame_of(&[(BRD, 0, 0x0130, &[0, 0])]);
-    let replies: Vec<_> = (0..20).map(|_| bench.send(&ask)).collect();
+    let replies: Vec<_> = (0..20).map(|_| rig.send(&ask)).collect();
     let counts: Vec<_> = replies.iter().map(Vec::len).collect();
     assert_eq!(counts[..12], [0, 0, 2, 1, 1, 2, 1, 0, 1, 2, 0, 0]);
     assert_eq!(counts[12..], [1, 1, 0, 0, 0, 1, 1, 1], "three milliseconds of silence");
@@ -312,35 +311,35 @@ fn frame_faults_do_what_they_say() {
 
 #[test]
 fn a_stuck_resolver_moves_again_and_a_retreat_is_of_one_slave() {
-    let mut bench = bench();
-    bench.bring_up();
-    bench.cell.inject(Fault::Resolver(1, ResolverFault::Stuck, 10));
-    bench.cycle([20_000; 4], 0x0F);
-    let stuck: Vec<i32> = (0..8).map(|_| bench.cycle([20_000; 4], 0x0F).0[0]).collect();
+    let mut rig = rig();
+    rig.bring_up();
+    rig.cell.inject(Fault::Resolver(1, ResolverFault::Stuck, 10));
+    rig.cycle([20_000; 4], 0x0F);
+    let stuck: Vec<i32> = (0..8).map(|_| rig.cycle([20_000; 4], 0x0F).0[0]).collect();
     assert!(stuck[3..].iter().all(|position| *position == stuck[3]), "{stuck:?}");
     for _ in 0..10 {
-        bench.cycle([20_000; 4], 0x0F);
+        rig.cycle([20_000; 4], 0x0F);
     }
-    assert_ne!(bench.cycle([20_000; 4], 0x0F).0[0], stuck[7]);
-    bench.cell.inject(Fault::Retreat(3, 0x0027));
-    bench.cycle([0; 4], 0x0F);
-    assert_eq!(bench.al_status(0x1003), (0x14, 0x0027));
-    assert_eq!(bench.al_status(0x1001), (8, 0));
+    assert_ne!(rig.cycle([20_000; 4], 0x0F).0[0], stuck[7]);
+    rig.cell.inject(Fault::Retreat(3, 0x0027));
+    rig.cycle([0; 4], 0x0F);
+    assert_eq!(rig.al_status(0x1003), (0x14, 0x0027));
+    assert_eq!(rig.al_status(0x1001), (8, 0));
 }
 
 #[test]
 fn a_silent_mailbox_answers_when_its_time_is_over() {
-    let mut bench = bench();
-    bench.addresses();
-    bench.mailboxes();
-    bench.request(2);
-    bench.cell.inject(Fault::Silence(2, 20));
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.request(2);
+    rig.cell.inject(Fault::Silence(2, 20));
     let upload = [0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0];
-    bench.post(0x1002, &upload);
+    rig.post(0x1002, &upload);
     for _ in 0..18 {
-        assert_eq!(bench.read(0x1002, 0x080D, 1)[0] & 0x08, 0);
+        assert_eq!(rig.read(0x1002, 0x080D, 1)[0] & 0x08, 0);
     }
-    assert_eq!(bench.fetch(0x1002)[2..], [0x43, 0x00, 0x10, 0, 0x92, 0x01, 0x02, 0x00]);
+    assert_eq!(rig.fetch(0x1002)[2..], [0x43, 0x00, 0x10, 0, 0x92, 0x01, 0x02, 0x00]);
 }
 
 #[test]
@@ -348,45 +347,45 @@ fn no_registers_mailboxes_or_frames_break_the_cell() {
     let seed = 23;
     println!("seed {seed}");
     let mut random = Random::new(seed);
-    let mut bench = bench();
-    bench.bring_up();
+    let mut rig = rig();
+    rig.bring_up();
     let registers = [
         0x0010, 0x0120, 0x0400, 0x0500, 0x0502, 0x0600, 0x0800, 0x0F80, 0x1000, 0x1800, 0x1C00, 0x2FF0,
     ];
     for _ in 0..30_000 {
-        let length = [1, 2, 4, 8, 16, 64, 512][(random.next() % 7) as usize];
-        let mut data: Vec<u8> = (0..length).map(|_| random.next() as u8).collect();
-        let register = registers[(random.next() % 12) as usize] + (random.next() % 20) as u16;
+        let length = [1, 2, 4, 8, 16, 64, 512][(random.bits() % 7) as usize];
+        let mut data: Vec<u8> = (0..length).map(|_| random.bits() as u8).collect();
+        let register = registers[(random.bits() % 12) as usize] + (random.bits() % 20) as u16;
         if register & !3 == 0x1800 && length > 8 {
             let kind = 3 | data[5] & 0xF0;
             data[..8].copy_from_slice(&[10, 0, 0, 0, 0, kind, 0, 0x20]);
         }
-        let command = (random.next() % 16) as u8;
-        let device = [0, 0xFFFF, 0x1001, 0x1003][(random.next() % 4) as usize];
-        bench.send(&frame_of(&[(command, device, register, &data)]));
+        let command = (random.bits() % 16) as u8;
+        let device = [0, 0xFFFF, 0x1001, 0x1003][(random.bits() % 4) as usize];
+        rig.send(&frame_of(&[(command, device, register, &data)]));
     }
-    bench.cell.inject(Fault::Join);
-    assert_eq!(bench.ask(BRD, 0, 0x0130, &[0, 0]).1, 4);
+    rig.cell.inject(Fault::Join);
+    assert_eq!(rig.ask(BRD, 0, 0x0130, &[0, 0]).1, 4);
 }
 
 /// Drives the arms down and around, with the pen on the paper for a part of it.
-fn draw(mut bench: Bench) -> (Vec<InkStroke>, CellState) {
-    bench.bring_up();
+fn draw(mut rig: Rig) -> (Vec<InkStroke>, CellState) {
+    rig.bring_up();
     for cycle in 0..1500i32 {
         let phase = f64::from(cycle) * 0.01;
         let down = if cycle < 600 { 18_000 } else { 0 };
         let velocity = [0.0, 2.0, 4.0].map(|shift| (9_000.0 * (phase + shift).sin()) as i32 + down);
-        bench.cycle([velocity[0], velocity[1], velocity[2], 5_000], 0x0F);
+        rig.cycle([velocity[0], velocity[1], velocity[2], 5_000], 0x0F);
     }
-    (bench.cell.ink().to_vec(), bench.cell.state())
+    (rig.cell.ink().to_vec(), rig.cell.state())
 }
 
-fn paper_below(options: CellOptions) -> Bench {
+fn paper_below(options: CellOptions) -> Rig {
     let mut config = Config::default();
     config.paper.pen_down_z_mm = -800.0;
-    let mut bench = Bench::new(options.clone());
-    bench.cell = Cell::new(&config, options);
-    bench
+    let mut rig = Rig::new(options.clone());
+    rig.cell = Cell::new(&config, options);
+    rig
 }
 
 #[test]
@@ -404,10 +403,10 @@ fn the_same_frames_leave_the_same_ink() {
 fn jitter_of_frames_below_half_a_millisecond_changes_nothing() {
     let still = draw(paper_below(CellOptions::default()));
     for seed in 1..=3 {
-        let mut bench = paper_below(CellOptions::default());
-        bench.cell.advance_to(bench.time_us);
-        bench.jitter = Some(Random::new(seed));
-        assert!(draw(bench) == still, "seed {seed}");
+        let mut rig = paper_below(CellOptions::default());
+        rig.cell.advance_to(rig.time_us);
+        rig.jitter = Some(Random::new(seed));
+        assert!(draw(rig) == still, "seed {seed}");
     }
 }
 
@@ -416,11 +415,11 @@ fn the_phase_of_the_first_frame_does_not_matter() {
     let lines = |ink: Vec<InkStroke>| ink.into_iter().map(|stroke| stroke.points_mm).collect::<Vec<_>>();
     let still = lines(draw(paper_below(CellOptions::default())).0);
     for phase_us in [130, 480, 510, 730, 990] {
-        let mut bench = paper_below(CellOptions::default());
-        bench.cell.advance_to(0);
-        bench.time_us += phase_us;
-        bench.jitter = Some(Random::new(phase_us));
-        assert!(lines(draw(bench).0) == still, "phase {phase_us} us");
+        let mut rig = paper_below(CellOptions::default());
+        rig.cell.advance_to(0);
+        rig.time_us += phase_us;
+        rig.jitter = Some(Random::new(phase_us));
+        assert!(lines(draw(rig).0) == still, "phase {phase_us} us");
     }
 }
 
@@ -485,13 +484,13 @@ fn circle_references(from: [f64; AXES], config: &Config) -> Vec<[f64; AXES]> {
 #[test]
 fn the_documented_control_law_draws_a_circle_within_fifty_micrometres() {
     let config = Config::default();
-    let mut bench = bench();
-    bench.bring_up();
-    let references = circle_references(bench.cell.state().joints.0, &config);
+    let mut rig = rig();
+    rig.bring_up();
+    let references = circle_references(rig.cell.state().joints.0, &config);
     let mut controllers = config.axes.map(|axis| PositionController::new(&axis));
     let mut unwrapped: [Option<(i32, i64)>; AXES] = [None; AXES];
     for now in 0..references.len() {
-        bench.control(|positions| {
+        rig.control(|positions| {
             std::array::from_fn(|axis| {
                 let (last, sum) = unwrapped[axis].unwrap_or_else(|| {
                     let near = if positions[axis] > 1 << 19 { 1 << 20 } else { 0 };
@@ -510,9 +509,9 @@ fn the_documented_control_law_draws_a_circle_within_fifty_micrometres() {
             })
         });
     }
-    let state = bench.cell.state();
-    assert_eq!(bench.cell.ink().len(), 1, "{state:?}");
-    let radii = bench.cell.ink()[0]
+    let state = rig.cell.state();
+    assert_eq!(rig.cell.ink().len(), 1, "{state:?}");
+    let radii = rig.cell.ink()[0]
         .points_mm
         .iter()
         .map(|[x, y]| (x - 100.0).hypot(y - 100.0));
@@ -526,13 +525,13 @@ fn the_documented_control_law_draws_a_circle_within_fifty_micrometres() {
 
 #[test]
 fn tshark_finds_ethercat_and_nothing_malformed_in_a_capture() {
-    let mut bench = bench();
-    bench.capture = Some(capture::Capture::new(Vec::new()).expect("memory"));
-    bench.bring_up();
+    let mut rig = rig();
+    rig.capture = Some(capture::Capture::new(Vec::new()).expect("memory"));
+    rig.bring_up();
     for _ in 0..20 {
-        bench.cycle([1000; 4], 0x0F);
+        rig.cycle([1000; 4], 0x0F);
     }
-    let file = bench.capture.take().expect("set").finish().expect("memory");
+    let file = rig.capture.take().expect("set").finish().expect("memory");
     let path = std::env::temp_dir().join(format!("cell-capture-{}.pcapng", std::process::id()));
     std::fs::write(&path, file).expect("a temporary file");
     let count = |filter: &str| {

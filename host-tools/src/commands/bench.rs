@@ -1,7 +1,9 @@
 //! `etherpen bench`: the project's figures together with those of its peers, measured in one run.
 
-use super::{CommandError, code, print_json};
-use crate::bench::{BenchError, Report, Row, Selection, console, drawing, ethercat, motion, recording};
+use super::print_json;
+use crate::bench::table::table;
+use crate::bench::{Selection, console, drawing, ethercat, motion, recording};
+use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
 
@@ -88,14 +90,14 @@ impl Options {
 ///
 /// # Errors
 /// A tool is missing, or a measurement failed. A missed target is not an error.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
     if !matches!(arguments.bench, Bench::Recording(_) | Bench::Console(_)) {
         setup::ensure_sources()?;
     }
     let (options, report) = match &arguments.bench {
         Bench::Console(options) => {
-            let program = std::env::current_exe().map_err(|cause| CommandError::failed("this program", cause))?;
+            let program = std::env::current_exe().map_err(|cause| ProgramError::failed("this program", cause))?;
             let report = console::run(&options.selection(), &program, CONSOLE_STOPS, progress);
             (options, report)
         }
@@ -107,12 +109,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             (options, motion::run(&options.selection(), *quick, progress))
         }
     };
-    let report = report.map_err(|error| match error {
-        BenchError::Setup(error) => CommandError::from(error),
-        BenchError::Program { .. } => CommandError::new(code::FAILED, error),
-    })?;
+    let report = report?;
     if report.rows.is_empty() {
-        return Err(CommandError::new(
+        return Err(ProgramError::new(
             code::USAGE,
             "no case has that name; without --case all are shown",
         ));
@@ -122,65 +121,5 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     std::io::stdout()
         .write_all(table(&report).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
-}
-
-/// One line for each case: the project's figure, its target, the peers' figures, and the ratio of the project's to the
-/// smallest of them.
-pub(super) fn table(report: &Report) -> String {
-    let mut text = format!(
-        "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
-        "case", "etherpen", "", "target", "ratio"
-    );
-    let ours = report.rows.iter().filter(|row| row.subject == "etherpen");
-    for row in ours {
-        let peers = || {
-            let others = report.rows.iter();
-            others.filter(|peer| peer.case == row.case && peer.subject != row.subject)
-        };
-        let theirs: Vec<String> = peers()
-            .map(|peer| format!("{} {}", peer.subject, figure(peer.value)))
-            .collect();
-        let best = peers().map(|peer| peer.value).reduce(f64::min);
-        let ratio = best.map_or_else(String::new, |best| format!("{:.2}", best / row.value));
-        let line = format!(
-            "{:<52} {:>9} {:<13} {:>16} {ratio:>7}  {}",
-            row.case,
-            figure(row.value),
-            row.unit,
-            target(row),
-            theirs.join(", ")
-        );
-        text.push_str(line.trim_end());
-        text.push('\n');
-    }
-    let alone = |row: &&Row| row.subject != "etherpen" && !report.rows.iter().any(|other| other.subject == "etherpen");
-    for row in report.rows.iter().filter(alone) {
-        text.push_str(&format!(
-            "{:<52} {:>9} {:<13} {}\n",
-            row.case,
-            figure(row.value),
-            row.unit,
-            row.subject
-        ));
-    }
-    text
-}
-
-/// Whole numbers unchanged, others with four significant digits.
-fn figure(value: f64) -> String {
-    if value.fract() == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let places = (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{value:.places$}")
-}
-
-fn target(row: &Row) -> String {
-    let sign = if row.is_more_better() { ">=" } else { "<=" };
-    match (row.target, row.met()) {
-        (Some(target), Some(true)) => format!("{sign} {} met", figure(target)),
-        (Some(target), _) => format!("{sign} {} missed", figure(target)),
-        (None, _) => String::new(),
-    }
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }

@@ -1,7 +1,8 @@
 //! `etherpen config show`: the values in force, and the source of each.
 
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, print_json};
+use super::{ConfigArguments, print_json};
+use crate::error::{ProgramError, code};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -39,7 +40,7 @@ struct Show {
 
 /// A value and where it comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-struct Entry {
+struct ConfigEntry {
     value: serde_json::Value,
     origin: String,
 }
@@ -48,7 +49,7 @@ struct Entry {
 ///
 /// # Errors
 /// The configuration cannot be used.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let Command::Show(show) = &arguments.command;
     let entries = entries(show)?;
     if show.json {
@@ -68,20 +69,20 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             true => format!("{key} = {}  # {}", entry.value, entry.origin),
             false => format!("{key} = {}", entry.value),
         };
-        writeln!(out, "{line}").map_err(|cause| CommandError::failed("stdout", cause))?;
+        writeln!(out, "{line}").map_err(|cause| ProgramError::failed("stdout", cause))?;
     }
     Ok(())
 }
 
-fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, CommandError> {
+fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let config = show.config.load()?;
-    let failed = |cause: &dyn std::fmt::Display| CommandError::new(code::USAGE, format!("the configuration: {cause}"));
+    let failed = |cause: &dyn std::fmt::Display| ProgramError::new(code::USAGE, format!("the configuration: {cause}"));
     let mut entries = BTreeMap::new();
     let built_in = "built-in";
     let values = serde_json::to_value(&config).map_err(|cause| failed(&cause))?;
     flatten(&values, "", &mut |key, value| {
         let (value, origin) = (value.clone(), built_in.to_owned());
-        entries.insert(key, Entry { value, origin });
+        entries.insert(key, ConfigEntry { value, origin });
     });
     if let Some((path, how)) = show.config.file() {
         let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
@@ -99,7 +100,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, Entry>, CommandError> {
         None => (serde_json::Value::Null, built_in),
     };
     let origin = origin.to_owned();
-    entries.insert("port".into(), Entry { value, origin });
+    entries.insert("port".into(), ConfigEntry { value, origin });
     Ok(entries)
 }
 
@@ -141,7 +142,7 @@ pub(super) fn named(flag: Option<&PathBuf>) -> Option<(PathBuf, &'static str)> {
 mod tests {
     use super::*;
 
-    fn show(config: Option<PathBuf>) -> BTreeMap<String, Entry> {
+    fn show(config: Option<PathBuf>) -> BTreeMap<String, ConfigEntry> {
         let show = Show {
             origin: true,
             json: false,

@@ -2,11 +2,12 @@
 
 use super::emulate::read_faults;
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, ended_by_a_signal};
+use super::{ConfigArguments, ended_by_a_signal};
 use crate::cell::CellOptions;
 use crate::console::Console;
 use crate::console::server::Server;
 use crate::console::virtual_cell::{Firmware, VirtualCell};
+use crate::error::{ProgramError, code};
 use crate::setup;
 use etherpen::config::Config;
 use std::io::Read;
@@ -49,7 +50,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The configuration cannot be used, a tool is missing, or the address is taken.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let ended = ended_by_a_signal()?;
     let (port, cell) = match arguments.port.unless(arguments.without_port())? {
@@ -61,11 +62,11 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let token = token()?;
     let console = Console::start(config, token.clone(), port, cell)
-        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+        .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     let server = Server::start(console.clone(), arguments.listen).map_err(|cause| {
         let listen = arguments.listen;
         let text = format!("{listen} cannot be used: {cause}; choose another one with --listen 127.0.0.1:0");
-        CommandError::new(code::CONNECTION, text)
+        ProgramError::new(code::CONNECTION, text)
     })?;
     let url = format!("http://{}/#token={token}", shown(server.address()));
     println!("{url}");
@@ -120,7 +121,7 @@ fn shown(address: SocketAddr) -> String {
     }
 }
 
-fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, &'static str), CommandError> {
+fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, &'static str), ProgramError> {
     let options = CellOptions {
         faults: read_faults(arguments.faults.as_deref(), config.bus.drives.into())?,
         ..CellOptions::default()
@@ -131,23 +132,23 @@ fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, 
         if !arguments.emulate && !setup::is_installed(setup::QEMU) {
             let text = "QEMU is not installed. Try: etherpen console --simulate (needs nothing), --emulate (installs \
                         QEMU), or --port /dev/ttyACM0 for a board";
-            return Err(CommandError::new(code::TOOL, text));
+            return Err(ProgramError::new(code::TOOL, text));
         }
         setup::ensure_sources()?;
         setup::ensure_qemu()?;
         (Firmware::Emulated(setup::build_firmware("emulated")?), "emulated")
     };
     let cell =
-        VirtualCell::start(config, options, firmware).map_err(|cause| CommandError::failed("the cell", cause))?;
+        VirtualCell::start(config, options, firmware).map_err(|cause| ProgramError::failed("the cell", cause))?;
     Ok((cell, kind))
 }
 
 /// A random token that cannot be guessed.
-fn token() -> Result<String, CommandError> {
+fn token() -> Result<String, ProgramError> {
     let mut bytes = [0; TOKEN_BYTES];
     std::fs::File::open("/dev/urandom")
         .and_then(|mut source| source.read_exact(&mut bytes))
-        .map_err(|cause| CommandError::failed("no random numbers", cause))?;
+        .map_err(|cause| ProgramError::failed("no random numbers", cause))?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 

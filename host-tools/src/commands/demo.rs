@@ -1,11 +1,16 @@
 //! `cargo demo`: the main job with no hardware.
 
+use super::DrawingArguments;
 use super::display::Display;
-use super::outputs::{make_folder, refuse_inputs_in, summarise};
-use super::prepare::prepare_with;
-use super::run::{Growing, capture, conclude, image_hash, run_error, task};
-use super::{CommandError, DrawingArguments};
+use crate::drawing::preparation::prepare::prepare_with;
 use crate::emulator::LogLine;
+use crate::error::ProgramError;
+use crate::firmware_image::image_hash;
+use crate::output_file::make_folder;
+use crate::report::output::refuse_inputs_in;
+use crate::report::output::{Growing, capture, conclude};
+use crate::report::summary::summarise;
+use crate::run::task;
 use crate::{run, setup};
 use std::io::Write;
 use std::path::PathBuf;
@@ -26,7 +31,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// A tool is missing, the photograph cannot be used, the emulator cannot be reached or the drawing failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     setup::ensure_sources()?;
     let config = arguments.drawing.config.load()?;
     let photo = arguments
@@ -39,7 +44,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         .clone()
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
     let drawing = &arguments.drawing;
-    refuse_inputs_in(&dir, &drawing.source.inputs(&photo, &drawing.config))?;
+    refuse_inputs_in(&dir, &drawing.source.inputs(&photo, drawing.config.path()))?;
     eprintln!("Vectorising {}", photo.display());
     let prepared = prepare_with(&photo, &config, &arguments.drawing.source)?;
     setup::ensure_qemu()?;
@@ -59,7 +64,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let mut display = Display::new();
     let drawn = run::emulate(&task, &image, Some(capture), &mut |job| display.update(job), write_log)
-        .map_err(|error| run_error(&error))?;
+        .map_err(|error| ProgramError::from(&error))?;
     display.finish();
     let log_file = Some(log_file).filter(|_| log_is_whole.load(Ordering::Relaxed));
     let results = Some((dir.as_path(), std::iter::once(capture_file).chain(log_file).collect()));

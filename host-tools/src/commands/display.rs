@@ -1,8 +1,8 @@
 //! Shows progress and events of a job: a bar with the remaining time on a terminal, plain lines elsewhere.
 
-use crate::link::job::{Job, JobEvent};
-use crate::link::port::Show;
-use crate::link::progress::Progress;
+use crate::job::over_port::Show;
+use crate::job::progress::Progress;
+use crate::job::{Job, JobEvent};
 use crate::link::text;
 use etherpen::application::Mode;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -19,7 +19,7 @@ pub(super) struct Display {
 
 /// How far a drawing is, as a line of JSON.
 #[derive(Serialize)]
-struct Line<'a> {
+struct ProgressLine<'a> {
     event: &'static str,
     #[serde(flatten)]
     progress: &'a Progress,
@@ -92,7 +92,7 @@ impl Display {
     fn advance(&mut self, progress: &Progress) {
         if self.json {
             let event = "progress";
-            if let Ok(line) = serde_json::to_string(&Line { event, progress }) {
+            if let Ok(line) = serde_json::to_string(&ProgressLine { event, progress }) {
                 eprintln!("{line}");
             }
             return;

@@ -4,11 +4,14 @@
 //! status.
 
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, counted, in_colour, print_json, session_number};
-use crate::link::error::JobError;
+use super::{ConfigArguments, print_json};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
 use crate::link::port::{Line, Port, PortName};
+use crate::link::session::session_number;
 use crate::link::session::{Event, Session};
 use crate::link::text;
+use crate::terminal::{counted, in_colour};
 use crate::{probe, setup};
 use etherpen::link::protocol::{Status, Welcome};
 use nix::errno::Errno;
@@ -39,7 +42,7 @@ pub struct Arguments {
 /// How a check ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Verdict {
+enum CheckVerdict {
     Ok,
     Warning,
     Failed,
@@ -49,7 +52,7 @@ enum Verdict {
 #[derive(Clone, Debug, Serialize)]
 struct Check {
     check: &'static str,
-    verdict: Verdict,
+    verdict: CheckVerdict,
     found: String,
     /// What to try; empty when nothing has to be done.
     #[serde(rename = "try")]
@@ -60,7 +63,7 @@ impl Check {
     fn ok(check: &'static str, found: impl Into<String>) -> Self {
         Self {
             check,
-            verdict: Verdict::Ok,
+            verdict: CheckVerdict::Ok,
             found: found.into(),
             remedy: String::new(),
         }
@@ -68,7 +71,7 @@ impl Check {
 
     fn warning(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Warning,
+            verdict: CheckVerdict::Warning,
             remedy: remedy.into(),
             ..Self::ok(check, found)
         }
@@ -76,7 +79,7 @@ impl Check {
 
     fn failed(check: &'static str, found: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
-            verdict: Verdict::Failed,
+            verdict: CheckVerdict::Failed,
             ..Self::warning(check, found, remedy)
         }
     }
@@ -86,7 +89,7 @@ impl Check {
 ///
 /// # Errors
 /// A port's name is invalid, or a check failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let port = arguments.port.unless(None)?;
     let mut checks = vec![toolchain(), qemu(), probe_rs(), st_link(), raw_sockets(), namespaces()];
     checks.push(configuration(&arguments.config));
@@ -99,9 +102,13 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     } else {
         checks.iter().for_each(print);
     }
-    match checks.iter().filter(|check| check.verdict == Verdict::Failed).count() {
+    match checks
+        .iter()
+        .filter(|check| check.verdict == CheckVerdict::Failed)
+        .count()
+    {
         0 => Ok(()),
-        failed => Err(CommandError::new(
+        failed => Err(ProgramError::new(
             code::FAILED,
             format!("{failed} of {} failed", counted(checks.len(), "check")),
         )),
@@ -110,9 +117,9 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 
 fn print(check: &Check) {
     let verdict = match check.verdict {
-        Verdict::Ok => in_colour("ok     ", "32"),
-        Verdict::Warning => in_colour("warning", "33"),
-        Verdict::Failed => in_colour("failed ", "31"),
+        CheckVerdict::Ok => in_colour("ok     ", "32"),
+        CheckVerdict::Warning => in_colour("warning", "33"),
+        CheckVerdict::Failed => in_colour("failed ", "31"),
     };
     println!("{verdict}  {:13}  {}", check.check, check.found);
     for line in check.remedy.lines() {
@@ -334,7 +341,7 @@ fn firmware(name: &PortName) -> Vec<Check> {
         }
     };
     let mut checks = vec![Check::ok(PORT, format!("{name} is open"))];
-    match greet(port) {
+    match handshake(port) {
         Ok((welcome, status)) => {
             checks.push(Check::ok(
                 FIRMWARE,
@@ -384,7 +391,7 @@ fn state(status: &Status) -> Check {
 }
 
 /// Greets the firmware and waits for its status.
-fn greet(port: Port) -> Result<(Welcome, Option<Status>), Box<JobError>> {
+fn handshake(port: Port) -> Result<(Welcome, Option<Status>), Box<JobError>> {
     let mut line = Line::start(port);
     let mut session = Session::new(session_number());
     session.connect();

@@ -3,41 +3,38 @@
 //! The machine is shared during the drawing, so that other terminals can hold, resume, cancel and stop it. Every
 //! drawing is recorded in the log of jobs, from which an interrupted one can be resumed.
 
-use super::broken::{self, Plan, Resumption, config_hash, state};
-use super::display::Display;
+mod session;
+
 use super::operator::{Key, Operator};
-use super::outline::around;
-use super::outputs::{Outcome, make_folder, refuse_inputs_in, summarise, write_bytes};
 use super::ports::PortArguments;
-use super::prepare::{Prepared, compose, planned_s, prepare_with, to_wire};
-use super::source::SourceArguments;
-use super::{CommandError, DrawingArguments, code, print_json};
+use super::{DrawingArguments, print_json};
+use crate::drawing::preparation::outline::around;
+use crate::drawing::preparation::prepare::{Prepared, compose, prepare_with};
+use crate::drawing::preparation::source::SourceArguments;
+use crate::drawing::preparation::wire::to_wire;
 use crate::drawing::take_photograph;
-use crate::history::{self, Entry, Record, hash_text};
-use crate::link::error::Phase;
-use crate::link::job::{JobEvent, JobReport, path_hash};
-use crate::link::port::Show;
-use crate::link::progress::{PathMeasure, Progress};
-use crate::machine::{DrawOrder, Failure, Machine, MachineOptions, News, NoNews, Order, Subscription};
-use etherpen::application::Mode;
+use crate::error::{ProgramError, code};
+use crate::job::history::{self, HistoryEntry, Record, hash_text};
+use crate::job::progress::PathMeasure;
+use crate::job::resume::{self, MachineState, ResumePlan, Resumption, config_hash};
+use crate::job::{JobReport, path_hash};
+use crate::machine::{Machine, MachineOptions, Order};
+use crate::output_file::{make_folder, write_bytes};
+use crate::planning::planned_s;
+use crate::report::output::{Outcome, refuse_inputs_in};
+use crate::report::summary::summarise;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
-use std::io::{Cursor, IsTerminal};
+use session::DrawingSession;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// Most news queued while files are written; telemetry makes several hundred a second.
-const NEWS_MAX: usize = 10_000;
-/// Time between two checks of the keyboard.
-const LOOK: Duration = Duration::from_millis(20);
 /// Path speed while the pen goes around a drawing's border, percent, slow enough to watch, and the default speed.
 const OUTLINE_PACE: u8 = 20;
 const PACE_FULL: u8 = 100;
 /// Longest wait for the answer to a change of speed.
 const ANSWER_MAX: Duration = Duration::from_secs(2);
-/// Time between two updates of the log.
-const LOG: Duration = Duration::from_millis(200);
 
 /// Options of `etherpen draw`.
 #[derive(clap::Args, Debug)]
@@ -77,7 +74,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The file or the configuration cannot be used, there is no connection, or the drawing failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.drawing.config.load()?;
     let resumption = resumption(arguments)?;
     let file = file(arguments, resumption.as_ref())?;
@@ -112,10 +109,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 /// Goes around the drawing with the pen up, and waits until the operator starts the drawing.
-fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), CommandError> {
+fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), ProgramError> {
     if file.as_os_str() == "-" {
         let text = "--outline reads the file once more for the drawing: standard input cannot be read again";
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     let prepared = prepare_with(file, config, &arguments.drawing.source)?;
     let Some((border, [width_mm, height_mm])) = around(&prepared.path, config) else {
@@ -123,14 +120,15 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     };
     let machine = start(arguments, config)?;
     // Before a machine has said where it stands it goes at its own pace.
-    let pace = state(&machine)?
+    let pace = machine
+        .known_state()?
         .status
         .map_or(PACE_FULL, |status| status.override_percent);
     // A machine that does not take the pace goes at its own.
     let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
     paced(OUTLINE_PACE);
-    let plan = Plan::whole(&border, None);
-    let ended = Session::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
+    let plan = ResumePlan::whole(&border, None);
+    let ended = DrawingSession::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
     paced(pace);
     ended?.result?;
     drop(machine);
@@ -139,38 +137,38 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     );
     match operator.wait_or_early() {
         Some(Key::Enter) => Ok(()),
-        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+        Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
             code::INTERRUPTED,
             "ended after the outline; nothing was drawn",
         )),
     }
 }
 
-fn start(arguments: &Arguments, config: &Config) -> Result<Machine, CommandError> {
+fn start(arguments: &Arguments, config: &Config) -> Result<Machine, ProgramError> {
     let options = MachineOptions {
         acknowledge: arguments.acknowledge,
         ..MachineOptions::default()
     };
     Machine::start(arguments.port.port.clone(), config.clone(), options)
-        .map_err(|cause| CommandError::new(code::CONNECTION, cause))
+        .map_err(|cause| ProgramError::new(code::CONNECTION, cause))
 }
 
 /// Names of a file's layers, in the order of drawing.
-fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, CommandError> {
+fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, ProgramError> {
     if file.as_os_str() == "-" {
         let text = "--pause reads the file once for each layer: standard input cannot be read again";
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     let composed = compose(file, config, source)?;
     Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
 }
 
 /// Waits with the machine at rest and without power until the pen is changed.
-fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), CommandError> {
+fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), ProgramError> {
     eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
     match operator.wait() {
         Some(Key::Enter) => Ok(()),
-        Some(Key::Interrupt | Key::Terminate) | None => Err(CommandError::new(
+        Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
             code::INTERRUPTED,
             format!("ended before layer {layer}; --layer draws it alone, in its place"),
         )),
@@ -203,9 +201,9 @@ fn draw(
     part: &Part,
     resumption: Option<&Resumption>,
     operator: &mut Operator,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     if let Some(dir) = &part.out {
-        refuse_inputs_in(dir, &part.source.inputs(part.file, &arguments.drawing.config))?;
+        refuse_inputs_in(dir, &part.source.inputs(part.file, arguments.drawing.config.path()))?;
     }
     let prepared = prepare_with(part.file, config, &part.source)?;
     if let Some(dir) = &part.out {
@@ -219,10 +217,10 @@ fn draw(
     };
     let machine = start(arguments, config)?;
     let plan = match before.is_empty() {
-        false => broken::plan(before, &machine, config, &path)?,
-        true => Plan::whole(&path, begin_log(arguments, part, config, &path, hash)),
+        false => resume::plan(before, &state_of(&machine)?, config, &path)?,
+        true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path, hash)),
     };
-    let mut session = Session::new(&machine, config, &path, plan, operator, arguments.drawing.json);
+    let mut session = DrawingSession::new(&machine, config, &path, plan, operator, arguments.drawing.json);
     let ended = session.draw(&part.name)?;
     let (result, job) = (ended.result, ended.report);
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
@@ -230,9 +228,19 @@ fn draw(
     finished
 }
 
+/// What the machine says of itself before a drawing goes on.
+fn state_of(machine: &Machine) -> Result<MachineState, ProgramError> {
+    let known = machine.known_state()?;
+    Ok(MachineState {
+        welcome: known.welcome,
+        status: known.status,
+        path: known.path,
+    })
+}
+
 /// The target of `--resume`. Without a file argument, a value that names no job of the log but a file is that file:
 /// `draw --resume FILE`.
-fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError> {
+fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, ProgramError> {
     let Some(name) = &arguments.resume else {
         return Ok(None);
     };
@@ -240,29 +248,29 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, CommandError>
         ("", Some(file)) => Ok(Some(Resumption::Last(file.clone()))),
         ("", None) => {
             let text = "--resume needs the file to go on with, or the name of a job: etherpen jobs lists them";
-            Err(CommandError::new(code::USAGE, text))
+            Err(ProgramError::new(code::USAGE, text))
         }
         (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),
-        (name, _) => broken::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
+        (name, _) => resume::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
     }
 }
 
 /// The file to draw: the given one, that of the job to resume, or a photograph from a camera.
-fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, CommandError> {
+fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBuf, ProgramError> {
     let Some(device) = &arguments.camera else {
         let of_job = || resumption.map(|resumption| resumption.file().to_owned());
         return Ok(arguments.file.clone().or_else(of_job).unwrap_or_default());
     };
     let unusable =
-        |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{}: {cause}", device.display()));
+        |cause: &dyn std::fmt::Display| ProgramError::new(code::INPUT, format!("{}: {cause}", device.display()));
     let picture = take_photograph(device).map_err(|cause| unusable(&cause))?;
-    let folder = history::folder().map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    let folder = history::folder().map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
     make_folder(&folder)?;
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let file = folder.join(format!("camera-{}.png", since.as_millis()));
     let mut png = Cursor::new(Vec::new());
     let encoded = picture.write_to(&mut png, image::ImageFormat::Png);
-    encoded.map_err(|cause| CommandError::failed("the picture cannot be kept", cause))?;
+    encoded.map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
     write_bytes(&file, png.get_ref())?;
     eprintln!(
         "etherpen: {} x {} pixels from {}, kept as {}",
@@ -275,7 +283,7 @@ fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBu
 }
 
 /// Options of the conversion into strokes: the given ones, or those of the job to resume.
-fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, CommandError> {
+fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<SourceArguments, ProgramError> {
     let given = &arguments.drawing.source;
     let Some(resumption) = resumption.filter(|_| arguments.file.is_none()) else {
         return Ok(given.clone());
@@ -284,7 +292,7 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
         Some(_) if given.is_given() => {
             let text =
                 "--resume JOB takes the options of the file from the log of jobs: leave them out, or name the file too";
-            Err(CommandError::new(code::USAGE, text))
+            Err(ProgramError::new(code::USAGE, text))
         }
         Some(of_job) => Ok(of_job),
         None => Ok(given.clone()),
@@ -293,7 +301,7 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
 
 fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
-    let entry = Entry {
+    let entry = HistoryEntry {
         file: std::fs::canonicalize(part.file).unwrap_or_else(|_| part.file.to_owned()),
         // Options that cannot be noted have to be given again.
         options: serde_json::to_value(&part.source).unwrap_or_default(),
@@ -302,7 +310,7 @@ fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVe
         config_hash: config_hash(config),
         vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
         strokes_total: total.strokes_total,
-        ..Entry::default()
+        ..HistoryEntry::default()
     };
     let begun = history::folder().and_then(|folder| Record::begin(&folder, entry));
     begun
@@ -318,7 +326,7 @@ fn finish(
     prepared: &Prepared,
     job: &JobReport,
     completed: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let image = job
         .welcome
         .as_ref()
@@ -346,206 +354,4 @@ fn finish(
         print_json(&report)?;
     }
     Ok(())
-}
-
-/// How a drawing ended.
-struct Ended {
-    result: Result<(), Failure>,
-    /// Shared with whoever else listens to the machine; empty for a drawing that was refused.
-    report: Arc<JobReport>,
-}
-
-/// One drawing on the machine: what is shown, what is asked for and what is logged.
-struct Session<'a> {
-    machine: &'a Machine,
-    news: Subscription,
-    measure: PathMeasure,
-    plan: Plan,
-    display: Display,
-    operator: &'a mut Operator,
-    begun: bool,
-    lost: bool,
-    logged: Instant,
-}
-
-impl<'a> Session<'a> {
-    fn new(
-        machine: &'a Machine,
-        config: &Config,
-        path: &[PathVertex],
-        plan: Plan,
-        operator: &'a mut Operator,
-        json: bool,
-    ) -> Self {
-        Self {
-            machine,
-            news: machine.subscribe(NEWS_MAX),
-            measure: PathMeasure::new(path, config),
-            plan,
-            display: if json { Display::lines_of_json() } else { Display::new() },
-            operator,
-            begun: false,
-            lost: false,
-            logged: Instant::now(),
-        }
-    }
-
-    fn draw(&mut self, name: &str) -> Result<Ended, CommandError> {
-        let order = Order::Draw(DrawOrder {
-            drawing: self.plan.drawing.clone(),
-            name: name.to_owned(),
-            keep_samples: true,
-        });
-        if let Some(record) = &mut self.plan.record {
-            record.entry.number = self.plan.drawing.number;
-            record.entry.result = None;
-            // A log that cannot be written any more does not keep the drawing from being drawn.
-            let _ = record.save();
-        }
-        let answer = self.machine.order(order);
-        let ended = loop {
-            while let Some(key) = self.operator.next_key() {
-                self.press(key);
-            }
-            match self.news.next_within(LOOK) {
-                Ok(News::Ended { result, report }) => {
-                    let report = report.unwrap_or_default();
-                    break Ended { result, report };
-                }
-                Ok(news) => self.take(&news),
-                // The drawing's end comes as news before it is the order's answer; an order that was refused has no end.
-                Err(NoNews::Timeout) => {
-                    if let Ok(Err(failure)) = answer.try_recv() {
-                        let (result, report) = (Err(failure), Arc::default());
-                        break Ended { result, report };
-                    }
-                }
-                Err(NoNews::Closed) => return Err(CommandError::failed("drawing", "the machine's thread has ended")),
-            }
-        };
-        self.display.finish();
-        self.log_end(&ended);
-        Ok(ended)
-    }
-
-    fn take(&mut self, news: &News) {
-        match news {
-            News::Job(event) => {
-                self.begun |= *event == JobEvent::Phase(Phase::Drawing);
-                self.display.show(&Show::Event(event));
-            }
-            News::Connected(welcome) => {
-                if let Some(record) = &mut self.plan.record {
-                    record.entry.board = format!("{} {}", welcome.board, welcome.firmware);
-                }
-                self.display.show(&Show::Event(&JobEvent::Connected(welcome.clone())));
-            }
-            News::Progress(progress) => {
-                let whole = self.whole(progress);
-                self.display.show(&Show::Progress(&whole));
-                self.log(&whole);
-            }
-            News::Status(status) if self.lost && status.mode == Mode::Holding => {
-                self.lost = false;
-                self.display
-                    .say("connected again, the drawing is held: Enter goes on with it, Ctrl-C ends it");
-            }
-            News::Lost(failure) => self.lose(failure),
-            News::Reconnecting { .. }
-            | News::Status(_)
-            | News::Samples { .. }
-            | News::Begun { .. }
-            | News::Ended { .. } => {}
-        }
-    }
-
-    /// Progress of the whole path, from that of the part that the firmware was given.
-    fn whole(&self, progress: &Progress) -> Progress {
-        let executed = self.plan.executed(progress.vertices);
-        let before = self.plan.executed(0);
-        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
-        Progress {
-            left_s: progress.left_s,
-            ..self
-                .measure
-                .progress(number(before), number(executed), progress.elapsed_s)
-        }
-    }
-
-    fn lose(&mut self, failure: &Failure) {
-        if self.lost || !self.machine.snapshot().interrupted {
-            return;
-        }
-        self.lost = true;
-        self.display.say(&format!("CONNECTION LOST: {failure}"));
-        if std::io::stdin().is_terminal() {
-            self.display
-                .say("the robot holds by itself; trying to connect every second, Ctrl-C gives up");
-        } else {
-            self.display
-                .say("the robot holds by itself; `etherpen draw --resume` goes on with this drawing");
-            self.ask(Order::Cancel);
-        }
-    }
-
-    /// Gives an order whose refusal is shown as news, and whose effect is.
-    fn ask(&self, order: Order) {
-        drop(self.machine.order(order));
-    }
-
-    fn press(&mut self, key: Key) {
-        match key {
-            Key::Interrupt if self.begun && !self.lost && !self.operator.held => {
-                self.operator.held = true;
-                self.ask(Order::Hold);
-            }
-            Key::Interrupt | Key::Terminate => {
-                let what = if self.begun {
-                    "ending the drawing"
-                } else {
-                    "ended before anything was drawn"
-                };
-                self.display.say(what);
-                self.ask(Order::Cancel);
-            }
-            Key::Enter => {
-                let snapshot = self.machine.snapshot();
-                let holding = snapshot.status.is_some_and(|status| status.mode == Mode::Holding);
-                if holding || snapshot.interrupted {
-                    self.operator.held = false;
-                    self.ask(Order::Resume);
-                } else {
-                    self.operator.note_early_enter();
-                }
-            }
-        }
-    }
-
-    fn log(&mut self, progress: &Progress) {
-        let Some(record) = &mut self.plan.record else { return };
-        record.entry.progress(progress);
-        record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
-        if self.logged.elapsed() >= LOG {
-            self.logged = Instant::now();
-            // A log that cannot be written any more does not end the drawing.
-            let _ = record.save_unsynced();
-        }
-    }
-
-    fn log_end(&mut self, ended: &Ended) {
-        let whole = self.whole(&ended.report.progress);
-        let Some(record) = &mut self.plan.record else { return };
-        record.entry.completed = ended.result.is_ok();
-        record.entry.result = Some(match &ended.result {
-            Ok(()) => "drawn".to_owned(),
-            Err(failure) => failure.text.clone(),
-        });
-        if ended.report.progress.vertices_total > 0 {
-            record.entry.progress(&whole);
-        }
-        record.entry.drawn_s = self.plan.drawn_before_s + ended.report.drawn_s;
-        if let Err(cause) = record.save() {
-            eprintln!("the log of jobs cannot be written: {cause}");
-        }
-    }
 }

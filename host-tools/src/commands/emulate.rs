@@ -1,11 +1,11 @@
 //! `etherpen emulate`: the firmware in QEMU with the virtual cell, left running.
 
-use super::run::emulator_error;
-use super::{CommandError, ConfigArguments, code};
+use super::ConfigArguments;
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions, Script};
 use crate::emulator::free_running::FreeRunning;
 use crate::emulator::{ClientSlot, Emulator, LINK_BYTES_MAX, Link, LogLine, Options, Pace};
+use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -94,7 +94,7 @@ impl Link for TcpLine {
 ///
 /// # Errors
 /// A tool is missing, the port is taken, or the emulator ended by itself.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let faults = read_faults(arguments.faults.as_deref(), config.bus.drives.into())?;
     setup::ensure_sources()?;
@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             ..CellOptions::default()
         },
     );
-    let cell = CapturedCell::new(cell, None).map_err(|cause| CommandError::failed("the cell", cause))?;
+    let cell = CapturedCell::new(cell, None).map_err(|cause| ProgramError::failed("the cell", cause))?;
     let show_log = arguments.log;
     let pace = match arguments.pace {
         PaceArgument::Max => Pace::Max,
@@ -127,10 +127,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
             true => FreeRunning::start_on_user_network(&image, &options.qemu, arguments.port, log),
             false => FreeRunning::start(&image, &options.qemu, arguments.port, cell, log),
         };
-        return free_run(started.map_err(|error| emulator_error(&error))?);
+        return free_run(started.map_err(|error| ProgramError::from(&error))?);
     }
     let line = TcpLine::listen(arguments.port).map_err(|cause| {
-        CommandError::new(
+        ProgramError::new(
             code::CONNECTION,
             format!("port {} on 127.0.0.1 cannot be used: {cause}", arguments.port),
         )
@@ -138,14 +138,14 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let address = line
         .listener
         .local_addr()
-        .map_err(|cause| CommandError::failed("the port", cause))?;
-    let emulator = Emulator::start(&image, &options, cell, line, log).map_err(|error| emulator_error(&error))?;
+        .map_err(|cause| ProgramError::failed("the port", cause))?;
+    let emulator = Emulator::start(&image, &options, cell, line, log).map_err(|error| ProgramError::from(&error))?;
     announce(&address.to_string())?;
-    emulator.wait().map(|_| ()).map_err(|error| emulator_error(&error))
+    emulator.wait().map(|_| ()).map_err(|error| ProgramError::from(&error))
 }
 
-fn announce(address: &str) -> Result<(), CommandError> {
-    writeln!(std::io::stdout(), "tcp:{address}").map_err(|cause| CommandError::failed("stdout", cause))?;
+fn announce(address: &str) -> Result<(), ProgramError> {
+    writeln!(std::io::stdout(), "tcp:{address}").map_err(|cause| ProgramError::failed("stdout", cause))?;
     eprintln!("The firmware runs in the emulator. In another terminal:");
     let program = std::env::args().next().unwrap_or_else(|| "etherpen".into());
     let sample = Some("samples/astronaut.png").filter(|sample| Path::new(sample).exists());
@@ -155,22 +155,22 @@ fn announce(address: &str) -> Result<(), CommandError> {
 }
 
 /// Runs without lockstep until the emulator ends.
-fn free_run(running: FreeRunning) -> Result<(), CommandError> {
+fn free_run(running: FreeRunning) -> Result<(), ProgramError> {
     announce(&format!("127.0.0.1:{}", running.port()))?;
     while running.is_running() {
         std::thread::sleep(LOOK);
     }
-    running.stop().map_err(|error| emulator_error(&error))
+    running.stop().map_err(|error| ProgramError::from(&error))
 }
 
 /// Reads a fault script for a chain of `slaves` slaves; without a file there are no faults.
-pub(super) fn read_faults(path: Option<&Path>, slaves: usize) -> Result<Script, CommandError> {
+pub(super) fn read_faults(path: Option<&Path>, slaves: usize) -> Result<Script, ProgramError> {
     let Some(path) = path else {
         return Ok(Script::default());
     };
-    let wrong = |cause| CommandError::new(code::INPUT, format!("{}: {cause}", path.display()));
+    let wrong = |cause| ProgramError::new(code::INPUT, format!("{}: {cause}", path.display()));
     let text = std::fs::read_to_string(path)
-        .map_err(|cause| CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
+        .map_err(|cause| ProgramError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
     let script: Script = text.parse().map_err(wrong)?;
     script.check(slaves).map_err(wrong)?;
     Ok(script)

@@ -3,8 +3,9 @@
 //! The program probe-rs writes the image; its requirements and errors are explained here with what to try. Invariant:
 //! nothing is written before the image is known to be valid for this chip.
 
-use super::{CommandError, code, print_json};
-use crate::image::Image;
+use super::print_json;
+use crate::error::{ProgramError, code};
+use crate::firmware_image::Image;
 use crate::{probe, setup};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -57,7 +58,7 @@ struct Flashed {
 ///
 /// # Errors
 /// The build or the image is invalid, a tool is missing, or the probe failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let path = match &arguments.image {
         Some(path) => path.clone(),
         None => {
@@ -66,7 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         }
     };
     let refused =
-        |cause: &dyn std::fmt::Display| CommandError::new(code::INPUT, format!("{}: {cause}", path.display()));
+        |cause: &dyn std::fmt::Display| ProgramError::new(code::INPUT, format!("{}: {cause}", path.display()));
     let image = Image::read(&path).map_err(|cause| refused(&cause))?;
     check(&image).map_err(|cause| refused(&cause))?;
     let probe_rs = program(arguments.install)?;
@@ -143,7 +144,7 @@ fn check(image: &Image) -> Result<(), String> {
 }
 
 /// The program probe-rs; installed if it is missing and `install` is set.
-fn program(install: bool) -> Result<PathBuf, CommandError> {
+fn program(install: bool) -> Result<PathBuf, ProgramError> {
     if let Some(program) = probe::probe_rs() {
         return Ok(program);
     }
@@ -152,7 +153,7 @@ fn program(install: bool) -> Result<PathBuf, CommandError> {
             "probe-rs is needed and not installed. Try: {}   (or: etherpen flash --install)",
             probe::INSTALL
         );
-        CommandError::new(code::TOOL, text)
+        ProgramError::new(code::TOOL, text)
     };
     if !install {
         return Err(missing());
@@ -163,7 +164,7 @@ fn program(install: bool) -> Result<PathBuf, CommandError> {
     let installed = command.args(words.by_ref()).stdout(Stdio::null()).status();
     match installed {
         Ok(status) if status.success() => probe::probe_rs().ok_or_else(missing),
-        _ => Err(CommandError::new(
+        _ => Err(ProgramError::new(
             code::TOOL,
             format!(
                 "probe-rs could not be installed; what its build needs is at https://probe.rs/docs/getting-started/installation. \
@@ -200,7 +201,7 @@ fn ended(command: &mut Command) -> Result<(), String> {
 }
 
 /// Writes and verifies; after a failure once more with the chip held in reset. Returns whether that was needed.
-fn download(program: &Path, arguments: &Arguments, image: &Path) -> Result<bool, CommandError> {
+fn download(program: &Path, arguments: &Arguments, image: &Path) -> Result<bool, ProgramError> {
     let mut last = String::new();
     for under_reset in [false, true] {
         let mut command = probe(program, "download", arguments, under_reset);
@@ -224,12 +225,12 @@ fn download(program: &Path, arguments: &Arguments, image: &Path) -> Result<bool,
     ))
 }
 
-fn failed(what: &str, said: &str) -> CommandError {
-    CommandError::new(code::FAILED, format!("{what}. probe-rs says:\n{said}"))
+fn failed(what: &str, said: &str) -> ProgramError {
+    ProgramError::new(code::FAILED, format!("{what}. probe-rs says:\n{said}"))
 }
 
 /// The error for a probe that is missing or cannot be opened, if probe-rs reports one.
-fn unreachable(said: &str) -> Option<CommandError> {
+fn unreachable(said: &str) -> Option<ProgramError> {
     let text = said.to_lowercase();
     let says = |parts: &[&str]| parts.iter().any(|part| text.contains(part));
     let denied = says(&[
@@ -262,7 +263,7 @@ fn unreachable(said: &str) -> Option<CommandError> {
                 .into()
         }
     };
-    Some(CommandError::new(
+    Some(ProgramError::new(
         code::CONNECTION,
         format!("{message}\nprobe-rs says:\n{said}"),
     ))

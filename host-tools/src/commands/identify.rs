@@ -4,17 +4,21 @@
 //! The motion is driven twice: with the present values, and with the values found, so that the stored values have been
 //! tested.
 
+use super::ConfigArguments;
 use super::display::Display;
 use super::operator::Operator;
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code, counted, job_error, run::run_error, session_number};
 use crate::cell::CellOptions;
+use crate::error::{ProgramError, code};
 use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
-use crate::link::job::{Job, JobOptions, JobReport};
-use crate::link::port::{Port, PortName, RunError, run_job};
+use crate::job::over_port::{OverPortError, run_job};
+use crate::job::{Job, JobOptions, JobReport};
+use crate::link::port::{Port, PortName};
+use crate::link::session::session_number;
 use crate::report::tracking;
-use crate::run::{self, Task};
+use crate::run::{self, RunTask};
 use crate::settings::Settings;
+use crate::terminal::counted;
 use etherpen::config::Config;
 use etherpen::robot::AXES;
 use serde::Serialize;
@@ -86,13 +90,13 @@ struct Identified {
 ///
 /// # Errors
 /// Errors of the configuration, the machine or the file, or a requested axis without an estimate.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let port = arguments.port.unless(arguments.simulate.then_some("--simulate"))?;
     if port.is_none() && !arguments.simulate {
         let text =
             "which machine? Name its port (--port /dev/ttyACM0, tcp:host:port or unix:path), or try it with --simulate";
-        return Err(CommandError::new(code::USAGE, text));
+        return Err(ProgramError::new(code::USAGE, text));
     }
     let mut operator = port.as_ref().map(|_| Operator::start());
     let mut drive = |config: &Config| drive(port.as_ref(), config, operator.as_mut());
@@ -104,7 +108,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     apply(&mut found, &answers, only);
     found.check().map_err(|cause| {
         let text = crate::link::text::config_error(&cause);
-        CommandError::new(code::FAILED, format!("what was measured cannot be used: {text}"))
+        ProgramError::new(code::FAILED, format!("what was measured cannot be used: {text}"))
     })?;
     let second = drive(&test_config(&found))?;
     let tracked = |config: &Config, job: &JobReport| {
@@ -121,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     print(&result);
     if let Some(path) = target(arguments) {
-        let failed = |cause| CommandError::failed(format!("{} cannot be changed", path.display()), cause);
+        let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
         let mut settings = Settings::open(&path).map_err(failed)?;
         let changed = settings.store_axes(&found).map_err(failed)?;
         settings.save(&path).map_err(failed)?;
@@ -147,35 +151,36 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
 
 /// Fails if a needed axis has no estimate: the requested axis, or any arm if no axis was requested. The arms always
 /// move.
-fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), CommandError> {
+fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), ProgramError> {
     for (axis, answer) in answers.iter().enumerate() {
         let needed = only.map_or(axis < etherpen::robot::ARMS, |only| only == axis);
         if let (true, Err(cause)) = (needed, answer) {
-            return Err(CommandError::new(code::FAILED, format!("axis {}: {cause}", axis + 1)));
+            return Err(ProgramError::new(code::FAILED, format!("axis {}: {cause}", axis + 1)));
         }
     }
     Ok(())
 }
 
 /// Drives the test motion once.
-fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, CommandError> {
+fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, ProgramError> {
     let path = test_path(config);
     let mut display = Display::new();
     let (Some(port), Some(operator)) = (port, operator) else {
-        let task = Task {
+        let task = RunTask {
             config: config.clone(),
             path,
             cell: CellOptions::default(),
         };
-        let drawn = run::simulate(&task, None, &mut |job| display.update(job)).map_err(|error| run_error(&error))?;
+        let drawn =
+            run::simulate(&task, None, &mut |job| display.update(job)).map_err(|error| ProgramError::from(&error))?;
         display.finish();
         return match drawn.outcome {
             Some(Ok(())) => Ok(drawn.job),
-            Some(Err(error)) => Err(job_error(&error)),
-            None => Err(CommandError::new(code::FAILED, "the run ended before the motion did")),
+            Some(Err(error)) => Err(ProgramError::from(&error)),
+            None => Err(ProgramError::new(code::FAILED, "the run ended before the motion did")),
         };
     };
-    let port = Port::open(port).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let port = Port::open(port).map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     let options = JobOptions {
         session: session_number(),
         ..JobOptions::default()
@@ -186,8 +191,8 @@ fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operato
     });
     display.finish();
     result.map_err(|error| match error {
-        RunError::Job(error) => job_error(&error),
-        RunError::Port(error) => CommandError::new(code::CONNECTION, error),
+        OverPortError::Job(error) => ProgramError::from(&*error),
+        OverPortError::Port(error) => ProgramError::new(code::CONNECTION, error),
     })?;
     Ok(job.into_report())
 }

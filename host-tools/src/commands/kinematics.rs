@@ -3,7 +3,8 @@
 //! Only reach and singularity are checked; `plan` and `draw` check the work area. The range of the arms is checked if
 //! the geometry's file gives one.
 
-use super::{CommandError, code, print_json};
+use super::print_json;
+use crate::error::{ProgramError, code};
 use etherpen::config::Geometry;
 use etherpen::robot::{
     ARMS, Conditioning, Delta, GeometryError, JointAngles, KinematicsError, Position, RATIO_SINGULAR,
@@ -100,7 +101,7 @@ struct Robot {
 ///
 /// # Errors
 /// The geometry's file cannot be used, or there is no solution: which arm and why.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let (answer, options) = match &arguments.direction {
         Direction::Inverse { position, options } => (robot(options)?.inverse(position.0)?, options),
         Direction::Forward { joints, options } => (robot(options)?.forward(joints.0)?, options),
@@ -115,10 +116,10 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
-fn robot(options: &Options) -> Result<Robot, CommandError> {
+fn robot(options: &Options) -> Result<Robot, ProgramError> {
     match &options.geometry {
         None => Robot::new(Geometry::default(), None),
         Some(path) => std::fs::read_to_string(path)
@@ -127,8 +128,8 @@ fn robot(options: &Options) -> Result<Robot, CommandError> {
             .and_then(|(geometry, range_rad)| Robot::new(geometry, range_rad)),
     }
     .map_err(|cause| match &options.geometry {
-        Some(path) => CommandError::new(code::INPUT, format!("the geometry {}: {cause}", path.display())),
-        None => CommandError::new(code::FAILED, cause),
+        Some(path) => ProgramError::new(code::INPUT, format!("the geometry {}: {cause}", path.display())),
+        None => ProgramError::new(code::FAILED, cause),
     })
 }
 
@@ -195,13 +196,13 @@ impl Robot {
         Ok(Self { delta, range_rad })
     }
 
-    fn inverse(&self, position_mm: [f64; 3]) -> Result<Answer, CommandError> {
+    fn inverse(&self, position_mm: [f64; 3]) -> Result<Answer, ProgramError> {
         if let Some((name, value)) = ["x", "y", "z"]
             .iter()
             .zip(position_mm)
             .find(|(_, value)| !value.is_finite())
         {
-            return Err(CommandError::new(
+            return Err(ProgramError::new(
                 code::USAGE,
                 format!("{name} is {value}, which is no finite number: no arm has an angle for it"),
             ));
@@ -215,11 +216,11 @@ impl Robot {
         })
     }
 
-    fn forward(&self, joints_rad: [f64; ARMS]) -> Result<Answer, CommandError> {
+    fn forward(&self, joints_rad: [f64; ARMS]) -> Result<Answer, ProgramError> {
         for (arm, angle_rad) in (0u8..).zip(joints_rad) {
             if !angle_rad.is_finite() {
                 let message = format!("arm {} is {angle_rad}, which is no finite number", arm + 1);
-                return Err(CommandError::new(code::USAGE, message));
+                return Err(ProgramError::new(code::USAGE, message));
             }
             if let Some([low_rad, high_rad]) = self.range_rad
                 && !(angle_rad >= low_rad && angle_rad <= high_rad)
@@ -243,14 +244,14 @@ impl Robot {
     }
 
     /// Refuses poses in which the arms do not hold the platform.
-    fn check_regular(&self, position: &Position) -> Result<(), CommandError> {
+    fn check_regular(&self, position: &Position) -> Result<(), ProgramError> {
         let Conditioning { ratio, determinant, .. } = self.delta.conditioning(position);
         let (arm, ratio) = ratio;
         if ratio.is_nan() || ratio < RATIO_SINGULAR {
             return Err(no_answer(&KinematicsError::Singular { arm, ratio }));
         }
         if determinant.is_nan() || determinant < DETERMINANT_SINGULAR {
-            return Err(CommandError::new(
+            return Err(ProgramError::new(
                 code::FAILED,
                 "singular: the forearms of arms 1, 2 and 3 lie in one plane and do not hold the platform across it",
             ));
@@ -259,7 +260,7 @@ impl Robot {
     }
 }
 
-fn no_answer(cause: &KinematicsError) -> CommandError {
+fn no_answer(cause: &KinematicsError) -> ProgramError {
     let why = match *cause {
         KinematicsError::NotFinite => "a value is no finite number".into(),
         KinematicsError::Unreachable { arm, .. } => format!("unreachable: arm {} does not reach it", arm + 1),
@@ -280,7 +281,7 @@ fn no_answer(cause: &KinematicsError) -> CommandError {
             "unreachable: with these angles the forearms of arms 1, 2 and 3 do not meet in one platform".into()
         }
     };
-    CommandError::new(code::FAILED, why)
+    ProgramError::new(code::FAILED, why)
 }
 
 #[cfg(test)]

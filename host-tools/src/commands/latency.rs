@@ -1,10 +1,11 @@
 //! `etherpen bench latency`: the latency of the critical tasks, with and without disturbance.
 
-use super::bench::table;
-use super::outputs::write_text;
-use super::{CommandError, code, print_json};
-use crate::bench::latency::{self, Disturbance, Isolation, LatencyReport, Plan, plot};
-use crate::bench::{BenchError, Report};
+use super::print_json;
+use crate::bench::BenchReport;
+use crate::bench::latency::{self, Disturbance, Isolation, LatencyPlan, LatencyReport, plot};
+use crate::bench::table::table;
+use crate::error::ProgramError;
+use crate::output_file::write_text;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -49,8 +50,8 @@ fn rate(text: &str) -> Result<u32, String> {
 /// # Errors
 /// A tool is missing, the firmware could not be measured, or a file could not be written. A missed target is not an
 /// error.
-pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
-    let plan = Plan {
+pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
+    let plan = LatencyPlan {
         cycles: arguments.cycles.max(1),
         disturbance: arguments.disturbance,
         at_rest: true,
@@ -66,7 +67,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if arguments.json {
         return print_json(&report);
     }
-    let figures = Report {
+    let figures = BenchReport {
         bench: report.bench,
         rows: report.rows.clone(),
     };
@@ -77,13 +78,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     std::io::stdout()
         .write_all(format!("{}{verdict}\n", table(&figures)).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 /// Measures, with progress on stderr.
-pub(super) fn measure(plan: &Plan) -> Result<LatencyReport, CommandError> {
-    latency::run(plan, |what| eprintln!("etherpen: {what}")).map_err(|error| match error {
-        BenchError::Setup(error) => CommandError::from(error),
-        BenchError::Program { .. } => CommandError::new(code::FAILED, error),
-    })
+pub(super) fn measure(plan: &LatencyPlan) -> Result<LatencyReport, ProgramError> {
+    latency::run(plan, |what| eprintln!("etherpen: {what}")).map_err(ProgramError::from)
 }

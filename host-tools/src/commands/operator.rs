@@ -1,6 +1,6 @@
 //! Keyboard input of the operator: Ctrl-C, Ctrl-C again, Enter.
 
-use crate::link::job::Control;
+use crate::job::Control;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::io::IsTerminal;

@@ -1,13 +1,15 @@
 //! `etherpen order`: puts the lines of a vector file into an order with little drawing time.
 
-use super::outputs::{refuse_input, write_text};
-use super::prepare::{artwork_of, unusable};
-use super::quickest::quickest;
-use super::source::TextArguments;
-use super::{CommandError, ConfigArguments, counted, print_json};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::choose_order::choose_order;
+use crate::drawing::preparation::compose::{artwork_of, unusable};
+use crate::drawing::preparation::source::TextArguments;
 use crate::drawing::{
     Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, Travel, load_with, parse_length_mm, write_artwork,
 };
+use crate::error::ProgramError;
+use crate::output_file::{refuse_input, write_text};
+use crate::terminal::counted;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -68,11 +70,11 @@ struct Answer {
 ///
 /// # Errors
 /// The file cannot be used, or the result cannot be written.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let begun = Instant::now();
     refuse_input(
         &arguments.out,
-        &arguments.text.inputs(&arguments.file, &arguments.config),
+        &arguments.text.inputs(&arguments.file, arguments.config.path()),
     )?;
     let config = arguments.config.load()?;
     let artwork =
@@ -89,7 +91,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     let before = sequence(&artwork);
     let order_begun = Instant::now();
-    let chosen = quickest(&by_layers(&artwork), &before, &options, &config);
+    let chosen = choose_order(&by_layers(&artwork), &before, &options, &config);
     let order_seconds = order_begun.elapsed().as_secs_f64();
     let ordered = match chosen.layers {
         Some(layers) => with_strokes(&artwork, layers),

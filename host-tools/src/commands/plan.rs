@@ -1,16 +1,19 @@
 //! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
-use super::outputs::{refuse_input, unwritable};
-use super::prepare::{prepare_with, unusable};
-use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, counted, print_json};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::compose::unusable;
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::{Input, Path3d, load};
+use crate::error::{ProgramError, code};
 use crate::link::text;
 use crate::output_file::OutputFile;
-use crate::planning::{Analysis, Findings, PlanningError, Sample, plan};
+use crate::output_file::{refuse_input, unwritable};
+use crate::planning::{Analysis, Findings, PlanningError, Table, plan};
+use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
-use etherpen::motion::{Admission, Pen, RefusalReason, Vertex};
+use etherpen::motion::{Admission, RefusalReason, Vertex};
 use etherpen::robot::AXES;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -119,14 +122,17 @@ struct Answer {
 ///
 /// # Errors
 /// The file or the configuration cannot be used, or a vertex is refused: its index, its line and why.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if let Some(table) = &arguments.samples {
-        refuse_input(table, &arguments.source.inputs(&arguments.file, &arguments.config))?;
+        refuse_input(
+            table,
+            &arguments.source.inputs(&arguments.file, arguments.config.path()),
+        )?;
     }
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     let (path, vertices_merged) = read(&arguments.file, &config, &arguments.source)?;
-    let mut table = arguments.samples.as_deref().map(Table::new).transpose()?;
+    let mut table = arguments.samples.as_deref().map(begin).transpose()?;
     let mut analysis = None;
     let mut failed = None;
     let run = plan(&config, &path, |sample, run| {
@@ -139,7 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     })
     .map_err(|cause| unusable(&arguments.file, &cause))?;
     if let (Some(cause), Some(file)) = (
-        failed.or_else(|| table.and_then(|table| table.finish().err())),
+        failed.or_else(|| table.and_then(|table| table.finish().commit().err())),
         &arguments.samples,
     ) {
         return Err(unwritable(file, &cause));
@@ -155,15 +161,22 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
     io::stdout()
         .write_all(shown(&answer).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
+}
+
+/// Begins the table of references.
+fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
+    OutputFile::create(file)
+        .and_then(Table::new)
+        .map_err(|cause| unwritable(file, &cause))
 }
 
 /// The path of a file, every vertex admitted, and how many vertices were merged.
-fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), CommandError> {
+fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), ProgramError> {
     match load(file).map_err(|cause| unusable(file, &cause))? {
         Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
-            Refused::Geometry(refusal) => CommandError::new(code::USAGE, text::config_refusal(&refusal)),
-            Refused::Path(cause) => unusable(file, &cause),
+            PathRefusal::Geometry(refusal) => ProgramError::new(code::USAGE, text::config_refusal(&refusal)),
+            PathRefusal::Path(cause) => unusable(file, &cause),
         }),
         Input::Photograph(_) | Input::Drawing(_) | Input::Artwork(_) => {
             Ok((prepare_with(file, config, source)?.path, 0))
@@ -173,81 +186,29 @@ fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<V
 
 /// Why a listed path is not planned.
 #[derive(Debug)]
-enum Refused {
+enum PathRefusal {
     Geometry(ConfigRefusal),
     Path(String),
 }
 
 /// Checks the vertices of a listed path; leaves out those that coincide with the previous one.
-fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), Refused> {
-    let mut admission =
-        Admission::new(&config.motion_settings()).map_err(|cause| Refused::Geometry(ConfigRefusal::Geometry(cause)))?;
+fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), PathRefusal> {
+    let mut admission = Admission::new(&config.motion_settings())
+        .map_err(|cause| PathRefusal::Geometry(ConfigRefusal::Geometry(cause)))?;
     let mut admitted = Vec::with_capacity(path.vertices.len());
     for (index, (vertex, line)) in (0u32..).zip(path.vertices.iter().zip(&path.lines)) {
         match admission.check(index, vertex) {
             Ok(()) => admitted.push(*vertex),
             Err(refusal) if matches!(refusal.reason, RefusalReason::Repeated { .. }) => {}
-            Err(refusal) => return Err(Refused::Path(format!("line {line}: {}", text::vertex(&refusal)))),
+            Err(refusal) => return Err(PathRefusal::Path(format!("line {line}: {}", text::vertex(&refusal)))),
         }
     }
     if admitted.len() < 2 {
         let vertices = admitted.len();
-        return Err(Refused::Path(PlanningError::TooShort { vertices }.to_string()));
+        return Err(PathRefusal::Path(PlanningError::TooShort { vertices }.to_string()));
     }
     let merged = path.vertices.len() - admitted.len();
     Ok((admitted, merged))
-}
-
-/// The references as a table; those at rest at the end are left out.
-struct Table {
-    out: OutputFile,
-    /// Rows that repeat the last one written.
-    waiting: Vec<Sample>,
-    last: Option<[f64; AXES]>,
-}
-
-impl Table {
-    fn new(file: &Path) -> Result<Self, CommandError> {
-        let failed = |cause| unwritable(file, &cause);
-        let mut out = OutputFile::create(file).map_err(failed)?;
-        let names = (1..=AXES).map(|axis| format!("q{axis}_rad,"));
-        let speeds = (1..=AXES).map(|axis| format!("v{axis}_rad_s,"));
-        let heading: String = names.chain(speeds).collect();
-        writeln!(out, "t_ms,x_mm,y_mm,z_mm,{heading}pen").map_err(failed)?;
-        Ok(Self {
-            out,
-            waiting: Vec::new(),
-            last: None,
-        })
-    }
-
-    fn step(&mut self, sample: &Sample) -> io::Result<()> {
-        let position = sample.reference.position_rad;
-        if self.last.replace(position) == Some(position) {
-            self.waiting.push(*sample);
-            return Ok(());
-        }
-        for waiting in self.waiting.drain(..) {
-            row(&mut self.out, &waiting)?;
-        }
-        row(&mut self.out, sample)
-    }
-
-    fn finish(self) -> io::Result<()> {
-        self.out.commit()
-    }
-}
-
-fn row(out: &mut impl Write, sample: &Sample) -> io::Result<()> {
-    let [x, y, z] = sample.point;
-    write!(out, "{},{x:.9},{y:.9},{z:.9}", sample.t_ms)?;
-    for angle in sample.reference.position_rad {
-        write!(out, ",{angle:.13}")?;
-    }
-    for speed in sample.reference.velocity_rad_s {
-        write!(out, ",{speed:.10}")?;
-    }
-    writeln!(out, ",{}", u8::from(sample.reference.pen == Pen::Down))
 }
 
 /// The findings as text.

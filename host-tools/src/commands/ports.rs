@@ -1,6 +1,6 @@
 //! The machine's port: from `--port`, `ETHERPEN_PORT`, or a running program.
 
-use super::{CommandError, code};
+use crate::error::{ProgramError, code};
 use crate::link::ownership::{self, InUse};
 use crate::link::port::PortName;
 use std::fmt::Write;
@@ -37,7 +37,7 @@ impl OptionalPort {
     ///
     /// # Errors
     /// Both were given as options.
-    pub(super) fn unless(&self, other: Option<&str>) -> Result<Option<PortName>, CommandError> {
+    pub(super) fn unless(&self, other: Option<&str>) -> Result<Option<PortName>, ProgramError> {
         unless(self.port.as_ref(), other)
     }
 
@@ -52,7 +52,7 @@ impl SessionPort {
     ///
     /// # Errors
     /// No program, or several, have a port; the message lists them.
-    pub(super) fn find(&self) -> Result<PortName, CommandError> {
+    pub(super) fn find(&self) -> Result<PortName, ProgramError> {
         self.port.clone().map_or_else(of_running_program, Ok)
     }
 
@@ -60,7 +60,7 @@ impl SessionPort {
     ///
     /// # Errors
     /// As [`find`](Self::find), or both were given as options.
-    pub(super) fn find_unless(&self, other: Option<&str>) -> Result<Option<PortName>, CommandError> {
+    pub(super) fn find_unless(&self, other: Option<&str>) -> Result<Option<PortName>, ProgramError> {
         match (unless(self.port.as_ref(), other)?, other) {
             (None, None) => of_running_program().map(Some),
             (named, _) => Ok(named),
@@ -68,13 +68,13 @@ impl SessionPort {
     }
 }
 
-fn unless(port: Option<&PortName>, other: Option<&str>) -> Result<Option<PortName>, CommandError> {
+fn unless(port: Option<&PortName>, other: Option<&str>) -> Result<Option<PortName>, ProgramError> {
     let (Some(named), Some(other)) = (port, other) else {
         return Ok(port.cloned());
     };
     match is_from_environment(named) {
         true => Ok(None),
-        false => Err(CommandError::new(
+        false => Err(ProgramError::new(
             code::USAGE,
             format!("--port and {other} exclude each other; give one of them"),
         )),
@@ -92,17 +92,17 @@ fn is_from_environment(port: &PortName) -> bool {
 ///
 /// # Errors
 /// The runtime folder cannot be used.
-pub(super) fn running() -> Result<(Vec<InUse>, Vec<InUse>), CommandError> {
+pub(super) fn running() -> Result<(Vec<InUse>, Vec<InUse>), ProgramError> {
     let in_use = ownership::in_use()
-        .map_err(|cause| CommandError::failed("the list of running programs cannot be read", cause))?;
+        .map_err(|cause| ProgramError::failed("the list of running programs cannot be read", cause))?;
     Ok(in_use.into_iter().partition(|found| found.shares))
 }
 
-fn of_running_program() -> Result<PortName, CommandError> {
+fn of_running_program() -> Result<PortName, ProgramError> {
     let (sharing, alone) = running()?;
     match sharing.as_slice() {
         [found] => Ok(found.port.clone()),
-        _ => Err(CommandError::new(code::USAGE, choice(&sharing, &alone))),
+        _ => Err(ProgramError::new(code::USAGE, choice(&sharing, &alone))),
     }
 }
 

@@ -1,12 +1,15 @@
 //! `etherpen preview`: shows how a file would be drawn, as a picture and in figures.
 
-use super::outputs::{refuse_input, write_bytes, write_text};
-use super::prepare::{Composed, compose, in_sequence, planned_s, refused, unusable};
-use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, code, counted, print_json};
-use crate::drawing::{Drawing, PreviewScene, Stroke};
-use etherpen::config::Config;
-use etherpen::motion::{Pen, Vertex};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::compose::{Composed, in_sequence, unusable};
+use crate::drawing::preparation::prepare::{compose, refused};
+use crate::drawing::preparation::source::SourceArguments;
+use crate::drawing::{Drawing, PreviewScene, from_path};
+use crate::error::{ProgramError, code};
+use crate::output_file::{refuse_input, write_bytes, write_text};
+use crate::planning::planned_s;
+use crate::terminal::counted;
+use etherpen::motion::Vertex;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -45,12 +48,12 @@ struct Answer {
     /// How many strokes would be refused.
     refused: usize,
     /// The first of them.
-    refusals: Vec<Refusal>,
+    refusals: Vec<RefusalAnswer>,
     layers: Vec<LayerAnswer>,
 }
 
 #[derive(Debug, Serialize)]
-struct Refusal {
+struct RefusalAnswer {
     /// Number in the order of drawing, the first is 1.
     stroke: u32,
     /// Place in the robot's frame.
@@ -77,14 +80,14 @@ const PX_PER_MM: f64 = 6.0;
 /// # Errors
 /// The file or the configuration cannot be used, the picture cannot be written, or strokes are refused; in the last
 /// case the picture is written and shows them.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let is_png = match arguments.out.extension().and_then(|extension| extension.to_str()) {
         Some(extension) if extension.eq_ignore_ascii_case("png") => true,
         Some(extension) if extension.eq_ignore_ascii_case("svg") => false,
         _ if arguments.out.as_os_str() == "-" => false,
         _ => {
             let shown = arguments.out.display();
-            return Err(CommandError::new(
+            return Err(ProgramError::new(
                 code::USAGE,
                 format!("{shown}: the picture's name ends in .svg or .png"),
             ));
@@ -92,12 +95,12 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     };
     refuse_input(
         &arguments.out,
-        &arguments.source.inputs(&arguments.file, &arguments.config),
+        &arguments.source.inputs(&arguments.file, arguments.config.path()),
     )?;
     let config = arguments.config.load()?;
     let composed = compose(&arguments.file, &config, &arguments.source)?;
     let drawing = if composed.parts.is_empty() {
-        drawing_of(&composed.path, &config)
+        from_path(&composed.path, &config.paper)
     } else {
         in_sequence(&composed.parts)
     };
@@ -119,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if is_png {
         let png = scene
             .png(PX_PER_MM)
-            .map_err(|cause| CommandError::failed("the picture cannot be made", cause))?;
+            .map_err(|cause| ProgramError::failed("the picture cannot be made", cause))?;
         write_bytes(&arguments.out, &png)?;
     } else {
         write_text(&arguments.out, &scene.svg())?;
@@ -139,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
         },
         refused: refused.len(),
         refusals: listed
-            .map(|refused| Refusal {
+            .map(|refused| RefusalAnswer {
                 stroke: refused.stroke + 1,
                 x_mm: refused.position.x_mm,
                 y_mm: refused.position.y_mm,
@@ -175,36 +178,6 @@ fn layers(composed: &Composed) -> Vec<LayerAnswer> {
         .iter()
         .map(|(layer, drawing)| answer(&layer.name, drawing)))
     .collect()
-}
-
-/// A path's drawn parts as strokes on the sheet.
-fn drawing_of(path: &[Vertex], config: &Config) -> Drawing {
-    let paper = &config.paper;
-    let place = |vertex: &Vertex| {
-        [
-            vertex.position.x_mm - paper.centre_mm[0] + 0.5 * paper.size_mm[0],
-            paper.centre_mm[1] - vertex.position.y_mm + 0.5 * paper.size_mm[1],
-        ]
-    };
-    let mut strokes: Vec<Stroke> = Vec::new();
-    let mut was_down = false;
-    for ends in path.windows(2) {
-        let [from, to] = ends else { continue };
-        let is_down = to.pen == Pen::Down;
-        if is_down && !was_down {
-            strokes.push(Stroke {
-                points: vec![place(from)],
-            });
-        }
-        if let (true, Some(stroke)) = (is_down, strokes.last_mut()) {
-            stroke.points.push(place(to));
-        }
-        was_down = is_down;
-    }
-    Drawing {
-        sheet_mm: paper.size_mm,
-        strokes,
-    }
 }
 
 fn show(answer: &Answer, out: &Path) {

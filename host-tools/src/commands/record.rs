@@ -4,18 +4,20 @@
 //! another program has the port (a drawing, the console), that program passes its data on. Invariant: the file is
 //! readable however the recording ends; the message says how much it contains.
 
-use super::outputs::{refuse_input, unwritable};
 use super::ports::SessionPort;
-use super::prepare::prepare;
-use super::run::{run_error, task};
-use super::{CommandError, ConfigArguments, code, counted, ended_by_a_signal, job_error};
-use crate::link::job::Control;
+use super::{ConfigArguments, ended_by_a_signal};
+use crate::drawing::preparation::prepare::prepare;
+use crate::error::{ProgramError, code};
+use crate::job::Control;
 use crate::link::port::PortName;
 use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
 use crate::output_file::OutputFile;
-use crate::recording::messages::Level;
+use crate::output_file::{refuse_input, unwritable};
+use crate::recording::messages::Severity;
 use crate::recording::{About, Recorder};
 use crate::run;
+use crate::run::task;
+use crate::terminal::counted;
 use etherpen::config::Config;
 use serde::Serialize;
 use std::fs::File;
@@ -70,7 +72,7 @@ struct Recorded {
 ///
 /// # Errors
 /// The file cannot be written, there is no connection, or the drawing failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config_file = arguments.config.file().map(|(path, _)| path);
     let inputs: Vec<PathBuf> = arguments.simulate.iter().cloned().chain(config_file).collect();
     refuse_input(&arguments.output, &inputs)?;
@@ -91,7 +93,7 @@ struct Recording<'a> {
 
 impl<'a> Recording<'a> {
     /// Begins the file beside a recording that exists, and replaces that once the beginning is on the disk.
-    fn begin(path: &'a Path, about: &About) -> Result<Self, CommandError> {
+    fn begin(path: &'a Path, about: &About) -> Result<Self, ProgramError> {
         let begun = OutputFile::create(path).and_then(|out| {
             let mut recorder = Recorder::new(out.stream()?, about)?;
             recorder.flush()?;
@@ -113,14 +115,14 @@ impl<'a> Recording<'a> {
     }
 
     /// Ends the file and tells what is in it.
-    fn end(mut self, json: bool) -> Result<(), CommandError> {
+    fn end(mut self, json: bool) -> Result<(), ProgramError> {
         // After a failure too: there may be room for the end of a shorter file.
         let finished = self.recorder.finish();
         let (written, taken) = (self.recorder.written(), self.recorder.taken());
         let shown = self.path.display();
         if let Some(cause) = self.failed.or(finished.err()) {
             let lost = taken.samples - written.samples;
-            return Err(CommandError::failed(
+            return Err(ProgramError::failed(
                 format!(
                     "{shown} could not be written any further; it holds {} and can be read; samples lost: {lost}",
                     counted(written.samples, "sample")
@@ -158,7 +160,7 @@ fn memory_max_mb() -> Option<f64> {
 }
 
 /// Draws in virtual time and records it.
-fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), CommandError> {
+fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), ProgramError> {
     let prepared = prepare(file, config)?;
     let about = About {
         config,
@@ -189,28 +191,28 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), C
             job.control(Control::Cancel);
         }
     });
-    let drawn = drawn.map_err(|error| run_error(&error))?;
+    let drawn = drawn.map_err(|error| ProgramError::from(&error))?;
     recording.end(arguments.json)?;
     match drawn.outcome {
-        Some(Err(error)) if !over => Err(job_error(&error)),
+        Some(Err(error)) if !over => Err(ProgramError::from(&error)),
         _ => Ok(()),
     }
 }
 
 /// The machine at a port, or the program that has the port.
-fn source(config: &Config, port: &PortName) -> Result<Source, CommandError> {
+fn source(config: &Config, port: &PortName) -> Result<Source, ProgramError> {
     if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
-        return Ok(client.follow()?);
+        return Ok(Source::follow(client)?);
     }
     let machine = Machine::start(port.clone(), config.clone(), MachineOptions::default())
-        .map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+        .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     let news = machine.subscribe(NEWS_MAX);
     Ok(Source::Own(machine, news))
 }
 
 /// Listens to a machine and records it.
-fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(), CommandError> {
+fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(), ProgramError> {
     let mut source = source(config, port)?;
     let about = About {
         config,
@@ -244,7 +246,7 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
             Err(NoNews::Closed) => {
                 recording.end(arguments.json)?;
                 let text = "the program that had the port has ended; record again to go on in another file";
-                return Err(CommandError::new(code::CONNECTION, text));
+                return Err(ProgramError::new(code::CONNECTION, text));
             }
         }
         if flushed.elapsed() >= FLUSH {
@@ -291,22 +293,22 @@ fn put(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
 }
 
 /// Level, name and text of an account that is recorded as an event.
-fn event(account: &Account) -> Option<(Level, &'static str, String)> {
+fn event(account: &Account) -> Option<(Severity, &'static str, String)> {
     match account {
         Account::Samples { .. } | Account::Status(_) => None,
         Account::Connected(welcome) => {
             let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
-            Some((Level::Info, "link", text))
+            Some((Severity::Info, "link", text))
         }
-        Account::Lost(failure) => Some((Level::Warning, "link", failure.text.clone())),
-        Account::Task { bad: false, text } => Some((Level::Info, "job", text.clone())),
-        Account::Task { bad: true, text } => Some((Level::Warning, "job", text.clone())),
+        Account::Lost(failure) => Some((Severity::Warning, "link", failure.text.clone())),
+        Account::Task { bad: false, text } => Some((Severity::Info, "job", text.clone())),
+        Account::Task { bad: true, text } => Some((Severity::Warning, "job", text.clone())),
         Account::Missed(lost) => {
             let text = format!(
                 "{} lost on the way to this program: the disk is too slow",
                 counted(*lost, "message")
             );
-            Some((Level::Warning, "link", text))
+            Some((Severity::Warning, "link", text))
         }
     }
 }

@@ -1,13 +1,15 @@
 //! `etherpen export`, `plot` and `stats`: evaluate a recording.
 
-use super::outputs::{refuse_input, unwritable, write_bytes};
-use super::{CommandError, code, counted, print_json};
+use super::print_json;
+use crate::error::{ProgramError, code};
 use crate::output_file::OutputFile;
+use crate::output_file::{refuse_input, unwritable, write_bytes};
 use crate::recording::Playback;
 use crate::recording::export::{ExportError, Exported, table_columns, write_csv, write_parquet};
 use crate::recording::plot::{Form, plot as draw};
 use crate::recording::signals::{Signal, named};
 use crate::recording::statistics::{Statistics, statistics};
+use crate::terminal::counted;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, BufReader, Write};
@@ -35,11 +37,11 @@ struct Part {
 }
 
 impl Part {
-    fn open(&self) -> Result<Playback<BufReader<File>>, CommandError> {
+    fn open(&self) -> Result<Playback<BufReader<File>>, ProgramError> {
         if let (Some(from), Some(to)) = (self.from, self.to)
             && from > to
         {
-            return Err(CommandError::new(
+            return Err(ProgramError::new(
                 code::USAGE,
                 format!("--from {from} is after --to {to}"),
             ));
@@ -57,12 +59,12 @@ impl Part {
     }
 }
 
-fn unreadable(path: &Path, cause: &io::Error) -> CommandError {
-    CommandError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display()))
+fn unreadable(path: &Path, cause: &io::Error) -> ProgramError {
+    ProgramError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display()))
 }
 
-fn signals(list: &str) -> Result<Vec<Signal>, CommandError> {
-    named(list).map_err(|cause| CommandError::new(code::USAGE, cause))
+fn signals(list: &str) -> Result<Vec<Signal>, ProgramError> {
+    named(list).map_err(|cause| ProgramError::new(code::USAGE, cause))
 }
 
 /// Options of `etherpen export`.
@@ -89,7 +91,7 @@ pub struct ExportArguments {
 ///
 /// # Errors
 /// The recording cannot be read, the signals do not exist, or the table cannot be written.
-pub fn export(arguments: &ExportArguments) -> Result<(), CommandError> {
+pub fn export(arguments: &ExportArguments) -> Result<(), ProgramError> {
     let chosen = arguments.signals.as_deref().map(signals).transpose()?;
     let columns = table_columns(chosen);
     let part = &arguments.part;
@@ -141,7 +143,7 @@ pub struct PlotArguments {
 ///
 /// # Errors
 /// The recording cannot be read or has no sample, the signals do not exist, or the picture cannot be written.
-pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
+pub fn plot(arguments: &PlotArguments) -> Result<(), ProgramError> {
     let signals = signals(&arguments.signals)?;
     let (part, path) = (&arguments.part, &arguments.output);
     let form = match path.extension().and_then(|extension| extension.to_str()) {
@@ -149,7 +151,7 @@ pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
         Some("png") => Form::Png,
         _ => {
             let text = format!("{}: a picture is a file .svg or .png", path.display());
-            return Err(CommandError::new(code::USAGE, text));
+            return Err(ProgramError::new(code::USAGE, text));
         }
     };
     refuse_input(path, std::slice::from_ref(&part.file))?;
@@ -158,7 +160,7 @@ pub fn plot(arguments: &PlotArguments) -> Result<(), CommandError> {
     part.tell(&playback);
     let Some(picture) = picture else {
         let text = format!("{}: there is no sample in this part of it", part.file.display());
-        return Err(CommandError::new(code::INPUT, text));
+        return Err(ProgramError::new(code::INPUT, text));
     };
     write_bytes(path, &picture)
 }
@@ -177,7 +179,7 @@ pub struct StatsArguments {
 ///
 /// # Errors
 /// The recording cannot be read.
-pub fn stats(arguments: &StatsArguments) -> Result<(), CommandError> {
+pub fn stats(arguments: &StatsArguments) -> Result<(), ProgramError> {
     let part = &arguments.part;
     let mut playback = part.open()?;
     let figures = statistics(&mut playback).map_err(|cause| unreadable(&part.file, &cause))?;
@@ -187,7 +189,7 @@ pub fn stats(arguments: &StatsArguments) -> Result<(), CommandError> {
     }
     io::stdout()
         .write_all(text(&figures).as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 fn text(figures: &Statistics) -> String {

@@ -1,33 +1,25 @@
 //! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
 
 use super::ports::SessionPort;
-use super::{CommandError, ConfigArguments, code, counted, job_error, print_json, session_number};
+use super::{ConfigArguments, print_json};
 use crate::cell::{Cell, CellOptions};
-use crate::link::job::Ready;
+use crate::error::{ProgramError, code};
+use crate::job::reference::{Pose, ReferenceJob, Referenced, Wanted};
 use crate::link::port::{Line, Port};
-use crate::link::reference::{Pose, Reading, ReferenceJob, Referenced, Wanted, all};
+use crate::link::session::session_number;
 use crate::link::text;
-use crate::machine::{Client, Order, Snapshot};
-use crate::settings::Settings;
+use crate::machine::{Client, reference_through};
+use crate::settings::store_reference;
 use crate::simulation;
-use etherpen::application::Mode;
-use etherpen::application::reference::resolver_angle_rad;
+use crate::terminal::counted;
 use etherpen::config::Config;
-use etherpen::link::protocol::Command;
 use etherpen::robot::{AXES, Delta, JointAngles, Outside, Position};
 use serde::Serialize;
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
 
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 300_000;
-/// Largest difference between the angles of a reference at stored marks and the stored angles, rad; an increment of a
-/// resolver is less.
-const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
-/// Longest wait for the state of another program's machine, and time between two checks.
-const STATE_MAX: Duration = Duration::from_secs(5);
-const LOOK: Duration = Duration::from_millis(20);
 
 /// Options of `etherpen reference`.
 ///
@@ -103,11 +95,11 @@ struct Answer {
 /// # Errors
 /// Errors of the configuration or the machine, a pose that disagrees with the resolvers or the measured position, or
 /// errors of the file.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let delta = Delta::new(&config.geometry).map_err(|cause| {
         let text = text::config_refusal(&cause.into());
-        CommandError::new(code::USAGE, text)
+        ProgramError::new(code::USAGE, text)
     })?;
     let wanted = wanted(arguments, &delta)?;
     let found = take(arguments, &config, wanted)?;
@@ -127,7 +119,12 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     if arguments.store {
         let in_use = arguments.config.config.clone();
         let path = in_use.unwrap_or_else(|| PathBuf::from("etherpen.toml"));
-        store(&path, &found)?;
+        let changed = store_reference(&path, &found.marked(), found.increments, found.pose.0)?;
+        eprintln!(
+            "{} changed in {}, read back and checked.",
+            counted(changed, "value"),
+            path.display()
+        );
         answer.stored = Some(path.display().to_string());
     }
     match arguments.json {
@@ -136,13 +133,13 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     }
 }
 
-fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> {
+fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, ProgramError> {
     let position = arguments.position.map(|Numbers(position)| Position::from(position));
     let pose = match (arguments.pose, &position) {
         (Some(Numbers(pose)), _) => Pose::Joints(JointAngles(pose)),
         (None, Some(position)) => Pose::Arms(delta.inverse(position).map_err(|cause| {
             let why = text::outside(&Outside::Kinematics(cause));
-            CommandError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
+            ProgramError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
         })?),
         (None, None) => Pose::Marks,
     };
@@ -153,14 +150,17 @@ fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, CommandError> 
     })
 }
 
-fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, CommandError> {
+fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
     let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
     match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
         Some(name) => {
             if let Some(client) = Client::find(&name) {
-                return through(client, arguments.acknowledge, config, &wanted);
+                let owner = client.owner().clone();
+                let found = reference_through(client, arguments.acknowledge, config, &wanted)?;
+                eprintln!("through {owner}");
+                return Ok(found);
             }
-            let lost = |cause| CommandError::new(code::CONNECTION, cause);
+            let lost = |cause| ProgramError::new(code::CONNECTION, cause);
             let mut line = Line::start(Port::open(&name).map_err(lost)?);
             while job.outcome().is_none() {
                 line.exchange(|now_ms, incoming, outgoing, room| job.step(now_ms, incoming, outgoing, room))
@@ -174,95 +174,15 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
     }
     match job.outcome() {
         Some(Ok(found)) => Ok(found.clone()),
-        Some(Err(error)) => Err(job_error(error)),
-        None => Err(CommandError::new(
+        Some(Err(error)) => Err(error.into()),
+        None => Err(ProgramError::new(
             code::FAILED,
             "the run ended before the reference was taken",
         )),
     }
 }
 
-/// Takes the reference through the program that has the port.
-fn through(
-    mut client: Client,
-    acknowledge: bool,
-    config: &Config,
-    wanted: &Wanted,
-) -> Result<Referenced, CommandError> {
-    let owner = client.owner().clone();
-    if wanted.calibrate {
-        let text = format!(
-            "--calibrate gives the machine another configuration, and {owner} owns the port with its own; end that \
-             program, then calibrate"
-        );
-        return Err(CommandError::new(code::CONNECTION, text));
-    }
-    let mode = client.snapshot()?.status.map(|status| status.mode);
-    if acknowledge && mode == Some(Mode::Fault) {
-        client.carry_out(Order::Settle(Command::Acknowledge))?;
-    }
-    client.carry_out(Order::Prepare(Ready::Bus))?;
-    let increments = known(&mut client, |snapshot| all(&snapshot.status.as_ref()?.increments))?;
-    let status = client.snapshot()?.status;
-    if status.and_then(|status| status.config) != config.hash() {
-        let text = format!(
-            "{owner} owns the port and works with another configuration; use the same one (--config), or end that program"
-        );
-        return Err(CommandError::new(code::USAGE, text));
-    }
-    client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
-    let mut reading = Reading::default();
-    let found = known(&mut client, |snapshot| {
-        reading.take(config, snapshot.status.as_ref()?, snapshot.sample.as_ref())
-    });
-    eprintln!("through {owner}");
-    found
-}
-
-/// A value from the machine's state, once it is known.
-fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, CommandError> {
-    let until = Instant::now() + STATE_MAX;
-    while Instant::now() < until {
-        if let Some(known) = said(&client.snapshot()?) {
-            return Ok(known);
-        }
-        std::thread::sleep(LOOK);
-    }
-    let text = "the machine does not tell its resolvers' positions; look at the bus (etherpen bus scan)";
-    Err(CommandError::new(code::FAILED, text))
-}
-
-/// Stores the pose as the marks, and reads it back.
-fn store(path: &Path, found: &Referenced) -> Result<(), CommandError> {
-    let failed = |cause| CommandError::failed(format!("{} cannot be changed", path.display()), cause);
-    let mut settings = Settings::open(path).map_err(failed)?;
-    let changed = settings.store_axes(&found.marked()).map_err(failed)?;
-    settings.save(path).map_err(failed)?;
-    let stored = Settings::open(path)
-        .and_then(|settings| settings.config())
-        .map_err(failed)?;
-    let shown = stored.axes.iter().zip(found.increments).zip(found.pose.0);
-    for (number, ((axis, increments), angle_rad)) in (1..).zip(shown) {
-        let again_rad = resolver_angle_rad(axis, i64::from(increments), None);
-        let difference_rad = (again_rad - angle_rad).abs();
-        if difference_rad.is_nan() || difference_rad > STORED_DIFFERENCE_MAX_RAD {
-            let message = format!(
-                "{}: axis {number} would be at {again_rad} rad after a reference at the stored marks, and is at \
-                 {angle_rad} rad; look whether another program writes the file",
-                path.display()
-            );
-            return Err(CommandError::new(code::FAILED, message));
-        }
-    }
-    eprintln!(
-        "{} changed in {}, read back and checked.",
-        counted(changed, "value"),
-        path.display()
-    );
-    Ok(())
-}
-
-fn print(answer: &Answer) -> Result<(), CommandError> {
+fn print(answer: &Answer) -> Result<(), ProgramError> {
     let mut shown = String::new();
     for axis in &answer.axes {
         shown.push_str(&format!(
@@ -279,5 +199,5 @@ fn print(answer: &Answer) -> Result<(), CommandError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }

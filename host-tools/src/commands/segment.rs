@@ -5,11 +5,13 @@
 
 use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
-use super::outputs::{refuse_input, unwritable};
-use super::{CommandError, ConfigArguments, code, counted, ended_by_a_signal, print_json};
+use super::{ConfigArguments, ended_by_a_signal, print_json};
 use crate::cell::capture::{Capture, Direction};
 use crate::cell::{AlState, Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, SlaveState, parse_slaves};
+use crate::error::{ProgramError, code};
 use crate::output_file::OutputFile;
+use crate::output_file::{refuse_input, unwritable};
+use crate::terminal::counted;
 use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
 use serde::Serialize;
@@ -164,7 +166,7 @@ impl SlaveSummary {
 ///
 /// # Errors
 /// The transport cannot be opened or was lost, or a file cannot be read or written.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if let Some(pcap) = &arguments.pcap {
         refuse_input(pcap, &inputs(arguments))?;
     }
@@ -182,13 +184,13 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let cell = Cell::new(&config, options);
     let ended = ended_by_a_signal()?;
     let port =
-        transport::listen(&arguments.segment.endpoint()).map_err(|error| CommandError::new(code::CONNECTION, error))?;
+        transport::listen(&arguments.segment.endpoint()).map_err(|error| ProgramError::new(code::CONNECTION, error))?;
     let capture = arguments.pcap.as_deref().map(capture).transpose()?;
     let listens = port.endpoint().to_string();
     if arguments.json {
         eprintln!("{listens}");
     } else {
-        writeln!(io::stdout(), "{listens}").map_err(|cause| CommandError::failed("stdout", cause))?;
+        writeln!(io::stdout(), "{listens}").map_err(|cause| ProgramError::failed("stdout", cause))?;
     }
     eprintln!(
         "{}; Ctrl-C ends the segment.",
@@ -217,7 +219,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
 }
 
 /// Starts a capture, which replaces an existing file and grows under its name.
-fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, CommandError> {
+fn capture(path: &Path) -> Result<Capture<BufWriter<File>>, ProgramError> {
     let opened = OutputFile::create(path).and_then(|out| {
         let capture = Capture::new(BufWriter::new(out.stream()?))?;
         out.commit()?;
@@ -239,8 +241,8 @@ struct Running {
 
 impl Running {
     /// Waits for a frame, at most a millisecond, and answers it.
-    fn step(&mut self) -> Result<(), CommandError> {
-        let lost = |cause| CommandError::new(code::CONNECTION, format!("the way to the masters was lost: {cause}"));
+    fn step(&mut self) -> Result<(), ProgramError> {
+        let lost = |cause| ProgramError::new(code::CONNECTION, format!("the way to the masters was lost: {cause}"));
         let received = self.port.receive(STEP).map_err(lost)?;
         let now_us = self.clock.now_us();
         let Some((master, frame)) = received else {
@@ -266,20 +268,20 @@ impl Running {
         Ok(())
     }
 
-    fn record(&mut self, now_us: u64, direction: Direction, frame: &[u8]) -> Result<(), CommandError> {
+    fn record(&mut self, now_us: u64, direction: Direction, frame: &[u8]) -> Result<(), ProgramError> {
         let Some(capture) = &mut self.capture else {
             return Ok(());
         };
         capture
             .record(now_us, direction, frame)
-            .map_err(|cause| CommandError::failed("the capture", cause))
+            .map_err(|cause| ProgramError::failed("the capture", cause))
     }
 
-    fn finish(self, listens: String, ran: Duration) -> Result<Summary, CommandError> {
+    fn finish(self, listens: String, ran: Duration) -> Result<Summary, ProgramError> {
         if let Some(capture) = self.capture {
             capture
                 .finish()
-                .map_err(|cause| CommandError::failed("the capture", cause))?;
+                .map_err(|cause| ProgramError::failed("the capture", cause))?;
         }
         let state = self.cell.state();
         let slaves = (1..).zip(self.slaves.iter().zip(&state.slaves));

@@ -1,7 +1,7 @@
 //! `etherpen completions` and `etherpen man`: shell completions and manual pages.
 
-use super::CommandError;
-use super::outputs::write_bytes;
+use crate::error::ProgramError;
+use crate::output_file::write_bytes;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -23,20 +23,20 @@ pub struct Man {
 ///
 /// # Errors
 /// stdout is closed.
-pub fn completions(arguments: &Completions, mut command: clap::Command) -> Result<(), CommandError> {
+pub fn completions(arguments: &Completions, mut command: clap::Command) -> Result<(), ProgramError> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut command, "etherpen", &mut script);
     std::io::stdout()
         .write_all(&script)
-        .map_err(|cause| CommandError::failed("stdout", cause))
+        .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 /// Writes the manual pages of a command line.
 ///
 /// # Errors
 /// A page cannot be written.
-pub fn man(arguments: &Man, command: clap::Command) -> Result<(), CommandError> {
-    super::outputs::make_folder(&arguments.dir)?;
+pub fn man(arguments: &Man, command: clap::Command) -> Result<(), ProgramError> {
+    crate::output_file::make_folder(&arguments.dir)?;
     let shown = arguments.dir.display();
     let mut command = command.disable_help_subcommand(true);
     command.build();
@@ -46,13 +46,13 @@ pub fn man(arguments: &Man, command: clap::Command) -> Result<(), CommandError> 
 }
 
 /// Writes the page of a command, and those of the commands below it.
-fn pages(command: &clap::Command, dir: &Path) -> Result<(), CommandError> {
+fn pages(command: &clap::Command, dir: &Path) -> Result<(), ProgramError> {
     for subcommand in command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set()) {
         pages(subcommand, dir)?;
     }
     let page = clap_mangen::Man::new(command.clone());
     let (path, mut text) = (dir.join(page.get_filename()), Vec::new());
     page.render(&mut text)
-        .map_err(|cause| CommandError::failed("a manual page", cause))?;
+        .map_err(|cause| ProgramError::failed("a manual page", cause))?;
     write_bytes(&path, &text)
 }

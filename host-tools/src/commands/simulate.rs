@@ -1,11 +1,15 @@
 //! `etherpen simulate`: draws with the firmware's tasks and the virtual cell in virtual time, in this process.
 
+use super::DrawingArguments;
 use super::display::Display;
-use super::outputs::{make_folder, refuse_inputs_in, summarise};
-use super::prepare::prepare_with;
-use super::run::{capture, conclude, run_error, task};
-use super::{CommandError, DrawingArguments};
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::error::ProgramError;
+use crate::output_file::make_folder;
+use crate::report::output::refuse_inputs_in;
+use crate::report::output::{capture, conclude};
+use crate::report::summary::summarise;
 use crate::run;
+use crate::run::task;
 use std::path::PathBuf;
 
 /// Options of `etherpen simulate`.
@@ -21,12 +25,12 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The file, the configuration or the drawing failed.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.drawing.config.load()?;
     let drawing = &arguments.drawing;
     let dir = drawing.out.as_deref();
     if let Some(dir) = dir {
-        refuse_inputs_in(dir, &drawing.source.inputs(&arguments.file, &drawing.config))?;
+        refuse_inputs_in(dir, &drawing.source.inputs(&arguments.file, drawing.config.path()))?;
     }
     let prepared = prepare_with(&arguments.file, &config, &drawing.source)?;
     if let Some(dir) = dir {
@@ -35,7 +39,8 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let task = task(&config, &prepared);
     let (capture_file, sink) = dir.map(capture).transpose()?.unzip();
     let mut display = Display::new();
-    let drawn = run::simulate(&task, sink, &mut |job| display.update(job)).map_err(|error| run_error(&error))?;
+    let drawn =
+        run::simulate(&task, sink, &mut |job| display.update(job)).map_err(|error| ProgramError::from(&error))?;
     display.finish();
     let results = dir.map(|dir| (dir, capture_file.into_iter().collect()));
     let report = conclude(&task, &prepared, &drawn, "simulation".to_owned(), results)?;

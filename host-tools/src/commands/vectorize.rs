@@ -1,10 +1,12 @@
 //! `etherpen vectorize`: a photograph as the lines of an SVG.
 
-use super::outputs::{refuse_input, write_text};
-use super::prepare::{from_photograph, unusable};
-use super::source::SourceArguments;
-use super::{CommandError, ConfigArguments, counted, print_json};
+use super::{ConfigArguments, print_json};
+use crate::drawing::preparation::compose::{from_photograph, unusable};
+use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::{DrawingError, Input, load, write_svg};
+use crate::error::ProgramError;
+use crate::output_file::{refuse_input, write_text};
+use crate::terminal::counted;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -42,11 +44,11 @@ struct Answer {
 ///
 /// # Errors
 /// The photograph or an option cannot be used, or the result cannot be written.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let begun = Instant::now();
     refuse_input(
         &arguments.out,
-        &arguments.source.inputs(&arguments.photo, &arguments.config),
+        &arguments.source.inputs(&arguments.photo, arguments.config.path()),
     )?;
     let config = arguments.config.load()?;
     let refused = |cause: DrawingError| unusable(&arguments.photo, &cause);

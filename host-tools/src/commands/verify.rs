@@ -1,10 +1,11 @@
 //! `etherpen verify`: all checks of continuous integration in one command.
 
 use super::latency;
-use super::{CommandError, code, in_colour};
-use crate::bench::Row;
-use crate::bench::latency::{Disturbance, Isolation, Plan};
+use crate::bench::BenchRow;
+use crate::bench::latency::{Disturbance, Isolation, LatencyPlan};
+use crate::error::{ProgramError, code};
 use crate::setup::{self, TARGET};
+use crate::terminal::in_colour;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -70,7 +71,7 @@ const BOARDS: [Step; 2] = [
 ///
 /// # Errors
 /// The first step that failed; it has reported why.
-pub fn run(_: &Arguments) -> Result<(), CommandError> {
+pub fn run(_: &Arguments) -> Result<(), ProgramError> {
     let start = Instant::now();
     announce("set-up");
     setup::ensure_sources()?;
@@ -84,7 +85,7 @@ pub fn run(_: &Arguments) -> Result<(), CommandError> {
     setup::ensure_unicorn()?;
     // Side by side, because neither keeps all processors busy; after an error in one the other ends its step.
     let has_failed = AtomicBool::new(false);
-    let noted = |result: Result<(), CommandError>| {
+    let noted = |result: Result<(), ProgramError>| {
         has_failed.fetch_or(result.is_err(), Ordering::Relaxed);
         result
     };
@@ -111,8 +112,8 @@ const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 
 /// Measures whether the firmware is in time with foreign frames around every release; the tests apply all loads for
 /// fewer cycles.
-fn in_time() -> Result<(), CommandError> {
-    let report = latency::measure(&Plan {
+fn in_time() -> Result<(), ProgramError> {
+    let report = latency::measure(&LatencyPlan {
         cycles: LATENCY_CYCLES,
         disturbance: Disturbance {
             network: true,
@@ -123,7 +124,7 @@ fn in_time() -> Result<(), CommandError> {
         rate_khz: 1,
         instruction_shift: 3,
     })?;
-    let is_bound = |row: &&Row| IN_TIME.iter().any(|case| row.case.starts_with(case));
+    let is_bound = |row: &&BenchRow| IN_TIME.iter().any(|case| row.case.starts_with(case));
     let missed = report
         .rows
         .iter()
@@ -143,19 +144,19 @@ fn in_time() -> Result<(), CommandError> {
     if missed.is_empty() {
         return Ok(());
     }
-    Err(CommandError::new(
+    Err(ProgramError::new(
         code::FAILED,
         format!("latency: {}", missed.join("; ")),
     ))
 }
 
-fn steps(all: &[Step], has_failed: &AtomicBool) -> Result<(), CommandError> {
+fn steps(all: &[Step], has_failed: &AtomicBool) -> Result<(), ProgramError> {
     let mut left = all.iter().take_while(|_| !has_failed.load(Ordering::Relaxed));
     left.try_for_each(|one| step(*one))
 }
 
 /// Builds the firmware of the boards, and runs lints and the latency measurement.
-fn boards(has_failed: &AtomicBool) -> Result<(), CommandError> {
+fn boards(has_failed: &AtomicBool) -> Result<(), ProgramError> {
     for board in ["nucleo", "emulated"] {
         announce(&format!("firmware of board {board}"));
         let image = setup::build_firmware(board)?;
@@ -172,7 +173,7 @@ fn announce(name: &str) {
     eprintln!("{} {name}", in_colour("==", "1;34"));
 }
 
-fn step((name, arguments): Step) -> Result<(), CommandError> {
+fn step((name, arguments): Step) -> Result<(), ProgramError> {
     announce(name);
     let mut command = setup::cargo();
     command.args(arguments);
@@ -181,7 +182,7 @@ fn step((name, arguments): Step) -> Result<(), CommandError> {
     }
     match command.status() {
         Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(CommandError::new(code::FAILED, format!("{name} failed ({status})"))),
-        Err(cause) => Err(CommandError::failed("cargo cannot be started", cause)),
+        Ok(status) => Err(ProgramError::new(code::FAILED, format!("{name} failed ({status})"))),
+        Err(cause) => Err(ProgramError::failed("cargo cannot be started", cause)),
     }
 }

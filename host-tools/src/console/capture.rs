@@ -3,7 +3,7 @@
 //! Works like an oscilloscope: an armed capture waits for an edge, a level or a fault, then for the time after the
 //! event. Invariant: it fires once, on the first row that fulfils the condition after arming.
 
-use super::signals::Row;
+use super::signals::SignalRow;
 use etherpen::application::Mode;
 
 /// Longest capture, ms.
@@ -53,13 +53,13 @@ pub struct Caught {
 
 /// An armed capture.
 #[derive(Clone, Copy, Debug)]
-pub struct Capture {
+pub struct SignalCapture {
     trigger: Trigger,
     last: Option<(f32, Mode)>,
     event_ms: Option<u64>,
 }
 
-impl Capture {
+impl SignalCapture {
     /// Arms a trigger; the sum of its times is limited to [`CAPTURE_MAX_MS`].
     pub fn new(mut trigger: Trigger) -> Self {
         trigger.before_ms = trigger.before_ms.min(CAPTURE_MAX_MS);
@@ -72,7 +72,7 @@ impl Capture {
     }
 
     /// Takes the next row; returns the span once it is complete.
-    pub fn step(&mut self, row: &Row) -> Option<Caught> {
+    pub fn step(&mut self, row: &SignalRow) -> Option<Caught> {
         let value = row.value(self.trigger.signal);
         if self.event_ms.is_none() && self.fires(value, row.mode) {
             self.event_ms = Some(row.time_ms);
@@ -119,7 +119,7 @@ mod tests {
             before_ms: 20,
             after_ms: 30,
         };
-        let (mut capture, mut rows) = (Capture::new(trigger), Rows::new(&Config::default()));
+        let (mut capture, mut rows) = (SignalCapture::new(trigger), Rows::new(&Config::default()));
         (0..200).find_map(|t_ms| {
             let mut row = rows.take(&sample(t_ms, 1.0 - (t_ms as f32 - 100.0).abs() / 100.0));
             if row.time_ms >= fault_at_ms {

@@ -4,7 +4,7 @@
 //! console runs. Invariants: rows are numbered without gaps from the first one ever received; a bucket contains the
 //! smallest and largest of its values, so no peak is lost in a plot.
 
-use super::signals::Row;
+use super::signals::SignalRow;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -20,21 +20,21 @@ const _: () = assert!(PIECES * PIECE_ROWS == ROWS_KEPT);
 /// The rows so far.
 #[derive(Default)]
 pub struct History {
-    pieces: VecDeque<Arc<[Row]>>,
-    open: Vec<Row>,
+    pieces: VecDeque<Arc<[SignalRow]>>,
+    open: Vec<SignalRow>,
     /// Number of the first row kept.
     first: u64,
 }
 
 /// An unchanging copy of a part of the history.
 #[derive(Clone, Default)]
-pub struct Snapshot {
-    pieces: Vec<Arc<[Row]>>,
+pub struct HistorySnapshot {
+    pieces: Vec<Arc<[SignalRow]>>,
 }
 
 impl History {
     /// Takes the next row.
-    pub fn push(&mut self, row: Row) {
+    pub fn push(&mut self, row: SignalRow) {
         self.open.push(row);
         if self.open.len() == PIECE_ROWS {
             self.pieces.push_back(self.open.drain(..).collect());
@@ -51,17 +51,17 @@ impl History {
     }
 
     /// The last row.
-    pub fn last(&self) -> Option<&Row> {
+    pub fn last(&self) -> Option<&SignalRow> {
         self.open.last().or_else(|| self.pieces.back()?.last())
     }
 
     /// Rows from this number on, or from the oldest kept; returned with the number of the first row.
-    pub fn since(&self, number: u64) -> (u64, Vec<Row>) {
+    pub fn since(&self, number: u64) -> (u64, Vec<SignalRow>) {
         self.some_since(number, usize::MAX)
     }
 
     /// At most `most` rows from this number on, or from the oldest kept; returned with the number of the first row.
-    pub fn some_since(&self, number: u64, most: usize) -> (u64, Vec<Row>) {
+    pub fn some_since(&self, number: u64, most: usize) -> (u64, Vec<SignalRow>) {
         let from = number.clamp(self.first, self.next());
         let mut skip = (from - self.first) as usize;
         let mut left = most.min((self.next() - from) as usize);
@@ -81,18 +81,18 @@ impl History {
     }
 
     /// A snapshot of everything kept.
-    pub fn snapshot(&self) -> Snapshot {
-        let open: Arc<[Row]> = self.open.as_slice().into();
-        Snapshot {
+    pub fn snapshot(&self) -> HistorySnapshot {
+        let open: Arc<[SignalRow]> = self.open.as_slice().into();
+        HistorySnapshot {
             pieces: self.pieces.iter().cloned().chain([open]).collect(),
         }
     }
 }
 
-impl Snapshot {
+impl HistorySnapshot {
     /// The rows of a span of console time, including both ends, in order.
-    pub fn rows(&self, from_ms: u64, to_ms: u64) -> impl Iterator<Item = &Row> {
-        let reaches = move |piece: &&Arc<[Row]>| piece.last().is_some_and(|last| last.time_ms >= from_ms);
+    pub fn rows(&self, from_ms: u64, to_ms: u64) -> impl Iterator<Item = &SignalRow> {
+        let reaches = move |piece: &&Arc<[SignalRow]>| piece.last().is_some_and(|last| last.time_ms >= from_ms);
         self.pieces
             .iter()
             .filter(reaches)
@@ -109,7 +109,7 @@ impl Snapshot {
 
     /// Reduces the snapshot to a span of console time, so that the rest can be freed.
     pub fn cut(&self, from_ms: u64, to_ms: u64) -> Self {
-        let inside = |piece: &&Arc<[Row]>| {
+        let inside = |piece: &&Arc<[SignalRow]>| {
             piece.last().is_some_and(|last| last.time_ms >= from_ms)
                 && piece.first().is_some_and(|first| first.time_ms <= to_ms)
         };
@@ -152,7 +152,7 @@ impl Decimator {
     }
 
     /// Takes a row; returns the column that it completes.
-    pub fn push(&mut self, row: &Row) -> Option<Bucket> {
+    pub fn push(&mut self, row: &SignalRow) -> Option<Bucket> {
         let number = row.time_ms / self.bucket_ms;
         let ended = self.open.take_if(|open| open.number != number);
         let signals = self.signals.len();
@@ -181,7 +181,7 @@ mod tests {
     use super::*;
     use etherpen::config::Config;
 
-    fn rows(count: u32) -> impl Iterator<Item = Row> {
+    fn rows(count: u32) -> impl Iterator<Item = SignalRow> {
         let mut rows = Rows::new(&Config::default());
         (0..count).map(move |t_ms| rows.take(&sample(t_ms, (f64::from(t_ms) * 0.01).sin() as f32)))
     }
@@ -192,7 +192,7 @@ mod tests {
         let mut history = History::default();
         let mut most = 0;
         for time_ms in 0..86_400_000 {
-            history.push(Row { time_ms, ..template });
+            history.push(SignalRow { time_ms, ..template });
             if time_ms % 1_000_000 == 0 {
                 most = most.max(history.pieces.len() * PIECE_ROWS + history.open.capacity());
             }
@@ -202,7 +202,10 @@ mod tests {
         let (from, rest) = history.since(0);
         assert_eq!(rest.first().map(|row| row.time_ms), Some(from));
         assert_eq!(rest.last().map(|row| row.time_ms), Some(86_399_999));
-        println!("24 h of samples: at most {most} rows of {} bytes", size_of::<Row>());
+        println!(
+            "24 h of samples: at most {most} rows of {} bytes",
+            size_of::<SignalRow>()
+        );
     }
 
     #[test]

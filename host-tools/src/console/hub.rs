@@ -4,14 +4,14 @@
 //! loses its own pictures. Invariants: memory is bounded; a requested stop is repeated after every connection until the
 //! firmware reports that it has stopped.
 
-use super::capture::{Capture, Caught, Trigger};
+use super::capture::{Caught, SignalCapture, Trigger};
 use super::control::{Change, ControlLock, ViewerId};
-use super::history::{History, Snapshot};
+use super::history::{History, HistorySnapshot};
 use super::jobs::Jobs;
 use super::messages::section;
-use super::signals::{Row, Rows};
+use super::page_text::for_page;
+use super::signals::{Rows, SignalRow};
 use super::status::{self, mode_name};
-use super::words::on_page;
 use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -56,7 +56,7 @@ pub enum Topic {
     /// Progress of the active drawing.
     Progress,
     /// The drawing being prepared.
-    Studio,
+    Preparation,
     /// The firmware's measurements.
     Measured,
     /// The virtual segment.
@@ -74,7 +74,7 @@ impl Topic {
             Self::Control => "control",
             Self::Jobs => "jobs",
             Self::Progress => "progress",
-            Self::Studio => "studio",
+            Self::Preparation => "studio",
             Self::Measured => "measured",
             Self::Segment => "segment",
             Self::LineErrors => "line_errors",
@@ -103,7 +103,7 @@ pub enum Level {
 
 /// A line of the log.
 #[derive(Clone, Debug, Serialize)]
-pub struct LogLine {
+pub struct LogEntry {
     /// Number of the line.
     pub number: u64,
     /// Console time, ms: the time axis of the plots.
@@ -133,7 +133,7 @@ pub struct LinkView {
 
 /// Data that change continuously.
 #[derive(Clone, Debug, Serialize)]
-struct Pose {
+struct PoseView {
     time_ms: u64,
     t_ms: u32,
     mode: &'static str,
@@ -156,8 +156,8 @@ pub struct Known {
 
 /// A viewer's trigger.
 struct Armed {
-    capture: Capture,
-    caught: Option<(Caught, Snapshot)>,
+    capture: SignalCapture,
+    caught: Option<(Caught, HistorySnapshot)>,
 }
 
 /// The state.
@@ -170,11 +170,11 @@ pub struct Hub {
     silent_ms: Vec<Option<u64>>,
     rows: Rows,
     history: History,
-    log: VecDeque<LogLine>,
+    log: VecDeque<LogEntry>,
     log_next: u64,
     captures: BTreeMap<ViewerId, Armed>,
     /// Frozen snapshots of the viewers, the oldest first.
-    kept: VecDeque<(ViewerId, Snapshot)>,
+    kept: VecDeque<(ViewerId, HistorySnapshot)>,
     stop_wanted: bool,
     /// Last position of arms and platform while the arms were referenced.
     known: Option<Known>,
@@ -244,8 +244,8 @@ impl Hub {
 
     /// Adds a line to the log.
     pub fn note(&mut self, level: Level, text: impl Into<String>) {
-        let text = on_page(&text.into());
-        let said = |last: &LogLine| match level {
+        let text = for_page(&text.into());
+        let said = |last: &LogEntry| match level {
             // The firmware's mode and the task's phase often have equal texts.
             Level::Info => last.text == text,
             // A refusal arrives as an event and as an order's answer.
@@ -254,7 +254,7 @@ impl Hub {
         if self.log.back().is_some_and(said) {
             return;
         }
-        self.log.push_back(LogLine {
+        self.log.push_back(LogEntry {
             number: self.log_next,
             time_ms: self.now_ms(),
             level,
@@ -267,7 +267,7 @@ impl Hub {
     }
 
     /// Lines of the log from a number on, and the number of the next line.
-    pub fn log_since(&self, number: u64) -> (Vec<LogLine>, u64) {
+    pub fn log_since(&self, number: u64) -> (Vec<LogEntry>, u64) {
         let lines = self.log.iter().filter(|line| line.number >= number);
         (lines.cloned().collect(), self.log_next)
     }
@@ -313,7 +313,7 @@ impl Hub {
         let row = self.history.last()?;
         Some(section(
             "pose",
-            &Pose {
+            &PoseView {
                 time_ms: row.time_ms,
                 t_ms: row.t_ms,
                 mode: mode_name(row.mode),
@@ -344,7 +344,7 @@ impl Hub {
             return;
         }
         self.link.state = "lost";
-        self.link.text = on_page(why);
+        self.link.text = for_page(why);
         self.say_link();
         self.note(Level::Error, why);
         self.status = None;
@@ -409,7 +409,7 @@ impl Hub {
         }
     }
 
-    fn step_captures(&mut self, row: &Row) {
+    fn step_captures(&mut self, row: &SignalRow) {
         for armed in self.captures.values_mut().filter(|armed| armed.caught.is_none()) {
             if let Some(caught) = armed.capture.step(row) {
                 let snapshot = self.history.snapshot().cut(caught.from_ms, caught.to_ms);
@@ -428,14 +428,14 @@ impl Hub {
             };
             self.captures.remove(&guest);
         }
-        let capture = Capture::new(trigger);
+        let capture = SignalCapture::new(trigger);
         self.captures.insert(viewer, Armed { capture, caught: None });
         true
     }
 
     /// Keeps a frozen snapshot for a viewer, replacing its previous one; returns whether there was room. The oldest is
     /// displaced, one without the token first.
-    pub fn keep(&mut self, viewer: ViewerId, snapshot: Snapshot) -> bool {
+    pub fn keep(&mut self, viewer: ViewerId, snapshot: HistorySnapshot) -> bool {
         self.forget(viewer);
         if self.kept.len() >= KEPT_MAX {
             let guest = self.kept.iter().position(|(kept, _)| !self.is_trusted(*kept));
@@ -449,7 +449,7 @@ impl Hub {
     }
 
     /// A viewer's frozen snapshot, or else the present state.
-    pub fn seen_by(&self, viewer: ViewerId) -> Snapshot {
+    pub fn seen_by(&self, viewer: ViewerId) -> HistorySnapshot {
         let kept = self.kept.iter().find(|(kept, _)| *kept == viewer);
         kept.map_or_else(|| self.history.snapshot(), |(_, snapshot)| snapshot.clone())
     }
@@ -469,7 +469,7 @@ impl Hub {
     }
 
     /// The span caught by a viewer's trigger; returned once.
-    pub fn take_caught(&mut self, viewer: ViewerId) -> Option<(Caught, Snapshot)> {
+    pub fn take_caught(&mut self, viewer: ViewerId) -> Option<(Caught, HistorySnapshot)> {
         let caught = self.captures.get_mut(&viewer)?.caught.take()?;
         self.captures.remove(&viewer);
         Some(caught)
@@ -485,7 +485,7 @@ impl Hub {
     pub fn refused_drawing(&mut self, activation: u64, why: &str) {
         if self.jobs.activation() == Some(activation) {
             self.note(Level::Warning, format!("the drawing was not begun: {why}"));
-            self.jobs.end(false, on_page(why));
+            self.jobs.end(false, for_page(why));
             self.say_jobs();
         }
     }

@@ -5,10 +5,10 @@
 //! active; what waits is bounded in number and in length; the past keeps its last entries only, and the paths of the last
 //! unfinished ones.
 
-use super::signals::Row;
-use crate::link::ink::Ink;
-use crate::link::progress::{PathMeasure, Progress};
-use crate::link::remainder::{OVERLAP_UM, Remainder};
+use super::signals::SignalRow;
+use crate::job::ink::Ink;
+use crate::job::progress::{PathMeasure, Progress};
+use crate::job::remainder::{OVERLAP_UM, Remainder};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
@@ -26,7 +26,7 @@ const VERTICES_MAX: usize = 1_600_000;
 
 /// A drawing ready to be drawn.
 #[derive(Clone, Debug)]
-pub struct Drawing {
+pub struct PreparedDrawing {
     /// Name for display.
     pub name: String,
     /// The path, every vertex admitted.
@@ -37,9 +37,9 @@ pub struct Drawing {
     pub planned_s: f64,
 }
 
-struct Job {
+struct QueuedDrawing {
     number: u64,
-    drawing: Drawing,
+    drawing: PreparedDrawing,
     ink: Ink,
     measure: PathMeasure,
     /// The remainder since the drawing was continued, and the vertices executed before.
@@ -50,8 +50,8 @@ struct Job {
     drawn_before_s: f64,
 }
 
-impl Job {
-    fn new(number: u64, drawing: Drawing) -> Self {
+impl QueuedDrawing {
+    fn new(number: u64, drawing: PreparedDrawing) -> Self {
         Self {
             number,
             ink: Ink::new(drawing.path.clone()),
@@ -100,7 +100,7 @@ struct JobView {
 }
 
 impl JobView {
-    fn of(job: &Job) -> Self {
+    fn of(job: &QueuedDrawing) -> Self {
         Self {
             number: job.number,
             name: job.drawing.name.clone(),
@@ -126,7 +126,7 @@ struct PastView {
 struct Past {
     view: PastView,
     /// Data needed to continue.
-    job: Option<Job>,
+    job: Option<QueuedDrawing>,
 }
 
 /// Drawings as shown on the page.
@@ -155,11 +155,11 @@ pub struct ProgressView {
 /// All drawings.
 #[derive(Default)]
 pub struct Jobs {
-    active: Option<Job>,
+    active: Option<QueuedDrawing>,
     /// Number and path of the last active drawing.
     last: Option<(u64, Arc<[PathVertex]>)>,
     phase: String,
-    waiting: Vec<Job>,
+    waiting: Vec<QueuedDrawing>,
     past: VecDeque<Past>,
     next: u64,
     /// Number of activations so far.
@@ -188,7 +188,7 @@ impl Jobs {
     ///
     /// # Errors
     /// Too many wait, or they are too long together.
-    pub fn enqueue(&mut self, drawing: Drawing) -> Result<u64, &'static str> {
+    pub fn enqueue(&mut self, drawing: PreparedDrawing) -> Result<u64, &'static str> {
         if self.waiting.len() >= WAITING_MAX {
             return Err("the queue is full: 20 drawings wait; draw or discard one first");
         }
@@ -198,7 +198,7 @@ impl Jobs {
         }
         let number = self.next;
         self.next += 1;
-        self.waiting.push(Job::new(number, drawing));
+        self.waiting.push(QueuedDrawing::new(number, drawing));
         Ok(number)
     }
 
@@ -221,7 +221,7 @@ impl Jobs {
         Some(begun)
     }
 
-    fn activate(&mut self, job: Job) {
+    fn activate(&mut self, job: QueuedDrawing) {
         self.elapsed_s = job.drawn_before_s;
         self.active = Some(job);
         self.activations += 1;
@@ -268,7 +268,7 @@ impl Jobs {
     }
 
     /// Follows the pen of the active drawing.
-    pub fn follow(&mut self, row: &Row) {
+    pub fn follow(&mut self, row: &SignalRow) {
         let Some(job) = &mut self.active else { return };
         match (row.mode, row.pen) {
             (Mode::Drawing | Mode::Holding | Mode::Stopping, Pen::Down) => {
@@ -280,7 +280,7 @@ impl Jobs {
 
     /// Takes that the firmware was restarted; returns whether it was drawing.
     pub fn restarted(&mut self) -> bool {
-        let begun = |job: &Job| job.executed > 0 || job.ink.end().0 > 0;
+        let begun = |job: &QueuedDrawing| job.executed > 0 || job.ink.end().0 > 0;
         self.restarted |= self.active.as_ref().is_some_and(begun);
         self.restarted
     }
@@ -367,13 +367,13 @@ mod tests {
     use super::*;
     use etherpen::motion::Pen;
 
-    fn drawing() -> Drawing {
+    fn drawing() -> PreparedDrawing {
         let vertex = |x_mm: i32| PathVertex {
             position_um: [x_mm * 1_000, 0, -850_000],
             pen: Pen::Down,
             stroke: 0,
         };
-        Drawing {
+        PreparedDrawing {
             name: "line".to_owned(),
             path: (0..10).map(vertex).collect(),
             strokes: 1,
@@ -417,7 +417,7 @@ mod tests {
 
     #[test]
     fn what_waits_is_bounded_in_vertices_and_one_drawing_may_always_wait() {
-        let long = |vertices: usize| Drawing {
+        let long = |vertices: usize| PreparedDrawing {
             path: drawing().path.iter().copied().cycle().take(vertices).collect(),
             ..drawing()
         };

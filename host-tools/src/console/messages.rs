@@ -6,7 +6,7 @@
 
 use super::capture::Condition;
 use super::history::Bucket;
-use super::studio::Wishes;
+use super::preparation::PageOptions;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
@@ -218,7 +218,7 @@ pub enum Request {
     /// Prepare the present file with other options.
     Replan {
         /// The options.
-        wishes: Wishes,
+        wishes: PageOptions,
     },
     /// Add the prepared drawing to the queue.
     Enqueue {

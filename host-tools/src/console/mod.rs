@@ -11,9 +11,9 @@
 //! nobody; nothing is kept that grows with time.
 
 mod assets;
-mod attendant;
 pub mod capture;
 pub mod control;
+mod event_pump;
 pub mod gate;
 pub mod history;
 pub mod hub;
@@ -21,27 +21,27 @@ pub mod jobs;
 mod line_errors;
 mod measuring;
 pub mod messages;
+mod page_text;
+pub mod preparation;
 pub mod server;
 pub mod signals;
 pub mod status;
-pub mod studio;
 mod viewer;
 pub mod virtual_cell;
-mod words;
 
 use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order, Ticket};
-use attendant::Attendant;
 use etherpen::config::Config;
+use event_pump::EventPump;
 use gate::Gate;
 use hub::{Hub, Level, Topic};
-use jobs::Drawing;
+use jobs::PreparedDrawing;
 use messages::Injection;
+use preparation::{PageOptions, PreparationView};
 use serde::Serialize;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
-use studio::{StudioView, Wishes};
 use tokio::sync::watch;
 use virtual_cell::VirtualCell;
 
@@ -53,7 +53,7 @@ struct RobotView<'a> {
     geometry: &'a etherpen::config::Geometry,
     paper: &'a etherpen::config::Paper,
     work_area: &'a etherpen::config::WorkCylinder,
-    signals: Vec<signals::Signal>,
+    signals: Vec<signals::PlotSignal>,
     /// Styles available for photographs.
     styles: Vec<String>,
 }
@@ -81,7 +81,7 @@ struct Source {
 #[derive(Clone)]
 struct Preparation {
     source: Arc<Source>,
-    wishes: Wishes,
+    wishes: PageOptions,
 }
 
 /// The drawing being prepared.
@@ -95,7 +95,7 @@ struct Preview {
     begun: u64,
     /// Number of threads that are preparing.
     running: usize,
-    drawing: Option<Drawing>,
+    drawing: Option<PreparedDrawing>,
 }
 
 impl Preview {
@@ -113,7 +113,7 @@ pub struct Console {
     token: String,
     hub: Mutex<Hub>,
     machine: Machine,
-    attendant: Attendant,
+    event_pump: EventPump,
     cell: Option<(VirtualCell, &'static str)>,
     removed: Mutex<Vec<usize>>,
     preview: Mutex<Preview>,
@@ -145,7 +145,7 @@ impl Console {
             acknowledge: false,
         };
         let machine = Machine::start(port, config.clone(), options)?;
-        let news = machine.subscribe(attendant::NEWS_MAX);
+        let news = machine.subscribe(event_pump::NEWS_MAX);
         let mut hub = Hub::new(&config, &shown);
         let view = RobotView {
             version: env!("CARGO_PKG_VERSION"),
@@ -154,24 +154,24 @@ impl Console {
             paper: &config.paper,
             work_area: &config.work_area,
             signals: signals::catalogue(),
-            styles: studio::styles(),
+            styles: preparation::styles(),
         };
         hub.say(Topic::Robot, &view);
         // A machine that connected before the console was ready has already published its greeting.
         if let Some(welcome) = machine.snapshot().welcome {
             hub.connected(&welcome);
         }
-        let idle = StudioView {
+        let idle = PreparationView {
             state: "idle",
-            ..StudioView::default()
+            ..PreparationView::default()
         };
-        hub.say(Topic::Studio, &idle);
+        hub.say(Topic::Preparation, &idle);
         let console = Arc::new(Self {
             config,
             token,
             hub: Mutex::new(hub),
             machine,
-            attendant: Attendant::default(),
+            event_pump: EventPump::default(),
             cell,
             removed: Mutex::new(Vec::new()),
             preview: Mutex::default(),
@@ -182,7 +182,7 @@ impl Console {
             begun: Instant::now(),
         });
         console.say_segment();
-        attendant::attend(&console, news);
+        event_pump::pump(&console, news);
         line_errors::watch(&console);
         Ok(console)
     }
@@ -224,12 +224,12 @@ impl Console {
         &self.gate
     }
 
-    /// Stops the robot: the order goes to the machine at once; the attendant does everything else.
+    /// Stops the robot: the order goes to the machine at once; the event pump does everything else.
     pub fn stop(&self, who: &str) {
         self.gate.stop_arrived();
         let gate = self.gate.clone();
         let answer = self.machine.stop(move || gate.stop_written());
-        self.attendant.stop_asked(who, answer);
+        self.event_pump.stop_asked(who, answer);
     }
 
     /// A ticket for what is asked for now.
@@ -245,7 +245,7 @@ impl Console {
     /// Gives an order that was asked for when it was heard; what is refused is told in the log.
     fn order(&self, heard: Ticket, what: &'static str, order: Order) {
         let answer = self.machine.order_for(heard, order);
-        self.attendant.expect(what, answer);
+        self.event_pump.expect(what, answer);
     }
 
     fn inject(&self, injection: Injection) -> Result<(), String> {
@@ -273,14 +273,14 @@ impl Console {
     }
 
     /// Prepares a file, replacing any other.
-    fn prepare(self: &Arc<Self>, name: &str, wishes: Wishes, content: Vec<u8>) -> Result<(), String> {
-        let name = studio::shown_name(name);
+    fn prepare(self: &Arc<Self>, name: &str, wishes: PageOptions, content: Vec<u8>) -> Result<(), String> {
+        let name = preparation::shown_name(name);
         let source = Arc::new(Source { name, content });
         self.want(Preparation { source, wishes })
     }
 
     /// Prepares the present file with other options.
-    fn replan(self: &Arc<Self>, wishes: Wishes) -> Result<(), String> {
+    fn replan(self: &Arc<Self>, wishes: PageOptions) -> Result<(), String> {
         let wanted = lock(&self.preview).wanted.clone();
         let Some(Preparation { source, .. }) = wanted else {
             return Err("there is no file to plan; drop one".to_owned());
@@ -295,11 +295,11 @@ impl Console {
             let mut preview = lock(&self.preview);
             preview.number += 1;
             preview.drawing = None;
-            let view = StudioView::working(preview.number, &preparation.source.name, &preparation.wishes);
+            let view = PreparationView::working(preview.number, &preparation.source.name, &preparation.wishes);
             preview.wanted = Some(preparation);
             let begins = preview.running < PREPARATIONS_MAX;
             preview.running += usize::from(begins);
-            self.change(|hub| hub.say(Topic::Studio, &view));
+            self.change(|hub| hub.say(Topic::Preparation, &view));
             begins
         };
         if !begins {
@@ -307,7 +307,7 @@ impl Console {
         }
         let console = self.clone();
         let spawned = std::thread::Builder::new()
-            .name("studio".to_owned())
+            .name("preparation".to_owned())
             .spawn(move || while console.prepare_next() {});
         spawned.map(|_| ()).map_err(|cause| {
             lock(&self.preview).running -= 1;
@@ -326,12 +326,12 @@ impl Console {
         let Some((number, Preparation { source, wishes })) = next else {
             return false;
         };
-        let result = studio::compose(&self.config, &source.name, &wishes, &source.content);
+        let result = preparation::compose(&self.config, &source.name, &wishes, &source.content);
         let mut preview = lock(&self.preview);
         if preview.number == number && preview.wanted.is_some() {
-            let view = StudioView::of(&result, number, &source.name, &wishes);
+            let view = PreparationView::of(&result, number, &source.name, &wishes);
             preview.drawing = result.ok();
-            self.change(|hub| hub.say(Topic::Studio, &view));
+            self.change(|hub| hub.say(Topic::Preparation, &view));
         }
         true
     }
@@ -341,14 +341,14 @@ impl Console {
         let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
             return Err("this preview is not there any more");
         };
-        let idle = StudioView {
+        let idle = PreparationView {
             state: "idle",
-            ..StudioView::default()
+            ..PreparationView::default()
         };
         self.change(|hub| -> Result<(), &'static str> {
             hub.jobs.enqueue(drawing)?;
             hub.say_jobs();
-            hub.say(Topic::Studio, &idle);
+            hub.say(Topic::Preparation, &idle);
             Ok(())
         })?;
         let mut preview = lock(&self.preview);
@@ -359,7 +359,7 @@ impl Console {
     }
 
     /// The prepared drawing and its number, if there is one.
-    fn preview(&self) -> Option<(u64, Drawing)> {
+    fn preview(&self) -> Option<(u64, PreparedDrawing)> {
         let preview = lock(&self.preview);
         preview.drawing.clone().map(|drawing| (preview.number, drawing))
     }

@@ -11,7 +11,7 @@ use super::assets::{ASSETS, POLICY};
 use super::control::Change;
 use super::hub::Level;
 use super::messages::{FILE_BYTES_MAX, REQUEST_BYTES_MAX};
-use super::studio::Wishes;
+use super::preparation::PageOptions;
 use super::{Console, viewer};
 use axum::Router;
 use axum::body::Body;
@@ -333,7 +333,7 @@ async fn file(State(door): State<Door>, request: Request) -> Response {
         Err(_) => return refused(StatusCode::REQUEST_TIMEOUT, "the file took too long"),
     };
     let name = decoded(text(&headers, NAME));
-    let wishes = match Wishes::parse(&decoded(text(&headers, OPTIONS))) {
+    let wishes = match PageOptions::parse(&decoded(text(&headers, OPTIONS))) {
         Ok(wishes) => wishes,
         Err(why) => return (StatusCode::BAD_REQUEST, why).into_response(),
     };

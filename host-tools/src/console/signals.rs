@@ -25,7 +25,7 @@ const RESTART_MS: u64 = 1_000;
 
 /// A signal that can be plotted.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Signal {
+pub struct PlotSignal {
     /// Name in files and messages, with the unit.
     pub name: String,
     /// Label for display.
@@ -36,8 +36,8 @@ pub struct Signal {
     pub axis: usize,
 }
 
-/// All signals, in the order of the values of a [`Row`].
-pub fn catalogue() -> Vec<Signal> {
+/// All signals, in the order of the values of a [`SignalRow`].
+pub fn catalogue() -> Vec<PlotSignal> {
     let of_axis = |axis: usize| {
         [
             (format!("q{axis}_ref_rad"), "reference", "rad"),
@@ -46,7 +46,7 @@ pub fn catalogue() -> Vec<Signal> {
             (format!("v{axis}_ref_rad_s"), "velocity reference", "rad/s"),
             (format!("v{axis}_rad_s"), "velocity", "rad/s"),
         ]
-        .map(|(name, text, unit)| Signal {
+        .map(|(name, text, unit)| PlotSignal {
             name,
             label: format!("axis {axis} {text}"),
             unit,
@@ -63,7 +63,7 @@ pub fn catalogue() -> Vec<Signal> {
         ("speed_ref_mm_s", "speed reference", "mm/s"),
         ("speed_mm_s", "speed", "mm/s"),
     ]
-    .map(|(name, label, unit)| Signal {
+    .map(|(name, label, unit)| PlotSignal {
         name: name.to_owned(),
         label: label.to_owned(),
         unit,
@@ -74,7 +74,7 @@ pub fn catalogue() -> Vec<Signal> {
 
 /// One millisecond of all signals.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct SignalRow {
     /// Console time, ms.
     pub time_ms: u64,
     /// Firmware time, ms.
@@ -89,7 +89,7 @@ pub struct Row {
     pub values: [f32; SIGNALS],
 }
 
-impl Row {
+impl SignalRow {
     /// Measured joint angles, rad.
     pub fn joints_rad(&self) -> [f32; AXES] {
         std::array::from_fn(|axis| self.value(axis * PER_AXIS + 1))
@@ -164,7 +164,7 @@ impl Rows {
 
     /// Takes the next sample; `None` for a sample older than the last, which occurs when the firmware was restarted or
     /// telegrams overtook each other.
-    pub fn take(&mut self, sample: &Sample) -> Row {
+    pub fn take(&mut self, sample: &Sample) -> SignalRow {
         if let Some(last) = &self.last
             && sample.t_ms < last.t_ms
         {
@@ -197,7 +197,7 @@ impl Rows {
         for (place, value) in values.iter_mut().zip(axes.chain(platform)) {
             *place = value;
         }
-        Row {
+        SignalRow {
             time_ms: self.offset_ms + u64::from(sample.t_ms),
             t_ms: sample.t_ms,
             mode: sample.mode,

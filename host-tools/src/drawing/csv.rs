@@ -3,7 +3,6 @@
 //! The heading distinguishes the two. A pen of 1 means that the leg to the point is drawn. If the first point is drawn,
 //! the stroke starts there, so a list of drawn points alone is one stroke. Errors contain the line.
 
-use super::input::Input;
 use super::plot::PLACE_MAX_MM;
 use super::{Drawing, DrawingError, FilePlace, Stroke};
 use etherpen::motion::{Pen, Vertex};
@@ -25,13 +24,22 @@ pub struct Path3d {
     pub lines: Vec<usize>,
 }
 
+/// Content of a list of coordinates.
+#[derive(Clone, Debug)]
+pub enum Coordinates {
+    /// Strokes on a sheet.
+    Sheet(Drawing),
+    /// A path in the robot's frame.
+    Robot(Path3d),
+}
+
 /// Reads `x_mm,y_mm,pen` (sheet; the sheet is 200 mm x 200 mm) or `x_mm,y_mm,z_mm,pen` (robot). A robot path may have
 /// any number of vertices, and none of them need be drawn.
 ///
 /// # Errors
 ///
 /// The `Csv...` variants of [`DrawingError`], with the line.
-pub fn read_csv(text: &str) -> Result<Input, DrawingError> {
+pub fn read_csv(text: &str) -> Result<Coordinates, DrawingError> {
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate();
     let heading: Vec<&str> = lines
         .next()
@@ -49,21 +57,21 @@ pub fn read_csv(text: &str) -> Result<Input, DrawingError> {
         }
     }
     if columns == ROBOT_HEADING.len() {
-        return Ok(Input::Path(Path3d {
+        return Ok(Coordinates::Robot(Path3d {
             vertices: vertices(&rows),
             lines: rows.iter().map(|row| row.line).collect(),
         }));
     }
-    strokes(&rows).map(Input::Drawing)
+    strokes(&rows).map(Coordinates::Sheet)
 }
 
-struct Row {
+struct CsvRow {
     line: usize,
     position_mm: [f64; 3],
     pen_down: bool,
 }
 
-fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingError> {
+fn read_row(line: &str, number: usize, columns: usize) -> Result<CsvRow, DrawingError> {
     let fields: Vec<&str> = line.split(',').map(str::trim).collect();
     if fields.len() != columns {
         return Err(DrawingError::CsvColumns {
@@ -90,7 +98,7 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
         "0" => false,
         _ => return Err(DrawingError::CsvPen { line: number }),
     };
-    Ok(Row {
+    Ok(CsvRow {
         line: number,
         position_mm,
         pen_down,
@@ -98,7 +106,7 @@ fn read_row(line: &str, number: usize, columns: usize) -> Result<Row, DrawingErr
 }
 
 /// A pen raised after a drawn leg ends a stroke.
-fn vertices(rows: &[Row]) -> Vec<Vertex> {
+fn vertices(rows: &[CsvRow]) -> Vec<Vertex> {
     let (mut stroke, mut was_down) = (0, false);
     let mut result = Vec::with_capacity(rows.len());
     for row in rows {
@@ -115,7 +123,7 @@ fn vertices(rows: &[Row]) -> Vec<Vertex> {
     result
 }
 
-fn strokes(rows: &[Row]) -> Result<Drawing, DrawingError> {
+fn strokes(rows: &[CsvRow]) -> Result<Drawing, DrawingError> {
     let mut drawing = Drawing {
         sheet_mm: SHEET_MM,
         strokes: Vec::new(),
@@ -146,7 +154,7 @@ mod tests {
     #[test]
     fn the_pen_column_separates_strokes() {
         let text = "x_mm,y_mm,pen\n1,1,0\n2,1,1\n3,1,1\n\n5,5,0\n9,9,0\n9,8,1\n";
-        let Ok(Input::Drawing(drawing)) = read_csv(text) else {
+        let Ok(Coordinates::Sheet(drawing)) = read_csv(text) else {
             panic!("refused")
         };
         let points: Vec<_> = drawing.strokes.iter().map(|stroke| stroke.points.clone()).collect();
@@ -158,7 +166,7 @@ mod tests {
 
     #[test]
     fn points_that_are_all_drawn_are_one_stroke() {
-        let Ok(Input::Drawing(drawing)) = read_csv("x_mm, y_mm, pen\r\n1,2,1\r\n3,4,1\r\n") else {
+        let Ok(Coordinates::Sheet(drawing)) = read_csv("x_mm, y_mm, pen\r\n1,2,1\r\n3,4,1\r\n") else {
             panic!("refused")
         };
         assert_eq!(
@@ -171,7 +179,8 @@ mod tests {
 
     #[test]
     fn a_fourth_column_makes_it_a_path_of_the_robot() {
-        let Ok(Input::Path(path)) = read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n") else {
+        let Ok(Coordinates::Robot(path)) = read_csv("x_mm,y_mm,z_mm,pen\n0,0,-847,0\n0,0,-850,0\n9.5,0,-850,1\n")
+        else {
             panic!("refused")
         };
         assert_eq!((path.vertices.len(), path.lines), (3, vec![2, 3, 4]));

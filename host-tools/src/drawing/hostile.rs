@@ -2,6 +2,7 @@
 
 use super::plot::PLACE_MAX_MM;
 use super::{DrawingError, FilePlace, Input, TextFont, load_content};
+use crate::random::Lcg;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -10,20 +11,12 @@ const POINTS_MAX: usize = 20_000_000;
 /// Files of each kind.
 const FILES: u64 = 150;
 
-/// A sequence of numbers that depends on a seed alone.
-struct Random(u64);
+/// Words and numbers by chance; they depend on a seed alone.
+struct Chance(Lcg);
 
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        self.0 >> 33
-    }
-
+impl Chance {
     fn below(&mut self, count: usize) -> usize {
-        (self.next() % count as u64) as usize
+        self.0.below(count)
     }
 
     fn of<'a>(&mut self, words: &[&'a str]) -> &'a str {
@@ -119,7 +112,7 @@ fn a_curve_that_would_need_terabytes_is_refused_with_its_line() {
 #[test]
 fn vector_files_with_numbers_of_all_sizes_are_refused_or_bounded() {
     for seed in 1..=FILES {
-        let random = &mut Random(seed);
+        let random = &mut Chance(Lcg::new(seed));
         let mut text = format!(
             "{HEAD} width='{}' height='100mm' viewBox='0 0 {} {}'>",
             random.of(&["100mm", "1e30mm", "1e-30mm", "1e9", "10mm"]),
@@ -218,7 +211,7 @@ fn many_tiny_dashes_on_many_long_lines_are_drawn_solid_in_the_end() {
 #[test]
 fn plotter_files_with_numbers_of_all_sizes_are_refused_or_bounded() {
     for seed in 1..=FILES {
-        let random = &mut Random(seed);
+        let random = &mut Chance(Lcg::new(seed));
         let (mut gcode, mut hpgl) = ("G21\nG0 X0 Y0\nM3\n".to_owned(), "IN;SP1;PD0,0;".to_owned());
         for _ in 0..1 + random.below(12) {
             let n: Vec<String> = (0..6)
@@ -246,7 +239,7 @@ fn plotter_files_with_numbers_of_all_sizes_are_refused_or_bounded() {
         println!("seed {seed}");
         assert_bounded("hostile.gcode", &gcode);
         assert_bounded("hostile.hpgl", &hpgl);
-        let row = |random: &mut Random| format!("{},{},{}", random.number(), random.number(), random.of(&["0", "1"]));
+        let row = |random: &mut Chance| format!("{},{},{}", random.number(), random.number(), random.of(&["0", "1"]));
         let rows: Vec<String> = (0..5).map(|_| row(random)).collect();
         assert_bounded("hostile.csv", &format!("x_mm,y_mm,pen\n{}\n", rows.join("\n")));
     }

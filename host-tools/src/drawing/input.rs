@@ -4,7 +4,7 @@
 //! file is read from a disk or from standard input, up to a size limit.
 
 use super::artwork::Artwork;
-use super::csv::{Path3d, read_csv};
+use super::csv::{Coordinates, Path3d, read_csv};
 use super::gcode::read_gcode;
 use super::hpgl::read_hpgl;
 use super::photo::decode;
@@ -28,6 +28,15 @@ pub enum Input {
     Path(Path3d),
     /// Lines with their own page.
     Artwork(Artwork),
+}
+
+impl From<Coordinates> for Input {
+    fn from(coordinates: Coordinates) -> Self {
+        match coordinates {
+            Coordinates::Sheet(drawing) => Self::Drawing(drawing),
+            Coordinates::Robot(path) => Self::Path(path),
+        }
+    }
 }
 
 /// Reads a file, `-` for standard input: a PNG or JPEG picture, an SVG, G-code, HPGL, or a CSV of
@@ -68,7 +77,7 @@ pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input,
     let text = text.trim_start_matches('\u{feff}');
     match kind(path, text) {
         Some(Kind::Svg) => read_svg_with(text, font).map(Input::Artwork),
-        Some(Kind::Csv) => read_csv(text),
+        Some(Kind::Csv) => read_csv(text).map(Input::from),
         Some(Kind::Gcode) => read_gcode(text).map(Input::Artwork),
         Some(Kind::Hpgl) => read_hpgl(text).map(Input::Artwork),
         None => Err(DrawingError::UnknownContent),

@@ -135,15 +135,12 @@ fn sorted(lines: Vec<Vec<Point>>, travel: &Travel, effort: usize) -> Vec<Vec<Poi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Lcg;
 
     /// Strokes of a few points all over a sheet.
-    fn scattered(count: usize, mut state: u64) -> Drawing {
-        let mut unit = || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
-        };
+    fn scattered(count: usize, seed: u64) -> Drawing {
+        let mut random = Lcg::new(seed);
+        let mut unit = || random.unit();
         let strokes = (0..count).map(|_| {
             let (x, y) = (190.0 * unit(), 190.0 * unit());
             Stroke {

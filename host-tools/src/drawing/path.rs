@@ -3,7 +3,7 @@
 //! Sheet x is robot x and sheet y is minus robot y; the sheet is centred on the paper. Every stroke starts above its
 //! first point and ends above its last one, so that the path can be cut between any two strokes.
 
-use super::Drawing;
+use super::{Drawing, Stroke};
 use etherpen::config::Paper;
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robot::Position;
@@ -39,10 +39,39 @@ pub fn to_path(drawing: &Drawing, paper: &Paper) -> Vec<Vertex> {
     path
 }
 
+/// The drawn parts of a path in the robot's frame as strokes on the sheet.
+#[must_use]
+pub fn from_path(path: &[Vertex], paper: &Paper) -> Drawing {
+    let place = |vertex: &Vertex| {
+        [
+            vertex.position.x_mm - paper.centre_mm[0] + 0.5 * paper.size_mm[0],
+            paper.centre_mm[1] - vertex.position.y_mm + 0.5 * paper.size_mm[1],
+        ]
+    };
+    let mut strokes: Vec<Stroke> = Vec::new();
+    let mut was_down = false;
+    for ends in path.windows(2) {
+        let [from, to] = ends else { continue };
+        let is_down = to.pen == Pen::Down;
+        if is_down && !was_down {
+            strokes.push(Stroke {
+                points: vec![place(from)],
+            });
+        }
+        if let (true, Some(stroke)) = (is_down, strokes.last_mut()) {
+            stroke.points.push(place(to));
+        }
+        was_down = is_down;
+    }
+    Drawing {
+        sheet_mm: paper.size_mm,
+        strokes,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drawing::Stroke;
 
     fn drawing() -> Drawing {
         let strokes = vec![

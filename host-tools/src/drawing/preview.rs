@@ -35,7 +35,7 @@ pub struct PreviewScene<'a> {
 }
 
 /// A line of the picture.
-struct Line<'a> {
+struct PreviewLine<'a> {
     points: &'a [Point],
     colour: [u8; 3],
     width_mm: f64,
@@ -127,12 +127,12 @@ impl PreviewScene<'_> {
     }
 
     /// Calls `visit` with every line from the bottom to the top: travel moves, strokes, refused strokes.
-    fn each_line(&self, mut visit: impl FnMut(Line)) {
+    fn each_line(&self, mut visit: impl FnMut(PreviewLine)) {
         let strokes = &self.drawing.strokes;
         for pair in strokes.windows(2) {
             let [before, after] = pair else { continue };
             if let (Some(&from), Some(&to)) = (before.points.last(), after.points.first()) {
-                visit(Line {
+                visit(PreviewLine {
                     points: &[from, to],
                     colour: TRAVEL_COLOUR,
                     width_mm: TRAVEL_MM,
@@ -143,7 +143,7 @@ impl PreviewScene<'_> {
         let mut show = |wanted: bool| {
             for (number, Stroke { points }) in (0_u32..).zip(strokes).filter(|(number, _)| refused(*number) == wanted) {
                 let share = f64::from(number) / strokes.len().max(2) as f64;
-                visit(Line {
+                visit(PreviewLine {
                     points,
                     colour: if wanted { REFUSED_COLOUR } else { rainbow(share) },
                     width_mm: if wanted { 2.0 } else { 1.0 } * self.pen_width_mm,

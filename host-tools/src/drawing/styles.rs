@@ -8,6 +8,7 @@ use super::line::{self, Point};
 use super::raster::Plane;
 use super::tour::shortest_tour;
 use super::travel::Travel;
+use crate::random::Lcg;
 
 /// Style in which a photograph is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -147,13 +148,8 @@ fn stipples(ink: &Plane, pen: f64, density: f64, seed: u64) -> Vec<Point> {
     let columns = (ink.width() as f64 / cell) as usize;
     let rows = (ink.height() as f64 / cell) as usize;
     let calm = ink.blurred(0.4 * cell as f32);
-    let mut state = seed;
-    let mut shift = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5) * 0.7
-    };
+    let mut random = Lcg::new(seed);
+    let mut shift = || (random.unit() - 0.5) * 0.7;
     let mut points = Vec::new();
     let mut below = vec![0.0_f64; columns + 2];
     for row in 0..rows {

@@ -9,6 +9,7 @@ use super::edges::Flow;
 use super::join::{self, Near};
 use super::line::{self, Point};
 use super::raster::Plane;
+use crate::random::Random;
 use std::collections::VecDeque;
 
 /// Length of a growing step, pixels.
@@ -112,11 +113,11 @@ impl<'a> Field<'a> {
 
     /// Places over the whole picture, the darkest first, each with a small random offset from the seed.
     fn first_seeds(&self) -> Vec<Point> {
-        let mut random = self.goal.seed;
+        let mut random = Random::new(self.goal.seed);
         let mut seeds = Vec::new();
         for row in 0..self.rows {
             for column in 0..self.columns {
-                let at = [column, row].map(|cell| (cell as f64 + next_unit(&mut random)) * CELL);
+                let at = [column, row].map(|cell| (cell as f64 + random.unit()) * CELL);
                 if self.is_inside(at) && self.coverage(at) >= self.goal.coverage_min {
                     seeds.push(((self.coverage(at) * 8.0) as i32, at));
                 }
@@ -278,15 +279,6 @@ fn headings(strokes: &[Vec<Point>]) -> Vec<Point> {
         .iter()
         .flat_map(|points| [heading(&mut points.iter()), heading(&mut points.iter().rev())])
         .collect()
-}
-
-/// A number from 0 to 1 (excluded); advances the state (SplitMix64).
-fn next_unit(state: &mut u64) -> f64 {
-    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
 #[cfg(test)]

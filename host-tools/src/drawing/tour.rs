@@ -11,6 +11,7 @@
 use super::join::Near;
 use super::line::{self, Point};
 use super::travel::Travel;
+use crate::random::Lcg;
 use std::collections::VecDeque;
 
 /// Number of nearest ends tried as partners of an end.
@@ -195,13 +196,8 @@ impl<'a> Tour<'a> {
             return;
         }
         self.span_max = KICK_SPAN;
-        let mut state = 1_u64;
-        let mut below = |limit: usize| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as usize % limit
-        };
+        let mut random = Lcg::new(1);
+        let mut below = |limit: usize| random.below(limit);
         for _ in 0..effort.saturating_mul(strokes.clamp(KICKS_MIN, KICKS_MAX)) {
             let (first, second) = (1 + below(longest), 1 + below(longest));
             let start = below(strokes - first - second + 1);

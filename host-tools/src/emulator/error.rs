@@ -1,5 +1,6 @@
 //! Errors of the emulator, each with what to try.
 
+use crate::error::{ProgramError, code};
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
@@ -134,5 +135,15 @@ impl std::error::Error for EmulatorError {
             Self::Io { cause, .. } => Some(cause),
             _ => None,
         }
+    }
+}
+
+impl From<&EmulatorError> for ProgramError {
+    fn from(error: &EmulatorError) -> Self {
+        let code = match error {
+            EmulatorError::QemuMissing { .. } => code::TOOL,
+            _ => code::CONNECTION,
+        };
+        Self::new(code, error)
     }
 }

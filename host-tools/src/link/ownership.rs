@@ -8,7 +8,8 @@
 //!
 //! Invariant: while an [`Ownership`] exists, no other program with this protocol opens the port.
 
-use super::port::PortName;
+use super::port_name::PortName;
+use crate::hash::fnv1a;
 use rustix::fs::{FlockOperation, Mode, flock};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
@@ -294,10 +295,11 @@ fn safe_name(port: &PortName) -> String {
     let safe = safe.trim_matches('_');
     // Names differ at their end; the hash distinguishes names that are cut or differ in replaced characters.
     let start = safe.len().saturating_sub(NAME_BYTES_MAX);
-    let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-    });
-    format!("{}-{:08x}", safe.get(start..).unwrap_or(safe), hash as u32)
+    format!(
+        "{}-{:08x}",
+        safe.get(start..).unwrap_or(safe),
+        fnv1a(name.bytes()) as u32
+    )
 }
 
 /// Another program that has a device open, as far as this user can see.

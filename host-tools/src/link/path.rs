@@ -123,8 +123,8 @@ impl PathSender {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bench::path;
     use super::*;
+    use crate::link::rig::path;
 
     fn ack(next: u32, credit: u16) -> PathAck {
         PathAck {

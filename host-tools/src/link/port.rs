@@ -1,20 +1,18 @@
-//! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives a job over one.
+//! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives what is said over one.
 //!
 //! A reader thread passes on received bytes; the calling thread steps the job about once a millisecond and writes no
 //! faster than the line carries, so that no bytes queue ahead of a stop. Invariant: a port that has disappeared is an
 //! error with its name and what to try, never a wait.
 
-use super::error::JobError;
-use super::job::{Control, Job, JobEvent};
 use super::ownership::{self, Owner, Ownership};
-use super::progress::Progress;
+pub use super::port_name::PortName;
+use crate::error::{ProgramError, code};
 use etherpen::link::device::LINE_BYTES_PER_MS;
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -29,59 +27,14 @@ const READ_MAX: Duration = Duration::from_millis(100);
 const CONNECT_MAX: Duration = Duration::from_secs(5);
 /// Longest time that a write may block before the port counts as stuck.
 const WRITE_MAX: Duration = Duration::from_millis(1_000);
-/// Time between two reports of progress, ms.
-const PROGRESS_MS: u64 = 100;
 /// Most milliseconds of line time that are caught up at once after the program was not scheduled.
 const BURST_MS: u64 = 20;
 
 const _: () = assert!(BAUD as usize / 10_000 == LINE_BYTES_PER_MS);
 
-/// Address of the firmware.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum PortName {
-    /// A serial device, for instance `/dev/ttyACM0`.
-    Serial(PathBuf),
-    /// `tcp:host:port`.
-    Tcp(String),
-    /// `unix:path`.
-    Unix(PathBuf),
-}
-
-impl FromStr for PortName {
-    type Err = PortError;
-
-    fn from_str(text: &str) -> Result<Self, PortError> {
-        let name = match text.split_once(':') {
-            Some(("tcp", address)) if address.contains(':') => Self::Tcp(address.into()),
-            Some(("unix", path)) if !path.is_empty() => Self::Unix(path.into()),
-            Some(("tcp" | "unix", _)) => return Err(PortError::Name(text.into())),
-            _ if text.is_empty() => return Err(PortError::Name(text.into())),
-            Some((host, port)) if !host.contains('/') && port.parse::<u16>().is_ok() => {
-                return Err(PortError::Scheme(text.into()));
-            }
-            _ => Self::Serial(text.into()),
-        };
-        Ok(name)
-    }
-}
-
-impl fmt::Display for PortName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Serial(path) => write!(f, "{}", path.display()),
-            Self::Tcp(address) => write!(f, "tcp:{address}"),
-            Self::Unix(path) => write!(f, "unix:{}", path.display()),
-        }
-    }
-}
-
 /// Error of a port.
 #[derive(Debug)]
 pub enum PortError {
-    /// The name is not a valid port name.
-    Name(String),
-    /// The name is a network address without its scheme.
-    Scheme(String),
     /// Another program uses the port.
     Occupied {
         /// The port.
@@ -113,10 +66,6 @@ pub enum PortError {
 impl fmt::Display for PortError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Name(name) => {
-                write!(f, "'{name}' is no port; use /dev/tty.., tcp:host:port or unix:path")
-            }
-            Self::Scheme(name) => write!(f, "'{name}' is a network address; write tcp:{name}"),
             Self::Occupied {
                 port,
                 owner: Some(owner),
@@ -141,6 +90,12 @@ impl fmt::Display for PortError {
 }
 
 impl std::error::Error for PortError {}
+
+impl From<&PortError> for ProgramError {
+    fn from(error: &PortError) -> Self {
+        Self::new(code::CONNECTION, error)
+    }
+}
 
 fn remedy(port: &PortName, error: &io::Error) -> String {
     match (port, error.kind()) {
@@ -270,35 +225,6 @@ fn open_unix(path: &PathBuf) -> io::Result<Directions> {
     Ok((Box::new(writer.try_clone()?), Box::new(writer)))
 }
 
-/// Why a job over a port ended early.
-#[derive(Debug)]
-pub enum RunError {
-    /// The job failed.
-    Job(Box<JobError>),
-    /// The port failed.
-    Port(PortError),
-}
-
-impl fmt::Display for RunError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Job(error) => error.fmt(f),
-            Self::Port(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for RunError {}
-
-/// What a running job reports.
-#[derive(Clone, Copy, Debug)]
-pub enum Show<'a> {
-    /// Something happened.
-    Event(&'a JobEvent),
-    /// Progress of the drawing, ten times a second.
-    Progress(&'a Progress),
-}
-
 /// A port driven by the wall clock: received bytes are passed on, outgoing bytes are sent as fast as the line carries
 /// them.
 pub struct Line {
@@ -381,43 +307,6 @@ impl Drop for Line {
     }
 }
 
-/// Runs a job over a port by the wall clock until it ends; [`Job::into_report`] returns the collected data.
-///
-/// Controls returned by `control` are carried out at once.
-///
-/// # Errors
-/// The job's error, or the port's.
-pub fn run_job(
-    port: Port,
-    job: &mut Job,
-    control: &mut dyn FnMut() -> Option<Control>,
-    show: &mut dyn FnMut(Show<'_>),
-) -> Result<(), RunError> {
-    let mut line = Line::start(port);
-    let mut shown_ms = 0;
-    loop {
-        let now_ms = line
-            .exchange(|now_ms, incoming, outgoing, room| {
-                while let Some(control) = control() {
-                    job.control(control);
-                }
-                job.step(now_ms, incoming, outgoing, room);
-            })
-            .map_err(RunError::Port)?;
-        while let Some(event) = job.next_event() {
-            show(Show::Event(&event));
-        }
-        let outcome = job.outcome().copied();
-        if outcome.is_some() || now_ms.saturating_sub(shown_ms) >= PROGRESS_MS {
-            shown_ms = now_ms;
-            show(Show::Progress(&job.progress()));
-        }
-        if let Some(outcome) = outcome {
-            return outcome.map_err(|error| RunError::Job(Box::new(error)));
-        }
-    }
-}
-
 /// Passes on received bytes; sends an error last, or an empty block when the other side has closed.
 fn read_until_ended(mut reader: Box<dyn Read + Send>, sender: &mpsc::Sender<io::Result<Vec<u8>>>, ended: &AtomicBool) {
     let mut block = [0; 4096];
@@ -443,52 +332,7 @@ fn is_pause(error: &io::Error) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::bench::{Bench, path, serve};
-    use super::super::job::JobOptions;
     use super::*;
-    use etherpen::config::Config;
-    use std::net::TcpListener;
-    use std::os::unix::net::UnixListener;
-
-    fn job(count: usize) -> Job {
-        Job::draw(Config::default(), path(count), JobOptions::default())
-    }
-
-    #[test]
-    fn a_drawing_goes_over_a_socket_by_the_wall_clock() {
-        let place = std::env::temp_dir().join(format!("etherpen-port-{}", std::process::id()));
-        let _ = std::fs::remove_file(&place);
-        let listener = UnixListener::bind(&place).unwrap();
-        let firmware = thread::spawn(move || {
-            let mut bench = Bench::new(1, 0);
-            serve(&mut bench, &listener.accept().unwrap().0);
-            bench
-        });
-        let port = Port::open(&format!("unix:{}", place.display()).parse().unwrap()).unwrap();
-        let (mut job, mut last) = (job(100), Progress::default());
-        run_job(port, &mut job, &mut || None, &mut |show| {
-            if let Show::Progress(progress) = show {
-                last = *progress;
-            }
-        })
-        .unwrap();
-        std::fs::remove_file(&place).unwrap();
-        assert_eq!(firmware.join().unwrap().vertices, path(100));
-        assert_eq!((last.vertices, last.vertices_total), (100, 100));
-    }
-
-    #[test]
-    fn a_port_that_the_other_side_closes_is_an_error_at_once() {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let name = PortName::Tcp(listener.local_addr().unwrap().to_string());
-        let port = Port::open(&name).unwrap();
-        drop(listener.accept().unwrap());
-        let error = run_job(port, &mut job(1), &mut || None, &mut |_| {}).unwrap_err();
-        assert!(matches!(
-            error,
-            RunError::Port(PortError::Closed { .. } | PortError::Failed { .. })
-        ));
-    }
 
     #[test]
     fn a_port_that_cannot_be_opened_names_itself_and_what_to_try() {
@@ -500,16 +344,5 @@ mod tests {
             source: ErrorKind::PermissionDenied.into(),
         };
         assert!(denied.to_string().contains("dialout"));
-    }
-
-    #[test]
-    fn names_of_ports_are_told_apart() {
-        let name = |text: &str| text.parse::<PortName>().ok();
-        assert_eq!(name("tcp:localhost:7000"), Some(PortName::Tcp("localhost:7000".into())));
-        assert_eq!(name("unix:/run/a"), Some(PortName::Unix("/run/a".into())));
-        assert_eq!(name("/dev/ttyACM0"), Some(PortName::Serial("/dev/ttyACM0".into())));
-        assert_eq!([name(""), name("tcp:7000"), name("unix:")], [None, None, None]);
-        let hint = "127.0.0.1:5000".parse::<PortName>().unwrap_err().to_string();
-        assert!(hint.contains("tcp:127.0.0.1:5000"), "{hint}");
     }
 }

@@ -28,6 +28,14 @@ const _: () = assert!(
     "two lost heartbeats must not hold a drawing by default"
 );
 
+/// A number that no other connection to the firmware has had: process numbers alone come again.
+pub fn session_number() -> u32 {
+    let since = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap_or_default();
+    (since.as_nanos() as u32 ^ std::process::id().rotate_left(16)).max(1)
+}
+
 /// Event on the link.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time

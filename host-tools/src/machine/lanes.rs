@@ -4,8 +4,8 @@
 //! here or where its [`Ticket`] was taken, is not carried out after it.
 
 use super::{Answer, Failure, Order};
-use crate::commands::code;
-use crate::link::terms::Life;
+use crate::error::code;
+use crate::job::task::Life;
 use etherpen::link::protocol::Command;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};

@@ -7,7 +7,7 @@
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
 //!     .snapshot()        -> Snapshot           the last that is known, for who comes late
 //! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
-//!     .follow()                              and what a recording is made of
+//! Source::follow(client)                     and what a recording is made of
 //! ```
 //!
 //! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
@@ -20,24 +20,30 @@
 //! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the
 //! firmware still has it. No reader and no user can block the thread.
 
+mod account;
 mod following;
 mod lanes;
+mod reference;
 mod sharing;
 mod subscription;
 mod work;
 
-use crate::link::error::JobError;
-use crate::link::job::{Drawing, JobEvent, JobReport, Motion, Ready};
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
+use crate::job::progress::Progress;
+use crate::job::{DrawTask, JobEvent, JobReport, Motion, Ready};
 use crate::link::ownership::Ownership;
 use crate::link::port::{self, Line, Port, PortError, PortName};
-use crate::link::progress::Progress;
+use crate::link::session::session_number;
+pub use account::Account;
 use etherpen::config::Config;
 use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
-pub use following::{Account, Source};
+pub use following::Source;
 use lanes::{Lanes, Taken};
 pub use lanes::{OVERTAKEN, Ticket};
+pub use reference::reference_through;
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;
@@ -52,6 +58,12 @@ use work::Work;
 
 /// Time between two attempts to reconnect.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// Longest wait for a machine's state; the link's own time limit is shorter.
+const STATE_MAX: Duration = Duration::from_secs(10);
+/// Longest wait for the path state of a firmware that holds a drawing.
+const PATH_MAX: Duration = Duration::from_millis(500);
+/// Time between two checks.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// An order to a machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,7 +105,7 @@ pub enum Order {
 #[derive(Clone, Debug, PartialEq)]
 pub struct DrawOrder {
     /// The path with its options.
-    pub drawing: Drawing,
+    pub drawing: DrawTask,
     /// Name for display.
     pub name: String,
     /// Whether all samples are kept for the report.
@@ -140,7 +152,18 @@ impl std::error::Error for Failure {}
 
 impl From<&JobError> for Failure {
     fn from(error: &JobError) -> Self {
-        let error = crate::commands::job_error(error);
+        ProgramError::from(error).into()
+    }
+}
+
+impl From<&PortError> for Failure {
+    fn from(error: &PortError) -> Self {
+        ProgramError::from(error).into()
+    }
+}
+
+impl From<ProgramError> for Failure {
+    fn from(error: ProgramError) -> Self {
         Self {
             code: error.code,
             text: error.message,
@@ -148,9 +171,9 @@ impl From<&JobError> for Failure {
     }
 }
 
-impl From<&PortError> for Failure {
-    fn from(error: &PortError) -> Self {
-        Self::new(crate::commands::code::CONNECTION, error)
+impl From<Failure> for ProgramError {
+    fn from(failure: Failure) -> Self {
+        Self::new(failure.code, failure.text)
     }
 }
 
@@ -188,7 +211,7 @@ pub enum News {
         /// Its name.
         name: String,
         /// Its path.
-        drawing: Drawing,
+        drawing: DrawTask,
     },
     /// A task has ended.
     Ended {
@@ -329,7 +352,7 @@ impl Machine {
     /// # Errors
     /// Why the order was not carried out.
     pub fn carry_out(&self, order: Order) -> Answer {
-        let ended = || Failure::new(crate::commands::code::FAILED, "the machine's thread has ended");
+        let ended = || Failure::new(code::FAILED, "the machine's thread has ended");
         self.order(order).recv().map_err(|_| ended())?
     }
 
@@ -345,6 +368,34 @@ impl Machine {
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .clone()
+    }
+
+    /// Where the machine stands, and what it says of the path that it has; waits until it has said so.
+    ///
+    /// # Errors
+    /// There is no connection, or the machine does not answer.
+    pub fn known_state(&self) -> Result<Snapshot, Failure> {
+        let until = Instant::now() + STATE_MAX;
+        let mut known_since = None;
+        loop {
+            let snapshot = self.snapshot();
+            if let Some(lost) = snapshot.lost {
+                return Err(lost);
+            }
+            if snapshot.status.is_some() && snapshot.phase.is_none() {
+                let since = *known_since.get_or_insert_with(Instant::now);
+                if snapshot.path.is_some() || since.elapsed() > PATH_MAX {
+                    return Ok(snapshot);
+                }
+            }
+            if Instant::now() > until {
+                return Err(Failure::new(
+                    code::CONNECTION,
+                    "the machine does not say where it stands",
+                ));
+            }
+            std::thread::sleep(LOOK);
+        }
     }
 }
 
@@ -389,7 +440,7 @@ fn attend(
 
 /// Runs one connection until it breaks (returns the reason) or the machine is dropped.
 fn converse(port: Port, work: &mut Work, orders: &mut Taken, shared: &Shared, attempt: &mut u32) -> Option<Failure> {
-    work.connect(crate::commands::session_number());
+    work.connect(session_number());
     let mut line = Line::start(port);
     while !shared.ended.load(Ordering::Relaxed) {
         let exchanged = line.exchange(|now_ms, incoming, outgoing, room| {

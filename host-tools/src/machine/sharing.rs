@@ -7,12 +7,13 @@
 //! Invariants: a client can neither block the machine nor another client, nor keep another one out by being idle; a
 //! motion ends with the client that ordered it, however that ends, and nobody else's does; a jog goes on only while the client says, over and over, that it is alive.
 
+use super::account::Account;
 use super::lanes::Lanes;
-use super::{Account, Answer, Failure, NoNews, Order, Shared, Snapshot, Source, Subscription};
-use crate::commands::code;
+use super::{Answer, Failure, NoNews, Order, Shared, Snapshot, Subscription};
+use crate::error::code;
+use crate::job::task::Life;
 use crate::link::ownership::{Owner, socket_path};
 use crate::link::port::PortName;
-use crate::link::terms::Life;
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::Shutdown;
@@ -443,19 +444,16 @@ impl Client {
         }
     }
 
-    /// Follows the machine: everything that is recorded arrives from now on.
+    /// Asks for everything that is recorded; it arrives as accounts from now on.
     ///
     /// # Errors
     /// The owner has ended.
-    pub fn follow(mut self) -> Result<Source, Failure> {
+    pub(super) fn begin_following(&mut self) -> Result<(), Failure> {
         let question = Question {
             id: self.next,
             ask: Ask::Follow,
         };
-        match send(self.reader.get_mut(), &question) {
-            Ok(()) => Ok(Source::Shared(self)),
-            Err(cause) => Err(self.gone(&cause)),
-        }
+        send(self.reader.get_mut(), &question).map_err(|cause| self.gone(&cause))
     }
 
     /// The next account for a follower; waits at most `longest` between two parts of it.

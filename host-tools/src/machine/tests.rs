@@ -1,9 +1,9 @@
-//! A machine over a socket against the bench that answers as the firmware does.
+//! A machine over a socket against the rig that answers as the firmware does.
 
 use super::*;
-use crate::link::bench::{Bench, path, serve};
-use crate::link::job::Drawing;
+use crate::job::DrawTask;
 use crate::link::ownership::socket_path;
+use crate::link::rig::{Rig, path, serve};
 use etherpen::application::Mode;
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Longest wait for anything; what is tested does not depend on it.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A port at which one bench after the other answers, each until its line is cut.
+/// A port at which one rig after the other answers, each until its line is cut.
 struct Place(PathBuf, UnixListener);
 
 impl Place {
@@ -47,7 +47,7 @@ fn wait(news: &Subscription, mut wanted: impl FnMut(&News) -> bool) {
 
 fn draw(count: usize) -> Order {
     Order::Draw(DrawOrder {
-        drawing: Drawing::new(path(count)),
+        drawing: DrawTask::new(path(count)),
         name: "a path".into(),
         keep_samples: true,
     })
@@ -57,7 +57,7 @@ fn draw(count: usize) -> Order {
 fn a_drawing_is_drawn_while_others_watch_ask_and_hold() {
     let place = Place::new("draw");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
-    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     let (news, slow) = (machine.subscribe(10_000), machine.subscribe(2));
     let drawn = machine.order(draw(300));
     assert!(
@@ -102,10 +102,10 @@ fn a_broken_line_is_told_and_the_drawing_goes_on_by_an_order_only() {
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
     let news = machine.subscribe(10_000);
     let (cut, until_cut) = (stream.try_clone().unwrap(), stream);
-    let mut bench = Bench::new(1, 0);
+    let mut rig = Rig::new(1, 0);
     let firmware = std::thread::spawn(move || {
-        serve(&mut bench, &until_cut);
-        bench
+        serve(&mut rig, &until_cut);
+        rig
     });
     let drawn = machine.order(draw(500));
     wait(
@@ -113,12 +113,12 @@ fn a_broken_line_is_told_and_the_drawing_goes_on_by_an_order_only() {
         |news| matches!(news, News::Progress(progress) if progress.vertices > 50),
     );
     cut.shutdown(std::net::Shutdown::Both).unwrap();
-    let mut bench = firmware.join().unwrap();
+    let mut rig = firmware.join().unwrap();
     wait(&news, |news| matches!(news, News::Lost(_)));
     let stream = place.1.accept().unwrap().0;
     let firmware = std::thread::spawn(move || {
-        serve(&mut bench, &stream);
-        bench
+        serve(&mut rig, &stream);
+        rig
     });
     wait(
         &news,
@@ -128,9 +128,9 @@ fn a_broken_line_is_told_and_the_drawing_goes_on_by_an_order_only() {
     assert_eq!(machine.carry_out(Order::Resume), Ok(Reply::Done));
     assert_eq!(drawn.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
     drop(machine);
-    let bench = firmware.join().unwrap();
-    assert_eq!(bench.vertices, path(500));
-    let draws = bench
+    let rig = firmware.join().unwrap();
+    assert_eq!(rig.vertices, path(500));
+    let draws = rig
         .commands
         .iter()
         .filter(|command| matches!(command, Command::Draw { .. }));
@@ -149,7 +149,7 @@ fn a_machine_that_cannot_be_opened_is_an_error_or_waited_for() {
     let news = machine.subscribe(10);
     wait(&news, |news| matches!(news, News::Reconnecting { .. }));
     let refused = machine.carry_out(Order::Stop).unwrap_err();
-    assert_eq!(refused.code, crate::commands::code::CONNECTION);
+    assert_eq!(refused.code, crate::error::code::CONNECTION);
     assert!(refused.text.contains("etherpen emulate"), "{refused}");
 }
 
@@ -157,7 +157,7 @@ fn a_machine_that_cannot_be_opened_is_an_error_or_waited_for() {
 fn another_process_finds_the_owner_and_works_through_it() {
     let place = Place::new("shared");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
-    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     let mut client = Client::find(machine.port()).expect("the machine is shared");
     assert_eq!(client.owner().pid, std::process::id());
     assert_eq!(client.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
@@ -180,7 +180,7 @@ fn another_process_finds_the_owner_and_works_through_it() {
     assert!(Client::find(&port).is_none(), "nothing is left behind");
     assert_eq!(
         client.carry_out(Order::Stop).unwrap_err().code,
-        crate::commands::code::CONNECTION
+        crate::error::code::CONNECTION
     );
 }
 
@@ -188,10 +188,10 @@ fn another_process_finds_the_owner_and_works_through_it() {
 fn a_follower_in_another_process_hears_every_sample_of_a_drawing() {
     let place = Place::new("followed");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
-    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
     let news = machine.subscribe(100_000);
-    let mut source = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    let mut source = Source::follow(Client::find(machine.port()).expect("it is shared")).unwrap();
     assert!(matches!(source.next_within(PATIENCE), Ok(Account::Connected(_))));
     assert_eq!(machine.carry_out(draw(300)), Ok(Reply::Done));
     let (mut heard, mut told) = (Vec::new(), Vec::new());
@@ -247,7 +247,7 @@ fn a_port_that_is_silent_or_says_what_is_no_message_is_told_as_such() {
     for says in [&b""[..], b"\x00login: \xff\x00\x01\x02 garbage \x00"] {
         let machine = Machine::start(babble(says), Config::default(), MachineOptions::default()).unwrap();
         let failure = machine.carry_out(Order::Prepare(Ready::Bus)).unwrap_err();
-        assert_eq!(failure.code, crate::commands::code::CONNECTION);
+        assert_eq!(failure.code, crate::error::code::CONNECTION);
         assert!(failure.text.contains("no firmware answered"), "{failure}");
         assert!(failure.text.contains("no other program has it open"), "{failure}");
     }
@@ -258,9 +258,9 @@ fn stops_that_come_together_are_all_done() {
     let place = Place::new("stops");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
     let firmware = std::thread::spawn(move || {
-        let mut bench = Bench::new(1, 0);
-        serve(&mut bench, &stream);
-        bench
+        let mut rig = Rig::new(1, 0);
+        serve(&mut rig, &stream);
+        rig
     });
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
     let answers: Vec<_> = (0..20)
@@ -303,9 +303,9 @@ fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
     let place = Place::new("ends");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
     let firmware = std::thread::spawn(move || {
-        let mut bench = Bench::new(1, 0);
-        serve(&mut bench, &stream);
-        bench
+        let mut rig = Rig::new(1, 0);
+        serve(&mut rig, &stream);
+        rig
     });
     let news = machine.subscribe(10_000);
     let drawn = machine.order(draw(300));
@@ -333,15 +333,14 @@ fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
     });
     assert!(result.is_err(), "a motion ends with its program");
     drop(machine);
-    let bench = firmware.join().unwrap();
-    assert_eq!(bench.vertices, path(300));
+    let rig = firmware.join().unwrap();
+    assert_eq!(rig.vertices, path(300));
     assert!(
-        !bench
-            .commands
+        !rig.commands
             .iter()
             .any(|command| matches!(command, Command::Move { .. })),
         "{:?}",
-        bench.commands
+        rig.commands
     );
 }
 
@@ -349,9 +348,9 @@ fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
 fn however_many_programs_are_connected_and_say_nothing_a_stop_finds_its_way() {
     let place = Place::new("crowd");
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
-    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &stream));
+    let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &stream));
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
-    let mut follower = Client::find(machine.port()).expect("it is shared").follow().unwrap();
+    let mut follower = Source::follow(Client::find(machine.port()).expect("it is shared")).unwrap();
     assert!(matches!(follower.next_within(PATIENCE), Ok(Account::Connected(_))));
     let idle: Vec<_> = (0..100).filter_map(|_| says(&machine, "")).collect();
     assert_eq!(idle.len(), 100, "each is let in");
@@ -369,7 +368,7 @@ fn a_drawing_that_is_cancelled_while_the_line_is_down_is_not_shown_any_more() {
     let (machine, stream) = (place.start(), place.1.accept().unwrap().0);
     let news = machine.subscribe(10_000);
     let (cut, until_cut) = (stream.try_clone().unwrap(), stream);
-    let firmware = std::thread::spawn(move || serve(&mut Bench::new(1, 0), &until_cut));
+    let firmware = std::thread::spawn(move || serve(&mut Rig::new(1, 0), &until_cut));
     let drawn = machine.order(draw(500));
     wait(
         &news,

@@ -6,9 +6,9 @@
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
-use crate::commands::code;
-use crate::link::error::{JobError, Phase};
-use crate::link::job::{Control, Drawing, Job, JobEvent, JobOptions, JobReport, Life, Task};
+use crate::error::code;
+use crate::job::error::{JobError, Phase};
+use crate::job::{Control, DrawTask, Job, JobEvent, JobOptions, JobReport, Life, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::service::ServiceResult;
@@ -287,7 +287,7 @@ impl Work {
             return self.tell(Command::Resume, reply);
         };
         underway.interrupted = false;
-        let drawing = Drawing {
+        let drawing = DrawTask {
             held: true,
             ..underway.order.drawing.clone()
         };

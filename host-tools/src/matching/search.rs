@@ -7,7 +7,7 @@
 //! Invariants: one call makes no more looks than it is allowed, and at most the parts of one position more; the result
 //! does not depend on how the looks are divided among calls; no more than twice the limit of parts is kept.
 
-use super::{BACK_MM, Line, Match, PRECISION_MM, Step, distance, nearest_part, within};
+use super::{BACK_MM, Match, PRECISION_MM, Polyline, Step, distance, nearest_part, within};
 use etherpen::robot::Position;
 
 /// Smallest distance tried first, mm.
@@ -20,7 +20,7 @@ const CLOSER_MM: f64 = 0.02;
 
 /// What a search may cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct SearchLimits {
     /// Looks at a leg from a position.
     pub looks: usize,
     /// Parts of the line kept for all positions together, at one distance.
@@ -29,7 +29,7 @@ pub struct Limits {
     pub parts_at_once: usize,
 }
 
-impl Limits {
+impl SearchLimits {
     /// No limit.
     pub const NONE: Self = Self {
         looks: usize::MAX,
@@ -40,7 +40,7 @@ impl Limits {
 
 /// How far a search has come.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Progress {
+pub enum SearchProgress {
     /// It needs more looks.
     Unfinished,
     /// The match. It is empty, at an infinite distance, for a line without legs and for no positions.
@@ -91,7 +91,7 @@ struct Scan {
 pub struct Search {
     steps: Vec<Step>,
     first_mm: [f64; 2],
-    limits: Limits,
+    limits: SearchLimits,
     looks: usize,
     /// The largest distance known to be too small, mm.
     few_mm: f64,
@@ -118,7 +118,7 @@ pub struct Search {
 impl Search {
     /// For positions of which the first one is anywhere between two places along the line, mm.
     #[must_use]
-    pub fn new(steps: Vec<Step>, first_mm: [f64; 2], limits: Limits) -> Self {
+    pub fn new(steps: Vec<Step>, first_mm: [f64; 2], limits: SearchLimits) -> Self {
         Self {
             unplaced: steps.len(),
             places_mm: vec![0.0; steps.len()],
@@ -152,13 +152,13 @@ impl Search {
     }
 
     /// Goes on with at most so many looks, always on the same line.
-    pub fn go_on(&mut self, line: &Line, looks: usize) -> Progress {
+    pub fn go_on(&mut self, line: &Polyline, looks: usize) -> SearchProgress {
         let nothing = Match {
             distance_mm: f64::INFINITY,
             places_mm: Vec::new(),
         };
         if line.points.len() < 2 || self.steps.is_empty() {
-            return Progress::Found(nothing);
+            return SearchProgress::Found(nothing);
         }
         let until = self.looks.saturating_add(looks).min(self.limits.looks);
         while !self.is_placing {
@@ -169,7 +169,7 @@ impl Search {
                 return self.interrupted();
             };
             if !self.conclude(is_enough) {
-                return Progress::Found(nothing);
+                return SearchProgress::Found(nothing);
             }
         }
         while self.unplaced > 0 {
@@ -178,17 +178,17 @@ impl Search {
             }
             self.place_last(line);
         }
-        Progress::Found(Match {
+        SearchProgress::Found(Match {
             distance_mm: self.enough_mm.unwrap_or(f64::INFINITY),
             places_mm: std::mem::take(&mut self.places_mm),
         })
     }
 
-    fn interrupted(&self) -> Progress {
+    fn interrupted(&self) -> SearchProgress {
         if self.is_too_much || self.looks >= self.limits.looks {
-            Progress::TooMuch
+            SearchProgress::TooMuch
         } else {
-            Progress::Unfinished
+            SearchProgress::Unfinished
         }
     }
 
@@ -234,7 +234,7 @@ impl Search {
     }
 
     /// Whether each position reaches some of the line; `None` where the looks do not suffice to tell.
-    fn try_distance(&mut self, line: &Line, until: usize) -> Option<bool> {
+    fn try_distance(&mut self, line: &Polyline, until: usize) -> Option<bool> {
         while self.trial.ends.len() < self.steps.len() {
             let index = self.trial.ends.len();
             let is_whole = match self.span(line, index) {
@@ -254,7 +254,7 @@ impl Search {
     }
 
     /// Between which places along the line a position may be that does not follow one before it, mm.
-    fn span(&self, line: &Line, index: usize) -> Option<[f64; 2]> {
+    fn span(&self, line: &Polyline, index: usize) -> Option<[f64; 2]> {
         let Some(before) = index.checked_sub(1) else {
             return Some(self.first_mm);
         };
@@ -287,7 +287,7 @@ impl Search {
 
     /// Keeps all parts between two places along the line that are near enough to a position; `false` where the looks do
     /// not suffice.
-    fn look_between(&mut self, line: &Line, index: usize, [low_mm, high_mm]: [f64; 2], until: usize) -> bool {
+    fn look_between(&mut self, line: &Polyline, index: usize, [low_mm, high_mm]: [f64; 2], until: usize) -> bool {
         let low_mm = low_mm.clamp(0.0, line.length_mm());
         let high_mm = high_mm.clamp(low_mm, line.length_mm());
         let (position, begin) = (self.steps[index].position, self.trial.begin(index));
@@ -317,7 +317,7 @@ impl Search {
 
     /// Keeps what a position can reach from the one before, through the cells between the two and the line's legs;
     /// `false` where the looks do not suffice.
-    fn look_on(&mut self, line: &Line, index: usize, until: usize) -> bool {
+    fn look_on(&mut self, line: &Polyline, index: usize, until: usize) -> bool {
         let (first, begin) = (self.trial.begin(index - 1), self.trial.begin(index));
         let (from, to): (Position, Position) = (self.steps[index - 1].position, self.steps[index].position);
         let reach_mm = self.reach_mm;
@@ -362,7 +362,7 @@ impl Search {
 
     /// Places the last position that has no place: the nearest one that it can reach and that does not come after the
     /// next position's.
-    fn place_last(&mut self, line: &Line) {
+    fn place_last(&mut self, line: &Polyline) {
         let index = self.unplaced - 1;
         let step = &self.steps[index];
         let limit_mm = self.limit_mm;

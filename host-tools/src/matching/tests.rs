@@ -1,4 +1,5 @@
 use super::*;
+use crate::random::Lcg;
 
 /// Resolution of the reference implementation, mm.
 const FINE_MM: f64 = 0.05;
@@ -19,11 +20,11 @@ fn steps(positions: &[Position]) -> Vec<Step> {
     positions.iter().map(step).collect()
 }
 
-impl Line {
+impl Polyline {
     /// The match without limits.
     fn follow(&self, steps: &[Step], first_mm: [f64; 2]) -> Match {
-        match Search::new(steps.to_vec(), first_mm, Limits::NONE).go_on(self, usize::MAX) {
-            Progress::Found(found) => found,
+        match Search::new(steps.to_vec(), first_mm, SearchLimits::NONE).go_on(self, usize::MAX) {
+            SearchProgress::Found(found) => found,
             other => panic!("{other:?}"),
         }
     }
@@ -59,25 +60,8 @@ fn brute_force_mm(line: &[Position], positions: &[Position]) -> f64 {
     row.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// A sequence of numbers from 0 to 1 that depends on a seed alone.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as f64 / (1_u64 << 31) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.unit()
-    }
-}
-
 /// Strokes that come close to themselves, each with its name.
-fn strokes(random: &mut Random) -> Vec<(&'static str, Vec<Position>)> {
+fn strokes(random: &mut Lcg) -> Vec<(&'static str, Vec<Position>)> {
     let pitch = random.between(0.3, 1.2);
     let parallels = (0..12).map(|k| place(if (k + 1) / 2 % 2 == 0 { 0.0 } else { 6.0 }, f64::from(k / 2) * pitch));
     let mut reversals = vec![place(0.0, 0.0)];
@@ -106,8 +90,8 @@ fn strokes(random: &mut Random) -> Vec<(&'static str, Vec<Position>)> {
 }
 
 /// Positions along a line, each a distance off it that swings up to `most_mm`.
-fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Random) -> Vec<Position> {
-    let line = Line::new(points.to_vec());
+fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Lcg) -> Vec<Position> {
+    let line = Polyline::new(points.to_vec());
     let (period_mm, phase) = (random.between(3.0, 9.0), random.between(0.0, 6.0));
     let count = (line.length_mm() / step_mm).ceil() as usize;
     (0..=count)
@@ -125,11 +109,11 @@ fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Random) -> 
 #[test]
 fn the_distance_is_that_of_a_brute_force_search_on_lines_that_come_close_to_themselves() {
     for seed in 1..=4 {
-        let mut random = Random(seed);
+        let mut random = Lcg::new(seed);
         for (name, points) in strokes(&mut random) {
             for most_mm in [0.0, 0.05, 0.4, 1.5] {
                 let positions = off(&points, 0.3, most_mm, &mut random);
-                let line = Line::new(points.clone());
+                let line = Polyline::new(points.clone());
                 let found = line.follow(&steps(&positions), [0.0, f64::INFINITY]);
                 let expected_mm = brute_force_mm(&points, &positions);
                 let case = format!(
@@ -163,7 +147,7 @@ fn a_constant_distance_is_found_although_the_neighbour_is_closer() {
     let points: Vec<Position> = (0..20)
         .map(|k| place(if (k + 1) / 2 % 2 == 0 { 0.0 } else { 40.0 }, f64::from(k / 2) * 0.5))
         .collect();
-    let line = Line::new(points.clone());
+    let line = Polyline::new(points.clone());
     let count = (line.length_mm() / 0.05) as usize;
     let positions: Vec<Position> = (0..=count)
         .map(|k| {
@@ -179,7 +163,7 @@ fn a_constant_distance_is_found_although_the_neighbour_is_closer() {
 
 #[test]
 fn after_a_break_positions_go_on_where_they_are() {
-    let line = Line::new(vec![
+    let line = Polyline::new(vec![
         place(0.0, 0.0),
         place(20.0, 0.0),
         place(20.0, 0.5),

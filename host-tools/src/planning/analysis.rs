@@ -3,7 +3,7 @@
 //! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are asked for.
 
 use super::track::Track;
-use super::{Run, Sample};
+use super::{PlannedSample, Run};
 use etherpen::config::{Config, MotionLimits};
 use etherpen::motion::{PERIOD_MS, Pen, Vertex};
 use etherpen::robot::AXES;
@@ -190,7 +190,7 @@ impl Analysis {
     }
 
     /// Takes the next reference.
-    pub fn observe(&mut self, sample: &Sample) {
+    pub fn observe(&mut self, sample: &PlannedSample) {
         let reference = &sample.reference;
         let rest = Last {
             pen: reference.pen,
@@ -345,11 +345,11 @@ fn raise(peak: &mut f64, value: f64) {
 #[cfg(test)]
 mod tests {
     use super::super::tests::vertices;
-    use super::super::{Sample, plan};
+    use super::super::{PlannedSample, plan};
     use super::*;
 
     fn findings(config: &Config, path: &[Vertex], limits: &Config) -> Findings {
-        let mut samples: Vec<Sample> = Vec::new();
+        let mut samples: Vec<PlannedSample> = Vec::new();
         let run = plan(config, path, |sample, _| samples.push(*sample)).unwrap();
         let mut analysis = Analysis::new(limits, path, run.jerk_window_ms);
         samples.iter().for_each(|sample| analysis.observe(sample));

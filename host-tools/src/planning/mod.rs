@@ -6,9 +6,11 @@
 //! Invariant: every run ends: at rest at the path's end, with a refusal, without progress, or after a day.
 
 mod analysis;
+mod table;
 mod track;
 
 pub use analysis::{Analysis, Findings, Limits, Peaks, Violation};
+pub use table::Table;
 
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Reference, Trajectory, Vertex};
@@ -22,7 +24,7 @@ const HORIZONTAL_MIN: f64 = 0.1;
 
 /// One millisecond of a planned path.
 #[derive(Clone, Copy, Debug)]
-pub struct Sample {
+pub struct PlannedSample {
     /// Time since the path began, ms.
     pub t_ms: u64,
     /// The reference, as the position controllers get it.
@@ -109,7 +111,11 @@ impl std::error::Error for PlanningError {}
 ///
 /// # Errors
 /// Why the path was not planned.
-pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &Run)) -> Result<Run, PlanningError> {
+pub fn plan(
+    config: &Config,
+    path: &[Vertex],
+    mut observe: impl FnMut(&PlannedSample, &Run),
+) -> Result<Run, PlanningError> {
     let [first, _, ..] = path else {
         return Err(PlanningError::TooShort { vertices: path.len() });
     };
@@ -118,7 +124,7 @@ pub fn plan(config: &Config, path: &[Vertex], mut observe: impl FnMut(&Sample, &
     let [a, b, c] = delta.inverse(&first.position).map_err(PlanningError::Start)?;
     let pose = JointAngles([a, b, c, first_angle(config, path)]);
     trajectory.place(pose);
-    let mut sample = Sample {
+    let mut sample = PlannedSample {
         t_ms: 0,
         reference: Reference {
             position_rad: pose.0,
@@ -205,6 +211,12 @@ fn fill<'p>(
             .map_err(|refusal| PlanningError::Vertex { index, refusal })?;
     }
     Ok(())
+}
+
+/// Duration that the firmware's planner computes for a path, s, from rest at its first vertex to rest at its end; NaN
+/// if it cannot be planned.
+pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
+    plan(config, path, |_, _| ()).map_or(f64::NAN, |run| run.duration_ms as f64 / 1_000.0)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 use super::mcap::Source;
 use super::parquet;
 use super::signals::{Evaluator, Signal, Value, columns};
-use super::{Entry, Playback};
+use super::{Playback, RecordingEntry};
 use std::io::{self, Write};
 
 /// Result of an export.
@@ -113,18 +113,18 @@ fn each_row<R: Source>(
     let mut exported = Exported::default();
     while let Some((_, entry)) = playback.next_entry().map_err(ExportError::Read)? {
         match entry {
-            Entry::Moment(moment) => {
+            RecordingEntry::Moment(moment) => {
                 evaluator.take(&moment);
                 values.clear();
                 values.extend(columns.iter().map(|signal| evaluator.value(signal, &moment)));
                 row(&values).map_err(ExportError::Write)?;
                 exported.rows += 1;
             }
-            Entry::Gap(gap) => {
+            RecordingEntry::Gap(gap) => {
                 evaluator.interrupt();
                 exported.missing += u64::from(gap.missing);
             }
-            Entry::State(_) | Entry::Event(_) => {}
+            RecordingEntry::State(_) | RecordingEntry::Event(_) => {}
         }
     }
     Ok(exported)

@@ -54,7 +54,7 @@ pub struct State {
 
 /// Severity of an event, numbered as in `rcl_interfaces/msg/Log`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
+pub enum Severity {
     /// An ordinary event.
     Info = 20,
     /// A condition that needs attention.
@@ -69,7 +69,7 @@ pub struct Event {
     /// Time of the message, ns.
     pub time_ns: u64,
     /// Severity.
-    pub level: Level,
+    pub level: Severity,
     /// Kind of event: `link`, `mode`, `fault`, `gap`, `job`.
     pub name: String,
     /// What happened.
@@ -330,9 +330,9 @@ impl Event {
         let mut cdr = Decoder::new(bytes)?;
         let (seconds, nanoseconds) = (cdr.word()?, cdr.word()?);
         let level = match cdr.byte()? {
-            30 => Level::Warning,
-            40.. => Level::Error,
-            _ => Level::Info,
+            30 => Severity::Warning,
+            40.. => Severity::Error,
+            _ => Severity::Info,
         };
         Some(Self {
             time_ns: u64::from(seconds) * 1_000_000_000 + u64::from(nanoseconds),
@@ -473,7 +473,7 @@ mod tests {
         };
         let event = Event {
             time_ns: 12_000_000_345,
-            level: Level::Warning,
+            level: Severity::Warning,
             name: "gap".into(),
             text: String::new(),
         };

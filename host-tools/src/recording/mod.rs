@@ -18,5 +18,5 @@ pub mod recorder;
 pub mod signals;
 pub mod statistics;
 
-pub use playback::{Entry, Playback};
+pub use playback::{Playback, RecordingEntry};
 pub use recorder::{About, Recorder, Storage};

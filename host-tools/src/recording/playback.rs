@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// One entry of a recording.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Entry {
+pub enum RecordingEntry {
     /// A millisecond.
     Moment(Moment),
     /// A gap: samples are missing here.
@@ -75,7 +75,7 @@ impl<R: Source> Playback<R> {
     ///
     /// # Errors
     /// The rest of the file cannot be read.
-    pub fn next_entry(&mut self) -> io::Result<Option<(f64, Entry)>> {
+    pub fn next_entry(&mut self) -> io::Result<Option<(f64, RecordingEntry)>> {
         loop {
             let start_ns = self.reader.start_ns();
             let Some(message) = self.reader.next_message()? else {
@@ -126,13 +126,13 @@ impl<R: Source> Playback<R> {
     }
 }
 
-fn decode(topic: &str, data: &[u8]) -> Option<Entry> {
+fn decode(topic: &str, data: &[u8]) -> Option<RecordingEntry> {
     let [sample, gap, status, event] = TOPICS.map(|topic| topic.name);
     match topic {
-        name if name == sample => Moment::decode(data).map(Entry::Moment),
-        name if name == gap => Gap::decode(data).map(Entry::Gap),
-        name if name == status => State::decode(data).map(Entry::State),
-        name if name == event => Event::decode(data).map(Entry::Event),
+        name if name == sample => Moment::decode(data).map(RecordingEntry::Moment),
+        name if name == gap => Gap::decode(data).map(RecordingEntry::Gap),
+        name if name == status => State::decode(data).map(RecordingEntry::State),
+        name if name == event => Event::decode(data).map(RecordingEntry::Event),
         _ => None,
     }
 }

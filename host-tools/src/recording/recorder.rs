@@ -6,7 +6,7 @@
 //! follows it.
 
 use super::mcap::Writer;
-use super::messages::{EVENT, Event, GAP, Gap, Level, Moment, SAMPLE, STATUS, State, TOPICS};
+use super::messages::{EVENT, Event, GAP, Gap, Moment, SAMPLE, STATUS, Severity, State, TOPICS};
 use crate::link::text;
 use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
@@ -177,7 +177,7 @@ impl<S: Storage> Recorder<S> {
         if self.mode != Some(sample.mode) {
             self.mode = Some(sample.mode);
             self.event(
-                Level::Info,
+                Severity::Info,
                 "mode",
                 &format!("{:?}: {}", sample.mode, text::mode(sample.mode)),
             )?;
@@ -225,7 +225,7 @@ impl<S: Storage> Recorder<S> {
                 "the device's time went from {last_ms} ms to {} ms: it has started again",
                 sample.t_ms
             );
-            self.event(Level::Warning, "link", &text)?;
+            self.event(Severity::Warning, "link", &text)?;
         }
         let lost = if started {
             missing
@@ -243,7 +243,7 @@ impl<S: Storage> Recorder<S> {
             self.taken.missing += u64::from(lost);
             self.taken.gaps += 1;
             let text = format!("{lost} samples are missing before {} ms", sample.t_ms);
-            self.event_at(time_ns, Level::Warning, "gap", &text)?;
+            self.event_at(time_ns, Severity::Warning, "gap", &text)?;
         }
         Ok(time_ns)
     }
@@ -264,9 +264,9 @@ impl<S: Storage> Recorder<S> {
         if self.fault != status.fault {
             self.fault = status.fault;
             let (level, text) = if fault.is_empty() {
-                (Level::Info, "acknowledged")
+                (Severity::Info, "acknowledged")
             } else {
-                (Level::Error, fault.as_str())
+                (Severity::Error, fault.as_str())
             };
             self.event(level, "fault", text)?;
         }
@@ -288,11 +288,11 @@ impl<S: Storage> Recorder<S> {
     ///
     /// # Errors
     /// Errors of the storage.
-    pub fn event(&mut self, level: Level, name: &str, text: &str) -> io::Result<()> {
+    pub fn event(&mut self, level: Severity, name: &str, text: &str) -> io::Result<()> {
         self.event_at(self.now_ns, level, name, text)
     }
 
-    fn event_at(&mut self, time_ns: u64, level: Level, name: &str, text: &str) -> io::Result<()> {
+    fn event_at(&mut self, time_ns: u64, level: Severity, name: &str, text: &str) -> io::Result<()> {
         let event = Event {
             time_ns,
             level,

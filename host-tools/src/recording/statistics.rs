@@ -6,7 +6,7 @@
 use super::mcap::Source;
 use super::messages::{MODES, Moment, mode_number};
 use super::signals::{Evaluator, Signal, columns, errors};
-use super::{Entry, Playback};
+use super::{Playback, RecordingEntry};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::robot::AXES;
@@ -233,12 +233,12 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
     };
     while let Some((time_s, entry)) = playback.next_entry()? {
         match entry {
-            Entry::Moment(moment) => {
+            RecordingEntry::Moment(moment) => {
                 if let Some(settled) = jumps.take(time_s, moment) {
                     counting.count(settled, &mut figures);
                 }
             }
-            Entry::Gap(gap) => {
+            RecordingEntry::Gap(gap) => {
                 if let Some(settled) = jumps.interrupt() {
                     counting.count(settled, &mut figures);
                 }
@@ -246,8 +246,8 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
                 figures.missing += u64::from(gap.missing);
                 counting.evaluator.interrupt();
             }
-            Entry::State(_) => figures.statuses += 1,
-            Entry::Event(_) => figures.events += 1,
+            RecordingEntry::State(_) => figures.statuses += 1,
+            RecordingEntry::Event(_) => figures.events += 1,
         }
     }
     if let Some(settled) = jumps.interrupt() {

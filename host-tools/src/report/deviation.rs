@@ -10,7 +10,7 @@
 //! Invariants: no distance is taken to a stroke other than the point's own; distances from strokes that were not thinned
 //! are exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
 
-use crate::matching::{Limits, Line, Match, Progress, Search, Step, distance, thinned};
+use crate::matching::{Match, Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
 use etherpen::robot::Position;
 use std::collections::HashMap;
 
@@ -43,8 +43,8 @@ const POINTS_FEW: usize = 3;
 
 /// What matching points with a stroke may cost: ordinary drawings take about a hundred looks and keep about three parts
 /// for a point.
-const fn limits(points: usize) -> Limits {
-    Limits {
+const fn limits(points: usize) -> SearchLimits {
+    SearchLimits {
         looks: 20_000_000 + 1_000 * points,
         parts: 1_000_000 + 32 * points,
         parts_at_once: usize::MAX,
@@ -103,7 +103,7 @@ impl Distances {
 /// A stroke that points are compared with.
 struct Way<'a> {
     points: &'a [Position],
-    line: Line,
+    line: Polyline,
     /// Vertices are at least this far apart, mm; 0 while all of them are kept.
     thinned_mm: f64,
     /// How far thinning beyond its noise may have moved the stroke, mm.
@@ -114,7 +114,7 @@ impl<'a> Way<'a> {
     fn new(points: &'a [Position]) -> Self {
         Self {
             points,
-            line: Line::new(points.to_vec()),
+            line: Polyline::new(points.to_vec()),
             thinned_mm: 0.0,
             moved_mm: 0.0,
         }
@@ -125,12 +125,12 @@ impl<'a> Way<'a> {
     fn follow(&mut self, steps: &[Step], first_mm: [f64; 2]) -> Match {
         loop {
             let limits = if self.line.legs() < POINTS_FEW {
-                Limits::NONE
+                SearchLimits::NONE
             } else {
                 limits(steps.len())
             };
             let mut search = Search::new(steps.to_vec(), first_mm, limits);
-            if let Progress::Found(found) = search.go_on(&self.line, usize::MAX) {
+            if let SearchProgress::Found(found) = search.go_on(&self.line, usize::MAX) {
                 return found;
             }
             self.thin();
@@ -144,7 +144,7 @@ impl<'a> Way<'a> {
             // A stroke near its first point as a whole moves twice as far.
             self.moved_mm = 2.0 * self.thinned_mm;
         }
-        self.line = Line::new(points);
+        self.line = Polyline::new(points);
     }
 }
 
@@ -194,7 +194,7 @@ fn steps(moments: &[Moment], place: fn(&Moment) -> Position, speed_mm_s: f64) ->
 }
 
 /// Where along a line positions may begin: at its beginning, or anywhere if they do not begin near that.
-fn beginning(line: &Line, steps: &[Step]) -> [f64; 2] {
+fn beginning(line: &Polyline, steps: &[Step]) -> [f64; 2] {
     let is_at_begin = |step: &Step| line.distance_between(&step.position, 0.0, 0.0) <= BEGIN_MM;
     match steps.first().is_some_and(is_at_begin) {
         true => [0.0, BEGIN_MM],

@@ -4,9 +4,11 @@
 //! virtual paper; figures reported by the planner itself are not used.
 
 mod deviation;
+pub mod output;
 mod platform;
 #[cfg(test)]
 mod styles;
+pub mod summary;
 mod tables;
 mod timing;
 mod tracking_plot;
@@ -15,9 +17,8 @@ pub use deviation::NumberedStroke;
 pub use tables::{write_intended, write_telemetry};
 pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
-pub(crate) use tracking_plot::{marks, number};
 
-use crate::link::verification::Verdict;
+use crate::job::verification::Verdict;
 use crate::matching::distance;
 use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
 use etherpen::application::Mode;

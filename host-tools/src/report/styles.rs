@@ -1,13 +1,14 @@
 //! The deviation of every style's drawing, against the planner's own analysis and against a brute-force search.
 
+use super::output::conclude;
 use super::{Report, Row, drawn_part, rows, strokes};
-use crate::commands::prepare::prepare_with;
-use crate::commands::run::{conclude, task};
-use crate::commands::source::SourceArguments;
 use crate::drawing::Style;
+use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::source::SourceArguments;
 use crate::matching::{between, distance};
-use crate::planning::{Analysis, Sample as Planned, plan};
+use crate::planning::{Analysis, PlannedSample as Planned, plan};
 use crate::run::simulate;
+use crate::run::task;
 use clap::Parser;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::Sample;
@@ -26,7 +27,7 @@ const INK_BY_TORQUE_MAX_MM: f64 = 1.5;
 
 #[derive(Parser)]
 #[command(no_binary_name = true)]
-struct Words {
+struct CommandLine {
     #[command(flatten)]
     source: SourceArguments,
 }
@@ -76,7 +77,7 @@ fn check(style: &str, mode: AxisMode) {
         (axis.mode, axis.feedback_gain_per_s) = (mode, TORQUE_FEEDBACK_GAIN_PER_S);
     }
     let photograph = crate::setup::workspace().join("samples/astronaut.png");
-    let options = Words::parse_from(["--style", style, "--size", "70mm", "--max-time", "25s"]).source;
+    let options = CommandLine::parse_from(["--style", style, "--size", "70mm", "--max-time", "25s"]).source;
     let prepared = prepare_with(&photograph, &config, &options).expect("a photograph");
     let mut planned: Vec<Planned> = Vec::new();
     let run = plan(&config, &prepared.path, |sample, _| planned.push(*sample)).expect("it can be planned");

@@ -1,7 +1,7 @@
 //! The figures' format, with those that need nothing built.
 
 use crate::program::{Folder, etherpen, run};
-use host_tools::commands::code;
+use host_tools::error::code;
 use serde_json::Value;
 
 #[test]

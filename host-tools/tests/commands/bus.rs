@@ -13,7 +13,7 @@ use etherpen::ethercat::wire::sii::Identity;
 use etherpen::link::device::{self, DeviceEndpoint, DeviceEvent};
 use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;
-use host_tools::commands::code;
+use host_tools::error::code;
 use serde_json::Value;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};

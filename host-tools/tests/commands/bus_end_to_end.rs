@@ -3,7 +3,7 @@
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen, run};
 use crate::segment::Segment;
-use host_tools::commands::code;
+use host_tools::error::code;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Runs `etherpen bus` over a way: stdout.

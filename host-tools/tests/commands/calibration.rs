@@ -1,7 +1,7 @@
 //! `etherpen reference` and `etherpen identify` on the virtual cell: output, stored values, exit codes.
 
 use super::program::{Folder, etherpen, run};
-use host_tools::commands::code;
+use host_tools::error::code;
 use serde_json::Value;
 use std::fs;
 

@@ -1,7 +1,7 @@
 //! What is asked of the program itself: its configuration, completions and manual pages.
 
 use crate::program::{Folder, etherpen, run};
-use host_tools::commands::code;
+use host_tools::error::code;
 use std::fs;
 
 #[test]

@@ -3,8 +3,8 @@
 use crate::program::{Folder, Running, etherpen, run, wait_until};
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
-use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::error::code;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Speed below which a joint stands, rad/s; at 20 mm/s the fastest has 0.04.
@@ -13,12 +13,12 @@ const STANDS_RAD_S: f64 = 5e-3;
 /// of life on its way and the ramp; the rest is for a computer on which the port's owner is not run for a while.
 const STOP_MAX_MS: u64 = 1_000;
 
-struct Bench {
+struct Rig {
     folder: Folder,
     cell: VirtualCell,
 }
 
-impl Bench {
+impl Rig {
     fn command(&self, words: &[&str]) -> std::process::Command {
         let mut command = etherpen(&self.folder);
         command.args(words).env("ETHERPEN_PORT", self.cell.port().to_string());
@@ -46,40 +46,40 @@ fn is_stopped(program: &Running) -> bool {
 #[test]
 fn a_client_that_is_stopped_while_it_jogs_through_a_console_stops_the_robot() {
     let cell = VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated);
-    let bench = Bench {
+    let rig = Rig {
         folder: Folder::new(),
         cell: cell.expect("the cell starts"),
     };
-    let port = bench.cell.port().to_string();
+    let port = rig.cell.port().to_string();
     let mut console =
-        Running::start(etherpen(&bench.folder).args(["console", "--listen", "127.0.0.1:0", "--port", &port]));
+        Running::start(etherpen(&rig.folder).args(["console", "--listen", "127.0.0.1:0", "--port", &port]));
     console.wait_for("address", |console| console.stdout().contains("http://").then_some(()));
-    let enabled = || run(&mut bench.command(&["enable"])).0 == Some(0);
+    let enabled = || run(&mut rig.command(&["enable"])).0 == Some(0);
     wait_until("enabled drives", enabled);
-    let mut jog = Running::start(&mut bench.command(&["jog", "0,20,0", "--for", "8"]));
-    jog.wait_for("motion", |_| bench.moves().then_some(()));
-    let begun_ms = bench.cell.state().time_ms;
+    let mut jog = Running::start(&mut rig.command(&["jog", "0,20,0", "--for", "8"]));
+    jog.wait_for("motion", |_| rig.moves().then_some(()));
+    let begun_ms = rig.cell.state().time_ms;
     wait_until("a motion of half a second", || {
-        bench.cell.state().time_ms > begun_ms + 500
+        rig.cell.state().time_ms > begun_ms + 500
     });
-    assert!(bench.moves(), "the jog goes on while its client lives");
+    assert!(rig.moves(), "the jog goes on while its client lives");
     signal(&jog, Signal::STOP);
     wait_until("a client that stands", || is_stopped(&jog));
-    let stopped_ms = bench.cell.state().time_ms;
-    wait_until("motors that stand", || !bench.moves());
-    let took_ms = bench.cell.state().time_ms - stopped_ms;
+    let stopped_ms = rig.cell.state().time_ms;
+    wait_until("motors that stand", || !rig.moves());
+    let took_ms = rig.cell.state().time_ms - stopped_ms;
     println!("the motors stood {took_ms} ms after their client, by the cell's clock");
     assert!(took_ms <= STOP_MAX_MS, "{took_ms} ms");
-    let joints = bench.cell.state().joints;
+    let joints = rig.cell.state().joints;
     wait_until("two more seconds", || {
-        bench.cell.state().time_ms > stopped_ms + took_ms + 2_000
+        rig.cell.state().time_ms > stopped_ms + took_ms + 2_000
     });
     signal(&jog, Signal::CONT);
     assert_eq!(jog.end().code(), Some(i32::from(code::FAILED)), "{}", jog.stderr());
     assert!(jog.stderr().contains("fell silent"), "{}", jog.stderr());
-    let now = bench.cell.state().joints;
+    let now = rig.cell.state().joints;
     let drift = now.0.iter().zip(joints.0).map(|(now, then)| (now - then).abs());
     assert!(drift.fold(0.0, f64::max) < 1e-3, "the jog does not go on by itself");
-    let (status, _, stderr) = run(&mut bench.command(&["jog", "0,-20,0", "--for", "0.3"]));
+    let (status, _, stderr) = run(&mut rig.command(&["jog", "0,-20,0", "--for", "0.3"]));
     assert_eq!(status, Some(0), "{stderr}");
 }

@@ -1,8 +1,8 @@
 //! From a file to strokes, as a person meets it: vectorize, order, preview, and what they refuse.
 
 use crate::program::{Folder, etherpen, run, strokes};
-use host_tools::commands::code;
 use host_tools::drawing::{Artwork, read_svg};
+use host_tools::error::code;
 use host_tools::setup::workspace;
 use serde_json::Value;
 use std::fs;

@@ -1,7 +1,7 @@
 //! The command line with the emulator: a drawing over the port, and ends that leave nothing behind.
 
 use crate::program::{Folder, Running, emulator_of, etherpen, run, runs, strokes, wait_until};
-use host_tools::commands::code;
+use host_tools::error::code;
 use host_tools::setup;
 use rustix::process::{Pid, Signal, kill_process};
 

@@ -4,8 +4,8 @@
 use crate::program::{Folder, etherpen, run};
 use etherpen::config::Config;
 use host_tools::cell::{CellOptions, InkStroke};
-use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::error::code;
 use host_tools::link::port::PortName;
 use std::fmt::Write as _;
 use std::io::{Read, Write};

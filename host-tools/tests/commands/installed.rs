@@ -1,7 +1,7 @@
 //! The program away from its sources, and on a computer whose package manager is busy.
 
 use crate::program::{Folder, etherpen, run};
-use host_tools::commands::code;
+use host_tools::error::code;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 

@@ -1,7 +1,7 @@
 //! What a command writes is whole or not at all, and never one of the files that it reads.
 
 use crate::program::{Folder, etherpen, run, strokes};
-use host_tools::commands::code;
+use host_tools::error::code;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;

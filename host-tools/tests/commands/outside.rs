@@ -3,8 +3,9 @@
 use crate::program::{Folder, Running, etherpen, run, strokes};
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
-use host_tools::commands::{code, confined};
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::drawing::preparation::confined;
+use host_tools::error::code;
 use std::fs;
 use std::process::Stdio;
 

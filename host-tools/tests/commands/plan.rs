@@ -1,7 +1,7 @@
 //! `plan` and `kinematics` as their contract has them.
 
 use crate::program::{Folder, etherpen, run};
-use host_tools::commands::code;
+use host_tools::error::code;
 use serde_json::Value;
 use std::fs;
 

@@ -5,7 +5,7 @@ use etherpen::application::Mode;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
 use etherpen::link::protocol::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Sample, Status, Welcome};
 use etherpen::motion::Pen;
-use host_tools::commands::code;
+use host_tools::error::code;
 use host_tools::setup;
 use rustix::process::{Pid, Signal, kill_process};
 use std::fs;

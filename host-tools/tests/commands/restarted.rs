@@ -4,9 +4,9 @@
 use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
 use etherpen::config::Config;
 use host_tools::cell::{CellOptions, InkStroke};
-use host_tools::commands::code;
 use host_tools::console::messages::Injection;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::error::code;
 use host_tools::setup;
 
 /// Farthest that a point of ink may lie from the other run's ink, mm.
@@ -30,12 +30,12 @@ fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
 }
 
 /// A cell with the emulated firmware, and the program that works with it.
-struct Bench {
+struct Rig {
     folder: Folder,
     cell: VirtualCell,
 }
 
-impl Bench {
+impl Rig {
     fn new() -> Self {
         setup::ensure_qemu().expect("the emulator can be had");
         let image = setup::build_firmware("emulated").expect("the firmware builds");
@@ -61,47 +61,47 @@ impl Bench {
 }
 
 fn drawn_undisturbed(file: &str) -> Vec<InkStroke> {
-    let bench = Bench::new();
-    bench.ends_with(&["draw", file], 0);
-    bench.cell.ink()
+    let rig = Rig::new();
+    rig.ends_with(&["draw", file], 0);
+    rig.cell.ink()
 }
 
 #[test]
 fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_missing_and_a_leg_or_two_twice() {
     let file = strokes().to_string_lossy().into_owned();
     let whole = drawn_undisturbed(&file);
-    let bench = Bench::new();
-    let mut first = Running::start(&mut bench.command(&["draw", &file]));
+    let rig = Rig::new();
+    let mut first = Running::start(&mut rig.command(&["draw", &file]));
     // In the middle of a stroke that is neither the first nor the last one.
     first.wait_for("third stroke or one behind it", |_| {
-        let ink = bench.cell.ink();
+        let ink = rig.cell.ink();
         let last = ink.last().map_or(0.0, InkStroke::length_mm);
         ((3..6).contains(&ink.len()) && last > 20.0).then_some(())
     });
-    bench.cell.inject(Injection::Restart).expect("it is an emulator");
+    rig.cell.inject(Injection::Restart).expect("it is an emulator");
     let status = first.end();
     assert_eq!(status.code(), Some(i32::from(code::CONNECTION)), "{}", first.stderr());
     wait_until("word of --resume", || first.stderr().contains("draw --resume"));
     println!("{}", first.stderr());
-    let stderr = bench.ends_with(&["draw", &file, "--resume"], code::FAILED);
+    let stderr = rig.ends_with(&["draw", &file, "--resume"], code::FAILED);
     assert!(stderr.contains("etherpen reference"), "{stderr}");
-    let broken = bench.cell.ink();
+    let broken = rig.cell.ink();
     // A person measures where the platform stands: on the paper, where the pen has stopped.
     let paper = Config::default().paper;
     let [x, y] = *broken.last().and_then(|stroke| stroke.points_mm.last()).expect("ink");
     let x_mm = x - 0.5 * paper.size_mm[0] + paper.centre_mm[0];
     let y_mm = 0.5 * paper.size_mm[1] - y + paper.centre_mm[1];
     let position = format!("{x_mm:.0},{y_mm:.0},{:.0}", paper.pen_down_z_mm);
-    let port = bench.cell.port().to_string();
-    bench.ends_with(&["reference", "--position", &position, "--port", &port], 0);
+    let port = rig.cell.port().to_string();
+    rig.ends_with(&["reference", "--position", &position, "--port", &port], 0);
     // The drives have latched that no telegrams came.
-    let stderr = bench.ends_with(&["draw", &file, "--resume"], code::FAULT);
+    let stderr = rig.ends_with(&["draw", &file, "--resume"], code::FAULT);
     assert!(stderr.contains("acknowledge"), "{stderr}");
-    bench.ends_with(&["acknowledge"], 0);
-    let stderr = bench.ends_with(&["draw", &file, "--resume"], 0);
+    rig.ends_with(&["acknowledge"], 0);
+    let stderr = rig.ends_with(&["draw", &file, "--resume"], 0);
     println!("{stderr}");
     assert!(stderr.contains("going on from the log at stroke "), "{stderr}");
-    let ink = bench.cell.ink();
+    let ink = rig.cell.ink();
     let missing_mm = whole
         .iter()
         .flat_map(|stroke| &stroke.points_mm)
@@ -128,6 +128,6 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
     assert!(stray_mm < STOP_MM, "{stray_mm} mm beside the lines");
     let twice_mm = drawn_mm - stray_mm - whole_mm;
     assert!(twice_mm < TWICE_MAX_MM, "{twice_mm} mm were drawn twice");
-    let done = bench.ends_with(&["draw", &file, "--resume"], code::INPUT);
+    let done = rig.ends_with(&["draw", &file, "--resume"], code::INPUT);
     assert!(done.contains("to its end"), "{done}");
 }

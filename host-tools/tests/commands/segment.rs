@@ -3,7 +3,7 @@
 use crate::program::{Folder, Running, etherpen, run};
 use etherpen::config::{Bus, Config};
 use etherpen::ethercat::event::BusSetup;
-use host_tools::commands::code;
+use host_tools::error::code;
 use host_tools::master::Master;
 use host_tools::setup;
 use host_tools::transport::{self, Endpoint, udp_address};

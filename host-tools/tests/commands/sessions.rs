@@ -4,8 +4,8 @@
 use crate::program::{Folder, PATIENCE, Running, etherpen, run, strokes, wait_until};
 use etherpen::config::Config;
 use host_tools::cell::{CellOptions, DriveState, InkStroke};
-use host_tools::commands::code;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
+use host_tools::error::code;
 use std::fs;
 use std::net::TcpStream;
 use std::process::Command;

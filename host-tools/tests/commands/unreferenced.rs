@@ -4,8 +4,8 @@
 use crate::program::{Folder, etherpen, run, strokes};
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
-use host_tools::commands::code;
 use host_tools::console::virtual_cell::{CellView, Firmware, VirtualCell};
+use host_tools::error::code;
 use std::path::Path;
 
 /// Farthest that an arm may turn while nothing moves, rad.

@@ -21,14 +21,14 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 pub(crate) const TOKEN: &str = "0123456789abcdef";
 
 /// A console in front of a simulated robot.
-pub(crate) struct Bench {
+pub(crate) struct Rig {
     server: Server,
     console: Arc<Console>,
     /// The drives and the robot as they are.
     pub(crate) cell: CellView,
 }
 
-impl Bench {
+impl Rig {
     pub(crate) fn start() -> Self {
         let config = Config::default();
         let cell = VirtualCell::start(&config, CellOptions::default(), Firmware::Simulated).unwrap();

@@ -1,6 +1,6 @@
 //! Viewers that want to do harm, and a stop that comes through all the same.
 
-use super::client::{Bench, Client, PATIENCE, TOKEN};
+use super::client::{Client, PATIENCE, Rig, TOKEN};
 use host_tools::cell::DriveState;
 use host_tools::console::gate::Passage;
 use host_tools::console::hub::{GUESTS_MAX, VIEWERS_MAX};
@@ -23,8 +23,8 @@ fn range(id: u32) -> Value {
 }
 
 /// Asks for as much as it can, in a thread of its own, until told to end.
-fn flood(bench: &Bench, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<()> {
-    let (address, ended) = (bench.address(), ended.clone());
+fn flood(rig: &Rig, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<()> {
+    let (address, ended) = (rig.address(), ended.clone());
     std::thread::spawn(move || {
         let (mut client, mut id) = (Client::connect(address), 0);
         while !ended.load(Ordering::Relaxed) {
@@ -40,38 +40,37 @@ fn flood(bench: &Bench, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<()> 
     })
 }
 
-fn post_stop(bench: &Bench) {
+fn post_stop(rig: &Rig) {
     let head = format!(
         "POST /stop HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: {TOKEN}",
-        bench.address()
+        rig.address()
     );
-    let answer = bench.http(&head, b"");
+    let answer = rig.http(&head, b"");
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
 }
 
 #[test]
 fn no_request_is_begun_between_a_stop_and_its_writing_to_the_port() {
-    let bench = Bench::start();
+    let rig = Rig::start();
     let passed = Arc::new(Mutex::new(Vec::new()));
     let seen = passed.clone();
-    bench
-        .console()
+    rig.console()
         .gate()
         .watch(Box::new(move |passage| seen.lock().unwrap().push(passage)));
-    let mut operator = bench.viewer("operator");
+    let mut operator = rig.viewer("operator");
     operator.mode("DrivesOff");
     let ended = Arc::new(AtomicBool::new(false));
-    let floods: Vec<_> = (0..3).map(|_| flood(&bench, &ended)).collect();
+    let floods: Vec<_> = (0..3).map(|_| flood(&rig, &ended)).collect();
     let count = |wanted: fn(&Passage) -> bool| passed.lock().unwrap().iter().filter(|passage| wanted(passage)).count();
     let begun = || count(|passage| matches!(passage, Passage::Begun(viewer) if *viewer > 0));
     for stop in 1..=10 {
         let before = begun();
-        bench.until("requests of the others", |_| begun() >= before + BEGUN_BETWEEN);
+        rig.until("requests of the others", |_| begun() >= before + BEGUN_BETWEEN);
         match stop % 2 {
-            0 => post_stop(&bench),
+            0 => post_stop(&rig),
             _ => operator.send(&json!({"type": "stop"})),
         }
-        bench.until("a stop that was written", |_| {
+        rig.until("a stop that was written", |_| {
             count(|passage| *passage == Passage::StopWritten) == stop
         });
     }
@@ -96,19 +95,19 @@ fn no_request_is_begun_between_a_stop_and_its_writing_to_the_port() {
 #[test]
 fn a_stop_reaches_the_drives_while_no_request_can_be_served_at_all() {
     for by_socket in [true, false] {
-        let bench = Bench::start();
-        let mut operator = bench.viewer("operator");
+        let rig = Rig::start();
+        let mut operator = rig.viewer("operator");
         operator.enable();
         let enabled = || {
-            let slaves = bench.cell().state().slaves;
+            let slaves = rig.cell().state().slaves;
             slaves.iter().any(|slave| slave.drive == DriveState::OperationEnabled)
         };
-        bench.until("drives with power", |_| enabled());
+        rig.until("drives with power", |_| enabled());
         // Whatever serves viewers waits for this lock.
-        let hub = bench.console().hub();
+        let hub = rig.console().hub();
         match by_socket {
             true => operator.send(&json!({"type": "stop"})),
-            false => post_stop(&bench),
+            false => post_stop(&rig),
         }
         let begun = Instant::now();
         while enabled() {
@@ -121,8 +120,8 @@ fn a_stop_reaches_the_drives_while_no_request_can_be_served_at_all() {
 }
 
 /// The robot stands in a fault that a stop has latched.
-fn stopped(bench: &Bench) -> Client {
-    let mut operator = bench.viewer("operator");
+fn stopped(rig: &Rig) -> Client {
+    let mut operator = rig.viewer("operator");
     operator.enable();
     operator.send(&json!({"type": "stop"}));
     operator.until("status", |status| {
@@ -135,27 +134,27 @@ fn stopped(bench: &Bench) -> Client {
 fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_after_it_is() {
     // What comes on two connections is in order only once the first of it has been begun.
     for (begun, by_socket) in [(false, true), (true, true), (true, false)] {
-        let bench = Bench::start();
-        let mut operator = stopped(&bench);
+        let rig = Rig::start();
+        let mut operator = stopped(&rig);
         let passed = Arc::new(Mutex::new(Vec::new()));
         let seen = passed.clone();
         let watcher = Box::new(move |passage| seen.lock().unwrap().push(passage));
-        bench.console().gate().watch(watcher);
+        rig.console().gate().watch(watcher);
         let has = |wanted: &dyn Fn(&Passage) -> bool| passed.lock().unwrap().iter().any(wanted);
         let stop = |operator: &mut Client| match by_socket {
             true => operator.send(&json!({"type": "stop"})),
-            false => post_stop(&bench),
+            false => post_stop(&rig),
         };
         // Whatever serves viewers waits for this lock, before or after the request is begun.
-        let hub = bench.console().hub();
+        let hub = rig.console().hub();
         operator.command(json!({"do": "acknowledge"}));
         if begun {
-            bench.until("the request", |_| {
+            rig.until("the request", |_| {
                 has(&|passage| matches!(passage, Passage::Begun(1..)))
             });
         }
         stop(&mut operator);
-        bench.until("a stop that was written", |_| {
+        rig.until("a stop that was written", |_| {
             has(&|passage| *passage == Passage::StopWritten)
         });
         drop(hub);
@@ -173,8 +172,8 @@ fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_a
 
 #[test]
 fn requests_that_make_no_sense_are_refused_with_the_reason() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
     let huge = u64::MAX;
     for (request, why) in [
@@ -215,10 +214,10 @@ fn requests_that_make_no_sense_are_refused_with_the_reason() {
 
 #[test]
 fn there_is_room_for_the_token_however_many_look_without_it() {
-    let bench = Bench::start();
-    let mut guests: Vec<_> = (0..VIEWERS_MAX + 8).map(|_| Client::connect(bench.address())).collect();
+    let rig = Rig::start();
+    let mut guests: Vec<_> = (0..VIEWERS_MAX + 8).map(|_| Client::connect(rig.address())).collect();
     let mut operators: Vec<_> = (0..VIEWERS_MAX - GUESTS_MAX)
-        .map(|number| bench.viewer(&format!("operator {number}")))
+        .map(|number| rig.viewer(&format!("operator {number}")))
         .collect();
     for operator in &mut operators {
         operator.mode("DrivesOff");
@@ -231,12 +230,12 @@ fn there_is_room_for_the_token_however_many_look_without_it() {
 
 #[test]
 fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
-    let bench = Bench::start();
-    let mut stream = TcpStream::connect(bench.address()).unwrap();
+    let rig = Rig::start();
+    let mut stream = TcpStream::connect(rig.address()).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     let head = format!(
         "POST /file HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: wrong\r\nContent-Length: {}\r\n\r\n",
-        bench.address(),
+        rig.address(),
         30 << 20
     );
     // Nothing of the file is ever sent.
@@ -246,13 +245,13 @@ fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
     assert_eq!(&answer, b"HTTP/1.1 403");
     let mut halves: Vec<_> = (0..100)
         .map(|_| {
-            let mut half = TcpStream::connect(bench.address()).unwrap();
+            let mut half = TcpStream::connect(rig.address()).unwrap();
             half.set_read_timeout(Some(PATIENCE)).unwrap();
             half.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
             half
         })
         .collect();
-    post_stop(&bench);
+    post_stop(&rig);
     for half in &mut halves {
         // It is closed, with or without a word.
         let _ = half.read_to_end(&mut Vec::new());
@@ -260,8 +259,8 @@ fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
 }
 
 /// Begins to connect as often as it can and says nothing, in a thread of its own, until told to end; gives how often.
-fn connect_often(bench: &Bench, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
-    let (address, ended) = (bench.address(), ended.clone());
+fn connect_often(rig: &Rig, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
+    let (address, ended) = (rig.address(), ended.clone());
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -286,13 +285,13 @@ fn connect_often(bench: &Bench, ended: &Arc<AtomicBool>) -> std::thread::JoinHan
 
 #[test]
 fn a_stop_is_answered_while_others_connect_as_often_as_they_can() {
-    let bench = Bench::start();
+    let rig = Rig::start();
     let ended = Arc::new(AtomicBool::new(false));
     let begun = Instant::now();
-    let floods: Vec<_> = (0..2).map(|_| connect_often(&bench, &ended)).collect();
+    let floods: Vec<_> = (0..2).map(|_| connect_often(&rig, &ended)).collect();
     std::thread::sleep(Duration::from_millis(500));
     for _ in 0..20 {
-        post_stop(&bench);
+        post_stop(&rig);
         std::thread::sleep(Duration::from_millis(20));
     }
     ended.store(true, Ordering::Relaxed);

@@ -3,7 +3,7 @@
 //! `ETHERPEN_RENEW_SCREENSHOTS=1 cargo test -p host-tools --test console page` takes the pictures of the documentation anew.
 
 use super::browser::Browser;
-use super::client::Bench;
+use super::client::Rig;
 use serde_json::json;
 
 /// Asks for new pictures.
@@ -70,9 +70,9 @@ pub(crate) fn mode(browser: &mut Browser, name: &str) {
 }
 
 /// From a page that was just opened to a robot that is enabled.
-pub(crate) fn begin(browser: &mut Browser, bench: &Bench) {
+pub(crate) fn begin(browser: &mut Browser, rig: &Rig) {
     browser.window(DESKTOP.0, DESKTOP.1);
-    browser.open(&bench.url());
+    browser.open(&rig.url());
     browser.until("globalThis.etherpen?.link.state.you");
     browser.press("#control");
     browser.until("etherpen.link.controls");
@@ -142,9 +142,9 @@ fn export_picture(browser: &mut Browser) {
 #[test]
 fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     assert_eq!(
         browser.value("location.hash"),
         "",
@@ -225,7 +225,7 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     acknowledge(browser);
 
     // Nothing was asked of anybody else, and no script failed.
-    let host = bench.address().to_string();
+    let host = rig.address().to_string();
     let foreign = |url: &&String| !url.contains(&host) && !url.starts_with("blob:") && !url.starts_with("about:");
     let foreign: Vec<_> = browser.requests.iter().filter(foreign).collect();
     assert!(foreign.is_empty(), "{foreign:?}");
@@ -235,9 +235,9 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
 #[test]
 fn sixteen_signals_are_plotted_and_the_page_fits_a_phone() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     browser.value(
         "{ const preset = document.getElementById('scope-preset'); preset.value = '9'; \
          preset.dispatchEvent(new Event('change')); }",
@@ -281,9 +281,9 @@ fn the_documentations_pictures_are_taken_anew_when_asked() {
         return;
     }
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     let photograph = std::fs::read(host_tools::setup::workspace().join("samples/astronaut.png")).unwrap();
     drop_file(browser, "astronaut.png", &photograph);
     browser.press("#enqueue");

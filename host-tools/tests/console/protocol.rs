@@ -1,29 +1,29 @@
 //! What a viewer may and may not do, and what happens to the others when it does.
 
-use super::client::{Bench, Client, PATIENCE, TOKEN};
+use super::client::{Client, PATIENCE, Rig, TOKEN};
 use etherpen::application::Mode;
 use serde_json::json;
 use std::time::{Duration, Instant};
 
 #[test]
 fn another_page_and_another_name_are_refused_before_anything_is_said() {
-    let bench = Bench::start();
-    let address = bench.address();
+    let rig = Rig::start();
+    let address = rig.address();
     for origin in ["http://evil.example", "https://127.0.0.1", "null"] {
         let refused = Client::try_connect(address, origin).err().unwrap_or_default();
         assert!(refused.contains("403"), "{origin}: {refused}");
     }
-    let answer = bench.http("GET / HTTP/1.1\r\nHost: evil.example", b"");
+    let answer = rig.http("GET / HTTP/1.1\r\nHost: evil.example", b"");
     assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
     let head =
         format!("POST /stop HTTP/1.1\r\nHost: {address}\r\nOrigin: http://evil.example\r\nx-etherpen-token: {TOKEN}");
-    assert!(bench.http(&head, b"").starts_with("HTTP/1.1 403"));
+    assert!(rig.http(&head, b"").starts_with("HTTP/1.1 403"));
 }
 
 #[test]
 fn the_page_may_load_nothing_from_elsewhere() {
-    let bench = Bench::start();
-    let answer = bench.http(&format!("GET / HTTP/1.1\r\nHost: {}", bench.address()), b"");
+    let rig = Rig::start();
+    let answer = rig.http(&format!("GET / HTTP/1.1\r\nHost: {}", rig.address()), b"");
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
     let head = answer.to_lowercase();
     assert!(head.contains("content-security-policy: default-src 'none'"));
@@ -32,8 +32,8 @@ fn the_page_may_load_nothing_from_elsewhere() {
 
 #[test]
 fn a_viewer_without_the_token_looks_but_neither_commands_nor_stops() {
-    let bench = Bench::start();
-    let mut guest = Client::connect(bench.address());
+    let rig = Rig::start();
+    let mut guest = Client::connect(rig.address());
     guest.send(&json!({"type": "hello", "token": "0123456789abcdee", "page": "guest"}));
     assert_eq!(guest.until("you", |_| true)["may_command"], false);
     guest.mode("DrivesOff");
@@ -48,16 +48,16 @@ fn a_viewer_without_the_token_looks_but_neither_commands_nor_stops() {
     }
     let head = format!(
         "POST /stop HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: wrong",
-        bench.address()
+        rig.address()
     );
-    assert!(bench.http(&head, b"").starts_with("HTTP/1.1 403"));
+    assert!(rig.http(&head, b"").starts_with("HTTP/1.1 403"));
     assert_eq!(guest.until("status", |_| true)["fault"], json!(null));
 }
 
 #[test]
 fn one_viewer_commands_and_every_viewer_with_the_token_stops() {
-    let bench = Bench::start();
-    let (mut first, mut second) = (bench.viewer("first"), bench.viewer("second"));
+    let rig = Rig::start();
+    let (mut first, mut second) = (rig.viewer("first"), rig.viewer("second"));
     first.enable();
     second.command(json!({"do": "disable"}));
     second.until("refused", |why| why.as_str().is_some_and(|why| why.contains("control")));
@@ -81,9 +81,9 @@ fn one_viewer_commands_and_every_viewer_with_the_token_stops() {
 
 #[test]
 fn what_is_no_request_is_refused_and_too_much_of_it_ends_the_connection() {
-    let bench = Bench::start();
-    let mut other = bench.viewer("other");
-    let mut malformed = bench.viewer("malformed");
+    let rig = Rig::start();
+    let mut other = rig.viewer("other");
+    let mut malformed = rig.viewer("malformed");
     for text in ["{", "[]", "\u{0}", "{\"type\":\"fly\"}"] {
         malformed.send_text(text);
         malformed.until("refused", |why| {
@@ -92,12 +92,12 @@ fn what_is_no_request_is_refused_and_too_much_of_it_ends_the_connection() {
     }
     (0..20).for_each(|_| malformed.send_text("nonsense"));
     while malformed.take().is_some() {}
-    let mut oversized = bench.viewer("oversized");
+    let mut oversized = rig.viewer("oversized");
     oversized.send_text(&format!("{{\"type\":\"hello\",\"page\":\"{}\"}}", "x".repeat(1 << 20)));
     while oversized.take().is_some() {}
-    let address = bench.address();
+    let address = rig.address();
     let head = format!("POST /file HTTP/1.1\r\nHost: {address}\r\nx-etherpen-token: {TOKEN}\r\nx-etherpen-viewer: 1");
-    let answer = bench.http(&head, &vec![0; 33 << 20]);
+    let answer = rig.http(&head, &vec![0; 33 << 20]);
     assert!(!answer.starts_with("HTTP/1.1 2"), "{answer}");
     other.until("pose", |_| true);
 }
@@ -121,14 +121,12 @@ fn columns(client: &Client) -> Vec<u32> {
 
 #[test]
 fn ten_viewers_see_every_millisecond_although_an_eleventh_never_reads() {
-    let bench = Bench::start();
+    let rig = Rig::start();
     let signals: Vec<_> = (0..16).collect();
     let watch = json!({"type": "watch", "id": 1, "signals": signals, "window_ms": 1000, "columns": 1000});
-    let mut slow = bench.viewer("slow");
+    let mut slow = rig.viewer("slow");
     slow.send(&watch);
-    let mut viewers: Vec<_> = (0..10)
-        .map(|number| bench.viewer(&format!("viewer {number}")))
-        .collect();
+    let mut viewers: Vec<_> = (0..10).map(|number| rig.viewer(&format!("viewer {number}"))).collect();
     viewers.iter_mut().for_each(|viewer| viewer.send(&watch));
     for viewer in &mut viewers {
         viewer.state("control", |control| control["viewers"] == 11);
@@ -160,9 +158,9 @@ fn ten_viewers_see_every_millisecond_although_an_eleventh_never_reads() {
 
 #[test]
 fn a_viewer_that_vanishes_while_it_jogs_stops_the_robot_and_loses_control_later() {
-    let bench = Bench::start();
-    let mut watching = bench.viewer("watching");
-    let mut jogging = bench.viewer("jogging");
+    let rig = Rig::start();
+    let mut watching = rig.viewer("watching");
+    let mut jogging = rig.viewer("jogging");
     jogging.enable();
     let begun = Instant::now();
     loop {
@@ -174,11 +172,11 @@ fn a_viewer_that_vanishes_while_it_jogs_stops_the_robot_and_loses_control_later(
         assert!(begun.elapsed() < PATIENCE);
     }
     drop(jogging);
-    bench.until("standstill", |console| {
+    rig.until("standstill", |console| {
         console.hub().history().last().is_some_and(|row| row.mode == Mode::Idle)
     });
     watching.until_told("has gone with control");
-    bench.until("free control", |console| console.hub().control.holder().is_none());
+    rig.until("free control", |console| console.hub().control.holder().is_none());
     watching.send(&json!({"type": "take"}));
     let you = watching.sections["you"]["id"].clone();
     watching.state("control", |control| control["holder"] == you);
@@ -186,12 +184,12 @@ fn a_viewer_that_vanishes_while_it_jogs_stops_the_robot_and_loses_control_later(
 
 #[test]
 fn a_jog_that_is_not_repeated_ends() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("jogging");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("jogging");
     viewer.enable();
-    let before = bench.rows();
+    let before = rig.rows();
     viewer.send(&json!({"type": "jog", "velocity_mm_s": [0.0, 20.0, 0.0]}));
-    bench.until("a motion that has ended", |console| {
+    rig.until("a motion that has ended", |console| {
         let (_, rows) = console.hub().history().since(before);
         let ended = rows.last().is_some_and(|row| row.mode == Mode::Idle);
         ended && rows.iter().any(|row| row.mode == Mode::Moving)
@@ -200,8 +198,8 @@ fn a_jog_that_is_not_repeated_ends() {
 
 #[test]
 fn a_restart_of_the_firmware_is_told_and_survived() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
     let before = viewer.until("pose", |_| true)["time_ms"].as_u64().unwrap();
     viewer.send(&json!({"type": "inject", "fault": {"what": "restart"}}));
@@ -214,8 +212,8 @@ fn a_restart_of_the_firmware_is_told_and_survived() {
 
 #[test]
 fn a_stop_while_the_firmware_is_away_is_repeated_until_the_firmware_confirms_it() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
     viewer.send(&json!({"type": "inject", "fault": {"what": "restart"}}));
     viewer.until("link", |link| link["state"] == "lost");
@@ -225,8 +223,8 @@ fn a_stop_while_the_firmware_is_away_is_repeated_until_the_firmware_confirms_it(
 
 #[test]
 fn an_unplugged_drive_is_a_fault_that_can_be_acknowledged_once_it_is_back() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
     viewer.send(&json!({"type": "inject", "fault": {"what": "remove", "slave": 2}}));
     viewer.until("status", |status| status["mode"] == "Fault");
@@ -242,8 +240,8 @@ fn an_unplugged_drive_is_a_fault_that_can_be_acknowledged_once_it_is_back() {
 
 #[test]
 fn a_capture_holds_what_was_before_and_after_the_event() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
     viewer.until("pose", |pose| pose["time_ms"].as_u64() > Some(500));
     viewer.send(

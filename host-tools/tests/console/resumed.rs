@@ -1,6 +1,6 @@
 //! A drawing that goes on at once after it has failed: what comes late of its first end does not end it a second time.
 
-use super::client::{Bench, Client, TOKEN};
+use super::client::{Client, Rig, TOKEN};
 use super::page::short_drawing;
 use serde_json::{Value, json};
 
@@ -8,13 +8,13 @@ use serde_json::{Value, json};
 const FAILURES: u64 = 3;
 
 /// Has the short drawing prepared and starts it; gives the number of its job.
-fn begin(bench: &Bench, viewer: &mut Client) -> Value {
+fn begin(rig: &Rig, viewer: &mut Client) -> Value {
     let head = format!(
         "POST /file HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: {TOKEN}\r\nx-etherpen-viewer: {}\r\nx-etherpen-name: waves.csv",
-        bench.address(),
+        rig.address(),
         viewer.sections["you"]["id"]
     );
-    let answer = bench.http(&head, short_drawing().as_bytes());
+    let answer = rig.http(&head, short_drawing().as_bytes());
     assert!(answer.starts_with("HTTP/1.1 2"), "{answer}");
     let made = viewer.state("studio", |made| made["state"] == "ready");
     viewer.send(&json!({"type": "enqueue", "preparation": made["number"]}));
@@ -28,10 +28,10 @@ fn begin(bench: &Bench, viewer: &mut Client) -> Value {
 
 #[test]
 fn a_drawing_that_goes_on_at_once_is_not_ended_by_its_first_failure() {
-    let bench = Bench::start();
-    let mut viewer = bench.viewer("viewer");
+    let rig = Rig::start();
+    let mut viewer = rig.viewer("viewer");
     viewer.enable();
-    let job = begin(&bench, &mut viewer);
+    let job = begin(&rig, &mut viewer);
     for failure in 1..=FAILURES {
         viewer.state("status", |status| status["mode"] == "Drawing");
         viewer.until("progress", |progress| {

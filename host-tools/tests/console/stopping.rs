@@ -6,7 +6,7 @@
 //! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what lies over the page.
 
 use super::browser::Browser;
-use super::client::{Bench, Client, PATIENCE};
+use super::client::{Client, PATIENCE, Rig};
 use host_tools::cell::DriveState;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -43,32 +43,32 @@ fn strings(value: &Value) -> Vec<String> {
 }
 
 /// Opens the page as a viewer that has not taken control: STOP needs none.
-fn load(browser: &mut Browser, bench: &Bench) {
+fn load(browser: &mut Browser, rig: &Rig) {
     browser.open("about:blank");
-    browser.open(&bench.url());
+    browser.open(&rig.url());
     browser.until("globalThis.etherpen?.link.state.you && globalThis.etherpen.scope.all && etherpen.link.state.status");
     browser.value(SEARCH);
 }
 
 /// Whether every drive has power and follows.
-fn has_power(bench: &Bench) -> bool {
-    let slaves = bench.cell.state().slaves;
+fn has_power(rig: &Rig) -> bool {
+    let slaves = rig.cell.state().slaves;
     slaves.iter().all(|slave| slave.drive == DriveState::OperationEnabled)
 }
 
 /// Gives the drives power, whatever stands in the way.
-fn power(bench: &Bench, helper: &mut Client) {
+fn power(rig: &Rig, helper: &mut Client) {
     // What the helper has not read yet is older than the last stop.
-    while !has_power(bench) {
+    while !has_power(rig) {
         helper.recover();
     }
 }
 
 /// Waits until no drive of the cell follows any more and the robot stands.
-fn until_stopped(bench: &Bench, how: &str) {
+fn until_stopped(rig: &Rig, how: &str) {
     let begun = Instant::now();
     loop {
-        let state = bench.cell.state();
+        let state = rig.cell.state();
         let powered = state
             .slaves
             .iter()
@@ -95,12 +95,12 @@ fn follow(browser: &mut Browser, path: &[String]) {
 }
 
 /// Everything that opens something over the page, as presses that lead there; at every step STOP is to be free.
-fn ways_to_overlays(browser: &mut Browser, bench: &Bench) -> Vec<Vec<String>> {
+fn ways_to_overlays(browser: &mut Browser, rig: &Rig) -> Vec<Vec<String>> {
     let mut ways: Vec<Vec<String>> = Vec::new();
     let mut tried = BTreeSet::new();
     let mut open: Vec<Vec<String>> = vec![Vec::new()];
     while let Some(before) = open.pop() {
-        load(browser, bench);
+        load(browser, rig);
         follow(browser, &before);
         let under = strings(&browser.value("search.overlays()"));
         let mut openers = strings(&browser.value("search.openers()"));
@@ -116,7 +116,7 @@ fn ways_to_overlays(browser: &mut Browser, bench: &Bench) -> Vec<Vec<String>> {
                 let way: Vec<String> = before.iter().chain([&opener]).cloned().collect();
                 open.push(way.clone());
                 ways.push(way);
-                load(browser, bench);
+                load(browser, rig);
                 follow(browser, &before);
             }
         }
@@ -125,35 +125,35 @@ fn ways_to_overlays(browser: &mut Browser, bench: &Bench) -> Vec<Vec<String>> {
 }
 
 /// Stops by the mouse and by Esc; each time the robot has power before, and the cell's drives have none after.
-fn stops(browser: &mut Browser, bench: &Bench, helper: &mut Client, what: &str, open: &mut dyn FnMut(&mut Browser)) {
+fn stops(browser: &mut Browser, rig: &Rig, helper: &mut Client, what: &str, open: &mut dyn FnMut(&mut Browser)) {
     for by_key in [false, true] {
-        power(bench, helper);
-        load(browser, bench);
+        power(rig, helper);
+        load(browser, rig);
         open(browser);
         assert_eq!(browser.value("search.stop()"), "", "{what}");
-        assert!(has_power(bench), "nothing but STOP stops: {what}");
+        assert!(has_power(rig), "nothing but STOP stops: {what}");
         browser.keep(&format!("1 {what}"));
         match by_key {
             false => browser.click("#stop"),
             true => browser.key("Escape", ESCAPE),
         }
-        until_stopped(bench, &format!("{what}, {}", if by_key { "Esc" } else { "mouse" }));
+        until_stopped(rig, &format!("{what}, {}", if by_key { "Esc" } else { "mouse" }));
     }
 }
 
 #[test]
 fn stop_and_esc_reach_the_robot_over_everything_that_the_page_can_show() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    let mut helper = bench.viewer("helper");
+    let mut helper = rig.viewer("helper");
     helper.mode("DrivesOff");
     let mut count = 0;
     for (width, height) in SIZES {
         browser.window(width, height);
         for dark in [true, false] {
             browser.dark(dark);
-            let ways = ways_to_overlays(browser, &bench);
+            let ways = ways_to_overlays(browser, &rig);
             println!("{width} x {height}, {}: {ways:?}", if dark { "dark" } else { "light" });
             let shortcuts = ways.iter().any(|way| way == &[LIST_OF_KEYS]);
             let nested = ways.iter().any(|way| way.len() > 1);
@@ -163,15 +163,13 @@ fn stop_and_esc_reach_the_robot_over_everything_that_the_page_can_show() {
             }
             for way in ways {
                 let what = format!("{way:?} at {width} x {height}");
-                stops(browser, &bench, &mut helper, &what, &mut |browser| {
-                    follow(browser, &way)
-                });
+                stops(browser, &rig, &mut helper, &what, &mut |browser| follow(browser, &way));
                 count += 2;
             }
             let long = "A message that is so long that it takes several lines, however wide the window is. ".repeat(6);
             stops(
                 browser,
-                &bench,
+                &rig,
                 &mut helper,
                 &format!("messages at {width} x {height}"),
                 &mut |browser| {
@@ -193,17 +191,17 @@ fn stop_and_esc_reach_the_robot_over_everything_that_the_page_can_show() {
 #[test]
 fn stop_works_in_the_first_picture_of_a_page_whose_scripts_have_not_come() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    let mut helper = bench.viewer("helper");
+    let mut helper = rig.viewer("helper");
     helper.mode("DrivesOff");
     browser.call("Fetch.enable", json!({"patterns": [{"urlPattern": "*/main.js"}]}));
     for (width, height) in SIZES {
         browser.window(width, height);
         for round in 0..3 {
-            power(&bench, &mut helper);
+            power(&rig, &mut helper);
             browser.open("about:blank");
-            browser.open(&bench.url());
+            browser.open(&rig.url());
             browser.until("document.getElementById('about')");
             assert_eq!(
                 browser.value("typeof globalThis.etherpen"),
@@ -222,7 +220,7 @@ fn stop_works_in_the_first_picture_of_a_page_whose_scripts_have_not_come() {
                     browser.touch("#stop");
                 }
             }
-            until_stopped(&bench, &format!("round {round} at {width} x {height}"));
+            until_stopped(&rig, &format!("round {round} at {width} x {height}"));
         }
     }
 }
@@ -230,16 +228,16 @@ fn stop_works_in_the_first_picture_of_a_page_whose_scripts_have_not_come() {
 #[test]
 fn stop_stays_in_sight_when_one_zooms_in() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    let mut helper = bench.viewer("helper");
+    let mut helper = rig.viewer("helper");
     helper.mode("DrivesOff");
     browser.window(360, 640);
-    power(&bench, &mut helper);
-    load(browser, &bench);
+    power(&rig, &mut helper);
+    load(browser, &rig);
     browser.call("Emulation.setPageScaleFactor", json!({"pageScaleFactor": 2.0}));
     browser.until("visualViewport.scale === 2 && search.stop() === ''");
-    assert!(has_power(&bench));
+    assert!(has_power(&rig));
     // What a place in the window is on the page, a press beside everything tells.
     browser.value(
         "addEventListener('pointerdown', (event) => (globalThis.pressedAt ??= event.clientX - visualViewport.offsetLeft), true)",
@@ -256,7 +254,7 @@ fn stop_stays_in_sight_when_one_zooms_in() {
     println!("zoomed in: {scale} of the window for a pixel of the page, STOP at {place:?}");
     browser.mouse(true, place);
     browser.mouse(false, place);
-    until_stopped(&bench, "zoomed in");
+    until_stopped(&rig, "zoomed in");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! What the page shows is so: old values are told from live ones, and what matters is in sight.
 
 use super::browser::Browser;
-use super::client::Bench;
+use super::client::Rig;
 use super::page::{DESKTOP, begin, drop_file, enable, mode, press_until, short_drawing};
 use serde_json::json;
 
@@ -27,9 +27,9 @@ const ROW: &str = "document.querySelector('#slaves tr:nth-child(2)')";
 #[test]
 fn what_a_slave_that_does_not_answer_told_last_is_shown_as_old() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     without_transitions(browser);
     enable(browser);
     browser.until(&format!("{ROW}.innerText.includes('operation enabled')"));
@@ -76,9 +76,9 @@ fn what_a_slave_that_does_not_answer_told_last_is_shown_as_old() {
 #[test]
 fn measurements_that_come_no_more_are_dimmed_with_their_age() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     without_transitions(browser);
     let live = ["#positions", "#errors", "#side", "#top", "#scope-legend"];
     browser.until("etherpen.link.silentSeconds() < 0.5 && !document.body.classList.contains('silent')");
@@ -116,9 +116,9 @@ fn measurements_that_come_no_more_are_dimmed_with_their_age() {
 #[test]
 fn marks_of_a_plot_differ_and_fit_and_a_hole_has_no_value() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     let wrong = browser.value(
         "import('/plot.js').then(({ ticks, tickTexts, Columns, Plot }) => { \
          let seed = 7; const random = () => (seed = (seed * 1103515245 + 12345) % 2147483648) / 2147483648; \
@@ -144,9 +144,9 @@ fn marks_of_a_plot_differ_and_fit_and_a_hole_has_no_value() {
 #[test]
 fn a_refused_acknowledgement_stands_beside_the_button_and_one_stop_is_one_message() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     browser.value(
         "{ globalThis.toasts = 0; new MutationObserver((changes) => { for (const change of changes) toasts += change.addedNodes.length; }) \
          .observe(document.getElementById('toasts'), { childList: true }); }",
@@ -203,9 +203,9 @@ fn a_refused_acknowledgement_stands_beside_the_button_and_one_stop_is_one_messag
 #[test]
 fn a_preview_is_ink_on_paper_in_the_light_and_in_the_dark() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     drop_file(browser, "waves.csv", short_drawing().as_bytes());
     for dark in [false, true] {
         browser.dark(dark);
@@ -227,9 +227,9 @@ fn a_preview_is_ink_on_paper_in_the_light_and_in_the_dark() {
 #[test]
 fn jobs_are_in_sight_and_nothing_of_the_head_is_cut() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    begin(browser, &bench);
+    begin(browser, &rig);
     for (width, height) in [(360, 640), (1024, 768), (1280, 800), (1440, 900)] {
         browser.window(width, height);
         browser.until(&format!("innerWidth === {width}"));

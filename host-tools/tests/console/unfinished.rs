@@ -3,7 +3,7 @@
 //! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what the page shows.
 
 use super::browser::Browser;
-use super::client::Bench;
+use super::client::Rig;
 use super::page::{begin, drop_file, enable, mode, set_override, short_drawing};
 use host_tools::cell::InkStroke;
 use serde_json::json;
@@ -42,8 +42,8 @@ fn start(browser: &mut Browser) {
 
 /// Ink of the drawing without an interruption.
 fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
-    let bench = Bench::start();
-    begin(browser, &bench);
+    let rig = Rig::start();
+    begin(browser, &rig);
     start(browser);
     browser.until("etherpen.link.state.jobs.past.length === 1 && etherpen.link.state.jobs.past[0].done");
     assert_eq!(
@@ -51,13 +51,13 @@ fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
         0,
         "what is done needs no button"
     );
-    bench.cell().ink()
+    rig.cell().ink()
 }
 
 /// Waits until the pen is in the middle of a stroke that is neither the first nor the last one.
-fn until_broken(bench: &Bench) {
-    bench.until("the third stroke", |_| {
-        let ink = bench.cell().ink();
+fn until_broken(rig: &Rig) {
+    rig.until("the third stroke", |_| {
+        let ink = rig.cell().ink();
         let last = ink.last().map_or(0.0, InkStroke::length_mm);
         ink.len() == 3 && last > 40.0
     });
@@ -118,11 +118,11 @@ fn a_drawing_goes_on_from_the_history_after_a_fault_a_stop_and_a_cancel() {
         ("stop", "#stop"),
         ("cancel", "#cancel"),
     ] {
-        let bench = Bench::start();
-        begin(browser, &bench);
+        let rig = Rig::start();
+        begin(browser, &rig);
         set_override(browser, 50);
         start(browser);
-        until_broken(&bench);
+        until_broken(&rig);
         browser.press(press);
         browser.until("etherpen.link.state.jobs.past.length === 1");
         assert_eq!(
@@ -135,7 +135,7 @@ fn a_drawing_goes_on_from_the_history_after_a_fault_a_stop_and_a_cancel() {
         }
         mode(browser, "DrivesOff");
         go_on(browser);
-        check(what, &whole, &bench.cell().ink());
+        check(what, &whole, &rig.cell().ink());
     }
     assert!(browser.errors.is_empty(), "{:?}", browser.errors);
 }
@@ -145,11 +145,11 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
     let Some(mut browser) = Browser::start() else { return };
     let browser = &mut browser;
     let whole = undisturbed(browser);
-    let bench = Bench::start();
-    begin(browser, &bench);
+    let rig = Rig::start();
+    begin(browser, &rig);
     set_override(browser, 50);
     start(browser);
-    until_broken(&bench);
+    until_broken(&rig);
     browser.press("#segment [data-inject='restart']");
     // The job ends and the controller is configured without anybody's help; the words are the reader's.
     browser.until("etherpen.link.state.jobs.past.length === 1");
@@ -186,7 +186,7 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
         browser.press("#past button.continue");
     }
     until_drawn(browser);
-    check("restart", &whole, &bench.cell().ink());
+    check("restart", &whole, &rig.cell().ink());
     // Everything else works again, too.
     enable(browser);
     assert!(browser.errors.is_empty(), "{:?}", browser.errors);

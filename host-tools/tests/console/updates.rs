@@ -1,8 +1,9 @@
 //! A page that is shown anew many times a second keeps what a hand is doing: presses, focus, selection, scrolling.
 
 use super::browser::Browser;
-use super::client::{Bench, Client};
+use super::client::{Client, Rig};
 use super::page::{begin, drop_file, short_drawing};
+use host_tools::random::Lcg;
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -11,7 +12,7 @@ const PRESSES: u32 = 50;
 const HELD: Duration = Duration::from_millis(100);
 
 /// Changes the state all the time while something else is done: control and log; the status changes by itself.
-fn while_news_flow(bench: &Bench, act: impl FnOnce()) {
+fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
     let ended = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -22,9 +23,9 @@ fn while_news_flow(bench: &Bench, act: impl FnOnce()) {
                 // Viewers come and go, and the console says how many there are.
                 viewer = match viewer {
                     Some(_) => None,
-                    None => Some(bench.viewer(&format!("guest {round}"))),
+                    None => Some(rig.viewer(&format!("guest {round}"))),
                 };
-                bench.note(&format!("line {round}"));
+                rig.note(&format!("line {round}"));
                 std::thread::sleep(Duration::from_millis(50));
             }
         });
@@ -38,8 +39,8 @@ fn while_news_flow(bench: &Bench, act: impl FnOnce()) {
 }
 
 /// A page with two drawings in the queue and one that is prepared, and the robot's drives.
-fn page_with_lists(browser: &mut Browser, bench: &Bench) {
-    begin(browser, bench);
+fn page_with_lists(browser: &mut Browser, rig: &Rig) {
+    begin(browser, rig);
     for name in ["one.csv", "two.csv", "three.csv"] {
         drop_file(browser, name, short_drawing().as_bytes());
         if name != "three.csv" {
@@ -54,11 +55,10 @@ fn page_with_lists(browser: &mut Browser, bench: &Bench) {
 #[test]
 fn no_press_is_lost_while_the_page_is_shown_anew() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    page_with_lists(browser, &bench);
-    let mut random: u64 = 20_261_122;
-    println!("seed {random}");
+    page_with_lists(browser, &rig);
+    let mut random = Lcg::new(20_261_122);
     // What is pressed is counted and not done: the page is to stay as it is.
     browser.value(
         "{ globalThis.pressed = {}; globalThis.total = 0; globalThis.shown = 0; globalThis.without = 0; \
@@ -75,7 +75,7 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
         ("[data-inject='power-3']", "power dip"),
         ("[data-inject='stall']", "Stall 50 ms"),
     ];
-    while_news_flow(&bench, || {
+    while_news_flow(&rig, || {
         let mut press = 0;
         while press < PRESSES {
             let (selector, name) = targets[press as usize % targets.len()];
@@ -84,10 +84,7 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
             browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
             let place = browser.place(selector);
             let before = browser.value("[without, total]");
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            std::thread::sleep(Duration::from_millis((random >> 33) % 120));
+            std::thread::sleep(Duration::from_millis(random.bits() % 120));
             browser.mouse(true, place);
             std::thread::sleep(HELD);
             browser.mouse(false, place);
@@ -115,10 +112,10 @@ fn no_press_is_lost_while_the_page_is_shown_anew() {
 #[test]
 fn focus_selection_and_scrolling_outlive_updates() {
     let Some(mut browser) = Browser::start() else { return };
-    let bench = Bench::start();
+    let rig = Rig::start();
     let browser = &mut browser;
-    page_with_lists(browser, &bench);
-    (0..60).for_each(|line| bench.note(&format!("earlier line {line}")));
+    page_with_lists(browser, &rig);
+    (0..60).for_each(|line| rig.note(&format!("earlier line {line}")));
     browser.until("document.querySelectorAll('#log li').length > 60");
     browser.value(
         "{ const log = document.getElementById('log'); log.scrollTop = 40; \
@@ -129,7 +126,7 @@ fn focus_selection_and_scrolling_outlive_updates() {
          globalThis.shown = 0; for (const name of ['status', 'control']) etherpen.link.on(name, () => (shown += 1)); }",
     );
     assert_eq!(browser.value("selected.startsWith('0x')"), true);
-    while_news_flow(&bench, || browser.until("shown > 60"));
+    while_news_flow(&rig, || browser.until("shown > 60"));
     assert_eq!(browser.value("document.activeElement === focused"), true, "the focus");
     assert_eq!(
         browser.value("getSelection().toString() === selected"),
@@ -147,7 +144,7 @@ fn focus_selection_and_scrolling_outlive_updates() {
         "{ const size = document.querySelector('#options input'); size.focus(); size.value = '120x90mm'; \
          size.setSelectionRange(4, 6); shown = 0; }",
     );
-    while_news_flow(&bench, || browser.until("shown > 60"));
+    while_news_flow(&rig, || browser.until("shown > 60"));
     let written = browser.value(
         "(() => { const size = document.querySelector('#options input'); \
          return [document.activeElement === size, size.value, size.selectionStart, size.selectionEnd]; })()",

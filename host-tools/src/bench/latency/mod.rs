@@ -94,7 +94,7 @@ pub enum Isolation {
 
 /// Plan of the measurement.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct LatencyPlan {
     /// Cycles of each run.
     pub cycles: u64,
     /// The load of the second run.
@@ -119,7 +119,7 @@ pub(crate) struct Case {
 
 /// Result of a run.
 #[derive(Clone, Debug)]
-pub(crate) struct Measured {
+pub(crate) struct LatencyRun {
     pub(crate) case: Case,
     pub(crate) readings: Readings,
     /// Counters of the measurement alone.
@@ -137,7 +137,7 @@ const LOOK: Duration = Duration::from_millis(50);
 ///
 /// # Errors
 /// A tool is missing, the emulator ended, or the firmware had a fault.
-pub fn run(plan: &Plan, mut progress: impl FnMut(&str)) -> Result<LatencyReport, BenchError> {
+pub fn run(plan: &LatencyPlan, mut progress: impl FnMut(&str)) -> Result<LatencyReport, BenchError> {
     setup::ensure_qemu()?;
     let mut runs = Vec::new();
     let mut case = Case {
@@ -186,7 +186,7 @@ fn image(case: Case) -> Result<PathBuf, BenchError> {
     Ok(setup::build_variant("emulated", &features)?)
 }
 
-fn measure(plan: &Plan, case: Case, progress: &mut impl FnMut(&str)) -> Result<Measured, BenchError> {
+fn measure(plan: &LatencyPlan, case: Case, progress: &mut impl FnMut(&str)) -> Result<LatencyRun, BenchError> {
     let name = rows::name(case);
     progress(&format!("building the firmware: {name}"));
     let image = image(case)?;
@@ -197,10 +197,10 @@ fn measure(plan: &Plan, case: Case, progress: &mut impl FnMut(&str)) -> Result<M
 /// Runs an image through one case.
 fn measure_image(
     image: &Path,
-    plan: &Plan,
+    plan: &LatencyPlan,
     case: Case,
     progress: &mut impl FnMut(&str),
-) -> Result<Measured, BenchError> {
+) -> Result<LatencyRun, BenchError> {
     let config = Config::default();
     let options = CellOptions {
         faults: cable::faults(case.disturbance.network),
@@ -240,7 +240,7 @@ fn measure_image(
     };
     let ended = emulator.stop();
     match outcome {
-        Some(Outcome::Measured { readings, counters }) => Ok(Measured {
+        Some(Outcome::Measured { readings, counters }) => Ok(LatencyRun {
             case,
             readings,
             counters,
@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn under_every_disturbance_no_cycle_is_late_or_lost_and_the_release_waits_for_one_run_at_most() {
         setup::ensure_qemu().expect("the emulator can be had");
-        let plan = Plan {
+        let plan = LatencyPlan {
             cycles: 5_000,
             disturbance: Disturbance::ALL,
             at_rest: false,

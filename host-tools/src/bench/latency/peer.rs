@@ -7,6 +7,7 @@ use super::Disturbance;
 use crate::emulator::{LINK_BYTES_MAX, Link};
 use crate::link::measurement::{Reader, Readings};
 use crate::link::session::{Event, Session};
+use crate::random::XorshiftStar;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, Counters, PathVertex, Status};
@@ -289,14 +290,8 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
 
 /// Short legs in random directions: many corners in the planner's window, each with its own speed.
 fn path() -> Vec<PathVertex> {
-    let mut state = SEED;
-    let mut random = |below: u64| {
-        // Xorshift64* (Vigna, 2016).
-        state ^= state >> 12;
-        state ^= state << 25;
-        state ^= state >> 27;
-        (state.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % below
-    };
+    let mut random = XorshiftStar::new(SEED);
+    let mut random = |below: u64| random.below(below);
     let vertex = |x_um: i32, y_um: i32, z_um: i32, pen: Pen| PathVertex {
         position_um: [x_um, y_um, z_um],
         pen,

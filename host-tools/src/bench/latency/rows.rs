@@ -2,8 +2,8 @@
 //!
 //! Invariant: every bound is checked against the largest value that occurred, never against a mean or a quantile.
 
-use super::{Case, Disturbance, Isolation, Measured, Plan};
-use crate::bench::Row;
+use super::{Case, Disturbance, Isolation, LatencyPlan, LatencyRun};
+use crate::bench::BenchRow;
 use crate::link::measurement::Distribution;
 use etherpen::measurement::Quantity;
 use serde::Serialize;
@@ -38,7 +38,7 @@ pub struct LatencyReport {
     /// Always `latency`.
     pub bench: &'static str,
     /// The figures.
-    pub rows: Vec<Row>,
+    pub rows: Vec<BenchRow>,
     /// Instructions in a microsecond of virtual time.
     pub instructions_per_us: f64,
     /// Whether every figure with a target meets it.
@@ -85,7 +85,7 @@ fn period_ns(case: Case) -> f64 {
 }
 
 /// Cycles with late output, plus missed releases.
-pub(crate) fn late(measured: &Measured) -> u64 {
+pub(crate) fn late(measured: &LatencyRun) -> u64 {
     let above = |quantity, limit_ns: f64| {
         measured.readings.of(quantity).map_or(0, |distribution| {
             let limit = limit_ns * f64::from(distribution.counts_per_s) / NS_PER_S;
@@ -98,7 +98,7 @@ pub(crate) fn late(measured: &Measured) -> u64 {
 }
 
 /// Range by which the releases moved, instructions; at the resolution of the board's counter.
-pub(crate) fn jitter_instructions(measured: &Measured, shift: u8) -> Option<f64> {
+pub(crate) fn jitter_instructions(measured: &LatencyRun, shift: u8) -> Option<f64> {
     let delay = measured.readings.of(Quantity::ReleaseDelay)?;
     Some(instructions(delay, delay.largest - delay.smallest, shift))
 }
@@ -108,7 +108,7 @@ fn instructions(distribution: &Distribution, counts: u32, shift: u8) -> f64 {
 }
 
 /// Most instructions by which the release may move.
-fn jitter_target(measured: &Measured, shift: u8) -> Option<f64> {
+fn jitter_target(measured: &LatencyRun, shift: u8) -> Option<f64> {
     let delay = measured.readings.of(Quantity::ReleaseDelay)?;
     let protected = measured.case.isolation == Isolation::Basepri && measured.case.rate_khz == 1;
     protected.then(|| match measured.case.disturbance.network {
@@ -118,7 +118,7 @@ fn jitter_target(measured: &Measured, shift: u8) -> Option<f64> {
 }
 
 /// Suffix of a run's figures; empty for the requested run.
-fn suffix(plan: &Plan, case: Case) -> String {
+fn suffix(plan: &LatencyPlan, case: Case) -> String {
     if case.rate_khz > 1 {
         return format!("/{}khz", case.rate_khz);
     }
@@ -132,14 +132,14 @@ fn suffix(plan: &Plan, case: Case) -> String {
 }
 
 /// Figures of one run.
-fn run_rows(plan: &Plan, measured: &Measured, rows: &mut Vec<Row>) {
+fn run_rows(plan: &LatencyPlan, measured: &LatencyRun, rows: &mut Vec<BenchRow>) {
     let shift = plan.instruction_shift;
     let suffix = suffix(plan, measured.case);
     let protected = measured.case.isolation == Isolation::Basepri;
     let asked = protected && measured.case.rate_khz == 1;
     let zero = protected.then_some(0.0).filter(|_| measured.case.rate_khz == 1);
     let mut row = |case: &str, value: f64, unit, target: Option<f64>| {
-        rows.push(Row {
+        rows.push(BenchRow {
             case: format!("{case}{suffix}"),
             subject: "etherpen",
             value,
@@ -216,7 +216,7 @@ fn run_rows(plan: &Plan, measured: &Measured, rows: &mut Vec<Row>) {
     }
 }
 
-fn curves(measured: &Measured, curves: &mut Vec<Curve>) {
+fn curves(measured: &LatencyRun, curves: &mut Vec<Curve>) {
     let quantities = [
         ("total_delay", Quantity::TotalDelay),
         ("send_delay", Quantity::SendDelay),
@@ -239,11 +239,11 @@ fn curves(measured: &Measured, curves: &mut Vec<Curve>) {
 }
 
 /// All figures and curves.
-pub(super) fn report(plan: &Plan, runs: &[Measured]) -> LatencyReport {
+pub(super) fn report(plan: &LatencyPlan, runs: &[LatencyRun]) -> LatencyReport {
     let (mut rows, mut all) = (Vec::new(), Vec::new());
     // The requested run comes first.
-    let order = |measured: &&Measured| !suffix(plan, measured.case).is_empty();
-    let mut ordered: Vec<&Measured> = runs.iter().collect();
+    let order = |measured: &&LatencyRun| !suffix(plan, measured.case).is_empty();
+    let mut ordered: Vec<&LatencyRun> = runs.iter().collect();
     ordered.sort_by_key(order);
     for measured in ordered {
         run_rows(plan, measured, &mut rows);
@@ -254,7 +254,7 @@ pub(super) fn report(plan: &Plan, runs: &[Measured]) -> LatencyReport {
     if plan.rate_khz > 1 {
         let in_time = runs.iter().filter(|measured| late(measured) == 0);
         let highest = in_time.map(|measured| measured.case.rate_khz).max().unwrap_or(0);
-        rows.push(Row {
+        rows.push(BenchRow {
             case: "loop_rate_max_khz".to_owned(),
             subject: "etherpen",
             value: highest.into(),

@@ -10,7 +10,7 @@ mod junction;
 mod paths;
 
 use super::programs::{self, Machine, OPTIMUM};
-use super::{BenchError, Report, Row, Selection};
+use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::planning::{Analysis, Findings, plan};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
@@ -69,7 +69,7 @@ impl LimitSet {
 ///
 /// # Errors
 /// The first failure.
-pub fn run(selection: &Selection, quick: bool, mut progress: impl FnMut(&str)) -> Result<Report, BenchError> {
+pub fn run(selection: &Selection, quick: bool, mut progress: impl FnMut(&str)) -> Result<BenchReport, BenchError> {
     let mut paths = paths::samples()?;
     if !quick {
         paths.extend(paths::generated());
@@ -99,7 +99,7 @@ pub fn run(selection: &Selection, quick: bool, mut progress: impl FnMut(&str)) -
         rows.extend(periods(&programs::emulate("motion_m7")?)?);
     }
     rows.retain(|row| selection.wants(&row.case, row.subject));
-    Ok(Report { bench: "motion", rows })
+    Ok(BenchReport { bench: "motion", rows })
 }
 
 const PLANNER: &str = "planner_worst_instructions@cortex-m7";
@@ -117,10 +117,10 @@ fn wants_any(selection: &Selection, name: &str) -> bool {
 }
 
 /// All rows of one path under one set of limits.
-fn compare(name: &str, path: &Named, config: &Config, with_optimum: bool) -> Result<Vec<Row>, BenchError> {
+fn compare(name: &str, path: &Named, config: &Config, with_optimum: bool) -> Result<Vec<BenchRow>, BenchError> {
     let mut rows = Vec::new();
     let mut row = |case: &str, subject, value, unit, target| {
-        rows.push(Row {
+        rows.push(BenchRow {
             case: format!("{case}/{name}"),
             subject,
             value,
@@ -299,15 +299,15 @@ fn optimum(path: &[Vertex], config: &Config) -> Result<Optimum, BenchError> {
 }
 
 /// The worst period of all loads, and the worst of each load.
-fn periods(lines: &str) -> Result<Vec<Row>, BenchError> {
-    let row = |case: String, value: f64| Row {
+fn periods(lines: &str) -> Result<Vec<BenchRow>, BenchError> {
+    let row = |case: String, value: f64| BenchRow {
         case,
         subject: "etherpen",
         value,
         unit: "instructions",
         target: Some(PERIOD_INSTRUCTIONS_MAX),
     };
-    let loads: Vec<Row> = lines
+    let loads: Vec<BenchRow> = lines
         .lines()
         .filter_map(|line| {
             let mut words = line.split_whitespace();

@@ -4,6 +4,7 @@
 
 use super::super::BenchError;
 use crate::drawing::{Input, load};
+use crate::random::Xorshift;
 use crate::setup;
 use etherpen::motion::{Pen, Vertex};
 use std::f64::consts::TAU;
@@ -116,13 +117,8 @@ fn star() -> Vec<[f64; 2]> {
 
 /// Sections of short, bending legs and of long, turning ones.
 fn random(seed: u64) -> Vec<[f64; 2]> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-    let mut number = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
+    let mut random = Xorshift::new(seed);
+    let mut number = || random.unit();
     let (mut points, mut heading) = (vec![[0.0, 0.0]], 0.0_f64);
     for _ in 0..12 {
         let (turn, leg_mm, legs) = if number() < 0.6 { (0.4, 1.5, 30) } else { (3.0, 40.0, 4) };

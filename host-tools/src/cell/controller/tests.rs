@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cell::datagram::Datagrams;
-use crate::cell::test_bench::*;
+use crate::cell::rig::*;
 
 /// Lets one datagram pass; gives its data and working counter afterwards.
 fn pass(controller: &mut Controller, command: u8, device: u16, register: u16, data: &[u8]) -> (Vec<u8>, u16) {

@@ -3,7 +3,7 @@
 //! Slaves are counted from 1 here and in all output, and from 0 in the requests.
 
 use super::text;
-use crate::commands::{CommandError, code};
+use crate::error::{ProgramError, code};
 use etherpen::ethercat::service::{
     BusInfo, EntryInfo, INDICES_MAX, ObjectInfo, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest,
     SlaveErrors, SlaveInfo,
@@ -29,12 +29,12 @@ pub enum AccessError {
     /// The bus or a slave refused.
     Refused(ServiceError),
     /// The bus could not be asked.
-    Lost(CommandError),
+    Lost(ProgramError),
     /// An answer to another question.
     Foreign,
 }
 
-impl From<AccessError> for CommandError {
+impl From<AccessError> for ProgramError {
     fn from(error: AccessError) -> Self {
         match error {
             AccessError::Refused(error) => Self::new(code::FAILED, text::service_error(&error)),

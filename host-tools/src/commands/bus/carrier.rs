@@ -2,10 +2,10 @@
 
 use super::access::{AccessError, BusAccess};
 use super::text;
-use crate::commands::{CommandError, code, job_error};
-use crate::link::error::JobError;
+use crate::error::{ProgramError, code};
+use crate::job::error::JobError;
 use crate::link::port::{Line, Port, PortName};
-use crate::link::session::{Event, Session};
+use crate::link::session::{Event, Session, session_number};
 use crate::machine::{Client, Order, Reply};
 use crate::master::Master;
 use crate::transport::{self, Endpoint};
@@ -26,10 +26,10 @@ const PAUSE: Duration = Duration::from_millis(100);
 
 /// One question, one answer.
 trait Carrier {
-    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError>;
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError>;
 
     /// Lets time pass without a question.
-    fn rest(&mut self, pause: Duration) -> Result<(), CommandError>;
+    fn rest(&mut self, pause: Duration) -> Result<(), ProgramError>;
 }
 
 /// A carrier that asks again while the bus is busy.
@@ -54,20 +54,20 @@ impl<C: Carrier> BusAccess for Patient<C> {
 ///
 /// # Errors
 /// There is no transport to the segment.
-pub(super) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, CommandError> {
-    let transport = transport::open(endpoint).map_err(|error| CommandError::new(code::CONNECTION, error))?;
+pub(super) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, ProgramError> {
+    let transport = transport::open(endpoint).map_err(|error| ProgramError::new(code::CONNECTION, error))?;
     let master =
-        Master::look(transport).map_err(|error| CommandError::new(code::FAILED, text::master_error(&error)))?;
+        Master::look(transport).map_err(|error| ProgramError::new(code::FAILED, text::master_error(&error)))?;
     Ok(Box::new(Patient(master)))
 }
 
 impl Carrier for Master {
-    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError> {
         self.request(request, ANSWER_MAX)
-            .map_err(|error| CommandError::new(code::CONNECTION, text::master_error(&error)))
+            .map_err(|error| ProgramError::new(code::CONNECTION, text::master_error(&error)))
     }
 
-    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+    fn rest(&mut self, pause: Duration) -> Result<(), ProgramError> {
         std::thread::sleep(pause);
         Ok(())
     }
@@ -77,15 +77,15 @@ impl Carrier for Master {
 ///
 /// # Errors
 /// There is no connection, or the firmware refused the configuration.
-pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAccess>, CommandError> {
+pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAccess>, ProgramError> {
     if let Some(client) = Client::find(port) {
         eprintln!("through {}", client.owner());
         return Ok(Box::new(Patient(client)));
     }
-    let port = Port::open(port).map_err(|cause| CommandError::new(code::CONNECTION, cause))?;
+    let port = Port::open(port).map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     let mut linked = Linked {
         line: Line::start(port),
-        session: Session::new(crate::commands::session_number()),
+        session: Session::new(session_number()),
     };
     linked.session.connect();
     let welcome = linked.wait(GREETING_MAX_MS, |event| match event {
@@ -105,14 +105,14 @@ pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAc
 
 /// Through the program that has the port; what the firmware is configured with is that program's business.
 impl Carrier for Client {
-    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError> {
         match self.carry_out(Order::Bus(request))? {
             Reply::Bus(result) => Ok(result),
-            _ => Err(CommandError::failed("the bus", "an answer to another question came")),
+            _ => Err(ProgramError::failed("the bus", "an answer to another question came")),
         }
     }
 
-    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+    fn rest(&mut self, pause: Duration) -> Result<(), ProgramError> {
         std::thread::sleep(pause);
         Ok(())
     }
@@ -130,30 +130,30 @@ impl Linked {
         &mut self,
         longest_ms: u64,
         mut found: impl FnMut(Event) -> Option<Result<T, JobError>>,
-    ) -> Result<T, CommandError> {
+    ) -> Result<T, ProgramError> {
         let mut begun_ms = None;
         loop {
             let now_ms = self.step()?;
             let waited_ms = now_ms - *begun_ms.get_or_insert(now_ms);
             while let Some(event) = self.session.next_event() {
                 if event == Event::Restarted {
-                    return Err(job_error(&JobError::Restarted));
+                    return Err(ProgramError::from(&JobError::Restarted));
                 }
                 if let Some(result) = found(event) {
-                    return result.map_err(|error| job_error(&error));
+                    return result.map_err(|error| ProgramError::from(&error));
                 }
             }
             match self.session.silence_ms(now_ms) {
                 Some(silent_ms) if silent_ms > SILENCE_MAX_MS => {
-                    return Err(job_error(&JobError::LinkLost { silent_ms }));
+                    return Err(ProgramError::from(&JobError::LinkLost { silent_ms }));
                 }
-                _ if waited_ms > longest_ms => return Err(job_error(&JobError::NoAnswer { waited_ms })),
+                _ if waited_ms > longest_ms => return Err(ProgramError::from(&JobError::NoAnswer { waited_ms })),
                 _ => {}
             }
         }
     }
 
-    fn step(&mut self) -> Result<u64, CommandError> {
+    fn step(&mut self) -> Result<u64, ProgramError> {
         let session = &mut self.session;
         self.line
             .exchange(|now_ms, incoming, outgoing, room| {
@@ -162,12 +162,12 @@ impl Linked {
                 let length = session.transmit(now_ms, outgoing);
                 outgoing.truncate(length);
             })
-            .map_err(|error| CommandError::new(code::CONNECTION, error))
+            .map_err(|error| ProgramError::new(code::CONNECTION, error))
     }
 }
 
 impl Carrier for Linked {
-    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, CommandError> {
+    fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError> {
         self.session.bus(request);
         let longest_ms = u64::try_from(ANSWER_MAX.as_millis()).unwrap_or(u64::MAX);
         self.wait(longest_ms, |event| match event {
@@ -176,7 +176,7 @@ impl Carrier for Linked {
         })
     }
 
-    fn rest(&mut self, pause: Duration) -> Result<(), CommandError> {
+    fn rest(&mut self, pause: Duration) -> Result<(), ProgramError> {
         let until = Instant::now() + pause;
         while Instant::now() < until {
             self.step()?;

@@ -9,8 +9,9 @@ mod table;
 pub mod text;
 mod value;
 
+use super::ConfigArguments;
 use super::ports::OptionalPort;
-use super::{CommandError, ConfigArguments, code};
+use crate::error::{ProgramError, code};
 use crate::transport::{Endpoint, udp_address};
 use access::BusAccess;
 use etherpen::ethercat::state::AlState;
@@ -187,11 +188,11 @@ impl WayArguments {
 ///
 /// # Errors
 /// Wrong usage, no connection, or what the bus refused.
-pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let written = match &arguments.action {
         Action::Sdo {
             action: SdoAction::Write { value, kind, .. },
-        } => kind.encode(value).map_err(|why| CommandError::new(code::USAGE, why))?,
+        } => kind.encode(value).map_err(|why| ProgramError::new(code::USAGE, why))?,
         _ => Vec::new(),
     };
     let config = arguments.config.load()?;
@@ -200,7 +201,7 @@ pub fn run(arguments: &Arguments) -> Result<(), CommandError> {
     let mut access = match (port, way.endpoint()) {
         (Some(port), _) => carrier::firmware(&port, &config)?,
         (None, Ok(endpoint)) => carrier::own_master(&endpoint)?,
-        (None, Err(why)) => return Err(CommandError::new(code::USAGE, why)),
+        (None, Err(why)) => return Err(ProgramError::new(code::USAGE, why)),
     };
     act(&mut *access, &arguments.action, &written, arguments.json)
 }
@@ -215,7 +216,7 @@ impl WayArguments {
     }
 }
 
-fn act(access: &mut dyn BusAccess, action: &Action, written: &[u8], json: bool) -> Result<(), CommandError> {
+fn act(access: &mut dyn BusAccess, action: &Action, written: &[u8], json: bool) -> Result<(), ProgramError> {
     match action {
         Action::Scan => slaves::scan(access, json),
         Action::Info { slave } => slaves::info(access, *slave, json),

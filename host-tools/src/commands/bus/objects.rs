@@ -3,7 +3,8 @@
 use super::access::{self, AccessError, BusAccess};
 use super::value::{Type, hex};
 use super::{table, text};
-use crate::commands::{CommandError, code, print_json};
+use crate::commands::print_json;
+use crate::error::{ProgramError, code};
 use etherpen::ethercat::service::{EntryInfo, ObjectInfo, ServiceError};
 use etherpen::ethercat::wire::coe::Object;
 use serde::Serialize;
@@ -38,9 +39,9 @@ struct ValueView {
 }
 
 impl ValueView {
-    fn new(slave: u8, object: Object, kind: Type, bytes: &[u8]) -> Result<Self, CommandError> {
+    fn new(slave: u8, object: Object, kind: Type, bytes: &[u8]) -> Result<Self, ProgramError> {
         let value = kind.decode(bytes).ok_or_else(|| {
-            CommandError::new(
+            ProgramError::new(
                 code::USAGE,
                 format!(
                     "{} has {} bytes ({}), which is no {}; choose another --type",
@@ -61,7 +62,7 @@ impl ValueView {
         })
     }
 
-    fn show(&self, json: bool) -> Result<(), CommandError> {
+    fn show(&self, json: bool) -> Result<(), ProgramError> {
         if json {
             return print_json(self);
         }
@@ -102,7 +103,7 @@ pub(super) fn read(
     kind: Option<Type>,
     complete: bool,
     json: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let bytes = access::upload(access, slave, object, complete)?;
     let kind = match kind {
         Some(kind) => kind,
@@ -120,7 +121,7 @@ pub(super) fn write(
     (kind, bytes): (Type, &[u8]),
     complete: bool,
     json: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     access::download(access, slave, object, complete, bytes)?;
     ValueView::new(slave, object, kind, bytes)?.show(json)
 }
@@ -211,7 +212,7 @@ struct Dictionary {
 }
 
 /// `bus sdo list N`.
-pub(super) fn list(access: &mut dyn BusAccess, slave: u8, entries: bool, json: bool) -> Result<(), CommandError> {
+pub(super) fn list(access: &mut dyn BusAccess, slave: u8, entries: bool, json: bool) -> Result<(), ProgramError> {
     let mut objects = Vec::new();
     for index in access::indices(access, slave)? {
         let mut object = ObjectView::new(&access::describe_object(access, slave, index)?);
@@ -248,7 +249,7 @@ pub(super) fn list(access: &mut dyn BusAccess, slave: u8, entries: bool, json: b
 }
 
 /// Sub-indices may be missing in between: the slave aborts requests for them.
-fn present(entry: Result<EntryInfo, AccessError>) -> Option<Result<EntryView, CommandError>> {
+fn present(entry: Result<EntryInfo, AccessError>) -> Option<Result<EntryView, ProgramError>> {
     match entry {
         Ok(info) => Some(Ok(EntryView::new(&info))),
         Err(AccessError::Refused(ServiceError::Bus(_))) => None,

@@ -3,7 +3,8 @@
 use super::access::{self, BusAccess};
 use super::table;
 use super::value::hex;
-use crate::commands::{CommandError, print_json};
+use crate::commands::print_json;
+use crate::error::ProgramError;
 use etherpen::ethercat::service::SlaveErrors;
 use etherpen::ethercat::wire::register;
 use etherpen::ethercat::wire::register::PortErrors;
@@ -60,7 +61,7 @@ struct Memory {
 }
 
 /// `bus registers [N]`: the registers that have a name here.
-pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), CommandError> {
+pub(super) fn named(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), ProgramError> {
     let slaves = match only {
         Some(slave) => slave..=slave,
         None => 1..=access::bus(access)?.slaves,
@@ -107,7 +108,7 @@ pub(super) fn dump(
     address: u16,
     length: u16,
     json: bool,
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let memory = access::registers(access, slave, address, length)?;
     if json {
         return print_json(&Memory {
@@ -126,7 +127,7 @@ pub(super) fn dump(
 
 /// The counters of one port for a program.
 #[derive(Debug, Serialize)]
-struct PortView {
+struct PortCounters {
     port: usize,
     cable: String,
     invalid_frames: u8,
@@ -137,9 +138,9 @@ struct PortView {
 
 /// The counters of one slave for a program.
 #[derive(Debug, Serialize)]
-struct SlaveView {
+struct SlaveCounters {
     slave: u8,
-    ports: Vec<PortView>,
+    ports: Vec<PortCounters>,
     processing_unit: u8,
     processor_interface: u8,
     watchdog: u8,
@@ -157,13 +158,13 @@ fn cable(slave: u8, port: usize, partner: Option<u8>) -> String {
     }
 }
 
-impl SlaveView {
+impl SlaveCounters {
     fn new(slave: u8, errors: &SlaveErrors) -> Self {
         let ports = errors.ports.iter().zip(errors.partners).enumerate();
         Self {
             slave,
             ports: ports
-                .map(|(port, (counted, partner))| PortView {
+                .map(|(port, (counted, partner))| PortCounters {
                     port,
                     cable: cable(slave, port, partner),
                     invalid_frames: counted.invalid_frames,
@@ -189,12 +190,12 @@ fn verdict(counted: &PortErrors, cable: &str) -> Option<String> {
 }
 
 /// `bus errors`.
-pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Result<(), CommandError> {
+pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Result<(), ProgramError> {
     let mut views = Vec::new();
     let mut verdicts = Vec::new();
     for slave in 1..=access::bus(access)?.slaves {
         let errors = access::errors(access, slave)?;
-        let view = SlaveView::new(slave, &errors);
+        let view = SlaveCounters::new(slave, &errors);
         let told = errors.ports.iter().zip(&view.ports);
         verdicts.extend(told.filter_map(|(counted, port)| {
             let verdict = verdict(counted, &port.cable)?;
@@ -248,7 +249,7 @@ pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Res
     verdicts.iter().try_for_each(|line| table::say(line))
 }
 
-impl PortView {
+impl PortCounters {
     fn is_told(&self) -> bool {
         [
             self.invalid_frames,

@@ -2,7 +2,8 @@
 
 use super::access::{self, BusAccess};
 use super::{table, text};
-use crate::commands::{CommandError, code, print_json};
+use crate::commands::print_json;
+use crate::error::{ProgramError, code};
 use crate::link::text::al_state;
 use etherpen::ethercat::service::{ServiceError, SlaveInfo};
 use etherpen::ethercat::state::{AlReport, AlState, al_code_hint, al_code_text};
@@ -51,7 +52,7 @@ impl StateView {
 
 /// One port for a program.
 #[derive(Debug, Serialize)]
-struct PortView {
+struct PortAnswer {
     port: usize,
     link: bool,
     loop_closed: bool,
@@ -79,7 +80,7 @@ impl DriveView {
 
 /// A slave for a program.
 #[derive(Debug, Serialize)]
-struct SlaveView {
+struct SlaveAnswer {
     slave: u8,
     name: String,
     driver: String,
@@ -98,7 +99,7 @@ struct SlaveView {
     protocols: Vec<&'static str>,
     output_bytes: u16,
     input_bytes: u16,
-    ports: Vec<PortView>,
+    ports: Vec<PortAnswer>,
     clock: Option<ClockView>,
 }
 
@@ -110,10 +111,10 @@ struct ClockView {
     difference_ns: i32,
 }
 
-impl SlaveView {
+impl SlaveAnswer {
     fn new(slave: u8, info: &SlaveInfo) -> Self {
         let known = PROTOCOLS.iter().filter(|(bit, _)| info.protocols & bit != 0);
-        let ports = info.ports.iter().enumerate().map(|(port, state)| PortView {
+        let ports = info.ports.iter().enumerate().map(|(port, state)| PortAnswer {
             port,
             link: state.link,
             loop_closed: state.loop_closed,
@@ -150,35 +151,35 @@ impl SlaveView {
 
 /// The bus for a program.
 #[derive(Debug, Serialize)]
-struct BusView {
+struct BusAnswer {
     answering: u16,
     operational: bool,
     reference_clock: Option<u16>,
-    slaves: Vec<SlaveView>,
+    slaves: Vec<SlaveAnswer>,
 }
 
 /// All slaves, or one.
-fn read(access: &mut dyn BusAccess, only: Option<u8>) -> Result<(BusView, Vec<SlaveInfo>), CommandError> {
+fn read(access: &mut dyn BusAccess, only: Option<u8>) -> Result<(BusAnswer, Vec<SlaveInfo>), ProgramError> {
     let bus = access::bus(access)?;
     let mut infos = Vec::new();
     let wanted = only.map_or(1..=bus.slaves, |slave| slave..=slave);
     for slave in wanted.clone() {
         infos.push(access::slave(access, slave)?);
     }
-    let view = BusView {
+    let view = BusAnswer {
         answering: bus.answering,
         operational: bus.operational,
         reference_clock: bus.reference_clock.map(|slave| u16::from(slave) + 1),
         slaves: wanted
             .zip(&infos)
-            .map(|(slave, info)| SlaveView::new(slave, info))
+            .map(|(slave, info)| SlaveAnswer::new(slave, info))
             .collect(),
     };
     Ok((view, infos))
 }
 
 /// `bus scan`.
-pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), CommandError> {
+pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), ProgramError> {
     let (view, _) = read(access, None)?;
     if json {
         return print_json(&view);
@@ -223,7 +224,7 @@ pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), Command
 }
 
 /// `bus info [N]`.
-pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), CommandError> {
+pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), ProgramError> {
     let (view, _) = read(access, only)?;
     if json {
         return print_json(&view);
@@ -235,7 +236,7 @@ pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> 
 }
 
 /// Prints one slave as text.
-fn describe(slave: &SlaveView) -> Result<(), CommandError> {
+fn describe(slave: &SlaveAnswer) -> Result<(), ProgramError> {
     table::say(&format!("slave {}: {}", slave.slave, slave.name))?;
     let line = |what: &str, value: String| table::say(&format!("  {what:<16} {value}"));
     let identity = format!(
@@ -311,7 +312,7 @@ struct Reached {
 }
 
 /// `bus state N STATE`.
-pub(super) fn state(access: &mut dyn BusAccess, slave: u8, target: AlState, json: bool) -> Result<(), CommandError> {
+pub(super) fn state(access: &mut dyn BusAccess, slave: u8, target: AlState, json: bool) -> Result<(), ProgramError> {
     let report = access::set_state(access, slave, target)?;
     if json {
         print_json(&Reached {
@@ -324,7 +325,7 @@ pub(super) fn state(access: &mut dyn BusAccess, slave: u8, target: AlState, json
     if report.is(target) {
         return Ok(());
     }
-    Err(CommandError::new(
+    Err(ProgramError::new(
         code::FAILED,
         format!(
             "slave {slave} is in {}, not in {}: {}",
@@ -353,7 +354,7 @@ struct Change<'a> {
 }
 
 /// `bus watch`: prints the state of every slave, then every change, until interrupted.
-pub(super) fn watch(access: &mut dyn BusAccess, json: bool, ended: &AtomicBool) -> Result<(), CommandError> {
+pub(super) fn watch(access: &mut dyn BusAccess, json: bool, ended: &AtomicBool) -> Result<(), ProgramError> {
     let begun = Instant::now();
     let mut known: Vec<Option<Seen>> = Vec::new();
     while !ended.load(Ordering::Relaxed) {
@@ -381,11 +382,11 @@ pub(super) fn watch(access: &mut dyn BusAccess, json: bool, ended: &AtomicBool) 
     Ok(())
 }
 
-fn tell(begun: Instant, slave: u8, seen: Option<&Seen>, json: bool) -> Result<(), CommandError> {
+fn tell(begun: Instant, slave: u8, seen: Option<&Seen>, json: bool) -> Result<(), ProgramError> {
     let t_ms = u64::try_from(begun.elapsed().as_millis()).unwrap_or(u64::MAX);
     if json {
         let line = serde_json::to_string(&Change { t_ms, slave, seen });
-        return table::say(&line.map_err(|cause| CommandError::failed("the change", cause))?);
+        return table::say(&line.map_err(|cause| ProgramError::failed("the change", cause))?);
     }
     let what = match seen {
         None => "does not answer; check its cable and supply".to_owned(),

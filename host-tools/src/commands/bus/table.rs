@@ -1,13 +1,13 @@
 //! Text tables: columns as wide as their widest cell.
 
-use crate::commands::CommandError;
+use crate::error::ProgramError;
 use std::io::Write;
 
 /// Prints rows under a heading on stdout; every row has as many cells as the heading.
 pub(super) fn print<const COLUMNS: usize>(
     heading: [&str; COLUMNS],
     rows: &[[String; COLUMNS]],
-) -> Result<(), CommandError> {
+) -> Result<(), ProgramError> {
     let mut text = String::new();
     let heading = heading.map(str::to_owned);
     let widths: [usize; COLUMNS] = std::array::from_fn(|column| {
@@ -27,6 +27,6 @@ pub(super) fn print<const COLUMNS: usize>(
 }
 
 /// Prints a line on stdout.
-pub(super) fn say(line: &str) -> Result<(), CommandError> {
-    writeln!(std::io::stdout(), "{line}").map_err(|cause| CommandError::failed("stdout", cause))
+pub(super) fn say(line: &str) -> Result<(), ProgramError> {
+    writeln!(std::io::stdout(), "{line}").map_err(|cause| ProgramError::failed("stdout", cause))
 }

@@ -1,7 +1,9 @@
 //! `etherpen jobs`: the drawings of this computer's log.
 
-use crate::commands::{CommandError, counted, print_json};
-use crate::history::{Entry, Record, folder, list};
+use crate::commands::print_json;
+use crate::error::ProgramError;
+use crate::job::history::{HistoryEntry, Record, folder, list};
+use crate::terminal::counted;
 use serde::Serialize;
 
 /// Options of `etherpen jobs`.
@@ -19,11 +21,11 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The log cannot be read.
-pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let records = folder()
         .and_then(|folder| list(&folder))
-        .map_err(|cause| CommandError::failed("the log of jobs cannot be read", cause))?;
-    let mut entries: Vec<Job> = records.into_iter().map(Job::from).collect();
+        .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))?;
+    let mut entries: Vec<ListedJob> = records.into_iter().map(ListedJob::from).collect();
     if arguments.newest > 0 {
         let first = entries.len().saturating_sub(arguments.newest);
         entries.drain(..first);
@@ -42,14 +44,14 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
 
 /// A drawing and its name.
 #[derive(Debug, Serialize)]
-struct Job {
+struct ListedJob {
     /// What `etherpen draw --resume` takes.
     job: String,
     #[serde(flatten)]
-    entry: Entry,
+    entry: HistoryEntry,
 }
 
-impl From<Record> for Job {
+impl From<Record> for ListedJob {
     fn from(record: Record) -> Self {
         Self {
             job: record.name(),
@@ -58,7 +60,7 @@ impl From<Record> for Job {
     }
 }
 
-fn line(Job { job, entry }: &Job) -> String {
+fn line(ListedJob { job, entry }: &ListedJob) -> String {
     let state = match (&entry.result, entry.completed) {
         (_, true) => "drawn".to_owned(),
         (Some(result), false) => format!("ended: {result}"),
@@ -108,9 +110,9 @@ mod tests {
 
     #[test]
     fn a_killed_drawing_is_told_from_one_that_is_done() {
-        let mut job = Job {
+        let mut job = ListedJob {
             job: "0001-ab-7".into(),
-            entry: Entry::default(),
+            entry: HistoryEntry::default(),
         };
         assert!(line(&job).contains("killed") && line(&job).contains("  0001-ab-7  "));
         job.entry.completed = true;

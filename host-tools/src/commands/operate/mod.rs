@@ -9,8 +9,9 @@ mod jobs;
 mod status;
 
 use super::ports::{self, SessionPort};
-use super::{CommandError, ConfigArguments, code, ended_by_a_signal, print_json};
-use crate::link::job::{Motion, Ready};
+use super::{ConfigArguments, ended_by_a_signal, print_json};
+use crate::error::{ProgramError, code};
+use crate::job::{Motion, Ready};
 use crate::link::ownership::Owner;
 use crate::link::port::{PortError, PortName};
 use crate::link::text;
@@ -158,7 +159,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// There is no machine, it refused the order, or it stopped with a fault.
-pub fn run(command: &Command) -> Result<(), CommandError> {
+pub fn run(command: &Command) -> Result<(), ProgramError> {
     let (arguments, name, order) = match command {
         Command::Status(arguments) => return status::run(arguments),
         Command::Jobs(arguments) => return jobs::run(arguments),
@@ -204,7 +205,7 @@ pub fn run(command: &Command) -> Result<(), CommandError> {
 }
 
 /// Carries out an order and waits for its effect.
-fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: Order) -> Result<Done, CommandError> {
+fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: Order) -> Result<Done, ProgramError> {
     let mut way = Way::find(port, arguments)?;
     let order = way.carry_out(order)?;
     let begun = Instant::now();
@@ -230,7 +231,7 @@ fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: 
 }
 
 /// Stops every machine of a running program, and the one at `--port`, all in parallel.
-fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
+fn stop_all(arguments: &Arguments) -> Result<(), ProgramError> {
     let (sharing, alone) = ports::running()?;
     let mut all: Vec<PortName> = sharing.into_iter().map(|found| found.port).collect();
     all.extend(arguments.port.port.clone().filter(|named| !all.contains(named)));
@@ -243,7 +244,7 @@ fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
         under_way.into_iter().map(end).collect()
     });
     let mut result = match all.is_empty() {
-        true => Err(CommandError::new(
+        true => Err(ProgramError::new(
             code::CONNECTION,
             "no running program has a robot that could be stopped",
         )),
@@ -261,7 +262,7 @@ fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
             }
             Err(error) => {
                 eprintln!("{port}: NOT STOPPED: {}", error.message);
-                Err(CommandError::new(error.code, "not every robot was stopped"))
+                Err(ProgramError::new(error.code, "not every robot was stopped"))
             }
         };
         result = result.and(ended);
@@ -269,7 +270,7 @@ fn stop_all(arguments: &Arguments) -> Result<(), CommandError> {
     for found in &alone {
         let (port, owner) = (&found.port, &found.owner);
         eprintln!("{port}: NOT STOPPED: {owner} takes no orders; Ctrl-C in its terminal ends it");
-        result = result.and(Err(CommandError::new(code::FAILED, "not every robot was stopped")));
+        result = result.and(Err(ProgramError::new(code::FAILED, "not every robot was stopped")));
     }
     if arguments.json {
         print_json(&answers)?;
@@ -328,12 +329,12 @@ impl Done {
     }
 
     /// An error where the end state was due and did not come.
-    fn ended(&self) -> Result<(), CommandError> {
+    fn ended(&self) -> Result<(), ProgramError> {
         if self.reached || !self.is_due {
             return Ok(());
         }
         let text = format!("{} was accepted, but its end was not seen: {}", self.order, self.state);
-        Err(CommandError::new(code::FAILED, text))
+        Err(ProgramError::new(code::FAILED, text))
     }
 }
 
@@ -347,7 +348,7 @@ enum Way {
 }
 
 impl Way {
-    fn find(port: &PortName, arguments: &Arguments) -> Result<Self, CommandError> {
+    fn find(port: &PortName, arguments: &Arguments) -> Result<Self, ProgramError> {
         if let Some(client) = Client::find(port) {
             return Ok(Self::Through(client));
         }
@@ -357,8 +358,8 @@ impl Way {
             // Between the two looks another program has taken the port.
             Err(error @ PortError::Occupied { .. }) => Client::find(port)
                 .map(Self::Through)
-                .ok_or_else(|| CommandError::new(code::CONNECTION, error)),
-            Err(error) => Err(CommandError::new(code::CONNECTION, error)),
+                .ok_or_else(|| ProgramError::new(code::CONNECTION, error)),
+            Err(error) => Err(ProgramError::new(code::CONNECTION, error)),
         }
     }
 
@@ -370,7 +371,7 @@ impl Way {
     }
 
     /// Gives an order and waits for its answer; an interrupt cancels it. Gives the order that was carried out.
-    fn carry_out(&mut self, order: Order) -> Result<Order, CommandError> {
+    fn carry_out(&mut self, order: Order) -> Result<Order, ProgramError> {
         let (order, answer) = match self {
             Self::Through(client) => (order.clone(), client.carry_out(order)),
             Self::Own(machine) => {
@@ -379,11 +380,11 @@ impl Way {
                 (order.clone(), wait(machine, order, &interrupted))
             }
         };
-        answer.map(|_| order).map_err(CommandError::from)
+        answer.map(|_| order).map_err(ProgramError::from)
     }
 
     /// Where the machine stands, once that is known.
-    fn state(&mut self) -> Result<Snapshot, CommandError> {
+    fn state(&mut self) -> Result<Snapshot, ProgramError> {
         match self {
             Self::Through(client) => Ok(client.snapshot()?),
             Self::Own(machine) => {
@@ -406,7 +407,7 @@ impl Way {
 }
 
 /// The order to use where no program draws; waits for its effect.
-fn alone(order: Order) -> Result<Order, CommandError> {
+fn alone(order: Order) -> Result<Order, ProgramError> {
     Ok(match order {
         Order::Hold | Order::HoldAtPenUp => Order::Settle(Told::Hold),
         Order::Cancel => Order::Settle(Told::Cancel),
@@ -414,7 +415,7 @@ fn alone(order: Order) -> Result<Order, CommandError> {
         Order::Resume => {
             let text = "no program streams a drawing over this port, so there is nothing that could go on; start it \
                         again where it broke off: etherpen draw FILE --resume";
-            return Err(CommandError::new(code::FAILED, text));
+            return Err(ProgramError::new(code::FAILED, text));
         }
         order => order,
     })
@@ -439,11 +440,5 @@ fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
             // Its effect is the other order's end.
             drop(machine.order(Order::Cancel));
         }
-    }
-}
-
-impl From<Failure> for CommandError {
-    fn from(failure: Failure) -> Self {
-        Self::new(failure.code, failure.text)
     }
 }

@@ -1,11 +1,13 @@
 //! `etherpen status`: state of the machine, and the program that uses it.
 
 use super::{Arguments, Way};
-use crate::commands::{CommandError, counted, print_json};
+use crate::commands::print_json;
+use crate::error::ProgramError;
+use crate::job::progress::Progress;
 use crate::link::ownership::Owner;
-use crate::link::progress::Progress;
 use crate::link::text;
 use crate::machine::Snapshot;
+use crate::terminal::counted;
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::drives::cia402::StatusWord;
@@ -58,7 +60,7 @@ struct Answer<'a> {
 ///
 /// # Errors
 /// There is no machine.
-pub(super) fn run(arguments: &Arguments) -> Result<(), CommandError> {
+pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let mut way = Way::find(&arguments.port.find()?, arguments)?;
     let snapshot = way.state()?;
@@ -88,7 +90,9 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
         referenced,
         override_percent: status.map(|status| status.override_percent),
-        config: status.and_then(|status| status.config).map(crate::history::hash_text),
+        config: status
+            .and_then(|status| status.config)
+            .map(crate::job::history::hash_text),
         joints_rad: joints,
         position_mm: position.map(Into::into),
         pen: sample.map(|sample| sample.pen),

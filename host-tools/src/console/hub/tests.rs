@@ -3,6 +3,7 @@
 use super::*;
 use crate::console::capture::Condition;
 use crate::console::signals::tests::sample;
+use crate::random::Lcg;
 
 fn hub() -> Hub {
     Hub::new(&Config::default(), "test")
@@ -18,9 +19,9 @@ fn only_what_has_changed_is_news_and_each_change_once() {
         news.len()
     };
     assert_eq!(news(&hub), 3);
-    hub.say(Topic::Studio, &"a");
-    hub.say(Topic::Studio, &"a");
-    hub.say(Topic::Studio, &"b");
+    hub.say(Topic::Preparation, &"a");
+    hub.say(Topic::Preparation, &"a");
+    hub.say(Topic::Preparation, &"b");
     assert_eq!(news(&hub), 1);
     assert_eq!(news(&hub), 0);
 }
@@ -97,12 +98,9 @@ fn little_is_kept_and_armed_whoever_asks() {
             before_ms: 10,
             after_ms: 10,
         };
-        let mut random = seed;
+        let mut random = Lcg::new(seed);
         for _ in 0..200 {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            let viewer = viewers[(random >> 33) as usize % viewers.len()];
+            let viewer = viewers[random.below(viewers.len())];
             let snapshot = hub.history().snapshot();
             let is_trusted = trusted.contains(&viewer);
             assert!(hub.keep(viewer, snapshot) || !is_trusted, "seed {seed}");

@@ -41,6 +41,7 @@ impl Inbox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Lcg;
 
     /// A request made of a number.
     fn request(number: u64) -> Request {
@@ -64,13 +65,10 @@ mod tests {
     #[test]
     fn whatever_is_asked_little_waits_and_the_newest_picture_and_jog_are_in_it() {
         for seed in 1..200_u64 {
-            let (mut inbox, mut random) = (Inbox::default(), seed);
+            let (mut inbox, mut random) = (Inbox::default(), Lcg::new(seed));
             let (mut last_range, mut last_jog) = (None, None);
             for _ in 0..500 {
-                random = random
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                let asked = request(random >> 33);
+                let asked = request(random.bits());
                 let is_range = matches!(asked, Request::Range { .. });
                 let has_room = inbox.push(Ticket::default(), asked.clone());
                 if has_room && matches!(asked, Request::Jog { .. }) {

@@ -4,7 +4,7 @@
 //! refused with the reason before anything is computed.
 
 use crate::console::capture::CAPTURE_MAX_MS;
-use crate::console::history::{Bucket, Decimator, Snapshot};
+use crate::console::history::{Bucket, Decimator, HistorySnapshot};
 use crate::console::messages::{self, COLUMNS_MAX, WINDOW_MAX_MS};
 
 /// Bytes after which a message is sent and another one is started.
@@ -66,7 +66,7 @@ impl Wanted {
 /// An answer sent in parts.
 pub(super) struct Parts {
     wanted: Wanted,
-    snapshot: Snapshot,
+    snapshot: HistorySnapshot,
     decimator: Decimator,
     /// Start of the next part, ms.
     next_ms: u64,
@@ -74,7 +74,7 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    pub(super) fn new(wanted: Wanted, snapshot: &Snapshot) -> Self {
+    pub(super) fn new(wanted: Wanted, snapshot: &HistorySnapshot) -> Self {
         Self {
             // The rest can be freed.
             snapshot: snapshot.cut(wanted.from_ms, wanted.to_ms),
@@ -114,6 +114,7 @@ mod tests {
     use super::super::super::history::History;
     use super::super::super::signals::{Rows, SIGNALS, tests::sample};
     use super::*;
+    use crate::random::Lcg;
     use etherpen::config::Config;
 
     #[test]
@@ -121,17 +122,12 @@ mod tests {
         let (mut history, mut rows) = (History::default(), Rows::new(&Config::default()));
         (0..70_000_u32).for_each(|t_ms| history.push(rows.take(&sample(t_ms, t_ms as f32))));
         let snapshot = history.snapshot();
-        let mut random = 1_u64;
-        let mut next = |below: u64| {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (random >> 33) % below
-        };
+        let mut random = Lcg::new(1);
+        let mut next = |below: usize| random.below(below) as u64;
         for case in 0..60 {
             let (from_ms, length_ms) = (next(80_000), [0, 1, 777, 20_000, 60_000][next(5) as usize]);
             let columns = [0, 1, 10, 800, COLUMNS_MAX][next(5) as usize];
-            let signals: Vec<_> = (0..1 + next(SIGNALS as u64) as usize).collect();
+            let signals: Vec<_> = (0..1 + next(SIGNALS) as usize).collect();
             let count = signals.len();
             let wanted = Wanted::new(7, signals, from_ms, from_ms + length_ms, columns).unwrap();
             let (bucket_ms, mut parts) = (wanted.bucket_ms, Parts::new(wanted, &snapshot));

@@ -1,4 +1,5 @@
 use super::*;
+use crate::random::Lcg;
 
 const TOPICS: [Topic; 2] = [
     Topic {
@@ -83,16 +84,12 @@ fn a_changed_bit_costs_its_chunk_and_never_the_program() {
     let expected: Vec<u32> = (0..20).chain(30..40).collect();
     assert_eq!((found, notices), (expected, 1));
 
-    let mut seed = 0x5eed_u64;
-    println!("seed {seed:#x}");
+    let mut random = Lcg::new(0x5eed);
     for _ in 0..2_000 {
         let mut damaged = bytes.clone();
         for _ in 0..3 {
-            seed = seed
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            let place = (seed >> 33) as usize % damaged.len();
-            damaged[place] = (seed >> 24) as u8;
+            let place = random.below(damaged.len());
+            damaged[place] = random.bits() as u8;
         }
         // An error or what is left; nothing else.
         let _ = numbers(&damaged);

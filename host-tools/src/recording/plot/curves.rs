@@ -5,7 +5,7 @@
 
 use crate::recording::mcap::Source;
 use crate::recording::signals::{Evaluator, Signal};
-use crate::recording::{Entry, Playback};
+use crate::recording::{Playback, RecordingEntry};
 use std::io;
 
 /// Most intervals of a recording; beyond that every two are merged.
@@ -58,19 +58,19 @@ impl Curves {
         let mut curves: Option<Self> = None;
         while let Some((time_s, entry)) = playback.next_entry()? {
             match entry {
-                Entry::Moment(moment) => {
+                RecordingEntry::Moment(moment) => {
                     evaluator.take(&moment);
                     let curves = curves.get_or_insert_with(|| Self::new(time_s, signals.len()));
                     let values = signals.iter().map(|signal| evaluator.value(signal, &moment).number());
                     curves.add(time_s, values);
                 }
-                Entry::Gap(_) => {
+                RecordingEntry::Gap(_) => {
                     evaluator.interrupt();
                     if let Some(curves) = &mut curves {
                         curves.interrupt(time_s);
                     }
                 }
-                Entry::State(_) | Entry::Event(_) => {}
+                RecordingEntry::State(_) | RecordingEntry::Event(_) => {}
             }
         }
         Ok(curves)

@@ -10,7 +10,7 @@ use super::Playback;
 use super::mcap::Source;
 use super::messages::MODES;
 use super::signals::Signal;
-use crate::report::{marks, number};
+use crate::plot_scale::{marks, number};
 use curves::Curves;
 use picture::{Anchor, Colour, LETTER_WIDTH, Picture};
 use std::io;
@@ -249,17 +249,12 @@ fn scale(panel: &Panel, low: f64, high: f64) -> Vec<(f64, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Lcg;
 
     #[test]
     fn marks_of_any_range_are_different() {
-        let mut random = 20_261_122_u64;
-        println!("seed {random}");
-        let mut next = || {
-            random = random
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (random >> 11) as f64 / (1_u64 << 53) as f64
-        };
+        let mut random = Lcg::new(20_261_122);
+        let mut next = || random.unit();
         for _ in 0..100_000 {
             let middle = (next() - 0.5) * 10_f64.powf(8.0 * next() - 4.0);
             let span = 10_f64.powf(16.0 * next() - 13.0);

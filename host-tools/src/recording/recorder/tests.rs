@@ -1,6 +1,7 @@
-use super::super::playback::{Entry, Playback};
+use super::super::playback::{Playback, RecordingEntry};
 use super::super::statistics::statistics;
 use super::*;
+use crate::random::Lcg;
 use crate::recording::signals::columns;
 use crate::report::{rows, write_telemetry};
 use etherpen::robot::AXES;
@@ -32,7 +33,7 @@ fn about(config: &Config) -> About<'_> {
     }
 }
 
-fn entries(bytes: &[u8]) -> Vec<(f64, Entry)> {
+fn entries(bytes: &[u8]) -> Vec<(f64, RecordingEntry)> {
     let mut playback = Playback::new(bytes).unwrap();
     let mut entries = Vec::new();
     while let Some(entry) = playback.next_entry().unwrap() {
@@ -43,7 +44,7 @@ fn entries(bytes: &[u8]) -> Vec<(f64, Entry)> {
 
 fn times_ms(bytes: &[u8]) -> Vec<u32> {
     let moments = entries(bytes).into_iter().filter_map(|(_, entry)| match entry {
-        Entry::Moment(moment) => Some(moment.sample.t_ms),
+        RecordingEntry::Moment(moment) => Some(moment.sample.t_ms),
         _ => None,
     });
     moments.collect()
@@ -119,10 +120,14 @@ fn missing_samples_and_a_new_start_are_stored_where_they_happened() {
     let mut seen = Vec::new();
     for (time_s, entry) in entries(&bytes) {
         match entry {
-            Entry::Moment(moment) => seen.push(format!("{:.0} ms: sample {}", time_s * 1e3, moment.sample.t_ms)),
-            Entry::Gap(gap) => seen.push(format!("{} to {}: {} missing", gap.before_ms, gap.t_ms, gap.missing)),
-            Entry::Event(event) if event.name == "link" => seen.push(event.text),
-            Entry::Event(_) | Entry::State(_) => {}
+            RecordingEntry::Moment(moment) => {
+                seen.push(format!("{:.0} ms: sample {}", time_s * 1e3, moment.sample.t_ms))
+            }
+            RecordingEntry::Gap(gap) => {
+                seen.push(format!("{} to {}: {} missing", gap.before_ms, gap.t_ms, gap.missing))
+            }
+            RecordingEntry::Event(event) if event.name == "link" => seen.push(event.text),
+            RecordingEntry::Event(_) | RecordingEntry::State(_) => {}
         }
     }
     assert_eq!(
@@ -153,14 +158,10 @@ fn a_recording_cut_anywhere_gives_all_but_its_last_second() {
     }
     recorder.finish().unwrap();
     let bytes = std::mem::take(recorder.storage_mut());
-    let mut seed = 77_u64;
-    println!("seed {seed}");
+    let mut random = Lcg::new(77);
     let head = lengths[0];
     for _ in 0..40 {
-        seed = seed
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        let length = head + (seed >> 33) as usize % (bytes.len() - head);
+        let length = head + random.below(bytes.len() - head);
         let times = times_ms(&bytes[..length]);
         // Whoever is killed when the file is this long has taken at most these samples.
         let taken = lengths.iter().filter(|at| **at <= length).count();
@@ -277,14 +278,14 @@ fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_cl
     .unwrap();
     let wall = |ms: u64| begin_ns + ms * MILLISECOND_NS;
     recorder.set_time(wall(10));
-    recorder.event(Level::Info, "link", "connected").unwrap();
+    recorder.event(Severity::Info, "link", "connected").unwrap();
     // The device runs at half the wall's speed.
     recorder.set_time(wall(20));
     recorder.samples(0, &[sample(100)]).unwrap();
     recorder.set_time(wall(220));
     recorder.samples(0, &[sample(200)]).unwrap();
     recorder.set_time(wall(250));
-    recorder.event(Level::Info, "job", "begun").unwrap();
+    recorder.event(Severity::Info, "job", "begun").unwrap();
     recorder.set_time(wall(1_250));
     recorder.samples(0, &[sample(1)]).unwrap();
     recorder.finish().unwrap();
@@ -292,8 +293,8 @@ fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_cl
     let mut times_ms = Vec::new();
     for (time_s, entry) in entries(&bytes) {
         let what = match entry {
-            Entry::Moment(moment) => moment.sample.t_ms.to_string(),
-            Entry::Event(event) if event.name == "link" || event.name == "job" => event.text[..4].to_owned(),
+            RecordingEntry::Moment(moment) => moment.sample.t_ms.to_string(),
+            RecordingEntry::Event(event) if event.name == "link" || event.name == "job" => event.text[..4].to_owned(),
             _ => continue,
         };
         times_ms.push(format!("{what} at {:.0}", time_s * 1e3));

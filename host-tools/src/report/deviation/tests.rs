@@ -1,4 +1,5 @@
 use super::*;
+use crate::random::Lcg;
 
 /// Speed with which gaps are bounded, mm/s.
 const SPEED_MM_S: f64 = 400.0;
@@ -190,11 +191,8 @@ fn a_stroke_without_ink_leaves_the_ink_of_the_others_with_their_own() {
 
 /// Vertices at random within 0.03 mm, as a digitiser's noise, and a line of 30 mm behind them.
 fn noise(count: usize) -> Vec<Position> {
-    let mut state = 5_u64;
-    let mut random = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        0.06 * ((state >> 33) as f64 / (1_u64 << 31) as f64 - 0.5)
-    };
+    let mut random = Lcg::new(5);
+    let mut random = || random.between(-0.03, 0.03);
     let mut points: Vec<Position> = (0..count).map(|_| place(random(), random())).collect();
     points.push(place(30.0, 0.0));
     points

@@ -1,0 +1,300 @@
+//! Connects the machine with the hub: news become state, answers to orders become lines of the log.
+//!
+//! Invariant: only ordered motions are carried out. Without an order, a machine that has just started only gets its
+//! configuration and brings up its bus.
+
+use super::hub::{Hub, Level, Topic};
+use super::page_text::for_page;
+use super::{Console, lock};
+use crate::job::error::Phase;
+use crate::job::{JobEvent, Ready};
+use crate::link::text;
+use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
+use etherpen::application::Mode;
+use etherpen::link::protocol::Command;
+use etherpen::robot::Position;
+use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, Instant};
+
+/// Name of the stop order.
+pub(super) const STOP: &str = "STOP";
+/// Most news queued.
+pub(super) const NEWS_MAX: usize = 4_096;
+/// Longest wait for news.
+const WAIT: Duration = Duration::from_millis(20);
+/// Time within which all news of an ended drawing have arrived.
+const SETTLED: Duration = Duration::from_millis(500);
+/// Time before the bring-up of a bus is retried after a failure.
+const PREPARED_AGAIN: Duration = Duration::from_secs(2);
+/// Text for a drawing whose firmware was restarted.
+const RESTARTED: &str = "the controller started anew while it was drawing, and the robot stopped where it was; it knows \
+                         neither the drawing nor where the arms stand any more";
+/// Most orders with pending answers.
+const EXPECTED_MAX: usize = 256;
+
+/// Waits for answers to orders.
+#[derive(Default)]
+pub(super) struct EventPump {
+    expected: Mutex<Vec<(&'static str, Receiver<Answer>)>>,
+    /// Viewers that have asked for stops not yet logged.
+    stops: Mutex<Vec<String>>,
+    /// Time at which the bring-up of the bus was ordered, and its answer.
+    preparing: Mutex<Option<(Instant, Receiver<Answer>)>>,
+    /// The drawing in progress, with its activation.
+    drawing: Mutex<Option<(u64, Receiver<Answer>)>>,
+    /// The activation whose order failed, with reason and time.
+    refused: Mutex<Option<(u64, String, Instant)>>,
+}
+
+impl EventPump {
+    /// Reports the failure of an order once its answer arrives; of too many orders the oldest are dropped.
+    pub(super) fn expect(&self, what: &'static str, answer: Receiver<Answer>) {
+        let mut expected = lock(&self.expected);
+        if expected.len() >= EXPECTED_MAX {
+            expected.remove(0);
+        }
+        expected.push((what, answer));
+    }
+
+    /// Logs a stop, from any thread; a stop of a viewer whose earlier stop is not logged yet counts as that one.
+    pub(super) fn stop_asked(&self, who: &str, answer: Receiver<Answer>) {
+        let mut stops = lock(&self.stops);
+        if !stops.iter().any(|other| other == who) {
+            stops.push(who.to_owned());
+        }
+        drop(stops);
+        self.expect("STOP", answer);
+    }
+
+    /// Whether the bus has to be brought up now: no bring-up is in progress or has just ended.
+    fn has_to_prepare(&self) -> bool {
+        let mut preparing = lock(&self.preparing);
+        let Some((since, answer)) = preparing.as_mut() else {
+            return true;
+        };
+        match answer.try_recv() {
+            Err(TryRecvError::Empty) => return false,
+            Ok(Err(failure)) => {
+                // Reported like any other failed order.
+                let (reply, refused) = std::sync::mpsc::channel();
+                let _ = reply.send(Err(failure));
+                self.expect("bringing up the bus", refused);
+            }
+            // An answer is taken once; then the channel is closed.
+            Ok(Ok(_)) | Err(TryRecvError::Disconnected) => {}
+        }
+        since.elapsed() > PREPARED_AGAIN
+    }
+
+    /// A drawing whose order failed some time ago, with the reason; its news have arrived by then.
+    fn refused_drawing(&self) -> Option<(u64, String)> {
+        let (mut drawing, mut refused) = (lock(&self.drawing), lock(&self.refused));
+        if let Some((activation, answer)) = drawing.as_ref() {
+            match answer.try_recv() {
+                Err(TryRecvError::Empty) => {}
+                Ok(Err(failure)) => {
+                    *refused = Some((*activation, failure.to_string(), Instant::now()));
+                    *drawing = None;
+                }
+                Ok(Ok(_)) | Err(TryRecvError::Disconnected) => *drawing = None,
+            }
+        }
+        let due = refused.take_if(|(_, _, since)| since.elapsed() > SETTLED)?;
+        Some((due.0, due.1))
+    }
+
+    /// Failures of orders since the last call.
+    fn refusals(&self) -> Vec<String> {
+        let mut refusals = Vec::new();
+        lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
+            Err(TryRecvError::Empty) => true,
+            // Of very many stops at once the newest ones do the same.
+            Ok(Err(failure)) if *what == STOP && failure.text.contains(OVERTAKEN) => false,
+            Ok(Err(failure)) => {
+                // A refusal by the firmware already names what was refused.
+                let says_what = failure.text.contains("was refused");
+                refusals.push(if says_what {
+                    failure.text
+                } else {
+                    format!("{what}: {failure}")
+                });
+                false
+            }
+            Ok(Ok(_)) | Err(TryRecvError::Disconnected) => false,
+        });
+        refusals
+    }
+}
+
+/// Takes the machine's news in a separate thread until the console or the machine has ended.
+pub(super) fn pump(console: &Arc<Console>, news: Subscription) {
+    let console = Arc::downgrade(console);
+    // Without the thread the page shows that no news arrives.
+    let _ = std::thread::Builder::new()
+        .name("event pump".to_owned())
+        .spawn(move || follow(&console, &news));
+}
+
+fn follow(console: &Weak<Console>, news: &Subscription) {
+    loop {
+        let next = news.next_within(WAIT);
+        let Some(console) = console.upgrade() else { return };
+        for who in std::mem::take(&mut *lock(&console.event_pump.stops)) {
+            console.change(|hub| hub.stop_asked(&who));
+        }
+        match next {
+            Ok(next) => take(&console, next),
+            Err(NoNews::Timeout) => {}
+            Err(NoNews::Closed) => return,
+        }
+        let lost = news.take_lost();
+        if lost > 0 {
+            console.change(|hub| hub.note(Level::Warning, format!("this console was too slow for {lost} news")));
+        }
+        for refusal in console.event_pump.refusals() {
+            console.change(|hub| hub.note(Level::Warning, refusal));
+        }
+        if let Some((activation, why)) = console.event_pump.refused_drawing() {
+            console.change(|hub| hub.refused_drawing(activation, &why));
+        }
+    }
+}
+
+fn take(console: &Console, news: News) {
+    match news {
+        News::Samples { missing, samples } => console.hub().take_samples(missing, &samples),
+        News::Status(status) => {
+            console.change(|hub| {
+                if status.mode == Mode::Startup && !hub.jobs.is_restarted() && hub.jobs.restarted() {
+                    hub.note(Level::Error, RESTARTED);
+                }
+                hub.take_status(&status);
+            });
+            if status.mode == Mode::Startup && console.event_pump.has_to_prepare() {
+                let answer = console.machine.order(Order::Prepare(Ready::Bus));
+                *lock(&console.event_pump.preparing) = Some((Instant::now(), answer));
+            }
+        }
+        News::Progress(progress) => console.change(|hub| {
+            if let Some(view) = hub.jobs.progress(&progress) {
+                hub.say(Topic::Progress, &view);
+            }
+        }),
+        News::Connected(welcome) => {
+            if console.change(|hub| hub.connected(&welcome)) {
+                console.order(console.ticket(), STOP, Order::Stop);
+            }
+        }
+        News::Lost(failure) => console.change(|hub| hub.lost(&failure.text)),
+        News::Reconnecting { .. } | News::Begun { .. } => {}
+        News::Job(event) => console.change(|hub| take_event(hub, event)),
+        News::Ended { result, report } => {
+            if report.is_some() {
+                console.change(|hub| {
+                    let text = match &result {
+                        Ok(()) => "drawn".to_owned(),
+                        Err(_) if hub.jobs.is_restarted() => RESTARTED.to_owned(),
+                        Err(failure) => failure.text.clone(),
+                    };
+                    match &result {
+                        Ok(()) => hub.note(Level::Info, "the drawing is done"),
+                        Err(_) => hub.note(Level::Warning, format!("the drawing ended early: {text}")),
+                    }
+                    hub.jobs.end(result.is_ok(), for_page(&text));
+                    hub.say_jobs();
+                });
+            }
+        }
+    }
+}
+
+fn take_event(hub: &mut Hub, event: JobEvent) {
+    match event {
+        JobEvent::Phase(phase) => {
+            if !matches!(phase, Phase::Connecting | Phase::Inspecting) {
+                hub.note(Level::Info, phase.to_string());
+            }
+            hub.jobs.phase(phase.to_string());
+            hub.say_jobs();
+        }
+        JobEvent::Refused(command, refusal) => {
+            let line = format!("{} was refused: {}", text::command(&command), text::refusal(&refusal));
+            hub.note(Level::Warning, line);
+        }
+        JobEvent::SamplesMissing { missing, t_ms } => {
+            let line = format!("{missing} samples of the telemetry were lost before t = {t_ms} ms");
+            hub.note(Level::Warning, line);
+        }
+        // The status reports modes and faults.
+        _ => {}
+    }
+}
+
+impl Console {
+    /// Begins with a waiting drawing; gives whether it could.
+    pub(super) fn draw(&self, heard: Ticket, number: u64) -> bool {
+        let drawing = self.change(|hub| {
+            let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
+            hub.say_jobs();
+            drawing
+        });
+        let Some(((name, path), activation)) = drawing else {
+            return false;
+        };
+        self.order_drawing(heard, activation, name, crate::job::DrawTask::new(path));
+        true
+    }
+
+    /// Continues an unfinished drawing.
+    ///
+    /// # Errors
+    /// Why it cannot go on now, as a person reads it.
+    pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
+        let unfinished = self.change(|hub| {
+            if hub.status().is_none_or(|status| !status.referenced) {
+                return Err("the controller does not know where the arms stand; take the reference, then go on");
+            }
+            let unfinished = hub.jobs.go_on(number, &self.config);
+            hub.say_jobs();
+            unfinished.map(|unfinished| (unfinished, hub.jobs.activation().unwrap_or_default()))
+        });
+        let (unfinished, activation) = unfinished?;
+        let drawing = crate::job::DrawTask {
+            may_reference: unfinished.is_whole,
+            ..crate::job::DrawTask::new(unfinished.path)
+        };
+        self.order_drawing(heard, activation, unfinished.name, drawing);
+        Ok(())
+    }
+
+    fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::job::DrawTask) {
+        let order = DrawOrder {
+            drawing,
+            name,
+            keep_samples: false,
+        };
+        let answer = self.machine.order_for(heard, Order::Draw(order));
+        *lock(&self.event_pump.drawing) = Some((activation, answer));
+    }
+
+    /// The reference at the last pose in which the arms were referenced; the firmware checks it against its resolvers
+    /// and against the last position of the platform.
+    pub(super) fn reference_here(&self) -> Option<Command> {
+        let hub = self.hub();
+        let (known, status) = (hub.known()?, hub.status()?);
+        let increments = crate::job::reference::all(&status.increments)?;
+        let [x_mm, y_mm, z_mm] = known.platform_mm.map(f64::from);
+        let wanted = crate::job::reference::Wanted {
+            pose: crate::job::reference::Pose::Seen(known.joints_rad.map(f64::from)),
+            position: Some(Position { x_mm, y_mm, z_mm }),
+            calibrate: false,
+        };
+        Some(wanted.command(&self.config, &increments))
+    }
+
+    /// Jogs; a machine that does not want to says so by its mode.
+    pub(super) fn jog(&self, heard: Ticket, velocity_mm_s: [f32; 3]) {
+        drop(self.machine.order_for(heard, Order::Jog(velocity_mm_s)));
+    }
+}

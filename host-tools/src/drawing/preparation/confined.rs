@@ -1,0 +1,261 @@
+//! Converts external files into strokes in a separate process, with limits on memory and processor time.
+//!
+//! The readers already limit what they make of a file. If these limits, the ordering's search or a library fail, only
+//! the separate process ends: a console that draws continues, and the error describes what the file caused. The process
+//! is this program with a hidden command. It gets the file's content on standard input and answers on standard output,
+//! so it needs no file permissions except for fonts.
+//!
+//! `order` and `vectorize` read their file without it: nothing else runs in their own process, and they move no robot.
+
+use super::compose::{Composed, compose_content};
+use super::source::SourceArguments;
+use super::wire::{from_wire, to_wire};
+use crate::drawing::{Drawing, Layer};
+use crate::error::{ProgramError, code};
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use image::RgbImage;
+use rustix::process::{Resource, Rlimit, setrlimit};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use signal_hook::consts::{SIGABRT, SIGINT, SIGKILL, SIGSEGV, SIGTERM};
+use std::io::{self, Read, Write};
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Most memory that the process may map, bytes. The largest picture accepted takes a quarter of it.
+const MEMORY_MAX_BYTES: u64 = 4 << 30;
+/// Most processor time of the process, s: ten times the time for the largest sample.
+const PROCESSOR_MAX_S: u64 = 120;
+/// Most bytes of its answer: a path of all points that are accepted, and a picture.
+const ANSWER_MAX_BYTES: u64 = 2 << 30;
+/// Signal for exhausted processor time.
+const SIGXCPU: i32 = 24;
+/// The hidden command.
+pub const COMMAND: &str = "compose-confined";
+
+/// Whether this program has the hidden command.
+static IS_ENABLED: AtomicBool = AtomicBool::new(false);
+
+/// Declares that this program has the hidden command; without it files are read in the caller's process.
+pub fn enable() {
+    IS_ENABLED.store(true, Ordering::Relaxed);
+}
+
+/// Whether files are read in a separate process.
+pub(super) fn is_enabled() -> bool {
+    IS_ENABLED.load(Ordering::Relaxed)
+}
+
+/// What the process is asked for; the file's content follows.
+#[derive(Serialize, Deserialize)]
+struct Request {
+    name: String,
+    config: Config,
+    options: SourceArguments,
+}
+
+/// What it answers; the picture's bytes follow.
+#[derive(Serialize, Deserialize)]
+enum Answer {
+    Composed {
+        /// Width and height of the picture, pixels, and its place on the sheet, mm.
+        photograph: Option<([u32; 2], [f64; 4])>,
+        parts: Vec<(Layer, Drawing)>,
+        path: Vec<PathVertex>,
+        planned_s: Option<f64>,
+    },
+    Refused {
+        code: u8,
+        message: String,
+    },
+}
+
+/// Reads, vectorises and orders a file's content in a process of its own.
+///
+/// # Errors
+/// Errors of [`compose_content`], and a failure of the process.
+pub(super) fn compose(
+    file: &Path,
+    content: Vec<u8>,
+    config: &Config,
+    options: &SourceArguments,
+) -> Result<Composed, ProgramError> {
+    let failed = |cause: &dyn std::fmt::Display| ProgramError::failed("the file cannot be prepared", cause);
+    let request = Request {
+        name: file.to_string_lossy().into_owned(),
+        config: config.clone(),
+        options: options.clone(),
+    };
+    let request = framed(&request, content).map_err(|cause| failed(&cause))?;
+    // The program itself, even where its file has been replaced since.
+    let mut command = Command::new("/proc/self/exe");
+    command.arg(COMMAND);
+    let (status, answer) = exchange(&mut command, request).map_err(|cause| failed(&cause))?;
+    if let Some(cause) = death(status) {
+        let message = format!("{}: {cause}", file.display());
+        let code = if status.signal() == Some(SIGINT) {
+            code::INTERRUPTED
+        } else {
+            code::INPUT
+        };
+        return Err(ProgramError::new(code, message));
+    }
+    let (answer, picture) = unframed::<Answer>(&answer).ok_or_else(|| failed(&"its answer is damaged"))?;
+    match answer {
+        Answer::Refused { code, message } => Err(ProgramError { code, message }),
+        Answer::Composed {
+            photograph,
+            parts,
+            path,
+            planned_s,
+        } => Ok(Composed {
+            photograph: photograph.and_then(|([width, height], place_mm)| {
+                Some((RgbImage::from_raw(width, height, picture.to_vec())?, place_mm))
+            }),
+            parts,
+            path: path.iter().map(from_wire).collect(),
+            planned_s,
+        }),
+    }
+}
+
+/// Runs the hidden command: limits itself, then answers one request.
+///
+/// # Errors
+/// The limits cannot be set, or the request cannot be read.
+pub fn run() -> Result<(), ProgramError> {
+    let failed = |cause: &dyn std::fmt::Display| ProgramError::failed("preparing a file", cause);
+    for (resource, most) in [
+        (Resource::As, MEMORY_MAX_BYTES),
+        (Resource::Cpu, PROCESSOR_MAX_S),
+        (Resource::Core, 0),
+    ] {
+        let limit = Rlimit {
+            current: Some(most),
+            maximum: Some(most),
+        };
+        setrlimit(resource, limit).map_err(|cause| failed(&cause))?;
+    }
+    let mut request = Vec::new();
+    io::stdin()
+        .lock()
+        .read_to_end(&mut request)
+        .map_err(|cause| failed(&cause))?;
+    let (asked, content) = unframed::<Request>(&request).ok_or_else(|| failed(&"there is no request"))?;
+    let composed = compose_content(Path::new(&asked.name), content, &asked.config, &asked.options);
+    let (answer, picture) = match composed {
+        Err(ProgramError { code, message }) => (Answer::Refused { code, message }, Vec::new()),
+        Ok(composed) => {
+            let (photograph, picture) = composed.photograph.map_or((None, Vec::new()), |(picture, place_mm)| {
+                (
+                    Some(([picture.width(), picture.height()], place_mm)),
+                    picture.into_raw(),
+                )
+            });
+            let answer = Answer::Composed {
+                photograph,
+                parts: composed.parts,
+                path: composed.path.iter().map(to_wire).collect(),
+                planned_s: composed.planned_s,
+            };
+            (answer, picture)
+        }
+    };
+    let answer = framed(&answer, picture).map_err(|cause| failed(&cause))?;
+    let mut out = io::stdout().lock();
+    out.write_all(&answer)
+        .and_then(|()| out.flush())
+        .map_err(|cause| failed(&cause))
+}
+
+/// A message and bytes behind it: the message's length, the message, the bytes.
+fn framed(message: &impl Serialize, mut bytes: Vec<u8>) -> Result<Vec<u8>, postcard::Error> {
+    let message = postcard::to_extend(message, Vec::new())?;
+    let mut result = (message.len() as u64).to_le_bytes().to_vec();
+    result.extend(message);
+    result.append(&mut bytes);
+    Ok(result)
+}
+
+fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Option<(T, &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<8>()?;
+    let (message, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    Some((postcard::from_bytes(message).ok()?, rest))
+}
+
+/// Passes a request to a process and takes its answer.
+fn exchange(command: &mut Command, request: Vec<u8>) -> io::Result<(ExitStatus, Vec<u8>)> {
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+    let (input, output) = (child.stdin.take(), child.stdout.take());
+    let mut answer = Vec::new();
+    let read = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            // A process that has ended does not take it; its end says why.
+            let _ = input.map(|mut input| input.write_all(&request));
+        });
+        output.map_or(Ok(0), |output| output.take(ANSWER_MAX_BYTES).read_to_end(&mut answer))
+    });
+    Ok((child.wait()?, read.map(|_| answer)?))
+}
+
+/// The cause of a process's end before it answered.
+fn death(status: ExitStatus) -> Option<String> {
+    let cause = match status.signal() {
+        None if status.success() => return None,
+        None => "preparing it failed; this is a mistake in the program: please report it with the file".to_owned(),
+        Some(SIGXCPU | SIGKILL) => format!(
+            "preparing it takes more than {PROCESSOR_MAX_S} s of processor time; simplify its lines, or split the file"
+        ),
+        Some(SIGABRT | SIGSEGV) => format!(
+            "preparing it takes more than {} GB of memory, or its elements are nested too deeply; simplify its lines, or \
+             split the file",
+            MEMORY_MAX_BYTES >> 30
+        ),
+        Some(SIGINT | SIGTERM) => "ended before it was prepared".to_owned(),
+        Some(signal) => format!("preparing it was ended by signal {signal}"),
+    };
+    Some(cause)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(script: &str) -> (ExitStatus, Vec<u8>) {
+        let mut command = Command::new("sh");
+        command.arg("-c").arg(script).stderr(Stdio::null());
+        exchange(&mut command, vec![b'x'; 1 << 20]).expect("a shell")
+    }
+
+    #[test]
+    fn a_process_that_exceeds_a_limit_or_dies_becomes_an_error_that_names_it() {
+        for (script, expected) in [
+            ("ulimit -t 1; while :; do :; done", "processor time"),
+            ("kill -KILL $$", "processor time"),
+            ("kill -ABRT $$", "memory"),
+            ("kill -SEGV $$", "nested"),
+            ("kill -INT $$", "ended before"),
+            ("exit 101", "mistake"),
+        ] {
+            let cause = death(shell(script).0).expect(script);
+            assert!(cause.contains(expected), "{script}: {cause}");
+        }
+        let (status, answer) = shell("cat");
+        assert_eq!((death(status), answer.len()), (None, 1 << 20));
+    }
+
+    #[test]
+    fn messages_keep_the_bytes_behind_them_and_damaged_ones_are_none() {
+        let bytes = framed(&("name", 7_u32), vec![1, 2, 3]).expect("memory");
+        assert_eq!(
+            unframed::<(String, u32)>(&bytes),
+            Some((("name".to_owned(), 7), &[1_u8, 2, 3][..]))
+        );
+        for length in 0..bytes.len() - 3 {
+            assert_eq!(unframed::<(String, u32)>(&bytes[..length]), None);
+        }
+    }
+}

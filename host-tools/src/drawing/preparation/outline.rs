@@ -1,0 +1,238 @@
+//! The border of a drawing, driven with the pen up to check that it is on the paper.
+
+use super::wire::as_sent;
+use super::wire::to_wire;
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use etherpen::motion::{Admission, Pen, Vertex};
+use etherpen::robot::Position;
+
+/// A path around everything that `path` draws, pen up, at the height of travel, back to its beginning. It follows the
+/// axis-aligned rectangle, or the convex hull if the robot cannot reach a corner of the rectangle. Also returns the
+/// rectangle's width and height, mm. `None` for a path that draws nothing.
+pub fn around(path: &[Vertex], config: &Config) -> Option<(Vec<PathVertex>, [f64; 2])> {
+    let drawn: Vec<[f64; 2]> = (path.windows(2).filter(|pair| pair[1].pen == Pen::Down))
+        .flat_map(|pair| [pair[0].position, pair[1].position])
+        .map(|position| [position.x_mm, position.y_mm])
+        .collect();
+    let first = *drawn.first()?;
+    let [low, high] = drawn.iter().fold([first; 2], |[low, high], point| {
+        [
+            [0, 1].map(|k| low[k].min(point[k])),
+            [0, 1].map(|k| high[k].max(point[k])),
+        ]
+    });
+    let rectangle = vec![[low[0], high[1]], high, [high[0], low[1]], low];
+    let closed = |mut corners: Vec<[f64; 2]>| {
+        corners.extend(corners.first().copied());
+        let vertex = |&[x_mm, y_mm]: &[f64; 2]| Vertex {
+            position: Position {
+                x_mm,
+                y_mm,
+                z_mm: config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+            },
+            pen: Pen::Up,
+            stroke: 0,
+        };
+        corners.iter().map(vertex).collect::<Vec<Vertex>>()
+    };
+    let mut border = closed(rectangle);
+    if !is_admitted(&border, config) {
+        border = closed(hull(drawn));
+    }
+    Some((
+        as_sent(&border).iter().map(to_wire).collect(),
+        [high[0] - low[0], high[1] - low[1]],
+    ))
+}
+
+fn is_admitted(path: &[Vertex], config: &Config) -> bool {
+    let Ok(mut admission) = Admission::new(&config.motion_settings()) else {
+        return false;
+    };
+    (0..)
+        .zip(path)
+        .all(|(index, vertex)| admission.check(index, vertex).is_ok())
+}
+
+/// The convex hull of points, counter-clockwise (Andrew's monotone chain, 1979).
+fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    points.dedup();
+    if points.len() < 3 {
+        return points;
+    }
+    let turns_left =
+        |a: &[f64; 2], b: &[f64; 2], c: &[f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0;
+    let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
+        let mut chain: Vec<[f64; 2]> = Vec::new();
+        for point in points {
+            while let [.., a, b] = chain.as_slice()
+                && !turns_left(a, b, &point)
+            {
+                chain.pop();
+            }
+            chain.push(point);
+        }
+        chain.pop();
+        chain
+    };
+    let mut result = chain(&mut points.iter().copied());
+    result.extend(chain(&mut points.iter().rev().copied()));
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::{Cell, CellOptions};
+    use crate::drawing::preparation::prepare::prepare;
+    use crate::drawing::{Drawing, Stroke, to_path};
+    use crate::emulator::Segment;
+    use crate::job::{Job, JobOptions};
+    use crate::simulation::{self, Host};
+    use etherpen::application::Mode;
+
+    /// A cell that notes where the platform is each millisecond.
+    struct Watched {
+        cell: Cell,
+        places: Vec<Position>,
+    }
+
+    impl Segment for Watched {
+        fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+            self.cell.frame(time_us, frame)
+        }
+
+        fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+            self.cell.frame_at_ns(time_ns, frame)
+        }
+
+        fn advance_to(&mut self, time_us: u64) {
+            self.cell.advance_to(time_us);
+            self.places.push(self.cell.state().platform.unwrap_or_default());
+        }
+    }
+
+    /// Notes the milliseconds in which a path is executed.
+    struct Watching {
+        job: Job,
+        executed: Vec<bool>,
+    }
+
+    impl Host for Watching {
+        fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+            self.job.step(u64::from(ms), from_firmware, to_firmware, room);
+            let mode = self.job.sample().map(|sample| sample.mode);
+            self.executed.push(mode == Some(Mode::Drawing));
+        }
+
+        fn is_over(&self) -> bool {
+            self.job.outcome().is_some()
+        }
+    }
+
+    /// Where the cell's platform went along a border.
+    fn went(border: &[PathVertex], config: &Config) -> (Cell, Vec<Position>) {
+        let mut cell = Watched {
+            cell: Cell::new(config, CellOptions::default()),
+            places: Vec::new(),
+        };
+        let mut host = Watching {
+            job: Job::draw(config.clone(), border.to_vec(), JobOptions::default()),
+            executed: Vec::new(),
+        };
+        simulation::run(&mut cell, &mut host, 120_000);
+        assert_eq!(host.job.outcome(), Some(&Ok(())));
+        let Watched { cell, places } = cell;
+        let executed = places
+            .iter()
+            .zip(&host.executed)
+            .filter(|(_, is_executed)| **is_executed);
+        (cell, executed.map(|(place, _)| *place).collect())
+    }
+
+    #[test]
+    fn the_pen_goes_around_the_drawing_and_touches_nothing() {
+        let config = Config::default();
+        let file = crate::setup::workspace().join("samples/strokes.csv");
+        let prepared = prepare(&file, &config).expect("the sample");
+        let (border, size_mm) = around(&prepared.path, &config).expect("strokes");
+        let (cell, places) = went(&border, &config);
+        assert!(cell.ink().is_empty(), "{} lines of ink", cell.ink().len());
+        let lowest_mm = places.iter().map(|place| place.z_mm).fold(f64::INFINITY, f64::min);
+        assert!(
+            lowest_mm > config.paper.pen_down_z_mm + 0.8 * config.paper.pen_lift_mm,
+            "{lowest_mm}"
+        );
+        // The rectangle, from the path itself.
+        let drawn = || {
+            prepared
+                .path
+                .windows(2)
+                .filter(|pair| pair[1].pen == Pen::Down)
+                .flatten()
+                .map(|vertex| vertex.position)
+        };
+        let edges = |at: fn(&Position) -> f64| {
+            drawn().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], place| {
+                [low.min(at(&place)), high.max(at(&place))]
+            })
+        };
+        let ([left, right], [near, far]) = (edges(|place| place.x_mm), edges(|place| place.y_mm));
+        assert!((size_mm[0] - (right - left)).abs() < 1e-9 && (size_mm[1] - (far - near)).abs() < 1e-9);
+        for [x_mm, y_mm] in [[left, near], [left, far], [right, near], [right, far]] {
+            let away_mm = places
+                .iter()
+                .map(|place| (place.x_mm - x_mm).hypot(place.y_mm - y_mm))
+                .fold(f64::INFINITY, f64::min);
+            assert!(away_mm < 1.0, "{away_mm} mm from the corner {x_mm}, {y_mm}");
+        }
+        // Once it has come to the border it stays on it until it has been around.
+        let off_mm = |place: &Position| {
+            let inside = (place.x_mm - left)
+                .min(right - place.x_mm)
+                .min(place.y_mm - near)
+                .min(far - place.y_mm);
+            inside.abs()
+        };
+        let first = places.iter().position(|place| off_mm(place) < 0.2).expect("the border");
+        let last = places
+            .iter()
+            .rposition(|place| off_mm(place) < 0.2)
+            .expect("the border");
+        let way_mm: f64 = places[first..=last]
+            .windows(2)
+            .map(|pair| (pair[1].x_mm - pair[0].x_mm).hypot(pair[1].y_mm - pair[0].y_mm))
+            .sum();
+        assert!(
+            (way_mm - 2.0 * (size_mm[0] + size_mm[1])).abs() < 4.0,
+            "{way_mm} mm around {size_mm:?}"
+        );
+        assert!(places[first..=last].iter().all(|place| off_mm(place) < 1.0));
+    }
+
+    #[test]
+    fn where_a_corner_is_out_of_reach_the_border_is_the_hull() {
+        let mut config = Config::default();
+        config.paper.size_mm = [600.0, 600.0];
+        config.work_area.radius_mm = 150.0;
+        let ring = (0..=60).map(|k| f64::from(k) * std::f64::consts::TAU / 60.0);
+        let points = ring
+            .map(|angle| [300.0 + 140.0 * angle.cos(), 300.0 + 140.0 * angle.sin()])
+            .collect();
+        let drawing = Drawing {
+            sheet_mm: config.paper.size_mm,
+            strokes: vec![Stroke { points }],
+        };
+        let (border, size_mm) = around(&to_path(&drawing, &config.paper), &config).expect("a ring");
+        assert!((size_mm[0] - 280.0).abs() < 0.1, "{size_mm:?}");
+        assert!(border.len() >= 60, "{}", border.len());
+        assert!(border.iter().all(|vertex| vertex.pen == Pen::Up));
+    }
+
+    #[test]
+    fn a_path_that_draws_nothing_has_no_border() {
+        assert!(around(&[], &Config::default()).is_none());
+    }
+}

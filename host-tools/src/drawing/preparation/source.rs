@@ -1,0 +1,198 @@
+//! Options for the conversion of a file into strokes, shared by all commands that draw or show one.
+
+use crate::drawing::{
+    FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm,
+    parse_size_mm,
+};
+use etherpen::config::Config;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// How a file becomes strokes on the sheet. Lengths take a unit (mm, cm, in, pt, px); without one they are millimetres.
+#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
+#[command(next_help_heading = "From the file to strokes")]
+pub struct SourceArguments {
+    /// Scale vectors to the sheet inside its margin, instead of keeping their true size.
+    #[arg(long, conflicts_with = "size")]
+    fit: bool,
+    /// Largest width and height on the sheet: 120x80mm, 90mm, a6, a6-landscape; the shape is kept.
+    #[arg(long, value_name = "SIZE", value_parser = parse_size_mm)]
+    size: Option<Size>,
+    /// White border of the sheet that photographs and --fit leave [default: 4mm].
+    #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
+    margin: Option<f64>,
+    /// Turn clockwise; photographs by quarters only.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    rotate: f64,
+    /// Where the upper left corner lies on the sheet, from the sheet's own; without it the drawing is centred.
+    #[arg(long, value_name = "X,Y", value_parser = parse_point_mm, allow_hyphen_values = true)]
+    origin: Option<Size>,
+    /// Only the vectors' layer of this name or number (Inkscape's label, or the colour as #rrggbb); can be repeated.
+    #[arg(long, value_name = "LAYER")]
+    layer: Vec<String>,
+    #[command(flatten)]
+    text: TextArguments,
+    /// Keep the file's order and directions; only gaps under the pen's width are closed.
+    #[arg(long)]
+    keep_order: bool,
+    /// Width of the pen's line [default: 0.5mm].
+    #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
+    pen_width: Option<f64>,
+    /// Photographs: edges with hatching along the picture's flow, or straight; the flow alone; one single line.
+    #[arg(long, value_name = "STYLE", default_value = "sketch", value_parser = Style::NAMES)]
+    style: String,
+    /// Photographs: how fine edges and lines become, 0 (few) to 1 (many) [default: 0.5].
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    detail: Option<f64>,
+    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Kept by coarser lines everywhere; used to
+    /// 97 percent or more unless the whole picture takes less [default: as detailed as suits about 110s].
+    #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
+    max_time: Option<f64>,
+    /// Photographs: most strokes [default: 900; with --max-time as many as fit].
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    max_strokes: Option<u32>,
+    /// Photographs: seed of everything random [default: 1].
+    #[arg(long, value_name = "NUMBER")]
+    seed: Option<u64>,
+}
+
+/// What text in an SVG is drawn with.
+#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct TextArguments {
+    /// Text in an SVG: letters of single lines, instead of the outlines of a font.
+    #[arg(long)]
+    single_stroke: bool,
+    /// Text in an SVG: outlines of this TrueType or OpenType font, instead of the installed ones.
+    #[arg(long, value_name = "FILE", value_parser = |path: &str| FontFile::read(path), conflicts_with = "single_stroke")]
+    font: Option<FontFile>,
+}
+
+impl TextArguments {
+    /// What text is drawn with.
+    #[must_use]
+    pub fn font(&self) -> TextFont {
+        match &self.font {
+            Some(file) => TextFont::File(file.clone()),
+            None if self.single_stroke => TextFont::SingleStroke,
+            None => TextFont::Installed,
+        }
+    }
+
+    /// All files that a command with these options reads, among them the configuration file.
+    #[must_use]
+    pub fn inputs(&self, file: &Path, config: Option<PathBuf>) -> Vec<PathBuf> {
+        let font = self.font.as_ref().map(|font| font.path().to_owned());
+        [Some(file.to_owned()), config, font].into_iter().flatten().collect()
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("a number from 0 to 1 is needed".to_owned()),
+    }
+}
+
+/// A time that limits no drawing, s.
+const UNBOUNDED_S: f64 = 1e9;
+
+/// Two lengths, mm.
+type Size = [f64; 2];
+
+impl SourceArguments {
+    /// Where vectors go on the sheet.
+    #[must_use]
+    pub fn placement(&self) -> Placement {
+        let plain = Placement::default();
+        Placement {
+            fit: self.fit,
+            size_mm: self.size,
+            margin_mm: self.margin.unwrap_or(plain.margin_mm),
+            rotate_deg: self.rotate,
+            origin_mm: self.origin,
+            layers: self.layer.clone(),
+        }
+    }
+
+    /// Whether anything differs from what a command line without options says.
+    #[must_use]
+    pub fn is_given(&self) -> bool {
+        #[derive(clap::Parser)]
+        struct Plain {
+            #[command(flatten)]
+            source: SourceArguments,
+        }
+        let plain = <Plain as clap::Parser>::try_parse_from([""]).map(|plain| plain.source);
+        // Both are made of the same fields in the same order.
+        plain.is_ok_and(|plain| serde_json::to_value(self).ok() != serde_json::to_value(plain).ok())
+    }
+
+    /// These options for one layer alone, placed where it lies among the other layers.
+    #[must_use]
+    pub fn only(&self, layer: &str) -> Self {
+        Self {
+            layer: vec![layer.to_owned()],
+            ..self.clone()
+        }
+    }
+
+    /// How a photograph becomes strokes on the configured sheet.
+    #[must_use]
+    pub fn vectorize_options(&self, config: &Config) -> VectorizeOptions {
+        let plain = VectorizeOptions::default();
+        VectorizeOptions {
+            sheet_mm: config.paper.size_mm,
+            margin_mm: self.margin.unwrap_or(plain.margin_mm),
+            size_mm: self.size,
+            origin_mm: self.origin,
+            pen_width_mm: self.pen_width.unwrap_or(plain.pen_width_mm),
+            style: Style::from_name(&self.style).unwrap_or_default(),
+            detail: self.detail.unwrap_or(plain.detail),
+            // A time that is asked for is met by planning, with all the detail that the pen's width allows.
+            strokes_max: match (self.max_strokes, self.max_time) {
+                (Some(count), _) => count as usize,
+                (None, Some(_)) => usize::MAX,
+                (None, None) => plain.strokes_max,
+            },
+            time_max_s: self.max_time.map_or(plain.time_max_s, |_| UNBOUNDED_S),
+            seed: self.seed.unwrap_or(plain.seed),
+        }
+    }
+
+    /// Longest time that a photograph's drawing may take, s, if one is asked for.
+    #[must_use]
+    pub fn time_budget_s(&self) -> Option<f64> {
+        self.max_time
+    }
+
+    /// Quarters by which a photograph is turned clockwise, 0 to 3; `None` where it is turned by anything else.
+    #[must_use]
+    pub fn quarters(&self) -> Option<u8> {
+        let quarters = self.rotate / 90.0;
+        (quarters.fract() == 0.0).then(|| quarters.rem_euclid(4.0) as u8)
+    }
+
+    /// Width of the pen's line, mm.
+    #[must_use]
+    pub fn pen_width_mm(&self) -> f64 {
+        self.pen_width.unwrap_or(VectorizeOptions::default().pen_width_mm)
+    }
+
+    /// What text is drawn with.
+    #[must_use]
+    pub fn font(&self) -> TextFont {
+        self.text.font()
+    }
+
+    /// All files that a command with these options reads, among them the configuration file.
+    #[must_use]
+    pub fn inputs(&self, file: &Path, config: Option<PathBuf>) -> Vec<PathBuf> {
+        self.text.inputs(file, config)
+    }
+
+    /// Whether the file's order stays.
+    #[must_use]
+    pub fn keeps_order(&self) -> bool {
+        self.keep_order
+    }
+}

@@ -1,0 +1,127 @@
+use super::*;
+use crate::drawing::preparation::prepare::compose;
+use crate::drawing::preparation::source::SourceArguments;
+use clap::Parser;
+use std::path::PathBuf;
+
+/// Squares of the sheet, a side.
+const SQUARES: usize = 4;
+/// Least share of the ink that a square has for its share to be compared.
+const SHARE_OF_INK_MIN: f64 = 0.02;
+/// How a square's share of the ink may change against the drawing of all detail, as factors.
+const SHARE_CHANGE: [f64; 2] = [0.5, 2.0];
+
+#[derive(Parser)]
+#[command(no_binary_name = true)]
+struct CommandLine {
+    #[command(flatten)]
+    source: SourceArguments,
+}
+
+fn options(words: &[&str]) -> SourceArguments {
+    CommandLine::parse_from(words).source
+}
+
+fn drawn(file: &str, words: &[&str]) -> Result<(Drawing, f64), String> {
+    let config = Config::default();
+    let path: PathBuf = crate::setup::workspace().join("samples").join(file);
+    let composed = compose(&path, &config, &options(words)).map_err(|error| error.message)?;
+    let planned_s = planned_s(&config, &composed.path);
+    assert!(
+        composed
+            .planned_s
+            .is_none_or(|known_s| (known_s - planned_s).abs() < 1e-6),
+        "{file} {words:?}"
+    );
+    let drawing = composed.parts.into_iter().next().map(|(_, drawing)| drawing);
+    Ok((drawing.expect("a photograph's strokes"), planned_s))
+}
+
+/// Shares of the ink in the squares of the sheet.
+fn shares(drawing: &Drawing) -> Vec<f64> {
+    let mut squares = [0.0; SQUARES * SQUARES];
+    for pair in drawing.strokes.iter().flat_map(|stroke| stroke.points.windows(2)) {
+        let [a, b] = [pair[0], pair[1]];
+        let length_mm = (b[0] - a[0]).hypot(b[1] - a[1]);
+        let pieces = length_mm.ceil().max(1.0);
+        for k in 0..pieces as usize {
+            let part = (k as f64 + 0.5) / pieces;
+            let square = [0, 1].map(|axis| {
+                let at = (a[axis] + part * (b[axis] - a[axis])) / drawing.sheet_mm[axis] * SQUARES as f64;
+                (at as usize).min(SQUARES - 1)
+            });
+            squares[square[1] * SQUARES + square[0]] += length_mm / pieces;
+        }
+    }
+    let whole: f64 = squares.iter().sum();
+    squares.iter().map(|mm| mm / whole).collect()
+}
+
+/// A budget is used to the given share, and the ink is spread over the sheet as in the drawing of all detail.
+fn assert_kept(file: &str, style: &str, budgets_s: &[f64]) {
+    let (whole, whole_s) = drawn(file, &["--style", style, "--max-time", "24h"]).expect("a photograph");
+    let expected = shares(&whole);
+    println!(
+        "{file} {style}: {whole_s:.1} s with all detail, {} strokes",
+        whole.strokes.len()
+    );
+    for budget_s in budgets_s {
+        let time = budget_s.to_string();
+        let (drawing, planned_s) = drawn(file, &["--style", style, "--max-time", &time]).expect("it can be met");
+        let found = shares(&drawing);
+        let changes = expected
+            .iter()
+            .zip(&found)
+            .filter(|(share, _)| **share >= SHARE_OF_INK_MIN);
+        let changes: Vec<f64> = changes.map(|(before, after)| after / before).collect();
+        let least = changes.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = changes.iter().copied().fold(0.0, f64::max);
+        println!(
+            "{file} {style} in {budget_s} s: {planned_s:.2} s, {} strokes, a square's share of the ink times {least:.2} to {most:.2}",
+            drawing.strokes.len()
+        );
+        let aim_s = budget_s.min(whole_s);
+        assert!(
+            planned_s <= aim_s * 1.000_001,
+            "{file} {style}: {planned_s} of {budget_s} s"
+        );
+        assert!(
+            planned_s >= SHARE_MIN * aim_s,
+            "{file} {style}: {planned_s} of {budget_s} s"
+        );
+        assert!(
+            least >= SHARE_CHANGE[0] && most <= SHARE_CHANGE[1],
+            "{file} {style}: {changes:?}"
+        );
+    }
+}
+
+#[test]
+fn a_sketch_keeps_its_time_and_loses_detail_everywhere() {
+    assert_kept("astronaut.png", "sketch", &[20.0, 75.0]);
+    assert_kept("camera.png", "sketch", &[33.0]);
+}
+
+#[test]
+fn hatching_keeps_its_time_and_loses_detail_everywhere() {
+    assert_kept("astronaut.png", "hatch", &[24.0, 90.0]);
+}
+
+#[test]
+fn flow_keeps_its_time_and_loses_detail_everywhere() {
+    assert_kept("camera.png", "flow", &[20.0, 60.0]);
+}
+
+#[test]
+fn the_single_line_keeps_its_time_and_loses_detail_everywhere() {
+    assert_kept("astronaut.png", "tsp", &[20.0, 110.0]);
+}
+
+#[test]
+fn a_time_that_is_too_short_for_anything_is_refused_with_the_shortest() {
+    let error = drawn("astronaut.png", &["--max-time", "0.2"]).expect_err("nobody is so quick");
+    assert!(
+        error.contains("cannot be drawn in 0.2 s") && error.contains("the coarsest drawing takes"),
+        "{error}"
+    );
+}

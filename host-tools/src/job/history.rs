@@ -1,0 +1,203 @@
+//! The log of drawings: one small file for each, updated during the drawing, so that an interrupted drawing can be
+//! resumed.
+//!
+//! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
+//! Its beginning and its end are synced; the progress in between is not, so a slow disk causes no delay.
+//!
+//! Invariant: `executed` never exceeds what the firmware has reported.
+
+use super::progress::Progress;
+use crate::output_file::OutputFile;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// One drawing.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HistoryEntry {
+    /// Start time, s since 1970.
+    pub begun_unix_s: u64,
+    /// Time of the last update, s since 1970.
+    pub changed_unix_s: u64,
+    /// The file that was drawn.
+    pub file: PathBuf,
+    /// Options of the conversion into strokes; null in a log of a program that did not record them.
+    #[serde(default)]
+    pub options: serde_json::Value,
+    /// The port.
+    pub port: String,
+    /// Board and firmware, once they have answered.
+    pub board: String,
+    /// Hash of the path, 16 hexadecimal digits.
+    pub path_hash: String,
+    /// Hash of the configuration, 16 hexadecimal digits.
+    pub config_hash: String,
+    /// Number under which the path, or its remainder, was sent to the firmware.
+    pub number: u16,
+    /// Vertices of the path executed before the remainder was sent to the firmware; 0 for a whole path.
+    pub given_from: u32,
+    /// Vertices executed.
+    pub executed: u32,
+    /// Vertices of the path.
+    pub vertices: u32,
+    /// Strokes started.
+    pub strokes: u32,
+    /// Strokes of the path.
+    pub strokes_total: u32,
+    /// Length drawn, mm.
+    pub pen_down_mm: f64,
+    /// Time drawn, s.
+    pub drawn_s: f64,
+    /// Whether the whole path was executed.
+    pub completed: bool,
+    /// Result of the drawing; absent while it is being drawn, or if its program was killed.
+    pub result: Option<String>,
+}
+
+impl HistoryEntry {
+    /// Takes the progress of the whole path.
+    pub fn progress(&mut self, progress: &Progress) {
+        self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
+        self.strokes = progress.strokes;
+        self.pen_down_mm = progress.pen_down_mm;
+    }
+}
+
+/// A hash in its written form.
+#[must_use]
+pub fn hash_text(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+/// The file of one drawing.
+#[derive(Clone, Debug)]
+pub struct Record {
+    path: PathBuf,
+    /// Content of the file.
+    pub entry: HistoryEntry,
+}
+
+impl Record {
+    /// Creates a drawing's file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn begin(folder: &Path, mut entry: HistoryEntry) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        entry.begun_unix_s = since.as_secs();
+        let name = format!(
+            "{:013}-{}-{}.json",
+            since.as_millis(),
+            entry.path_hash,
+            std::process::id()
+        );
+        let mut record = Self {
+            path: folder.join(name),
+            entry,
+        };
+        record.save()?;
+        Ok(record)
+    }
+
+    /// The name of this drawing in the log: what `etherpen jobs` shows and `etherpen draw --resume` takes.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Writes the entry to the disk.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&mut self) -> io::Result<()> {
+        self.written()?.commit()
+    }
+
+    /// Writes the entry without waiting for the disk.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save_unsynced(&mut self) -> io::Result<()> {
+        self.written()?.commit_unsynced()
+    }
+
+    fn written(&mut self) -> io::Result<OutputFile> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        self.entry.changed_unix_s = now.as_secs();
+        let mut out = OutputFile::create(&self.path)?;
+        out.write_all(&serde_json::to_vec_pretty(&self.entry)?)?;
+        Ok(out)
+    }
+}
+
+/// The folder of the log.
+///
+/// # Errors
+/// Neither `XDG_STATE_HOME` nor `HOME` is set.
+pub fn folder() -> io::Result<PathBuf> {
+    let from = |name: &str| {
+        std::env::var_os(name)
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+    };
+    let state = from("XDG_STATE_HOME").or_else(|| from("HOME").map(|home| home.join(".local/state")));
+    match state {
+        Some(state) => Ok(state.join("etherpen/jobs")),
+        None => Err(io::Error::new(
+            io::ErrorKind::NotFound,
+            "neither XDG_STATE_HOME nor HOME is set",
+        )),
+    }
+}
+
+/// All drawings, the oldest first. Files that cannot be read are left out.
+///
+/// # Errors
+/// The folder cannot be read; a folder that does not exist is an empty log.
+pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
+    let files = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        files => files?,
+    };
+    let mut paths: Vec<PathBuf> = files.flatten().map(|file| file.path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
+    paths.sort();
+    let records = paths.into_iter().filter_map(|path| {
+        let entry = serde_json::from_slice(&fs::read(&path).ok()?).ok()?;
+        Some(Record { path, entry })
+    });
+    Ok(records.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drawing_is_found_again_as_far_as_it_was_written() {
+        let folder = std::env::temp_dir().join(format!("etherpen-history-{}", std::process::id()));
+        assert!(list(&folder).unwrap().is_empty());
+        let entry = HistoryEntry {
+            file: "portrait.png".into(),
+            path_hash: hash_text(0xab),
+            vertices: 100,
+            ..HistoryEntry::default()
+        };
+        let mut record = Record::begin(&folder, entry).unwrap();
+        record.entry.progress(&Progress {
+            vertices: 40,
+            ..Progress::default()
+        });
+        record.save().unwrap();
+        fs::write(folder.join("0-damaged.json"), "{").unwrap();
+        let found = list(&folder).unwrap();
+        fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].entry, record.entry);
+        assert_eq!((found[0].entry.executed, found[0].entry.completed), (40, false));
+        assert_eq!(found[0].entry.path_hash, "00000000000000ab");
+    }
+}

@@ -1,0 +1,441 @@
+//! Resumes an interrupted drawing: from what the firmware holds, or else from the log.
+
+use super::DrawTask;
+use super::history::{self, Record, hash_text};
+use super::remainder::{OVERLAP_UM, Remainder};
+use crate::error::{ProgramError, code};
+use crate::link::text;
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::{PathAck, PathVertex, Status, Welcome};
+use serde::de::DeserializeOwned;
+use std::path::{Path, PathBuf};
+
+/// What a machine reports before a drawing goes on.
+#[derive(Clone, Debug, Default)]
+pub struct MachineState {
+    /// The firmware.
+    pub welcome: Option<Welcome>,
+    /// Its last status.
+    pub status: Option<Status>,
+    /// State of the path that it holds, if there is one.
+    pub path: Option<PathAck>,
+}
+
+/// What is given to the machine, and what it means for the whole path.
+pub struct ResumePlan {
+    /// The path that is given to the machine.
+    pub drawing: DrawTask,
+    /// The entry of the log, if there is one.
+    pub record: Option<Record>,
+    /// Time that was drawn before, s.
+    pub drawn_before_s: f64,
+    /// What the drawing is a part of; absent for the whole.
+    part: Option<(Remainder, usize)>,
+}
+
+impl ResumePlan {
+    /// The whole path.
+    pub fn whole(path: &[PathVertex], record: Option<Record>) -> Self {
+        Self {
+            drawing: DrawTask::new(path),
+            record,
+            drawn_before_s: 0.0,
+            part: None,
+        }
+    }
+
+    /// Vertices of the whole path that are executed when so many of this drawing are.
+    pub fn executed(&self, executed: usize) -> usize {
+        match &self.part {
+            Some((remainder, before)) => remainder.executed(executed, *before),
+            None => executed,
+        }
+    }
+}
+
+/// What is to go on.
+pub enum Resumption {
+    /// The last drawing of this file.
+    Last(PathBuf),
+    /// This job of the log.
+    Job(Box<Record>),
+}
+
+impl Resumption {
+    /// The file that was drawn.
+    pub fn file(&self) -> &Path {
+        match self {
+            Self::Last(file) => file,
+            Self::Job(record) => &record.entry.file,
+        }
+    }
+
+    /// How that file became strokes, where a job was named that noted it.
+    ///
+    /// # Errors
+    /// A file that it names, a font for instance, is not there any more.
+    pub fn source<Options: DeserializeOwned>(&self) -> Result<Option<Options>, ProgramError> {
+        let Self::Job(record) = self else { return Ok(None) };
+        serde_json::from_value(record.entry.options.clone()).map_err(|cause| {
+            let text = format!(
+                "the options of job {} cannot be used again: {cause}; name file and options beside --resume",
+                record.name()
+            );
+            ProgramError::new(code::INPUT, text)
+        })
+    }
+
+    /// The jobs of this path that may go on. The first is the one to take up, unless the firmware holds another one.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn candidates(&self, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
+        match self {
+            Self::Last(_) => candidates(&records()?, hash, file),
+            Self::Job(record) if record.entry.path_hash != hash => Err(other_path(file, record, hash)),
+            Self::Job(record) if record.entry.completed => Err(complete(&record.name())),
+            Self::Job(record) => Ok(vec![Record::clone(record)]),
+        }
+    }
+}
+
+fn records() -> Result<Vec<Record>, ProgramError> {
+    history::folder()
+        .and_then(|folder| history::list(&folder))
+        .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))
+}
+
+/// The job of the log with this name, or the only one whose name begins so.
+///
+/// # Errors
+/// There is none, or several.
+pub fn named(name: &str) -> Result<Record, ProgramError> {
+    let mut found = records()?;
+    found.retain(|record| record.name().starts_with(name));
+    if let Some(exact) = found.iter().position(|record| record.name() == name) {
+        return Ok(found.swap_remove(exact));
+    }
+    match found.as_slice() {
+        [record] => Ok(record.clone()),
+        found => {
+            let known = match found.len() {
+                0 => "no job".to_owned(),
+                several => format!("{several} jobs"),
+            };
+            let text = format!("the log has {known} of the name {name}; etherpen jobs lists them");
+            Err(ProgramError::new(code::INPUT, text))
+        }
+    }
+}
+
+fn complete(what: &str) -> ProgramError {
+    let text = format!("{what} was drawn to its end; there is nothing to go on with");
+    ProgramError::new(code::INPUT, text)
+}
+
+/// Jobs of this path: the newest that drew something, then newer ones without a stroke, of which the firmware may hold
+/// more than the log knows. If nothing was drawn yet, a job without a stroke comes first.
+fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
+    let of_path: Vec<&Record> = records
+        .iter()
+        .rev()
+        .filter(|record| record.entry.path_hash == hash)
+        .collect();
+    let drawn = of_path
+        .iter()
+        .position(|record| record.entry.completed || record.entry.strokes > 0);
+    let (without_ink, with_ink) = of_path.split_at(drawn.unwrap_or(of_path.len()));
+    match with_ink.first() {
+        Some(newest) if newest.entry.completed && without_ink.is_empty() => {
+            return Err(complete(&file.display().to_string()));
+        }
+        None if without_ink.is_empty() => {}
+        newest => {
+            return Ok(newest
+                .into_iter()
+                .chain(without_ink)
+                .map(|record| (*record).clone())
+                .collect());
+        }
+    }
+    let same_file = std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned());
+    let unfinished = |record: &&Record| record.entry.file == same_file && !record.entry.completed;
+    Err(match records.iter().rev().find(unfinished) {
+        Some(other) => other_path(file, other, hash),
+        None => {
+            let text = format!(
+                "the log of jobs knows no unfinished drawing of {} (etherpen jobs lists them); draw it without --resume",
+                file.display()
+            );
+            ProgramError::new(code::INPUT, text)
+        }
+    })
+}
+
+fn other_path(file: &Path, record: &Record, hash: &str) -> ProgramError {
+    let text = format!(
+        "{} was drawn with another path in job {} (hash {}, this one has {hash}): the file, the options or the paper and \
+         motion in the configuration have changed; draw it with the same, or from the beginning without --resume",
+        file.display(),
+        record.name(),
+        record.entry.path_hash
+    );
+    ProgramError::new(code::INPUT, text)
+}
+
+/// Looks what the machine still has of a drawing, and says how it goes on.
+///
+/// # Errors
+/// This is not the machine that drew, or it is busy with something else.
+pub fn plan(
+    candidates: Vec<Record>,
+    machine: &MachineState,
+    config: &Config,
+    path: &[PathVertex],
+) -> Result<ResumePlan, ProgramError> {
+    let record = chosen(candidates, machine)?;
+    check_board(&record, machine)?;
+    let mode = machine.status.as_ref().map(|status| status.mode);
+    let held = machine.path.filter(|ack| ack.job == record.entry.number);
+    match (held, mode) {
+        (Some(ack), Some(Mode::Holding | Mode::Drawing)) => from_firmware(record, &ack, config, path),
+        (_, Some(mode @ (Mode::Holding | Mode::Drawing | Mode::Moving))) => {
+            let text = format!(
+                "the machine is busy with something else: {}; end that first (etherpen cancel)",
+                text::mode(mode)
+            );
+            Err(ProgramError::new(code::FAILED, text))
+        }
+        _ => from_log(record, config, path),
+    }
+}
+
+/// The remainder of a path after so many executed vertices.
+fn rest_after(executed: u32, config: &Config, path: &[PathVertex]) -> Remainder {
+    let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
+    Remainder::new(path, executed as usize, OVERLAP_UM, lift_um)
+}
+
+/// Goes on with what the firmware holds.
+fn from_firmware(
+    record: Record,
+    ack: &PathAck,
+    config: &Config,
+    path: &[PathVertex],
+) -> Result<ResumePlan, ProgramError> {
+    check_config(&record, config)?;
+    let entry = &record.entry;
+    let rest = || (rest_after(entry.given_from, config, path), entry.given_from as usize);
+    let given = (entry.given_from > 0).then(rest);
+    let vertices = given
+        .as_ref()
+        .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
+    eprintln!(
+        "the firmware still holds this drawing, {} of {} vertices executed: going on exactly there",
+        ack.executed,
+        vertices.len()
+    );
+    let drawing = DrawTask {
+        held: true,
+        number: entry.number,
+        ..DrawTask::new(vertices)
+    };
+    Ok(ResumePlan {
+        drawing,
+        drawn_before_s: entry.drawn_s,
+        part: given,
+        record: Some(record),
+    })
+}
+
+/// Goes on from the last corner that the log knows.
+fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<ResumePlan, ProgramError> {
+    let executed = record.entry.executed;
+    let remainder = rest_after(executed, config, path);
+    let Some(next) = remainder.vertices.first() else {
+        record.entry.completed = true;
+        // A log that cannot be written says the same the next time.
+        let _ = record.save();
+        let text = "all strokes of this drawing were drawn; there is nothing to go on with";
+        return Err(ProgramError::new(code::INPUT, text));
+    };
+    eprintln!(
+        "the firmware does not hold this drawing any more: going on from the log at stroke {} of {}, from the last \
+         corner that the log knows; what was drawn beyond it, and {:.0} mm before it, are drawn again",
+        next.stroke.saturating_add(1),
+        record.entry.strokes_total,
+        OVERLAP_UM / 1_000.0
+    );
+    if let Err(changed) = check_config(&record, config) {
+        eprintln!("{changed}: the rest may not meet the ink exactly");
+        record.entry.config_hash = config_hash(config);
+    }
+    record.entry.given_from = executed;
+    let drawn_before_s = record.entry.drawn_s;
+    if executed == 0 {
+        return Ok(ResumePlan {
+            drawn_before_s,
+            ..ResumePlan::whole(path, Some(record))
+        });
+    }
+    Ok(ResumePlan {
+        drawing: DrawTask {
+            may_reference: false,
+            ..DrawTask::new(remainder.vertices.clone())
+        },
+        drawn_before_s,
+        part: Some((remainder, executed as usize)),
+        record: Some(record),
+    })
+}
+
+/// The job that the firmware holds; else the first.
+///
+/// # Errors
+/// That job was drawn to its end.
+fn chosen(mut candidates: Vec<Record>, machine: &MachineState) -> Result<Record, ProgramError> {
+    let mode = machine.status.as_ref().map(|status| status.mode);
+    let held = matches!(mode, Some(Mode::Holding | Mode::Drawing))
+        .then_some(machine.path)
+        .flatten();
+    // Jobs of one path have one number: the firmware has the newest of them.
+    let of_job = |ack: PathAck| {
+        let same = |record: &Record| !record.entry.completed && record.entry.number == ack.job;
+        let held = (0..candidates.len()).filter(|&index| same(&candidates[index]));
+        held.max_by_key(|&index| candidates[index].name())
+    };
+    let held = held.and_then(of_job);
+    if candidates.is_empty() {
+        return Err(ProgramError::new(code::INPUT, "there is nothing to go on with"));
+    }
+    let chosen = candidates.swap_remove(held.unwrap_or(0));
+    match chosen.entry.completed {
+        true => Err(complete(&chosen.entry.file.display().to_string())),
+        false => Ok(chosen),
+    }
+}
+
+/// Checks that this is the machine on which the drawing was started.
+fn check_board(record: &Record, machine: &MachineState) -> Result<(), ProgramError> {
+    let begun_on = &record.entry.board;
+    let welcome = machine.welcome.as_ref();
+    let board = welcome.map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
+    if begun_on.is_empty() || *begun_on == board {
+        return Ok(());
+    }
+    let text = format!(
+        "this drawing was begun on {begun_on}, this machine is {board}; go on with it there, or draw it from the beginning"
+    );
+    Err(ProgramError::new(code::FAILED, text))
+}
+
+/// Checks that this is the configuration with which the drawing was started.
+fn check_config(record: &Record, config: &Config) -> Result<(), ConfigChanged> {
+    let (then, now) = (record.entry.config_hash.clone(), config_hash(config));
+    if then == now {
+        Ok(())
+    } else {
+        Err(ConfigChanged { then, now })
+    }
+}
+
+/// The hash of a configuration as written in the log.
+pub fn config_hash(config: &Config) -> String {
+    config.hash().map(hash_text).unwrap_or_default()
+}
+
+/// Hashes of two configurations that are not the same.
+struct ConfigChanged {
+    then: String,
+    now: String,
+}
+
+impl std::fmt::Display for ConfigChanged {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { then, now } = self;
+        write!(
+            f,
+            "this drawing was begun with another configuration (hash {then}, this one has {now})"
+        )
+    }
+}
+
+impl From<ConfigChanged> for ProgramError {
+    fn from(changed: ConfigChanged) -> Self {
+        let text =
+            format!("{changed}; go on with that one (--config), or end the drawing that is held: etherpen cancel");
+        Self::new(code::USAGE, text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::history::HistoryEntry;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// The log's jobs of one path, the oldest first: strokes begun, and whether it was drawn to its end.
+    fn log(jobs: &[(u32, bool)]) -> Vec<Record> {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("etherpen-resume-{}-{number}", std::process::id()));
+        let of = |(number, (strokes, completed)): (u16, &(u32, bool))| {
+            let entry = HistoryEntry {
+                path_hash: "ab".into(),
+                number,
+                strokes: *strokes,
+                executed: 10 * strokes,
+                completed: *completed,
+                ..HistoryEntry::default()
+            };
+            Record::begin(&folder, entry).expect("a log")
+        };
+        let records = (1..).zip(jobs).map(of).collect();
+        // An empty log has no folder.
+        let _ = std::fs::remove_dir_all(&folder);
+        records
+    }
+
+    fn numbers(jobs: &[(u32, bool)]) -> Result<Vec<u16>, ProgramError> {
+        let found = candidates(&log(jobs), "ab", Path::new("portrait.png"))?;
+        Ok(found.iter().map(|record| record.entry.number).collect())
+    }
+
+    #[test]
+    fn a_job_without_a_stroke_never_shadows_one_with_strokes() {
+        assert_eq!(numbers(&[(3, false), (57, false)]).unwrap(), [2]);
+        assert_eq!(numbers(&[(57, false), (0, false), (0, false)]).unwrap(), [1, 3, 2]);
+        assert_eq!(numbers(&[(0, false), (0, false)]).unwrap(), [2, 1]);
+        let drawn = numbers(&[(57, false), (163, true)]).unwrap_err();
+        assert!(drawn.message.contains("drawn to its end"), "{}", drawn.message);
+        let again = candidates(&log(&[(163, true), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        let refused = chosen(again, &MachineState::default()).unwrap_err();
+        assert!(refused.message.contains("drawn to its end"), "{}", refused.message);
+        assert!(numbers(&[]).unwrap_err().message.contains("no unfinished drawing"));
+    }
+
+    #[test]
+    fn what_the_firmware_holds_goes_on_before_everything_else() {
+        let of_log = candidates(&log(&[(57, false), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        let mut status = crate::console::status::tests::status(Mode::Holding, None);
+        let path = |job| PathAck {
+            job,
+            ..Default::default()
+        };
+        let mut machine = MachineState {
+            status: Some(status.clone()),
+            path: Some(path(2)),
+            ..MachineState::default()
+        };
+        assert_eq!(chosen(of_log.clone(), &machine).unwrap().entry.number, 2);
+        machine.path = Some(path(9));
+        assert_eq!(chosen(of_log.clone(), &machine).unwrap().entry.number, 1);
+        machine.path = Some(path(2));
+        let again = candidates(&log(&[(163, true), (0, false)]), "ab", Path::new("portrait.png")).unwrap();
+        assert_eq!(chosen(again, &machine).unwrap().entry.number, 2, "begun a second time");
+        status.mode = Mode::DrivesOff;
+        (machine.status, machine.path) = (Some(status), Some(path(2)));
+        assert_eq!(chosen(of_log, &machine).unwrap().entry.number, 1);
+    }
+}

@@ -1,0 +1,592 @@
+//! Verification of a drawing: compares the measured path with the intended one, stroke by stroke.
+//!
+//! The firmware reports the end of a path when its references have ended. Whether the pen followed them is checked in
+//! the telemetry: each stroke's references are matched with the stroke in order, and the part between two of them
+//! counts as followed if the positions measured for both are close to it. Parts whose samples were lost on the line are
+//! neither followed nor missing: they are not verified.
+//!
+//! Strokes are compared without their noise: vertices within `THINNED_MM` of the one before do not matter. What still
+//! comes close to itself so often that matching it would cost more than `LOOKS_PER_ROW` is not verified.
+//!
+//! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
+//! never reached; [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so that
+//! the thread that writes STOP never waits for more; memory is bounded by the path, `ROWS_MAX` and `PARTS_PER_ROW`. The
+//! result does not depend on how the work is divided.
+
+mod parts;
+
+use super::error::JobError;
+use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
+use etherpen::application::Mode;
+use etherpen::config::{AxisMode, Config};
+use etherpen::link::protocol::{PathVertex, Sample};
+use etherpen::motion::Pen;
+use etherpen::robot::{Delta, JointAngles, Position};
+use parts::Parts;
+use std::collections::{HashMap, VecDeque};
+
+/// Largest distance of a measured position from its place on the stroke that counts as followed, mm. Drawings stay
+/// within 0.1 mm; the pen's spring gives ink up to 0.3 mm above the paper.
+const FOLLOWED_MM: f64 = 0.5;
+/// Largest distance for an axis in torque mode, mm: gravity and friction are left to the feedback, which takes up to 1
+/// mm.
+const FOLLOWED_BY_TORQUE_MM: f64 = 1.5;
+/// How far along the stroke from its reference a measured position may be, as a multiple of the largest distance.
+const ALONG: f64 = 2.0;
+/// Least total length of a stroke's missing parts that counts, mm: less is a dot at its ends.
+const MISSING_MIN_MM: f64 = 0.5;
+/// Length below which a difference counts as rounding, mm.
+const ROUNDING_MM: f64 = 1e-6;
+/// Distance from their stroke's ends within which references begin and end, mm.
+const END_MM: f64 = 0.5;
+/// Samples of a stroke that are matched at once.
+const SAMPLES_MAX: usize = 4_096;
+/// Vertices of a stroke within this distance of the one before are its noise, mm; well below [`FOLLOWED_MM`].
+const THINNED_MM: f64 = 0.1;
+/// Samples that wait to be matched, at most: more are not verified.
+const ROWS_MAX: usize = 32_768;
+/// Looks at a leg of the stroke that matching may take for each sample; ordinary drawings take about a hundred.
+const LOOKS_PER_ROW: usize = 2_000;
+/// Parts of the stroke that are kept for each sample while its distance is looked for, on the average.
+const PARTS_PER_ROW: usize = 64;
+/// Parts of the stroke that are kept for one sample.
+const PARTS_AT_ONCE: usize = 1_024;
+/// Looks for each leg of the stroke where samples may begin anywhere on it: each distance tried looks at all of them.
+const LOOKS_PER_LEG: usize = 40;
+/// Distance within which a stroke's first reference looks for the stroke's begin, mm.
+const BEGIN_MM: f64 = 2.0;
+/// Largest speed of references relative to the configured one: an override of 200 percent.
+const SPEED_SHARE: f64 = 2.0;
+
+/// A stroke and where it lies among all strokes.
+#[derive(Clone, Debug)]
+struct VerifiedStroke {
+    number: u32,
+    /// The first of its vertices in the path.
+    vertex: u32,
+    /// Length of all strokes before it without their noise, mm.
+    begin_mm: f64,
+    /// Its length without its noise, mm.
+    length_mm: f64,
+    /// Its length in the path divided by `length_mm`.
+    scale: f64,
+}
+
+/// Result of verifying the telemetry of a drawing; results of several connections can be merged.
+#[derive(Clone, Debug, Default)]
+pub struct Verification {
+    strokes: Vec<VerifiedStroke>,
+    followed: Parts,
+    /// Parts where the pen was elsewhere, or which it skipped.
+    off: Parts,
+}
+
+/// Verdict on a drawing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Verdict {
+    /// Length of all strokes, mm.
+    pub total_mm: f64,
+    /// Length that the pen followed, mm.
+    pub followed_mm: f64,
+    /// Length that the pen did not follow, mm.
+    pub missing_mm: f64,
+    /// Length without telemetry, mm.
+    pub unverified_mm: f64,
+    /// Strokes with a missing part, by their numbers in the path, from 0.
+    pub strokes: Vec<u32>,
+    /// Vertices of the path before the first of those strokes.
+    pub complete_vertices: u32,
+}
+
+impl Verdict {
+    /// Why the drawing is incomplete, if a part of it is missing.
+    #[must_use]
+    pub fn error(&self) -> Option<JobError> {
+        Some(JobError::NotFollowed {
+            missing_mm: self.missing_mm,
+            total_mm: self.total_mm,
+            first: *self.strokes.first()?,
+            last: *self.strokes.last()?,
+            strokes: self.strokes.len(),
+        })
+    }
+}
+
+impl Verification {
+    /// Adds the result of another connection for this path.
+    pub fn merge(&mut self, other: &Self) {
+        if self.strokes.is_empty() {
+            self.strokes.clone_from(&other.strokes);
+        }
+        self.followed.extend(&other.followed);
+        self.off.extend(&other.off);
+    }
+
+    /// The verdict.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        let mut verdict = Verdict::default();
+        let mut either = self.followed.clone();
+        either.extend(&self.off);
+        for stroke in &self.strokes {
+            let (from_mm, to_mm) = (stroke.begin_mm, stroke.begin_mm + stroke.length_mm);
+            let followed_mm = self.followed.length_between(from_mm, to_mm);
+            let seen_mm = either.length_between(from_mm, to_mm);
+            // Rounding may make the differences of sums slightly negative.
+            let missing_mm = (seen_mm - followed_mm).max(0.0);
+            verdict.total_mm += stroke.scale * stroke.length_mm;
+            verdict.followed_mm += stroke.scale * followed_mm;
+            verdict.unverified_mm += stroke.scale * (stroke.length_mm - seen_mm).max(0.0);
+            if missing_mm < MISSING_MIN_MM.min(0.5 * stroke.length_mm) || missing_mm == 0.0 {
+                continue;
+            }
+            verdict.missing_mm += stroke.scale * missing_mm;
+            if verdict.strokes.is_empty() {
+                verdict.complete_vertices = stroke.vertex;
+            }
+            if verdict.strokes.last() != Some(&stroke.number) {
+                verdict.strokes.push(stroke.number);
+            }
+        }
+        if verdict.unverified_mm < ROUNDING_MM {
+            verdict.unverified_mm = 0.0;
+        }
+        verdict
+    }
+}
+
+/// One millisecond of a stroke.
+#[derive(Clone, Copy)]
+struct StrokeRow {
+    reference: Position,
+    measured: Position,
+    /// Milliseconds since the previous row.
+    passed_ms: u32,
+    /// Whether samples are missing before this row.
+    is_after_gap: bool,
+}
+
+/// Rows of a line that are matched at once.
+struct Piece {
+    line: usize,
+    /// Empty where there were too many to be matched.
+    rows: Vec<StrokeRow>,
+    /// Whether the pen has come to the line with it.
+    begins: bool,
+}
+
+/// A piece that is being matched.
+struct Matching {
+    piece: Piece,
+    search: Search,
+    places_mm: Vec<f64>,
+    /// Whether the measured position was near the row's place, for the first rows.
+    near: Vec<bool>,
+}
+
+/// Watches a drawing's telemetry.
+pub struct Verifier {
+    result: Verification,
+    lines: Vec<Polyline>,
+    /// The first line of each stroke.
+    numbers: HashMap<u32, usize>,
+    delta: Option<Delta>,
+    age_ms: u32,
+    near_mm: f64,
+    speed_mm_s: f64,
+    /// The last samples, as many milliseconds as the age of a measurement.
+    recent: VecDeque<Sample>,
+    /// Whether samples were lost since the last row.
+    has_gap: bool,
+    /// The line that is drawn, and its rows that do not wait to be matched yet.
+    line: Option<usize>,
+    rows: Vec<StrokeRow>,
+    /// Whether none of the line's rows waits to be matched or was matched.
+    begins: bool,
+    last_ms: Option<u32>,
+    /// What waits to be matched, in order.
+    pieces: VecDeque<Piece>,
+    matching: Option<Matching>,
+    /// How far the matched references have come along all strokes, mm.
+    reached_mm: f64,
+    /// Position of the references along the present line, mm; `None` before the first match.
+    place_mm: Option<f64>,
+    /// Whether rows of the present line were left out since the last match.
+    is_line_left_out: bool,
+    /// Whether any rows were.
+    is_left_out: bool,
+    looks: usize,
+}
+
+impl Verifier {
+    /// A verifier for a path from its beginning, or for one that is resumed at any place.
+    #[must_use]
+    pub fn new(path: &[PathVertex], config: &Config, from_begin: bool) -> Self {
+        let is_torque = config.axes.iter().any(|axis| axis.mode == AxisMode::Torque);
+        let mut result = Self {
+            result: Verification::default(),
+            lines: Vec::new(),
+            numbers: HashMap::new(),
+            delta: Delta::new(&config.geometry).ok(),
+            age_ms: config.axes[0].measurement_age_ms.round().max(0.0) as u32,
+            near_mm: if is_torque { FOLLOWED_BY_TORQUE_MM } else { FOLLOWED_MM },
+            speed_mm_s: SPEED_SHARE * config.motion.speed_mm_s,
+            recent: VecDeque::new(),
+            has_gap: !from_begin,
+            line: None,
+            rows: Vec::new(),
+            begins: true,
+            last_ms: None,
+            pieces: VecDeque::new(),
+            matching: None,
+            reached_mm: 0.0,
+            place_mm: None,
+            is_line_left_out: false,
+            is_left_out: false,
+            looks: 0,
+        };
+        let mut begin_mm = 0.0;
+        for (points, number, vertex) in lines(path) {
+            let line = Polyline::new(thinned(&points, THINNED_MM));
+            let (drawn_mm, length_mm) = (length(&points), line.length_mm());
+            result.result.strokes.push(VerifiedStroke {
+                number,
+                vertex,
+                begin_mm,
+                length_mm,
+                scale: if length_mm > 0.0 { drawn_mm / length_mm } else { 1.0 },
+            });
+            begin_mm += length_mm;
+            result.numbers.entry(number).or_insert(result.lines.len());
+            result.lines.push(line);
+        }
+        result
+    }
+
+    /// Takes new samples, in order.
+    pub fn observe(&mut self, samples: &[Sample]) {
+        samples.iter().for_each(|sample| self.step(sample));
+    }
+
+    /// The drawing has ended or is interrupted: its last rows need not wait for others of their stroke.
+    pub fn close(&mut self) {
+        self.end_line();
+    }
+
+    /// Whether rows wait to be matched.
+    #[must_use]
+    pub fn is_behind(&self) -> bool {
+        self.matching.is_some() || !self.pieces.is_empty()
+    }
+
+    /// Looks at a leg so far, by which the work is counted.
+    #[must_use]
+    pub fn looks(&self) -> usize {
+        self.looks
+    }
+
+    /// Matches rows that wait, with about as many looks at a leg. There are no more than allowed except for those of one
+    /// row, and one for each row of a piece when it is ended.
+    pub fn work(&mut self, looks: usize) {
+        let mut done = 0;
+        while done < looks {
+            let Some(mut matching) = self.matching.take().or_else(|| self.next_matching()) else {
+                break;
+            };
+            let (used, state) = self.go_on(&mut matching, looks - done);
+            done += used;
+            match state {
+                State::Unfinished => self.matching = Some(matching),
+                State::Matched => {
+                    done += matching.near.len();
+                    self.note(&matching);
+                }
+                State::LeftOut => self.leave_out(),
+            }
+        }
+        self.looks += done;
+    }
+
+    /// What has been seen of a drawing whose end was not reported: matches what still waits with about as many looks, and
+    /// leaves the rest not verified.
+    #[must_use]
+    pub fn finish_within(mut self, looks: usize) -> Verification {
+        self.close();
+        self.work(looks);
+        self.give_up();
+        self.finish(false)
+    }
+
+    /// Leaves what waits to be matched not verified.
+    fn give_up(&mut self) {
+        if self.is_behind() {
+            (self.matching, self.pieces) = (None, VecDeque::new());
+            self.leave_out();
+        }
+    }
+
+    /// What has been seen; `is_over` says that the firmware reported the path's end. Matches first what still waits.
+    #[must_use]
+    pub fn finish(mut self, is_over: bool) -> Verification {
+        self.close();
+        while self.is_behind() {
+            self.work(usize::MAX);
+        }
+        // Samples that are behind the drawing show that none of it came after the last row.
+        let is_past = |sample: &Sample| !is_drawing(sample.mode);
+        if is_over && !self.has_gap && !self.is_left_out && self.recent.back().is_some_and(is_past) {
+            let end_mm = self
+                .result
+                .strokes
+                .last()
+                .map_or(0.0, |last| last.begin_mm + last.length_mm);
+            self.result.off.add(self.reached_mm, end_mm);
+        }
+        self.result
+    }
+
+    fn step(&mut self, sample: &Sample) {
+        if self
+            .recent
+            .back()
+            .is_some_and(|last| sample.t_ms.wrapping_sub(last.t_ms) != 1)
+        {
+            self.has_gap = true;
+            self.recent.clear();
+        }
+        self.recent.push_back(*sample);
+        if self.recent.len() <= self.age_ms as usize {
+            return;
+        }
+        // Reference, stroke and pen to which the measurement belongs.
+        let Some(cause) = self.recent.pop_front() else { return };
+        if !is_drawing(cause.mode) {
+            return self.end_line();
+        }
+        if cause.pen == Pen::Up {
+            return;
+        }
+        let Some(delta) = &self.delta else { return };
+        let place = |angles_rad: [f32; 4]| delta.forward(&JointAngles(angles_rad.map(f64::from))).ok();
+        let (Some(reference), Some(measured)) = (place(cause.reference_rad), place(sample.measured_rad)) else {
+            return;
+        };
+        let line = self.numbers.get(&cause.stroke).copied();
+        if line != self.line {
+            self.end_line();
+            self.line = line;
+        } else if self.rows.len() >= SAMPLES_MAX {
+            self.enqueue();
+        }
+        let passed_ms = self
+            .last_ms
+            .replace(sample.t_ms)
+            .map_or(1, |last_ms| sample.t_ms.wrapping_sub(last_ms));
+        self.rows.push(StrokeRow {
+            reference,
+            measured,
+            passed_ms,
+            is_after_gap: std::mem::take(&mut self.has_gap),
+        });
+    }
+
+    /// The stroke has ended.
+    fn end_line(&mut self) {
+        self.enqueue();
+        self.line = None;
+        self.begins = true;
+    }
+
+    /// Lets the rows of the present line wait to be matched.
+    fn enqueue(&mut self) {
+        let mut rows = std::mem::take(&mut self.rows);
+        let Some(line) = self.line.filter(|_| !rows.is_empty()) else {
+            return;
+        };
+        let begins = std::mem::take(&mut self.begins);
+        let waiting: usize = self.pieces.iter().map(|piece| piece.rows.len()).sum();
+        if waiting + rows.len() > ROWS_MAX {
+            rows = Vec::new();
+            let is_left_out = |piece: &Piece| piece.rows.is_empty() && piece.line == line;
+            if !begins && self.pieces.back().is_some_and(is_left_out) {
+                return;
+            }
+        }
+        self.pieces.push_back(Piece { line, rows, begins });
+    }
+
+    fn leave_out(&mut self) {
+        (self.is_left_out, self.is_line_left_out) = (true, true);
+    }
+
+    /// Begins to match the next piece that has rows.
+    fn next_matching(&mut self) -> Option<Matching> {
+        loop {
+            let mut piece = self.pieces.pop_front()?;
+            if piece.begins {
+                (self.place_mm, self.is_line_left_out) = (None, false);
+            }
+            let line = &self.lines[piece.line];
+            let Some(first) = piece.rows.first_mut() else {
+                self.leave_out();
+                continue;
+            };
+            first.is_after_gap |= self.is_left_out;
+            let first = &piece.rows[0];
+            let unseen_mm = |row: &StrokeRow| self.speed_mm_s * f64::from(row.passed_ms) / 1_000.0 + BEGIN_MM;
+            let steps: Vec<Step> = (piece.rows.iter())
+                .map(|row| Step {
+                    position: row.reference,
+                    unseen_mm: (row.passed_ms > 1).then(|| unseen_mm(row)),
+                })
+                .collect();
+            let is_at_begin = line.distance_between(&first.reference, 0.0, 0.0) <= BEGIN_MM;
+            let first_mm = match self.place_mm {
+                place_mm if self.is_line_left_out => [place_mm.unwrap_or(0.0) - END_MM, f64::INFINITY],
+                Some(place_mm) => [place_mm - END_MM, place_mm + unseen_mm(first)],
+                None if is_at_begin => [0.0, BEGIN_MM],
+                None => [0.0, f64::INFINITY],
+            };
+            let limits = SearchLimits {
+                looks: LOOKS_PER_ROW * steps.len() + LOOKS_PER_LEG * line.legs(),
+                parts: PARTS_PER_ROW * steps.len(),
+                parts_at_once: PARTS_AT_ONCE,
+            };
+            return Some(Matching {
+                search: Search::new(steps, first_mm, limits),
+                places_mm: Vec::new(),
+                near: Vec::with_capacity(piece.rows.len()),
+                piece,
+            });
+        }
+    }
+
+    /// Goes on with a piece, with about as many looks; how many there were, and what has come of it.
+    fn go_on(&self, matching: &mut Matching, looks: usize) -> (usize, State) {
+        let line = &self.lines[matching.piece.line];
+        let mut used = 0;
+        if matching.places_mm.is_empty() {
+            let before = matching.search.looks();
+            let progress = matching.search.go_on(line, looks);
+            used = matching.search.looks() - before;
+            match progress {
+                SearchProgress::Unfinished => return (used, State::Unfinished),
+                SearchProgress::TooMuch => return (used, State::LeftOut),
+                SearchProgress::Found(found) if found.places_mm.is_empty() => return (used, State::LeftOut),
+                SearchProgress::Found(found) => matching.places_mm = found.places_mm,
+            }
+        }
+        let reach_mm = ALONG * self.near_mm;
+        // All legs but the last ones are longer than the noise.
+        let legs = (2.0 * reach_mm / THINNED_MM) as usize + 3;
+        let next = matching.near.len();
+        for (row, mm) in matching.piece.rows.iter().zip(&matching.places_mm).skip(next) {
+            if used >= looks {
+                return (used, State::Unfinished);
+            }
+            used += legs;
+            let away_mm = line.distance_between(&row.measured, mm - reach_mm, mm + reach_mm);
+            matching.near.push(away_mm <= self.near_mm);
+        }
+        (used, State::Matched)
+    }
+
+    /// Notes what a piece that has been matched shows.
+    fn note(&mut self, matching: &Matching) {
+        let Matching {
+            piece, places_mm, near, ..
+        } = matching;
+        let stroke = &self.result.strokes[piece.line];
+        let (Some(first), Some(&begin_mm), Some(&end_mm)) = (piece.rows.first(), places_mm.first(), places_mm.last())
+        else {
+            return;
+        };
+        let mut note = |from_mm: f64, to_mm: f64, is_followed: bool| {
+            let parts = if is_followed {
+                &mut self.result.followed
+            } else {
+                &mut self.result.off
+            };
+            parts.add(stroke.begin_mm + from_mm, stroke.begin_mm + to_mm);
+        };
+        let last_near = near.last().copied().unwrap_or_default();
+        // Corners at a stroke's ends are rounded.
+        if begin_mm <= END_MM {
+            note(0.0, begin_mm, near.first().copied().unwrap_or_default());
+        }
+        if stroke.length_mm - end_mm <= END_MM {
+            note(end_mm, stroke.length_mm, last_near);
+        }
+        for (index, row) in piece.rows.iter().enumerate().skip(1) {
+            if row.is_after_gap {
+                continue;
+            }
+            let is_followed = near[index - 1] && near[index];
+            // A pen that was lifted and lowered again has drawn nothing in between.
+            let is_drawn = row.passed_ms == 1 || places_mm[index] - places_mm[index - 1] <= END_MM;
+            note(places_mm[index - 1], places_mm[index], is_followed && is_drawn);
+        }
+        if !first.is_after_gap {
+            let reached_mm = self.reached_mm;
+            let is_close = stroke.begin_mm + begin_mm - reached_mm <= END_MM;
+            let parts = if is_close && near[0] {
+                &mut self.result.followed
+            } else {
+                &mut self.result.off
+            };
+            parts.add(reached_mm, stroke.begin_mm + begin_mm);
+        }
+        let ended_mm = if stroke.length_mm - end_mm <= END_MM {
+            stroke.length_mm
+        } else {
+            end_mm
+        };
+        self.reached_mm = self.reached_mm.max(stroke.begin_mm + ended_mm);
+        self.place_mm = Some(end_mm);
+        (self.is_left_out, self.is_line_left_out) = (false, false);
+    }
+}
+
+/// What has come of a piece.
+enum State {
+    Unfinished,
+    Matched,
+    /// Matching it costs too much.
+    LeftOut,
+}
+
+fn is_drawing(mode: Mode) -> bool {
+    matches!(mode, Mode::Drawing | Mode::Holding)
+}
+
+fn length(points: &[Position]) -> f64 {
+    points.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum()
+}
+
+/// The drawn lines of a path, with the stroke's number and its first vertex.
+fn lines(path: &[PathVertex]) -> Vec<(Vec<Position>, u32, u32)> {
+    let at = |vertex: &PathVertex| {
+        let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
+        Position { x_mm, y_mm, z_mm }
+    };
+    let mut found: Vec<(Vec<Position>, u32, u32)> = Vec::new();
+    let (mut first, mut is_drawing) = (0, false);
+    for (index, pair) in (0_u32..).zip(path.windows(2)) {
+        if pair[1].stroke != pair[0].stroke {
+            first = index + 1;
+        }
+        if pair[1].pen == Pen::Up {
+            is_drawing = false;
+            continue;
+        }
+        match found.last_mut() {
+            Some((points, number, _)) if is_drawing && *number == pair[1].stroke => points.push(at(&pair[1])),
+            _ => found.push((vec![at(&pair[0]), at(&pair[1])], pair[1].stroke, first)),
+        }
+        is_drawing = true;
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests;

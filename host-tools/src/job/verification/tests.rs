@@ -1,0 +1,358 @@
+use super::*;
+use crate::planning::{PlannedSample as Planned, plan};
+use crate::random::Lcg;
+use etherpen::motion::Vertex;
+
+const LIFT_MM: f64 = 5.0;
+
+/// Strokes of all kinds: serpentines of dense rows, ways back over the way there, rings, dots.
+fn drawing(random: &mut Lcg, config: &Config) -> Vec<Vertex> {
+    let z_mm = config.paper.pen_down_z_mm;
+    let mut path = Vec::new();
+    for stroke in 0..8 {
+        let (x, y) = (random.between(-60.0, 60.0), random.between(-60.0, 60.0));
+        let pitch = random.between(0.4, 1.5);
+        let points: Vec<[f64; 2]> = match stroke % 4 {
+            0 => (0..10)
+                .map(|k| [if (k + 1) / 2 % 2 == 0 { 0.0 } else { 15.0 }, f64::from(k / 2) * pitch])
+                .collect(),
+            1 => vec![[0.0, 0.0], [20.0, 0.0], [5.0, 0.0], [5.0, 10.0], [5.0, 0.0]],
+            2 => (0..=48)
+                .map(|k| f64::from(k) * std::f64::consts::TAU / 24.0)
+                .map(|angle| [6.0 * angle.cos(), 6.0 * angle.sin()])
+                .collect(),
+            _ => vec![[0.0, 0.0], [0.3, 0.0]],
+        };
+        let vertex = |[dx, dy]: [f64; 2], z_mm: f64, pen: Pen| Vertex {
+            position: Position {
+                x_mm: x + dx,
+                y_mm: y + dy,
+                z_mm,
+            },
+            pen,
+            stroke,
+        };
+        let (first, last) = (points[0], points[points.len() - 1]);
+        path.push(vertex(first, z_mm + LIFT_MM, Pen::Up));
+        path.push(vertex(first, z_mm, Pen::Up));
+        path.extend(points.iter().skip(1).map(|point| vertex(*point, z_mm, Pen::Down)));
+        path.push(vertex(last, z_mm + LIFT_MM, Pen::Up));
+    }
+    path
+}
+
+fn wire(path: &[Vertex]) -> Vec<PathVertex> {
+    path.iter().map(crate::drawing::preparation::wire::to_wire).collect()
+}
+
+/// Milliseconds at rest behind a drawing.
+const REST_MS: usize = 40;
+
+/// Telemetry of a robot that follows its references with the configured age, and rests.
+fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
+    let mut planned: Vec<Planned> = Vec::new();
+    plan(config, path, |sample, _| planned.push(*sample)).expect("the drawing can be planned");
+    let age = config.axes[0].measurement_age_ms.round() as usize;
+    (0..planned.len() + REST_MS)
+        .map(|index| {
+            let now = &planned[index.min(planned.len() - 1)].reference;
+            let before = &planned[index.saturating_sub(age).min(planned.len() - 1)].reference;
+            Sample {
+                t_ms: 1_000 + index as u32,
+                mode: if index < planned.len() + age {
+                    Mode::Drawing
+                } else {
+                    Mode::Idle
+                },
+                stroke: now.stroke,
+                pen: now.pen,
+                reference_rad: now.position_rad.map(|rad| rad as f32),
+                measured_rad: before.position_rad.map(|rad| rad as f32),
+                reference_rad_s: now.velocity_rad_s.map(|rad_s| rad_s as f32),
+                measured_rad_s: before.velocity_rad_s.map(|rad_s| rad_s as f32),
+            }
+        })
+        .collect()
+}
+
+/// What a verifier says of samples that come in messages of a few.
+fn verdict(config: &Config, path: &[Vertex], samples: &[Sample]) -> Verdict {
+    let mut verifier = Verifier::new(&wire(path), config, true);
+    samples.chunks(9).for_each(|samples| verifier.observe(samples));
+    verifier.finish(true).verdict()
+}
+
+#[test]
+fn a_drawing_that_was_followed_is_complete_to_the_last_millimetre() {
+    let config = Config::default();
+    for seed in 1..=6 {
+        let path = drawing(&mut Lcg::new(seed), &config);
+        let verdict = verdict(&config, &path, &telemetry(&config, &path));
+        assert_eq!(
+            (verdict.missing_mm, verdict.strokes.len()),
+            (0.0, 0),
+            "seed {seed}: {verdict:?}"
+        );
+        assert!(verdict.unverified_mm < 1e-6, "seed {seed}: {verdict:?}");
+        assert!(
+            (verdict.followed_mm - verdict.total_mm).abs() < 1e-6,
+            "seed {seed}: {verdict:?}"
+        );
+        assert_eq!(verdict.error(), None);
+    }
+}
+
+#[test]
+fn lost_samples_are_not_verified_and_never_missing() {
+    let config = Config::default();
+    for seed in 1..=20 {
+        let mut random = Lcg::new(seed);
+        let path = drawing(&mut random, &config);
+        let mut samples = telemetry(&config, &path);
+        let total = samples.len();
+        for _ in 0..1 + (random.unit() * 8.0) as usize {
+            let length = random.between(1.0, 700.0) as usize;
+            let from = (random.unit() * samples.len() as f64) as usize;
+            samples.drain(from..(from + length).min(samples.len()));
+        }
+        let verdict = verdict(&config, &path, &samples);
+        assert_eq!(
+            (verdict.missing_mm, verdict.error()),
+            (0.0, None),
+            "seed {seed}: {verdict:?}"
+        );
+        let lost_mm = (total - samples.len()) as f64 * config.motion.speed_mm_s / 1_000.0;
+        assert!(
+            verdict.unverified_mm <= lost_mm + 16.0,
+            "seed {seed}: {lost_mm} mm at most, {verdict:?}"
+        );
+    }
+}
+
+#[test]
+fn an_axis_that_stands_still_is_noticed_with_the_length_that_it_takes() {
+    let config = Config::default();
+    let delta = Delta::new(&config.geometry).expect("the built-in geometry");
+    let place = |rad: [f32; 4]| delta.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
+    let mut noticed = 0;
+    for seed in 1..=24 {
+        let mut random = Lcg::new(seed);
+        let path = drawing(&mut random, &config);
+        let mut samples = telemetry(&config, &path);
+        let (axis, from) = (
+            (random.unit() * 3.0) as usize,
+            (random.unit() * 0.8 * samples.len() as f64) as usize,
+        );
+        let frozen = samples[from].measured_rad[axis];
+        samples
+            .iter_mut()
+            .skip(from)
+            .take(900)
+            .for_each(|sample| sample.measured_rad[axis] = frozen);
+        // The truth, without strokes or places along them: how far the references went while the pen was elsewhere.
+        let age = config.axes[0].measurement_age_ms.round() as usize;
+        let mut away_mm = 0.0;
+        for pair in (0..samples.len() - age - 1).collect::<Vec<_>>() {
+            let (cause, next) = (&samples[pair], &samples[pair + 1]);
+            let error_mm =
+                crate::matching::distance(&place(cause.reference_rad), &place(samples[pair + age].measured_rad));
+            if cause.pen == Pen::Down && next.pen == Pen::Down && error_mm > 2.5 {
+                away_mm += crate::matching::distance(&place(cause.reference_rad), &place(next.reference_rad));
+            }
+        }
+        let verdict = verdict(&config, &path, &samples);
+        println!(
+            "seed {seed}: axis {axis}, {away_mm:.1} mm far away, {:.1} mm missing",
+            verdict.missing_mm
+        );
+        if away_mm > 10.0 {
+            noticed += 1;
+            assert!(
+                verdict.missing_mm > 0.2 * away_mm,
+                "seed {seed}: {away_mm} mm, {verdict:?}"
+            );
+            assert!(verdict.error().is_some());
+        }
+        assert!(
+            (verdict.followed_mm + verdict.missing_mm - verdict.total_mm).abs() < 0.6 * 8.0,
+            "seed {seed}: {verdict:?}"
+        );
+    }
+    assert!(noticed >= 10, "{noticed}");
+}
+
+#[test]
+fn a_stroke_that_was_never_begun_is_missing() {
+    let config = Config::default();
+    let path = drawing(&mut Lcg::new(5), &config);
+    let drawn: Vec<Vertex> = path.iter().filter(|vertex| vertex.stroke != 4).copied().collect();
+    let ended: Vec<Vertex> = path.iter().filter(|vertex| vertex.stroke < 6).copied().collect();
+    let first_of = |stroke: u32| {
+        path.iter()
+            .position(|vertex| vertex.stroke == stroke)
+            .unwrap_or_default() as u32
+    };
+    for (drawn, missing, first) in [(drawn, vec![4], 4), (ended, vec![6, 7], 6)] {
+        let verdict = verdict(&config, &path, &telemetry(&config, &drawn));
+        assert_eq!(verdict.strokes, missing, "{verdict:?}");
+        assert_eq!(verdict.complete_vertices, first_of(first));
+    }
+}
+
+#[test]
+fn two_connections_together_have_seen_the_whole_drawing() {
+    let config = Config::default();
+    let path = drawing(&mut Lcg::new(7), &config);
+    let samples = telemetry(&config, &path);
+    let (before, after) = samples.split_at(samples.len() / 2);
+    let mut first = Verifier::new(&wire(&path), &config, true);
+    first.observe(before);
+    let mut both = first.finish(false);
+    let alone = both.verdict();
+    assert!(alone.missing_mm == 0.0 && alone.unverified_mm > 10.0, "{alone:?}");
+    let mut second = Verifier::new(&wire(&path), &config, false);
+    second.observe(after);
+    both.merge(&second.finish(true));
+    let verdict = both.verdict();
+    assert!(verdict.missing_mm == 0.0 && verdict.unverified_mm < 8.0, "{verdict:?}");
+}
+
+/// A stroke of vertices at random within a square, and a line of 30 mm behind them.
+fn noise(random: &mut Lcg, config: &Config, count: usize, half_mm: f64) -> Vec<Vertex> {
+    let z_mm = config.paper.pen_down_z_mm;
+    let vertex = |x_mm: f64, y_mm: f64, z_mm: f64, pen: Pen| Vertex {
+        position: Position { x_mm, y_mm, z_mm },
+        pen,
+        stroke: 0,
+    };
+    let mut path = vec![
+        vertex(0.0, 0.0, z_mm + LIFT_MM, Pen::Up),
+        vertex(0.0, 0.0, z_mm, Pen::Up),
+    ];
+    for _ in 0..count {
+        let (x_mm, y_mm) = (random.between(-half_mm, half_mm), random.between(-half_mm, half_mm));
+        path.push(vertex(x_mm, y_mm, z_mm, Pen::Down));
+    }
+    path.push(vertex(30.0, 0.0, z_mm, Pen::Down));
+    path.push(vertex(30.0, 0.0, z_mm + LIFT_MM, Pen::Up));
+    path
+}
+
+/// Looks of one call of [`Verifier::work`] in the tests.
+const LOOKS: usize = 10_000;
+/// Looks of one call that may come on top: those of one row, and one for each row of a piece.
+const LOOKS_OVER: usize = PARTS_AT_ONCE + SAMPLES_MAX;
+
+#[test]
+fn noise_of_any_size_takes_bounded_work_and_memory_and_is_never_missing() {
+    let config = Config::default();
+    let sizes = [
+        (300, 0.03),
+        (3_000, 0.03),
+        (20_000, 0.03),
+        (3_000, 0.07),
+        (3_000, 0.2),
+        (3_000, 1.0),
+    ];
+    for (count, half_mm) in sizes {
+        let path = noise(&mut Lcg::new(9), &config, count, half_mm);
+        let samples = telemetry(&config, &path);
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        let (mut most, mut parts, mut rows) = (0, 0, 0);
+        for samples in samples.chunks(9) {
+            verifier.observe(samples);
+            for _ in samples {
+                let before = verifier.looks();
+                verifier.work(LOOKS);
+                most = most.max(verifier.looks() - before);
+                let reserved = verifier
+                    .matching
+                    .as_ref()
+                    .map(|matching| matching.search.parts_reserved());
+                parts = parts.max(reserved.unwrap_or(0));
+            }
+            let waiting: usize = verifier.pieces.iter().map(|piece| piece.rows.capacity()).sum();
+            rows = rows.max(waiting + verifier.rows.capacity());
+        }
+        assert!(!verifier.is_behind(), "{count} within {half_mm} mm");
+        let looks = verifier.looks();
+        let verdict = verifier.finish(true).verdict();
+        let case = format!(
+            "{count} within {half_mm} mm: {} samples, {looks} looks, at most {most} at once, {parts} parts, {rows} rows, {:.1} \
+             of {:.1} mm not verified",
+            samples.len(),
+            verdict.unverified_mm,
+            verdict.total_mm
+        );
+        println!("{case}");
+        assert!(most <= LOOKS + LOOKS_OVER, "{case}");
+        let legs = LOOKS_PER_LEG * count * samples.len().div_ceil(SAMPLES_MAX);
+        assert!(
+            looks <= (LOOKS_PER_ROW + PARTS_AT_ONCE) * samples.len() + legs,
+            "{case}"
+        );
+        // A vector that grows reserves up to twice what it keeps.
+        assert!(
+            parts <= 4 * PARTS_PER_ROW * SAMPLES_MAX && rows <= 4 * SAMPLES_MAX,
+            "{case}"
+        );
+        assert_eq!((verdict.missing_mm, verdict.error()), (0.0, None), "{case}");
+        let path_mm = length(
+            &path[1..path.len() - 1]
+                .iter()
+                .map(|vertex| vertex.position)
+                .collect::<Vec<_>>(),
+        );
+        assert!(
+            (verdict.total_mm - path_mm).abs() < 0.01 * path_mm,
+            "{case}, {path_mm} mm"
+        );
+        if half_mm < 0.05 {
+            assert!(verdict.unverified_mm == 0.0, "{case}");
+        }
+    }
+}
+
+#[test]
+fn the_result_does_not_depend_on_how_the_work_is_divided() {
+    let config = Config::default();
+    let path = drawing(&mut Lcg::new(3), &config);
+    let samples = telemetry(&config, &path);
+    let whole = verdict(&config, &path, &samples);
+    for looks in [1, 1_000] {
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        samples.iter().for_each(|sample| {
+            verifier.observe(&[*sample]);
+            verifier.work(looks);
+        });
+        while verifier.is_behind() {
+            verifier.work(looks);
+        }
+        assert_eq!(verifier.finish(true).verdict(), whole, "{looks} looks at once");
+    }
+}
+
+#[test]
+fn samples_that_are_left_out_are_not_verified_and_never_missing() {
+    let config = Config::default();
+    let path = drawing(&mut Lcg::new(11), &config);
+    let samples = telemetry(&config, &path);
+    for given_up in [0.2, 0.5, 0.8, 1.0] {
+        let mut verifier = Verifier::new(&wire(&path), &config, true);
+        let (before, after) = samples.split_at((given_up * samples.len() as f64) as usize);
+        verifier.observe(before);
+        verifier.close();
+        verifier.give_up();
+        verifier.observe(after);
+        let verdict = verifier.finish(true).verdict();
+        assert_eq!(
+            (verdict.missing_mm, verdict.error()),
+            (0.0, None),
+            "{given_up}: {verdict:?}"
+        );
+        assert!(
+            verdict.unverified_mm > 0.1 * given_up * verdict.total_mm,
+            "{given_up}: {verdict:?}"
+        );
+    }
+}

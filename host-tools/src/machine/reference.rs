@@ -1,0 +1,65 @@
+//! The reference of a machine that another program has.
+
+use super::{Client, Order, Snapshot};
+use crate::error::{ProgramError, code};
+use crate::job::Ready;
+use crate::job::reference::{Reading, Referenced, Wanted, all};
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::Command;
+use std::time::{Duration, Instant};
+
+/// Longest wait for the state of another program's machine, and time between two checks.
+const STATE_MAX: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Takes the reference through the program that has the port.
+///
+/// # Errors
+/// The program works with another configuration, or the machine does not take the reference.
+pub fn reference_through(
+    mut client: Client,
+    acknowledge: bool,
+    config: &Config,
+    wanted: &Wanted,
+) -> Result<Referenced, ProgramError> {
+    let owner = client.owner().clone();
+    if wanted.calibrate {
+        let text = format!(
+            "--calibrate gives the machine another configuration, and {owner} owns the port with its own; end that \
+             program, then calibrate"
+        );
+        return Err(ProgramError::new(code::CONNECTION, text));
+    }
+    let mode = client.snapshot()?.status.map(|status| status.mode);
+    if acknowledge && mode == Some(Mode::Fault) {
+        client.carry_out(Order::Settle(Command::Acknowledge))?;
+    }
+    client.carry_out(Order::Prepare(Ready::Bus))?;
+    let increments = known(&mut client, |snapshot| all(&snapshot.status.as_ref()?.increments))?;
+    let status = client.snapshot()?.status;
+    if status.and_then(|status| status.config) != config.hash() {
+        let text = format!(
+            "{owner} owns the port and works with another configuration; use the same one (--config), or end that program"
+        );
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
+    let mut reading = Reading::default();
+    known(&mut client, |snapshot| {
+        reading.take(config, snapshot.status.as_ref()?, snapshot.sample.as_ref())
+    })
+}
+
+/// A value from the machine's state, once it is known.
+fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -> Result<T, ProgramError> {
+    let until = Instant::now() + STATE_MAX;
+    while Instant::now() < until {
+        if let Some(known) = said(&client.snapshot()?) {
+            return Ok(known);
+        }
+        std::thread::sleep(LOOK);
+    }
+    let text = "the machine does not tell its resolvers' positions; look at the bus (etherpen bus scan)";
+    Err(ProgramError::new(code::FAILED, text))
+}
