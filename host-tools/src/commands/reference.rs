@@ -155,10 +155,7 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
     match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
         Some(name) => {
             if let Some(client) = Client::find(&name) {
-                let owner = client.owner().clone();
-                let found = reference_through(client, arguments.acknowledge, config, &wanted)?;
-                eprintln!("through {owner}");
-                return Ok(found);
+                return reference_through(client, arguments.acknowledge, config, &wanted);
             }
             let lost = |cause| ProgramError::new(code::CONNECTION, cause);
             let mut line = Line::start(Port::open(&name).map_err(lost)?);

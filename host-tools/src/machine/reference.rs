@@ -46,9 +46,11 @@ pub fn reference_through(
     }
     client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
     let mut reading = Reading::default();
-    known(&mut client, |snapshot| {
+    let found = known(&mut client, |snapshot| {
         reading.take(config, snapshot.status.as_ref()?, snapshot.sample.as_ref())
-    })
+    });
+    eprintln!("through {owner}");
+    found
 }
 
 /// A value from the machine's state, once it is known.
