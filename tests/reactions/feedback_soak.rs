@@ -42,13 +42,18 @@ impl Chance {
     }
 }
 
+/// A coordinate as the link carries it, micrometres.
+fn um(mm: f64) -> i32 {
+    (mm * 1_000.0) as i32
+}
+
 /// Some strokes on the paper.
 fn strokes(chance: &mut Chance) -> Vec<PathVertex> {
     let mut path = Vec::new();
     for stroke in 0..=chance.one_of(3) as u32 {
         let mut at = [chance.between(-60.0, 60.0), chance.between(-60.0, 60.0)];
         let mut go = |at: [f64; 2], z_um: i32, pen: Pen| {
-            let [x_um, y_um] = at.map(|mm| (mm * 1_000.0) as i32);
+            let [x_um, y_um] = at.map(um);
             path.push(PathVertex {
                 position_um: [x_um, y_um, z_um],
                 pen,
@@ -59,6 +64,7 @@ fn strokes(chance: &mut Chance) -> Vec<PathVertex> {
         go(at, -850_000, Pen::Up);
         let reach_mm = [0.5, 5.0, 40.0][chance.one_of(3) as usize];
         for _ in 0..3 + chance.one_of(12) {
+            let before = at;
             at = at.map(|mm| {
                 let by_mm = chance.between(-reach_mm, reach_mm);
                 if (mm + by_mm).abs() < PAPER_MM {
@@ -67,7 +73,10 @@ fn strokes(chance: &mut Chance) -> Vec<PathVertex> {
                     mm - by_mm
                 }
             });
-            go(at, -850_000, Pen::Down);
+            // The controller refuses a vertex that repeats the one before it.
+            if at.map(um) != before.map(um) {
+                go(at, -850_000, Pen::Down);
+            }
         }
         go(at, -847_000, Pen::Up);
     }
