@@ -6,6 +6,7 @@
 //! Invariant: no function here waits, locks or panics; a critical task may call all of them.
 
 use crate::application::{Fault, Mode, StopSource};
+pub use crate::ethercat::port_state::PortState;
 use heapless::String;
 use serde::{Deserialize, Serialize};
 
@@ -18,27 +19,6 @@ pub const STOP_CLOSED_MS: u8 = 100;
 pub const CAUSE_BYTES_MAX: usize = 120;
 /// Releases of the trajectory task, 12 ms each, that may be overdue before the task counts as dead.
 pub const TRAJECTORIES_DUE_MAX: u32 = 8;
-
-/// State of the Ethernet port as reported by its PHY.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum PortState {
-    /// The board has no PHY; the port counts as up.
-    #[default]
-    Unknown,
-    /// No PHY answers.
-    NoPhy,
-    /// The PHY has no link: no cable, or nothing at its other end.
-    Down,
-    /// The link is up.
-    Up,
-}
-
-impl PortState {
-    /// Whether the port certainly carries no frames.
-    pub const fn is_down(self) -> bool {
-        matches!(self, Self::NoPhy | Self::Down)
-    }
-}
 
 /// A condition that keeps the drives in quick stop while it lasts; an acknowledgement does not clear it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

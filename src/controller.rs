@@ -9,12 +9,12 @@
 //! Architecture invariant: priorities communicate only through these channels; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
-use crate::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::link::frame::Decoder;
 use crate::link::task::{LinkEnds, LinkTask, PortEnds, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
 use crate::network::{NetworkQueues, NetworkTask};
+use crate::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 

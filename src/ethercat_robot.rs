@@ -19,26 +19,14 @@ use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limited;
 use crate::control::torque_feedback::Demanded;
 use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
+use crate::drives::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
 use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
-use crate::ethercat::BusQueues;
-use crate::ethercat::cyclic::{CyclicSlave, DriveRole, Exchange, OutputPlace};
-use crate::ethercat::supervisor::Supervisor;
-use crate::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
+use crate::ethercat::cyclic::OutputPlace;
 use crate::robot::{AXES, JointAngles};
+use crate::robot_bus::{DriveRole, DriveShare, RobotExchange};
 use core::f64::consts::TAU;
 use encoder::{float, turned};
-
-/// Most slaves on the robot's bus.
-pub const BUS_SLAVES_MAX: usize = 16;
-/// Longest mailbox window on the robot's bus, bytes: that of a Kollmorgen AKD.
-pub const BUS_MESSAGE_BYTES: usize = 1024;
-/// The queues of the robot's bus.
-pub type RobotBusQueues = BusQueues<BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
-/// The exchange of the robot's bus.
-pub type RobotExchange<'a> = Exchange<'a, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
-/// The supervisor of the robot's bus.
-pub type RobotSupervisor<'a> = Supervisor<'a, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
 /// Longest gap of positions in motion after which the turns still count as known, ms: half a motor turn takes 10 ms at
 /// full speed.
@@ -67,13 +55,13 @@ struct Scale {
 impl Scale {
     fn new(axis: &Axis, role: &DriveRole) -> Option<Self> {
         let mode = role.layout.mode;
-        let at_motor = role.kind.mode(mode)?.digits.per_unit(axis);
+        let at_motor = role.device.mode(mode)?.digits.per_unit(&axis.drive());
         let (digits_per_unit, limit) = match mode {
             AxisMode::Velocity => (at_motor * axis.gear, axis.output_max_rad_s.abs()),
             AxisMode::Torque => (at_motor / axis.gear, axis.torque_max_nm.abs()),
         };
         Some(Self {
-            kind: role.kind,
+            kind: role.device,
             mode,
             digits_per_unit,
             limit,
@@ -284,7 +272,7 @@ impl AxisState {
     }
 
     /// The drive of this cycle's plan; without one the axis takes no demand.
-    fn adopt(&mut self, share: Option<&CyclicSlave>) {
+    fn adopt(&mut self, share: Option<&DriveShare>) {
         // The slave is watched from when it has reached OP until it is seen elsewhere.
         self.operational = share.is_some_and(|share| share.watched);
         if let Some(share) = share {
@@ -292,7 +280,7 @@ impl AxisState {
         }
         let role = share.and_then(|share| share.role);
         let same = match (&self.drive, &role) {
-            (Some(scale), Some(role)) => core::ptr::eq(scale.kind, role.kind) && scale.mode == role.layout.mode,
+            (Some(scale), Some(role)) => core::ptr::eq(scale.kind, role.device) && scale.mode == role.layout.mode,
             (None, None) => true,
             _ => false,
         };
@@ -427,7 +415,7 @@ impl EtherCatRobot {
     fn adopt(&mut self, exchange: &RobotExchange<'_>) {
         self.plan = Some(exchange.plan_number());
         for (number, axis) in self.axes.iter_mut().enumerate() {
-            let slave = exchange.drive(number);
+            let slave = exchange.member(number);
             let share = slave.and_then(|slave| exchange.plan().slaves.get(slave));
             axis.adopt(share);
             let role = share.and_then(|share| share.role);

@@ -8,7 +8,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::clock::steering::{ClockReading, ClockSteering};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup};
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder, FrameView, register};
-use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
+use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use host_tools::cell::{Cell, CellOptions, ClockOptions};
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
@@ -51,10 +51,7 @@ fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() 
         let mut cell = Cell::new(&config, options);
         let mut queues = Box::new(RobotBusQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
-        let setup = BusSetup {
-            bus: config.bus.clone(),
-            axes: config.axes,
-        };
+        let setup = config.bus_setup();
         assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
         let mut exchange = RobotExchange::new(exchange_end, MAC);
         let mut supervisor = RobotSupervisor::new(supervisor_end);

@@ -10,7 +10,7 @@
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::cyclic::{BusCounters, ExchangeKind, IGNORED_KINDS, Ignored};
-use etherpen::ethercat::service::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::link::protocol::{Command, PathVertex, Status};
 use etherpen::motion::Pen;

@@ -10,7 +10,7 @@ use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave, ExchangeKind, ReferenceClock};
 use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
-use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
+use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 
 /// Station address of the first drive, whose clock the others follow.
 const STATION: u16 = 0x1001;

@@ -12,7 +12,7 @@ use etherpen::ethercat::acyclic::{Outcome, Request};
 use etherpen::ethercat::cyclic::{
     Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, PROCESS_BYTES_MAX, ReferenceClock,
 };
-use etherpen::ethercat::envelope::Envelope;
+use etherpen::ethercat::encapsulation::Encapsulation;
 use etherpen::ethercat::wire::{Address, Command, Datagram, FrameView, UdpRepr};
 use libfuzzer_sys::fuzz_target;
 
@@ -35,11 +35,11 @@ impl Choice {
         Some((Self { flags, shares }, rest))
     }
 
-    fn envelope(&self) -> Envelope {
+    fn envelope(&self) -> Encapsulation {
         match self.flags & 3 {
-            0 | 1 => Envelope::Raw,
-            2 => Envelope::Udp(UDP),
-            _ => Envelope::Bare,
+            0 | 1 => Encapsulation::Raw,
+            2 => Encapsulation::Udp(UDP),
+            _ => Encapsulation::Bare,
         }
     }
 
@@ -131,7 +131,7 @@ fuzz_target!(|bytes: &[u8]| {
     let plan = choice.plan();
     assert!(supervisor_end.plans.enqueue(plan.clone()).is_ok());
     let mut exchange = Exchange::new(exchange_end, MAC);
-    exchange.set_envelope(choice.envelope());
+    exchange.set_encapsulation(choice.envelope());
 
     let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0130), 2);
     let mut reply = pin!(supervisor_end.port.transact(&request));

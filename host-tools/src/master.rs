@@ -11,12 +11,12 @@ use crate::transport::Transport;
 use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
+use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup, Step};
-use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
+use etherpen::ethercat::event::{BusCommand, BusEvent, Step};
 use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
-use etherpen::ethercat_robot::BUS_MESSAGE_BYTES;
+use etherpen::robot_bus::{BUS_MESSAGE_BYTES, RobotBusSetup, RobotDrives};
 use std::io;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -40,7 +40,7 @@ const CATCH_UP_MS_MAX: u64 = 100;
 /// Most slaves on the bus; 32 are the most that the exchange reports.
 const SLAVES_MAX: usize = 32;
 
-type HostExchange<'a> = Exchange<'a, SLAVES_MAX, BUS_MESSAGE_BYTES>;
+type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
 /// Why the master cannot work.
 #[derive(Debug)]
@@ -93,7 +93,7 @@ impl Master {
     ///
     /// # Errors
     /// The step that failed, or the loss of the transport.
-    pub fn start(transport: Box<dyn Transport>, setup: BusSetup, wait: Duration) -> Result<Self, MasterError> {
+    pub fn start(transport: Box<dyn Transport>, setup: RobotBusSetup, wait: Duration) -> Result<Self, MasterError> {
         let mut master = Self::new(transport, Some(setup))?;
         let until = Instant::now() + wait;
         loop {
@@ -109,7 +109,7 @@ impl Master {
         }
     }
 
-    fn new(transport: Box<dyn Transport>, setup: Option<BusSetup>) -> Result<Self, MasterError> {
+    fn new(transport: Box<dyn Transport>, setup: Option<RobotBusSetup>) -> Result<Self, MasterError> {
         let (requests, asked) = mpsc::channel();
         let (reporter, reports) = mpsc::channel();
         let ended = Arc::new(AtomicBool::new(false));
@@ -198,8 +198,8 @@ struct Worker {
 }
 
 impl Worker {
-    fn run(mut self, setup: Option<BusSetup>) {
-        let mut queues = Box::new(BusQueues::<SLAVES_MAX, BUS_MESSAGE_BYTES>::new());
+    fn run(mut self, setup: Option<RobotBusSetup>) {
+        let mut queues = Box::new(BusQueues::<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
         let mut supervisor = Supervisor::new(supervisor_end);

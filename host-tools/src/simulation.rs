@@ -10,7 +10,7 @@ use etherpen::board::{BoardState, EmergencyStopInput, Interlock};
 use etherpen::control::feedback::COMPARISONS;
 use etherpen::controller::{Channels, Parts};
 use etherpen::ethercat::cyclic::BusCounters;
-use etherpen::ethercat::transport::raw::RawTransport;
+use etherpen::ethercat::frame_port::FramePort;
 use std::collections::VecDeque;
 use std::future::Future;
 use std::task::{Context, Poll, Waker};
@@ -136,7 +136,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         // Virtual time has no durations.
         measurements: _,
     } = channels.split("simulation");
-    let mut transport = RawTransport::new(Wire {
+    let mut transport = FramePort::new(Wire {
         cell,
         time_ns: 0,
         arrived: VecDeque::new(),

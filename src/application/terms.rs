@@ -2,6 +2,7 @@
 
 use crate::board::PortState;
 use crate::control::feedback::Implausible;
+use crate::ethercat::clock::steering::ClockFault;
 use serde::{Deserialize, Serialize};
 
 /// AL state OP without the error flag.
@@ -31,6 +32,32 @@ pub enum Mode {
     Stopping,
     /// A fault is latched.
     Fault,
+}
+
+impl Mode {
+    /// All modes in the order of their numbers, from 0.
+    pub const ALL: [Self; 10] = [
+        Self::Startup,
+        Self::BusConfiguring,
+        Self::DrivesOff,
+        Self::Unreferenced,
+        Self::Idle,
+        Self::Moving,
+        Self::Drawing,
+        Self::Holding,
+        Self::Stopping,
+        Self::Fault,
+    ];
+
+    /// Its number.
+    pub const fn number(self) -> u8 {
+        self as u8
+    }
+
+    /// The mode with a number; `None` beyond the last one.
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(number)).copied()
+    }
 }
 
 /// Who asked for an emergency stop.
@@ -196,6 +223,21 @@ pub enum Fault {
         /// Expiries of the watchdog since the slave was brought up.
         expiries: u8,
     },
+}
+
+impl From<ClockFault> for Fault {
+    fn from(fault: ClockFault) -> Self {
+        match fault {
+            ClockFault::Lost {
+                missing_cycles,
+                limit_cycles,
+            } => Self::ClockLost {
+                missing_cycles,
+                limit_cycles,
+            },
+            ClockFault::Jump { error_ns, limit_ns } => Self::ClockJump { error_ns, limit_ns },
+        }
+    }
 }
 
 impl Fault {

@@ -1,17 +1,8 @@
 //! Configuration of one axis: drive scaling, reference mark, controllers and supervision.
 
+pub use crate::drives::AxisMode;
+use crate::drives::DriveSettings;
 use serde::{Deserialize, Serialize};
-
-/// Command mode of an axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum AxisMode {
-    /// The drive closes the velocity loop.
-    #[default]
-    Velocity,
-    /// The firmware closes the velocity loop; the drive follows a torque.
-    Torque,
-}
 
 /// Configuration of one axis: drive scaling, reference mark, controllers and supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,6 +58,22 @@ pub struct Axis {
     pub velocity_integral_per_s: f64,
     /// Time constant of the low-pass on the velocity controller's error, ms; 0 switches it off.
     pub velocity_filter_ms: f64,
+}
+
+impl Axis {
+    /// What is written to the axis's drive, and what its digits are worth.
+    pub fn drive(&self) -> DriveSettings {
+        DriveSettings {
+            mode: self.mode,
+            gear: self.gear,
+            increments_per_revolution: self.increments_per_revolution,
+            digits_per_rpm: self.digits_per_rpm,
+            quick_stop_rad_s2: self.quick_stop_rad_s2,
+            torque_constant_nm_a: self.torque_constant_nm_a,
+            peak_current_a: self.peak_current_a,
+            rated_torque_nm: self.rated_torque_nm,
+        }
+    }
 }
 
 impl Default for Axis {

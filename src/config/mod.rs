@@ -14,6 +14,7 @@ pub use bus::{AddressError, Bus, HostAddress, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
 use crate::robot::AXES;
+use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
 use etherpen_motion::Settings;
 use serde::{Deserialize, Serialize};
 
@@ -75,6 +76,20 @@ impl Config {
             paper: self.paper,
             motion: self.motion,
             dead_man_ms: self.bus.dead_man_ms,
+        }
+    }
+
+    /// What the bus is to be brought up as.
+    #[must_use]
+    pub fn bus_setup(&self) -> RobotBusSetup {
+        RobotBusSetup {
+            members: self.bus.drives,
+            settings: self.axes.each_ref().map(Axis::drive),
+            exchange: self.bus.exchange,
+            cycle_ns: PERIOD_NS,
+            watchdog_ms: self.bus.watchdog_ms,
+            clocks: self.bus.clocks,
+            sync_shift_us: self.bus.sync_shift_us,
         }
     }
 

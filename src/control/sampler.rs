@@ -24,20 +24,20 @@ use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
 use crate::control::window::Window;
 use crate::drives::cia402::{DriveState, DriveTarget};
+use crate::drives::io::{AxisCommand, Demand};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
 use crate::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
-use crate::ethercat::envelope::Envelope;
-use crate::ethercat::transport::raw::{RawTransport, Sending};
-use crate::ethercat_robot::{EtherCatRobot, RobotExchange};
-use crate::io::{AxisCommand, Demand};
+use crate::ethercat::encapsulation::Encapsulation;
+use crate::ethercat::frame_port::{FramePort, Sending};
+use crate::ethercat::queue;
+use crate::ethercat_robot::EtherCatRobot;
 use crate::network::NetworkEnd;
-use crate::queue;
 use crate::robot::AXES;
+pub use crate::robot_bus::PERIOD_NS;
+use crate::robot_bus::RobotExchange;
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
 
-/// Length of the sample period, ns.
-pub const PERIOD_NS: u32 = 1_000_000;
 /// The telegram with the outputs counts as late when it is not with the MAC this long after the release, ns.
 pub const OUTPUT_LATE_NS: u32 = 500_000;
 /// Frames taken in one run of `bus_frame`, so that foreign traffic cannot keep the critical tasks busy.
@@ -133,7 +133,7 @@ impl<'a> Sampler<'a> {
             late: 0,
             missed: 0,
             clock: None,
-            steering: ClockSteering::new(),
+            steering: ClockSteering::new(PERIOD_NS),
             released_late_ns: 0,
             timer_correction_ns: 0,
             first_late: false,
@@ -146,7 +146,7 @@ impl<'a> Sampler<'a> {
     /// `missed` counts the milliseconds since the start in which no sample could be released.
     ///
     /// Returns whether the trajectory task is to be released.
-    pub fn sample<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32, missed: u32) -> bool {
+    pub fn sample<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32, missed: u32) -> bool {
         if self.phase == Phase::Input {
             // Neither the reply nor the deadline came in the last millisecond.
             self.finish(transport, PERIOD_NS.saturating_add(elapsed_ns));
@@ -178,7 +178,7 @@ impl<'a> Sampler<'a> {
     /// Takes frames the MAC has received, at most [`FRAMES_PER_RUN`]; the input reply leads to the output telegram.
     ///
     /// Returns whether more may be waiting: then this is to be called again, after what is as urgent.
-    pub fn bus_frame<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) -> bool {
+    pub fn bus_frame<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) -> bool {
         for _ in 0..FRAMES_PER_RUN {
             let over_ip = self.bus.transport == Transport::Udp;
             let Some(arrival) = transport.receive(|frame| {
@@ -195,7 +195,7 @@ impl<'a> Sampler<'a> {
     }
 
     /// The input reply is overdue: predicts, steps and sends the output telegram.
-    pub fn bus_deadline<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
+    pub fn bus_deadline<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) {
         if self.phase == Phase::Input {
             self.finish(transport, elapsed_ns);
         }
@@ -217,7 +217,7 @@ impl<'a> Sampler<'a> {
     }
 
     /// The firmware ends: one last telegram tells drives that have power to stop, velocities zero. Nothing may follow.
-    pub fn say_last_word<D: Driver>(&mut self, transport: &mut RawTransport<D>) {
+    pub fn say_last_word<D: Driver>(&mut self, transport: &mut FramePort<D>) {
         let target = match self.power {
             Power::On | Power::QuickStop => DriveTarget::QuickStop,
             Power::Off | Power::FaultReset => DriveTarget::Off,
@@ -246,7 +246,7 @@ impl<'a> Sampler<'a> {
         self.robot.feedback_used()
     }
 
-    fn finish<D: Driver>(&mut self, transport: &mut RawTransport<D>, elapsed_ns: u32) {
+    fn finish<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) {
         self.phase = Phase::Done;
         self.measure();
         self.steer();
@@ -279,7 +279,8 @@ impl<'a> Sampler<'a> {
     fn take_path(&mut self) {
         while let Some(path) = self.network.next_path() {
             self.has_path = path.is_some();
-            self.exchange.set_envelope(path.map_or(Envelope::Raw, Envelope::Udp));
+            self.exchange
+                .set_encapsulation(path.map_or(Encapsulation::Raw, Encapsulation::Udp));
         }
     }
 
@@ -295,7 +296,7 @@ impl<'a> Sampler<'a> {
         let clock = self.exchange.plan().clock.map(|clock| clock.station);
         if clock != self.clock {
             self.clock = clock;
-            self.steering = ClockSteering::new();
+            self.steering = ClockSteering::new(PERIOD_NS);
         }
         if self.clock.is_some() {
             self.timer_correction_ns = self.steering.step(ClockReading {
@@ -457,7 +458,10 @@ impl<'a> Sampler<'a> {
             drive_fault: [false; AXES],
             reference_lost: self.reference_lost,
             al_status: self.exchange.al_status().map(|al| al.status as u8),
-            clock: self.steering.fault(u32::from(self.bus.clock_error_max_us) * 1_000),
+            clock: self
+                .steering
+                .fault(u32::from(self.bus.clock_error_max_us) * 1_000)
+                .map(Fault::from),
             power,
             following: following || underrun,
             underrun,

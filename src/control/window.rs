@@ -4,8 +4,8 @@
 //! over.
 
 use super::sampler::Queued;
+use crate::ethercat::queue;
 use crate::motion::Reference;
-use crate::queue;
 use crate::robot::AXES;
 use heapless::spsc::Consumer;
 

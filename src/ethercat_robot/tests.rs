@@ -24,7 +24,7 @@ fn at(position: i32) -> Option<DriveInput> {
 }
 
 /// A slave in OP that drives axis 0.
-fn share(kind: DriveKind, mode: AxisMode) -> CyclicSlave {
+fn share(kind: DriveKind, mode: AxisMode) -> DriveShare {
     let description = kind.mode(mode).unwrap();
     let mut builder = LayoutBuilder::new(mode, description);
     for (outputs, inputs) in description.outputs.entries.iter().zip(description.inputs.entries) {
@@ -39,14 +39,14 @@ fn share(kind: DriveKind, mode: AxisMode) -> CyclicSlave {
     {
         builder.input(*entry).unwrap();
     }
-    CyclicSlave {
+    DriveShare {
         watched: true,
         role: Some(DriveRole {
-            axis: 0,
-            kind,
+            member: 0,
+            device: kind,
             layout: builder.finish().unwrap(),
         }),
-        ..CyclicSlave::default()
+        ..DriveShare::default()
     }
 }
 
@@ -206,7 +206,7 @@ fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
         ..DriveOutput::default()
     };
     axis.step(at(0), 0);
-    let left = CyclicSlave {
+    let left = DriveShare {
         watched: false,
         ..drive
     };

@@ -16,7 +16,7 @@ use super::protocol::{
 use crate::application::Refusal;
 use crate::board::{PreviousRun, RunEnd};
 use crate::config::Config;
-use crate::ethercat::service::{ServiceRequest, ServiceResult};
+use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use heapless::{Deque, String};
 

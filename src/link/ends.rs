@@ -3,9 +3,9 @@
 use super::frame::Decoder;
 use super::ports::LinkPort;
 use crate::control::sampler::{CycleReport, SamplerCommand};
-use crate::ethercat::ApplicationEnd;
 use crate::measurement::Measurements;
 use crate::network::SettingsEnd;
+use crate::robot_bus::RobotBusEnd;
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem};
 use heapless::spsc::{Consumer, Producer};
 
@@ -36,7 +36,7 @@ pub struct LinkEnds<'a> {
     /// State of the trajectory task.
     pub motion_reports: Consumer<'a, MotionReport>,
     /// The bus's supervisor.
-    pub bus: ApplicationEnd<'a>,
+    pub bus: RobotBusEnd<'a>,
     /// Settings for the IP stack.
     pub network: SettingsEnd<'a>,
     /// Execution times of the tasks.

@@ -6,7 +6,7 @@
 use crate::application::{Fault, Mode, Refusal};
 use crate::board::{Interlock, PortState, PreviousRun};
 use crate::config::{Config, ConfigError};
-use crate::ethercat::service::{ServiceRequest, ServiceResult};
+use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::Pen;
 use crate::robot::{AXES, GeometryError, JointAngles, Position};

@@ -15,9 +15,10 @@ use crate::application::{ACTIONS_MAX, Action, Application, Condition, Fault, Mod
 use crate::board::{BoardState, Interlock, PortState, PreviousRun};
 use crate::config::Config;
 use crate::control::sampler::{CycleReport, SamplerCommand};
+use crate::coordinator::bus_condition;
 use crate::drives::cia402::{DriveState, StatusWord};
-use crate::ethercat::event::{BusCommand, BusEvent, BusSetup};
-use crate::ethercat::service::{ServiceError, ServiceRequest};
+use crate::ethercat::diagnostics::{ServiceError, ServiceRequest};
+use crate::ethercat::event::{BusCommand, BusEvent};
 use crate::ethercat::state::AlReport;
 use crate::motion::{Admission, Pen, Vertex};
 use crate::robot::{AXES, JointAngles, Position};
@@ -219,7 +220,7 @@ impl<'a> LinkTask<'a> {
     /// Passes a request to the supervisor, or refuses it.
     fn ask_bus(&mut self, id: u16, request: ServiceRequest) {
         let error = if request.changes() && !self.application.may_configure() {
-            ServiceError::NotInMode(self.application.mode())
+            ServiceError::NotAllowed(self.application.mode().number())
         } else if self.asked.is_none() && self.ends.bus.services.enqueue(request).is_ok() {
             self.asked = Some(Some(id));
             return;
@@ -257,10 +258,7 @@ impl<'a> LinkTask<'a> {
         let _ = self.ends.network.enqueue(config.bus.network());
         self.recovery_due = false;
         // There is room, see `instruct_supervisor`.
-        let _ = self.ends.bus.commands.enqueue(BusCommand::Start(BusSetup {
-            bus: config.bus.clone(),
-            axes: config.axes,
-        }));
+        let _ = self.ends.bus.commands.enqueue(BusCommand::Start(config.bus_setup()));
         Ok(hash)
     }
 
@@ -403,7 +401,7 @@ impl<'a> LinkTask<'a> {
             BusEvent::SlaveLeft { position, report } => self.take_state(position, report),
             _ => {}
         }
-        if let Some(condition) = event.condition() {
+        if let Some(condition) = bus_condition(event) {
             self.application.bus(condition);
             self.carry_out_all();
         }

@@ -19,8 +19,8 @@ mod task;
 pub use task::{NetworkTask, PATH_LIFE_MS, PROBE_PERIOD_MS};
 
 use crate::config::HostAddress;
+use crate::ethercat::queue;
 use crate::ethercat::wire::{UDP_PORT, UdpRepr, read_u8};
-use crate::queue;
 use core::net::Ipv4Addr;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};

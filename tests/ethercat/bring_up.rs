@@ -2,10 +2,10 @@
 
 use crate::rig::{idle_rig, rig};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::drives::io::{AxisCommand, Demand};
 use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
-use etherpen::io::{AxisCommand, Demand};
 use etherpen::robot::AXES;
 use host_tools::cell::Fault;
 

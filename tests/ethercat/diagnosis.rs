@@ -1,7 +1,7 @@
 //! What the master reports unasked: damaged cables and emergencies.
 
 use crate::rig::rig;
-use etherpen::ethercat::service::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::supervisor::BusEvent;
 use host_tools::cell::Fault;
 

@@ -2,7 +2,7 @@
 
 use crate::rig::{Rig, idle_rig, rig};
 use etherpen::ethercat::cyclic::{BusCounters, IGNORED_KINDS, Ignored};
-use etherpen::ethercat::service::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;

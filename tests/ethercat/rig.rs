@@ -8,12 +8,13 @@ use core::pin::Pin;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
 use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::drives::io::{AxisCommand, AxisInput, Demand};
 use etherpen::ethercat::cyclic::BusCounters;
-use etherpen::ethercat::service::{ServiceReply, ServiceRequest, ServiceResult};
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, ServiceResult};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
-use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues, RobotExchange};
-use etherpen::io::{AxisCommand, AxisInput, Demand};
+use etherpen::ethercat_robot::EtherCatRobot;
 use etherpen::robot::AXES;
+use etherpen::robot_bus::{RobotBusQueues, RobotExchange};
 use heapless::spsc::{Consumer, Producer};
 use host_tools::cell::{Cell, CellOptions, Fault};
 
@@ -59,10 +60,7 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
     let config = Config::default();
     let queues = Box::leak(Box::new(RobotBusQueues::new()));
     let (exchange_end, supervisor_end, application) = queues.split();
-    let setup = BusSetup {
-        bus: config.bus.clone(),
-        axes: config.axes,
-    };
+    let setup = config.bus_setup();
     Rig {
         cell: Cell::new(&config, options),
         exchange: RobotExchange::new(exchange_end, MAC),

@@ -1,8 +1,8 @@
 //! What may be asked of the bus, with and without a bus that was brought up.
 
 use crate::rig::{Rig, idle_rig, rig};
+use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
 use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
 use etherpen::ethercat::state::{AlReport, AlState};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::ethercat::wire::coe::Object;

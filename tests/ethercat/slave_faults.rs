@@ -1,8 +1,8 @@
 //! What slaves do wrong at every stage: states, information memory, mailbox, and the chain itself.
 
 use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
+use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
 use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest};
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::robot::AXES;
@@ -156,7 +156,7 @@ fn an_information_memory_that_fails_is_named_and_one_that_is_whole_again_is_read
             (SiiFault::Busy, Some((Some(1), BusError::SiiBusy { .. })))
             | (SiiFault::Acknowledge, Some((Some(1), BusError::Sii { .. }))) => {}
             // A slave that nobody knows is no drive.
-            (SiiFault::Blank | SiiFault::Damaged, Some((_, BusError::DriveCount { expected: 4, actual: 3 }))) => {}
+            (SiiFault::Blank | SiiFault::Damaged, Some((_, BusError::MemberCount { expected: 4, actual: 3 }))) => {}
             // The master takes it from the slave's own processor.
             (SiiFault::Owned, _) => {}
             other => panic!("{other:?}: {:#?}", rig.log),

@@ -6,7 +6,7 @@
 use crate::liveness::{come_back, with};
 use crate::robot::{Robot, path};
 use etherpen::application::Mode;
-use etherpen::ethercat::service::ServiceRequest;
+use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::link::protocol::Command;
 use host_tools::cell::{AlState, Fault, MailFault, MailStep, Product, ResolverFault, SiiFault};

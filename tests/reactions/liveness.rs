@@ -4,7 +4,7 @@ use crate::STILL_RAD_S;
 use crate::robot::{Robot, path};
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::ethercat::service::ServiceRequest;
+use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::link::protocol::Command;
 use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFault};

@@ -4,7 +4,7 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::control::feedback::COMPARISONS;
-use etherpen::ethercat::service::ServiceRequest;
+use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::frame::{FRAME_BYTES_MAX, encode};
 use etherpen::link::protocol::{Command, ConfigRefusal, HostMessage, PathAck, PathVertex, Sample, Status};
 use etherpen::measurement::MeasurementRequest;

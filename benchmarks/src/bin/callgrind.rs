@@ -6,7 +6,7 @@
 use benchmarks::ethercrab_master::{EthercrabMaster, Storage};
 use benchmarks::etherpen_master::EtherpenMaster;
 use benchmarks::{CASES, CYCLES, Meter, measure};
-use etherpen::ethercat_robot::RobotBusQueues;
+use etherpen::robot_bus::RobotBusQueues;
 use std::process::ExitCode;
 
 #[inline(never)]

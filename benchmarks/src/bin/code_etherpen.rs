@@ -7,7 +7,7 @@ mod image;
 
 use benchmarks::etherpen_master;
 use cortex_m_rt::entry;
-use etherpen::ethercat_robot::RobotBusQueues;
+use etherpen::robot_bus::RobotBusQueues;
 
 #[entry]
 fn main() -> ! {

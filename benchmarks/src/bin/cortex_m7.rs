@@ -10,7 +10,7 @@ use benchmarks::{CASES, CYCLES, Case, Master, Meter, measure};
 use core::sync::atomic::{AtomicI32, Ordering};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
-use etherpen::ethercat_robot::RobotBusQueues;
+use etherpen::robot_bus::RobotBusQueues;
 
 static COUNTED: AtomicI32 = AtomicI32::new(0);
 static OVERHEAD: AtomicI32 = AtomicI32::new(0);

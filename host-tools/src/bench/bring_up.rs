@@ -9,8 +9,8 @@ use super::{BenchError, programs};
 use crate::cell::{AlState, Cell, CellOptions};
 use etherpen::config::Config;
 use etherpen::controller::MASTER_ADDRESS;
-use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
-use etherpen::ethercat_robot::{RobotBusQueues, RobotExchange, RobotSupervisor};
+use etherpen::ethercat::event::{BusCommand, BusEvent};
+use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use std::io::{ErrorKind, Read, Write};
 use std::pin::pin;
 use std::task::{Context, Waker};
@@ -45,10 +45,7 @@ pub(super) fn etherpen() -> Result<u64, BenchError> {
     let mut supervisor = RobotSupervisor::new(supervisor_end);
     let mut supervision = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
-    let setup = BusSetup {
-        bus: config.bus.clone(),
-        axes: config.axes,
-    };
+    let setup = config.bus_setup();
     if application.commands.enqueue(BusCommand::Start(setup)).is_err() {
         return Err(failed("etherpen", "no room for the order"));
     }

@@ -2,11 +2,12 @@
 
 use super::*;
 use etherpen::drives::cia402::DriveTarget;
+use etherpen::drives::io::{AxisCommand, AxisInput, Demand};
 use etherpen::ethercat::cyclic::Exchange;
-use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
+use etherpen::ethercat::event::{BusCommand, BusEvent};
 use etherpen::ethercat::supervisor::Supervisor;
-use etherpen::ethercat_robot::{EtherCatRobot, RobotBusQueues};
-use etherpen::io::{AxisCommand, AxisInput, Demand};
+use etherpen::ethercat_robot::EtherCatRobot;
+use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues};
 use std::pin::pin;
 use std::task::{Context, Waker};
 
@@ -21,7 +22,7 @@ struct Millisecond<'a> {
     inputs: [Option<AxisInput>; AXES],
     events: Vec<BusEvent>,
     commands: &'a mut [AxisCommand; AXES],
-    orders: Vec<BusCommand>,
+    orders: Vec<RobotBusCommand>,
     frames_lost: u32,
     working_counter_errors: u32,
 }
@@ -43,10 +44,7 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
     let mut context = Context::from_waker(Waker::noop());
     let mut robot = EtherCatRobot::new(&config.axes);
     let mut commands = [AxisCommand::default(); AXES];
-    let setup = BusSetup {
-        bus: config.bus.clone(),
-        axes: config.axes,
-    };
+    let setup = config.bus_setup();
     let mut orders = vec![BusCommand::Start(setup)];
     for now_ms in 0..TEST_MS_MAX {
         for order in orders.drain(..) {

@@ -6,7 +6,7 @@
 use super::Console;
 use super::hub::Topic;
 use crate::machine::{Answer, Order, Reply};
-use etherpen::ethercat::service::{ServiceReply, ServiceRequest, SlaveErrors};
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, SlaveErrors};
 use etherpen::ethercat::wire::register::PortErrors;
 use serde::Serialize;
 use std::sync::mpsc::Receiver;

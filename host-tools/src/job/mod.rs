@@ -29,7 +29,7 @@ use error::{JobError, Phase};
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
-use etherpen::ethercat::service::ServiceRequest;
+use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 use etherpen::motion::Pen;

@@ -9,7 +9,7 @@ use crate::hash::fnv1a;
 use crate::link::measurement::Readings;
 use crate::link::session::SessionCounts;
 use etherpen::application::{Mode, Refusal};
-use etherpen::ethercat::service::ServiceResult;
+use etherpen::ethercat::diagnostics::ServiceResult;
 use etherpen::link::protocol::{Command, PathVertex, Sample, Status, Welcome};
 use etherpen::measurement::MeasurementAnswer;
 use etherpen::motion::Pen;

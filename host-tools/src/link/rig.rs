@@ -4,7 +4,7 @@ use crate::random::Xorshift;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
-use etherpen::ethercat::service::{BusInfo, ServiceReply, ServiceRequest};
+use etherpen::ethercat::diagnostics::{BusInfo, ServiceReply, ServiceRequest};
 use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;

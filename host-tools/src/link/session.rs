@@ -8,7 +8,7 @@
 use super::path::PathSender;
 use etherpen::application::Refusal;
 use etherpen::config::Config;
-use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
+use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
 use etherpen::link::protocol::{
     Command, ConfigRefusal, DeviceMessage, Hello, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, Sample, Status,

@@ -37,7 +37,7 @@ use crate::link::port::{self, Line, Port, PortError, PortName};
 use crate::link::session::session_number;
 pub use account::Account;
 use etherpen::config::Config;
-use etherpen::ethercat::service::{ServiceRequest, ServiceResult};
+use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::link::protocol::{Command, PathAck, Sample, Status, Welcome};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
 pub use following::Source;

@@ -11,7 +11,7 @@ use crate::job::error::{JobError, Phase};
 use crate::job::{Control, DrawTask, Job, JobEvent, JobOptions, JobReport, Life, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::ethercat::service::ServiceResult;
+use etherpen::ethercat::diagnostics::ServiceResult;
 use etherpen::link::protocol::{Command, Sample};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;

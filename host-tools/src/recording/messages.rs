@@ -146,29 +146,6 @@ const EVENT_SCHEMA: &str = "# Something that happened.\n\
     ================================================================================\n\
     MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
 
-/// The modes in the order of their numbers.
-pub const MODES: [Mode; 10] = [
-    Mode::Startup,
-    Mode::BusConfiguring,
-    Mode::DrivesOff,
-    Mode::Unreferenced,
-    Mode::Idle,
-    Mode::Moving,
-    Mode::Drawing,
-    Mode::Holding,
-    Mode::Stopping,
-    Mode::Fault,
-];
-
-/// Number of a mode: its place in [`MODES`].
-pub fn mode_number(mode: Mode) -> u8 {
-    MODES.iter().position(|known| *known == mode).unwrap_or(0) as u8
-}
-
-fn mode_of(number: u8) -> Option<Mode> {
-    MODES.get(usize::from(number)).copied()
-}
-
 impl Moment {
     /// Appends the message's bytes.
     pub fn encode(&self, out: &mut Vec<u8>) {
@@ -176,7 +153,7 @@ impl Moment {
         let mut cdr = Encoder::new(out);
         cdr.word(sample.t_ms);
         cdr.word(sample.stroke);
-        cdr.byte(mode_number(sample.mode));
+        cdr.byte(sample.mode.number());
         cdr.byte(u8::from(sample.pen == Pen::Down));
         for value in [position.x_mm, position.y_mm, position.z_mm] {
             cdr.double(value);
@@ -190,7 +167,7 @@ impl Moment {
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let mut cdr = Decoder::new(bytes)?;
         let (t_ms, stroke) = (cdr.word()?, cdr.word()?);
-        let mode = mode_of(cdr.byte()?)?;
+        let mode = Mode::from_number(cdr.byte()?)?;
         let pen = if cdr.byte()? == 1 { Pen::Down } else { Pen::Up };
         let position = Position {
             x_mm: cdr.double()?,
@@ -250,7 +227,7 @@ impl State {
     pub fn encode(&self, out: &mut Vec<u8>) {
         let mut cdr = Encoder::new(out);
         cdr.word(self.t_ms);
-        cdr.byte(mode_number(self.mode));
+        cdr.byte(self.mode.number());
         cdr.byte(self.referenced.into());
         cdr.byte(self.override_percent);
         let mut counted = self.counters;
@@ -267,7 +244,7 @@ impl State {
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let mut cdr = Decoder::new(bytes)?;
         let t_ms = cdr.word()?;
-        let (mode, referenced, override_percent) = (mode_of(cdr.byte()?)?, cdr.byte()? == 1, cdr.byte()?);
+        let (mode, referenced, override_percent) = (Mode::from_number(cdr.byte()?)?, cdr.byte()? == 1, cdr.byte()?);
         let mut counted = Counters::default();
         for count in counters(&mut counted) {
             *count = cdr.word()?;
@@ -505,7 +482,7 @@ mod tests {
 
     #[test]
     fn every_mode_is_named_in_the_schema_by_its_number() {
-        for mode in MODES {
+        for mode in Mode::ALL {
             let name = format!("{mode:?}");
             let mut constant = String::new();
             for (k, letter) in name.char_indices() {
@@ -514,7 +491,7 @@ mod tests {
                 }
                 constant.push(letter.to_ascii_uppercase());
             }
-            let line = format!("uint8 {constant}={}\n", mode_number(mode));
+            let line = format!("uint8 {constant}={}\n", mode.number());
             assert!(SAMPLE_SCHEMA.contains(&line) && STATUS_SCHEMA.contains(&line), "{line}");
         }
     }

@@ -4,7 +4,7 @@
 //! angle, which is the input of the controller. Invariant: a value that needs samples from before a gap is missing, not
 //! wrong.
 
-use super::messages::{Moment, axes, mode_number};
+use super::messages::{Moment, axes};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::motion::Pen;
@@ -59,7 +59,7 @@ impl Value {
     pub fn number(self) -> Option<f64> {
         match self {
             Self::Whole(value) => Some(value.into()),
-            Self::Mode(mode) => Some(mode_number(mode).into()),
+            Self::Mode(mode) => Some(mode.number().into()),
             Self::Real(value, _) => Some(value),
             Self::Missing => None,
         }

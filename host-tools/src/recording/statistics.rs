@@ -4,7 +4,7 @@
 //! taken, does not count as a speed.
 
 use super::mcap::Source;
-use super::messages::{MODES, Moment, mode_number};
+use super::messages::Moment;
 use super::signals::{Evaluator, Signal, columns, errors};
 use super::{Playback, RecordingEntry};
 use etherpen::application::Mode;
@@ -169,7 +169,7 @@ struct Counting {
     evaluator: Evaluator,
     signals: Vec<Signal>,
     sums: Vec<Sums>,
-    modes: [u64; MODES.len()],
+    modes: [u64; Mode::ALL.len()],
     span_s: Option<(f64, f64)>,
 }
 
@@ -183,7 +183,7 @@ impl Counting {
         }
         self.evaluator.take(&moment);
         let mode = moment.sample.mode;
-        if let Some(count) = self.modes.get_mut(usize::from(mode_number(mode))) {
+        if let Some(count) = self.modes.get_mut(usize::from(mode.number())) {
             *count += 1;
         }
         for (sums, signal) in self.sums.iter_mut().zip(&self.signals) {
@@ -214,7 +214,7 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
         evaluator: Evaluator::new(config.as_ref()),
         sums: vec![Sums::default(); signals.len()],
         signals,
-        modes: [0; MODES.len()],
+        modes: [0; Mode::ALL.len()],
         span_s: None,
     };
     let mut jumps = Jumps::new(&config.unwrap_or_default());
@@ -255,7 +255,7 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
     }
     figures.duration_s = counting.span_s.map_or(0.0, |(first, last)| last - first);
     figures.complete = playback.is_complete();
-    figures.modes = MODES
+    figures.modes = Mode::ALL
         .into_iter()
         .zip(counting.modes)
         .filter(|(_, count)| *count > 0)

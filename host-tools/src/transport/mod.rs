@@ -131,7 +131,7 @@ pub enum Master {
 /// What is missing, and what to try.
 pub fn open(endpoint: &Endpoint) -> Result<Box<dyn Transport>, TransportError> {
     Ok(match endpoint {
-        Endpoint::Interface(name) => Box::new(raw::RawTransport::open(name)?),
+        Endpoint::Interface(name) => Box::new(raw::FramePort::open(name)?),
         Endpoint::Udp(address) => Box::new(udp::UdpTransport::open(*address)?),
         Endpoint::Unix(path) => Box::new(unix::UnixTransport::open(path)?),
     })

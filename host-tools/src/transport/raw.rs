@@ -111,15 +111,15 @@ impl Raw {
 }
 
 /// A master's end.
-pub(super) struct RawTransport(Raw);
+pub(super) struct FramePort(Raw);
 
-impl RawTransport {
+impl FramePort {
     pub(super) fn open(interface: &str) -> Result<Self, TransportError> {
         Raw::open(interface).map(Self)
     }
 }
 
-impl Transport for RawTransport {
+impl Transport for FramePort {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         self.0.send(frame)
     }

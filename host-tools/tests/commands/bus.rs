@@ -1,11 +1,11 @@
 //! `etherpen bus` over the link: a firmware that answers from a list, as a person and as a program see it.
 
 use crate::program::{Folder, etherpen, run};
-use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::service::{
+use etherpen::ethercat::diagnostics::{
     BusInfo, EntryInfo, ObjectInfo, Piece, ServiceError, ServiceReply, ServiceRequest, ServiceResult, SlaveErrors,
     SlaveInfo,
 };
+use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::state::{AlReport, AlState};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::register::PortErrors;
@@ -98,7 +98,7 @@ fn slave_info(slave: u8) -> SlaveInfo {
             serial: u32::from(slave) + 1,
         },
         name: "AX2000-B110".try_into().expect("short"),
-        axis: Some(slave),
+        member: Some(slave),
         report: AlReport {
             status: if left { 0x14 } else { 8 },
             code: if left { 0x001B } else { 0 },

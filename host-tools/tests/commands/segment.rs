@@ -1,8 +1,8 @@
 //! The segment as a program of its own, and this project's master on it: sockets, captures, messages.
 
 use crate::program::{Folder, Running, etherpen, run};
-use etherpen::config::{Bus, Config};
-use etherpen::ethercat::event::BusSetup;
+use etherpen::config::Config;
+use etherpen::robot_bus::RobotBusSetup;
 use host_tools::error::code;
 use host_tools::master::Master;
 use host_tools::setup;
@@ -57,12 +57,9 @@ impl Segment {
 /// Brings the four drives of a segment to OP with this project's master; gives the frames sent.
 fn bring_up(endpoint: &Endpoint) -> u32 {
     let config = Config::default();
-    let setup = BusSetup {
-        bus: Bus {
-            watchdog_ms: 1_000,
-            ..config.bus
-        },
-        axes: config.axes,
+    let setup = RobotBusSetup {
+        watchdog_ms: 1_000,
+        ..config.bus_setup()
     };
     let transport = transport::open(endpoint).expect("the segment listens");
     let master = Master::start(transport, setup, PATIENCE).expect("four drives are there");

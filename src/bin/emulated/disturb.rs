@@ -10,7 +10,7 @@
 
 use crate::wire::Wire;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use etherpen::ethercat::transport::raw::RawTransport;
+use etherpen::ethercat::frame_port::FramePort;
 use etherpen::measurement::disturbance::{LOG, SERIAL};
 
 /// Counts between two ticks: 92,000 ticks a second, as the bytes of a line of 921,600 baud.
@@ -84,7 +84,7 @@ pub(crate) fn log() {
 }
 
 /// Makes foreign frames arrive around the next release.
-pub(crate) fn foreign_frames(transport: &mut RawTransport<Wire>, millisecond: u32) {
+pub(crate) fn foreign_frames(transport: &mut FramePort<Wire>, millisecond: u32) {
     let swept = millisecond.wrapping_mul(SWEEP_STEP) % SWEEP_COUNTS;
     transport.driver_mut().clock.deliver_around_release(SWEEP_BEFORE, swept);
     // A request that finds no room in the controller is repeated a millisecond later.

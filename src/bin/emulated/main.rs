@@ -68,12 +68,12 @@ mod app {
     use etherpen::board::{BoardState, EmergencyStopInput, Interlock, PortState};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, MASTER_ADDRESS};
-    use etherpen::ethercat::transport::raw::RawTransport;
-    use etherpen::ethercat_robot::RobotSupervisor;
+    use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link::task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
     use etherpen::network::NetworkTask;
+    use etherpen::robot_bus::RobotSupervisor;
     use etherpen::trajectory_task::TrajectoryTask;
 
     static SUPERVISOR: Metronome = Metronome::new();
@@ -86,7 +86,7 @@ mod app {
     struct Shared {
         measurements: &'static Measurements,
         #[lock_free]
-        transport: RawTransport<Wire>,
+        transport: FramePort<Wire>,
         #[lock_free]
         sampler: Sampler<'static>,
         #[lock_free]
@@ -125,7 +125,7 @@ mod app {
         parts.measurements.offer_disturbance();
         let shared = Shared {
             measurements: parts.measurements,
-            transport: RawTransport::new(Wire::new(mac, bus, clock)),
+            transport: FramePort::new(Wire::new(mac, bus, clock)),
             sampler: parts.sampler,
             watch: CycleWatch::new(parts.measurements),
             serial: Serial::new(parts.host_bytes, route),

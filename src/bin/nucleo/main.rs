@@ -83,12 +83,12 @@ mod app {
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
     use etherpen::ethercat::clock::steering::CountCorrection;
-    use etherpen::ethercat::transport::raw::RawTransport;
-    use etherpen::ethercat_robot::RobotSupervisor;
+    use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::phy::Phy;
     use etherpen::link::task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
     use etherpen::network::NetworkTask;
+    use etherpen::robot_bus::RobotSupervisor;
     use etherpen::trajectory_task::TrajectoryTask;
     use stm32_metapac::{Interrupt, UID};
 
@@ -98,7 +98,7 @@ mod app {
         #[lock_free]
         sampler: &'static mut Sampler<'static>,
         #[lock_free]
-        wire: &'static mut RawTransport<Ethernet>,
+        wire: &'static mut FramePort<Ethernet>,
         #[lock_free]
         watch: CycleWatch<'static>,
         measurements: &'static Measurements,
@@ -123,7 +123,7 @@ mod app {
     #[init(local = [
         channels: Channels = Channels::new(),
         parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),
-        wire: MaybeUninit<RawTransport<Ethernet>> = MaybeUninit::uninit(),
+        wire: MaybeUninit<FramePort<Ethernet>> = MaybeUninit::uninit(),
         usb_memory: usb::Memory = usb::Memory::new()
     ])]
     fn init(mut context: init::Context) -> (Shared, Local) {
@@ -154,7 +154,7 @@ mod app {
         parts.link.set_previous_run(previous);
         kept::starting("Ethernet");
         let unique = unique_number();
-        let wire = wire.write(RawTransport::new(Ethernet::new(hardware_address(unique))));
+        let wire = wire.write(FramePort::new(Ethernet::new(hardware_address(unique))));
         parts.network.set_hardware_address(wire.mac_address());
         kept::starting("serial line");
         let serial = Serial::new(&mut parts.host_bytes);

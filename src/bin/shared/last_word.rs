@@ -11,13 +11,13 @@ use core::sync::atomic::{AtomicPtr, Ordering};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use etherpen::control::sampler::Sampler;
-use etherpen::ethercat::transport::raw::RawTransport;
+use etherpen::ethercat::frame_port::FramePort;
 
 static SAMPLER: AtomicPtr<Sampler<'static>> = AtomicPtr::new(ptr::null_mut());
-static TRANSPORT: AtomicPtr<RawTransport<Port>> = AtomicPtr::new(ptr::null_mut());
+static TRANSPORT: AtomicPtr<FramePort<Port>> = AtomicPtr::new(ptr::null_mut());
 
 /// Stores what is needed for the last telegram; for statics of the critical tasks only. Safe in a critical task.
-pub(crate) fn prepare(sampler: &mut Sampler<'static>, transport: &mut RawTransport<Port>) {
+pub(crate) fn prepare(sampler: &mut Sampler<'static>, transport: &mut FramePort<Port>) {
     SAMPLER.store(sampler, Ordering::Relaxed);
     TRANSPORT.store(transport, Ordering::Relaxed);
 }

@@ -4,7 +4,7 @@
 
 use super::text;
 use crate::error::{ProgramError, code};
-use etherpen::ethercat::service::{
+use etherpen::ethercat::diagnostics::{
     BusInfo, EntryInfo, INDICES_MAX, ObjectInfo, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest,
     SlaveErrors, SlaveInfo,
 };

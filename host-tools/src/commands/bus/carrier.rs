@@ -10,7 +10,7 @@ use crate::machine::{Client, Order, Reply};
 use crate::master::Master;
 use crate::transport::{self, Endpoint};
 use etherpen::config::Config;
-use etherpen::ethercat::service::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
+use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
 use std::time::{Duration, Instant};
 
 /// Longest time for which a request to a busy bus is repeated.

@@ -5,7 +5,7 @@ use super::value::{Type, hex};
 use super::{table, text};
 use crate::commands::print_json;
 use crate::error::{ProgramError, code};
-use etherpen::ethercat::service::{EntryInfo, ObjectInfo, ServiceError};
+use etherpen::ethercat::diagnostics::{EntryInfo, ObjectInfo, ServiceError};
 use etherpen::ethercat::wire::coe::Object;
 use serde::Serialize;
 use serde_json::Value;

@@ -5,7 +5,7 @@ use super::table;
 use super::value::hex;
 use crate::commands::print_json;
 use crate::error::ProgramError;
-use etherpen::ethercat::service::SlaveErrors;
+use etherpen::ethercat::diagnostics::SlaveErrors;
 use etherpen::ethercat::wire::register;
 use etherpen::ethercat::wire::register::PortErrors;
 use serde::Serialize;

@@ -5,7 +5,7 @@ use super::{table, text};
 use crate::commands::print_json;
 use crate::error::{ProgramError, code};
 use crate::link::text::al_state;
-use etherpen::ethercat::service::{ServiceError, SlaveInfo};
+use etherpen::ethercat::diagnostics::{ServiceError, SlaveInfo};
 use etherpen::ethercat::state::{AlReport, AlState, al_code_hint, al_code_text};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -131,7 +131,7 @@ impl SlaveAnswer {
             serial: info.identity.serial,
             station: info.station,
             alias: info.alias,
-            axis: info.axis.map(|axis| u16::from(axis) + 1),
+            axis: info.member.map(|axis| u16::from(axis) + 1),
             state: StateView::new(info.report),
             drive: info.status_word.map(DriveView::new),
             mailbox_out: [info.mailbox_out.start, info.mailbox_out.length],

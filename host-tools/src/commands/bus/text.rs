@@ -2,10 +2,11 @@
 
 use crate::link::text;
 use crate::master::MasterError;
+use etherpen::application::Mode;
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::coe::{abort_hint, abort_text};
+use etherpen::ethercat::diagnostics::ServiceError;
 use etherpen::ethercat::error::BusError;
-use etherpen::ethercat::service::ServiceError;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::mailbox::error_text;
@@ -56,9 +57,9 @@ pub fn service_error(error: &ServiceError) -> String {
         ServiceError::NoSlave { slaves: 0 } => "there are no slaves; check cable and supply of the first one".into(),
         ServiceError::NoSlave { slaves } => format!("there is no such slave; there are {slaves}, counted from 1"),
         ServiceError::NoCoe => "the slave has no mailbox, or none that speaks CoE, so it has no objects".into(),
-        ServiceError::NotInMode(mode) => format!(
+        ServiceError::NotAllowed(mode) => format!(
             "nothing can be changed now: {}; disable the drives, or end what the robot does first",
-            text::mode(*mode)
+            Mode::from_number(*mode).map_or("unknown mode", text::mode)
         ),
         ServiceError::Busy => "the bus is being brought up or repaired, or another program asks it; try again".into(),
         ServiceError::Interrupted => "the bus changed meanwhile; try again".into(),
@@ -151,7 +152,7 @@ pub fn bus_error(error: &BusError) -> String {
         BusError::Sii { status } => {
             format!("the slave information memory reports an error (status {status:#06x}); it may be damaged")
         }
-        BusError::DriveCount { expected, actual } => {
+        BusError::MemberCount { expected, actual } => {
             format!("{actual} drives are there, {expected} are needed; check cables and supplies, and bus.drives")
         }
         BusError::Identity { expected, actual } => {

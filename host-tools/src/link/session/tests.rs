@@ -3,7 +3,7 @@
 use super::*;
 use crate::link::rig::{CAPACITY, Rig, path};
 use etherpen::application::Mode;
-use etherpen::ethercat::service::ServiceReply;
+use etherpen::ethercat::diagnostics::ServiceReply;
 
 const SEEDS: [u64; 4] = [1, 2, 0xfeed, 0x5eed_cafe];
 

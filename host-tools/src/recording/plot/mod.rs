@@ -8,10 +8,10 @@ mod picture;
 
 use super::Playback;
 use super::mcap::Source;
-use super::messages::MODES;
 use super::signals::Signal;
 use crate::plot_scale::{marks, number};
 use curves::Curves;
+use etherpen::application::Mode;
 use picture::{Anchor, Colour, LETTER_WIDTH, Picture};
 use std::io;
 
@@ -230,7 +230,9 @@ fn draw_panel(picture: &mut Picture, curves: &Curves, panel: &Panel, top: f64) {
 /// Marks of a panel's scale and their texts; marks of the mode are names.
 fn scale(panel: &Panel, low: f64, high: f64) -> Vec<(f64, String)> {
     if panel.signals.iter().any(|(_, signal)| signal.is_mode()) {
-        let named = (0_u8..).zip(MODES).map(|(k, mode)| (f64::from(k), format!("{mode:?}")));
+        let named = (0_u8..)
+            .zip(Mode::ALL)
+            .map(|(k, mode)| (f64::from(k), format!("{mode:?}")));
         return named.filter(|(value, _)| (low..=high).contains(value)).collect();
     }
     let whole = panel.signals.iter().all(|(_, signal)| signal.is_whole());

@@ -1,0 +1,85 @@
+//! Configuration of a drive in PREOP: process data of its mode, mode of operation, settings, and the layout.
+//!
+//! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
+
+use crate::layout::LayoutBuilder;
+use crate::layout::ProcessLayout;
+use crate::{
+    AxisMode, DriveKind, DriveSettings, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY,
+    QUICK_STOP_DECELERATION,
+};
+use etherpen_ethercat::configure::PreOperational;
+use etherpen_ethercat::driver::{Direction, ProcessData, Setting, SlaveFactory};
+use etherpen_ethercat::error::BusError;
+
+/// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
+///
+/// If the drive accepts the choice that its twin accepted, it has the lists of its twin.
+///
+/// # Errors
+/// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],
+/// [`BusError::Alignment`] or [`BusError::ProcessLength`] when its process data cannot be used, [`BusError::SdoAbort`],
+/// [`BusError::ReadBack`], or errors of the mailbox.
+pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE: usize>(
+    kind: DriveKind,
+    drive: &DriveSettings,
+    slave: &mut PreOperational<'_, '_, MESSAGE>,
+    twin: Option<&ProcessData<F>>,
+) -> Result<ProcessData<F>, BusError> {
+    let object = OPERATION_MODE;
+    let mode = kind.mode(drive.mode).ok_or(BusError::Range { object })?;
+    let object = QUICK_STOP_DECELERATION;
+    let settings = (kind.settings)(drive).ok_or(BusError::Range { object })?;
+
+    let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
+    let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
+    let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
+    slave.write(&operation_mode.shown_by(OPERATION_MODE_DISPLAY)).await?;
+    for setting in &settings {
+        slave.write(setting).await?;
+    }
+    match twin {
+        Some(twin) if outputs_taken && inputs_taken && twin.layout.mode == drive.mode => Ok(*twin),
+        _ => lay_out(kind, drive.mode, mode, slave).await,
+    }
+}
+
+/// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout. Mode
+/// and settings of the drive are not written.
+///
+/// # Errors
+/// As [`used`], except errors of mode and settings.
+pub(crate) async fn unused<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE: usize>(
+    kind: DriveKind,
+    slave: &mut PreOperational<'_, '_, MESSAGE>,
+) -> Result<Option<ProcessData<F>>, BusError> {
+    let mut modes = [AxisMode::Velocity, AxisMode::Torque].into_iter();
+    let Some((axis_mode, mode)) = modes.find_map(|mode| Some((mode, kind.mode(mode)?))) else {
+        return Ok(None);
+    };
+    slave.assign(Direction::Outputs, &mode.outputs).await?;
+    slave.assign(Direction::Inputs, &mode.inputs).await?;
+    lay_out(kind, axis_mode, mode, slave).await.map(Some)
+}
+
+/// Makes the layout from the drive's actual process data.
+async fn lay_out<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE: usize>(
+    kind: DriveKind,
+    axis_mode: AxisMode,
+    mode: &ModeDescription,
+    slave: &mut PreOperational<'_, '_, MESSAGE>,
+) -> Result<ProcessData<F>, BusError> {
+    let mut builder = LayoutBuilder::new(axis_mode, mode);
+    let outputs = slave.entries(Direction::Outputs, &mode.outputs, |entry| builder.output(entry));
+    outputs.await?;
+    let inputs = slave.entries(Direction::Inputs, &mode.inputs, |entry| builder.input(entry));
+    inputs.await?;
+    let windows = slave.windows(kind.windows).await?;
+    let layout = builder.finish()?;
+    Ok(ProcessData {
+        windows,
+        output_length: layout.output_length.into(),
+        input_length: layout.input_length.into(),
+        layout,
+    })
+}

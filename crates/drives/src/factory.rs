@@ -1,0 +1,117 @@
+//! Driver selection: from a slave's identity to its drive type.
+//!
+//! A slave with an unknown product is asked for its device type, if it supports CoE; a servo drive of CiA 402 is used
+//! as the generic type. All other slaves get no driver: they are reported with their identity, carry no process data
+//! and affect nothing else. A new drive type is a line in [`DRIVES`].
+//!
+//! Invariant: only vendor and product, or the device type, decide; revision and serial number do not.
+
+use crate::layout::ProcessLayout;
+use crate::{DriveKind, DriveSettings, Recognition, STATUS_WORD, akd, ax2000, configuration, generic};
+use etherpen_ethercat::configure::PreOperational;
+use etherpen_ethercat::driver::{DeviceDescription, ProcessData, SlaveFactory};
+use etherpen_ethercat::error::BusError;
+use etherpen_ethercat::wire::sii::Identity;
+
+/// All drive types.
+pub static DRIVES: [DriveKind; 3] = [&ax2000::AX2000, &akd::AKD, &generic::GENERIC];
+
+/// The drive type of a product; `None` if no description has the product.
+pub fn drive_kind(identity: &Identity) -> Option<DriveKind> {
+    let product = Recognition::Product {
+        vendor: identity.vendor,
+        product: identity.product,
+    };
+    DRIVES.into_iter().find(|kind| kind.recognition == product)
+}
+
+/// The drive type of a device type (object 0x1000); `None` if it is not a drive.
+pub fn drive_kind_by_type(device_type: u32) -> Option<DriveKind> {
+    let device_type = Recognition::DeviceType(device_type);
+    DRIVES.into_iter().find(|kind| kind.recognition == device_type)
+}
+
+/// Servo drives as the members of a bus: the first drive in the chain is member 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ServoDrives<const MEMBERS: usize>;
+
+impl<const MEMBERS: usize> SlaveFactory for ServoDrives<MEMBERS>
+where
+    [DriveSettings; MEMBERS]: Default,
+{
+    type Device = DriveKind;
+    type Layout = ProcessLayout;
+    type Settings = [DriveSettings; MEMBERS];
+
+    fn by_identity(identity: &Identity) -> Option<DriveKind> {
+        drive_kind(identity)
+    }
+
+    fn by_device_type(device_type: u32) -> Option<DriveKind> {
+        drive_kind_by_type(device_type)
+    }
+
+    fn describe(device: DriveKind) -> DeviceDescription {
+        DeviceDescription {
+            name: device.name,
+            assign_activate: device.clocks.assign_activate,
+            status: Some(STATUS_WORD),
+        }
+    }
+
+    async fn configure<const MESSAGE: usize>(
+        settings: &[DriveSettings; MEMBERS],
+        device: DriveKind,
+        member: Option<u8>,
+        slave: &mut PreOperational<'_, '_, MESSAGE>,
+        twin: Option<&ProcessData<Self>>,
+    ) -> Result<Option<ProcessData<Self>>, BusError> {
+        match member.and_then(|member| settings.get(usize::from(member))) {
+            Some(settings) => configuration::used(device, settings, slave, twin).await.map(Some),
+            None => configuration::unused(device, slave).await,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AX2000: Identity = Identity {
+        vendor: 2,
+        product: 0x07D0_6014,
+        revision: 0x110A,
+        serial: 7,
+    };
+
+    #[test]
+    fn a_product_is_recognised_in_any_revision_and_others_are_not() {
+        let other_revision = Identity { revision: 1, ..AX2000 };
+        for identity in [AX2000, other_revision] {
+            assert_eq!(drive_kind(&identity), Some(&ax2000::AX2000));
+        }
+        let akd = Identity {
+            vendor: 0x6A,
+            product: 0x0041_4B44,
+            ..AX2000
+        };
+        assert_eq!(drive_kind(&akd).map(|kind| kind.name), Some("Kollmorgen AKD"));
+        assert_eq!(drive_kind(&Identity { product: 1, ..AX2000 }), None);
+    }
+
+    #[test]
+    fn servo_drives_are_known_by_their_device_type_and_others_are_not() {
+        assert_eq!(drive_kind_by_type(0x0002_0192), Some(&generic::GENERIC));
+        assert_eq!(drive_kind_by_type(0x0001_0192), None);
+    }
+
+    #[test]
+    fn no_two_drive_types_share_a_name_or_a_recognition() {
+        for (number, one) in DRIVES.into_iter().enumerate() {
+            for other in DRIVES.into_iter().skip(number + 1) {
+                assert_ne!(one.name, other.name);
+                assert_ne!(one.recognition, other.recognition);
+            }
+        }
+    }
+}

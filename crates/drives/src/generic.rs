@@ -1,0 +1,88 @@
+//! Any servo drive of CiA 402 in cyclic synchronous velocity and cyclic synchronous torque.
+//!
+//! Used for every product that has no description of its own and reports in object 0x1000 that it is a servo drive of
+//! profile 402. The entries below are mapped into the first process data object of each direction. A drive that keeps
+//! its own mapping is used if the mapping contains the required objects. Objects, modes and units: CiA 402; a torque
+//! digit is a thousandth of the motor's rated torque, velocity digits are as configured.
+
+use super::{
+    CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, POSITION, QUICK_STOP_DECELERATION,
+    Recognition, STATUS_WORD, SettingList, TORQUE, quick_stop_increments_s2,
+};
+use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
+use etherpen_ethercat::wire::coe::Object;
+
+/// Device type of a servo drive: profile 402, servo.
+pub const DEVICE_TYPE_SERVO: u32 = 0x0002_0192;
+/// Mode of operation: cyclic synchronous velocity.
+pub const CYCLIC_VELOCITY: i8 = 9;
+/// Mode of operation: cyclic synchronous torque.
+pub const CYCLIC_TORQUE: i8 = 10;
+/// Target velocity, 32 bits.
+pub const TARGET_VELOCITY: Object = Object::new(0x60FF, 0);
+/// Target torque, 16 bits.
+pub const TARGET_TORQUE: Object = Object::new(0x6071, 0);
+
+/// Quick-stop option: slow down with the quick-stop ramp, then switch off.
+const QUICK_STOP_RAMP_THEN_OFF: u32 = 2;
+/// Digits of rated torque.
+const RATED_TORQUE_DIGITS: f64 = 1_000.0;
+
+/// Description of the drive for the master.
+pub static GENERIC: DriveDescription = DriveDescription {
+    name: "CiA 402 servo drive",
+    recognition: Recognition::DeviceType(DEVICE_TYPE_SERVO),
+    velocity: Some(ModeDescription {
+        operation_mode: CYCLIC_VELOCITY,
+        demand: TARGET_VELOCITY,
+        outputs: PdoChoice::written(0x1600, &[Entry::new(CONTROL_WORD, 16), Entry::new(TARGET_VELOCITY, 32)]),
+        inputs: PdoChoice::written(0x1A00, &[Entry::new(STATUS_WORD, 16), Entry::new(POSITION, 32)]),
+        digits: Digits::Velocity,
+    }),
+    torque: Some(ModeDescription {
+        operation_mode: CYCLIC_TORQUE,
+        demand: TARGET_TORQUE,
+        outputs: PdoChoice::written(0x1600, &[Entry::new(CONTROL_WORD, 16), Entry::new(TARGET_TORQUE, 16)]),
+        inputs: PdoChoice::written(
+            0x1A00,
+            &[
+                Entry::new(STATUS_WORD, 16),
+                Entry::new(POSITION, 32),
+                Entry::new(TORQUE, 16),
+            ],
+        ),
+        digits: Digits::RatedTorque(RATED_TORQUE_DIGITS),
+    }),
+    windows: Windows {
+        outputs: 0x1100,
+        inputs: 0x1400,
+    },
+    clocks: Clocks::SYNC0,
+    settings,
+};
+
+/// Quick stop and period; in the profile all of these objects but the ramp are optional.
+pub(super) fn settings(axis: &DriveSettings) -> Option<SettingList> {
+    let quick_stop = quick_stop_increments_s2(axis)?;
+    let list = [
+        // Interpolation period: 1 times 10^-3 s.
+        Setting::new(0x60C2, 1, 1, 1).optional(),
+        Setting::new(0x60C2, 2, -3_i32 as u32, 1).optional(),
+        Setting::new(0x605A, 0, QUICK_STOP_RAMP_THEN_OFF, 2).optional(),
+        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).verified(),
+    ];
+    SettingList::from_slice(&list).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rated_torque_is_1000_digits() {
+        let axis = DriveSettings::default();
+        assert!(
+            (axis.rated_torque_nm * Digits::RatedTorque(RATED_TORQUE_DIGITS).per_unit(&axis) - 1_000.0).abs() < 1.0e-9
+        );
+    }
+}

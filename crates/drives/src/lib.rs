@@ -1,0 +1,268 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod akd;
+pub mod ax2000;
+pub mod cia402;
+mod configuration;
+mod factory;
+pub mod generic;
+pub mod io;
+pub mod layout;
+
+pub use factory::{DRIVES, ServoDrives, drive_kind, drive_kind_by_type};
+
+use cia402::{ControlWord, StatusWord};
+use core::f64::consts::TAU;
+use etherpen_ethercat::driver::{PdoChoice, Setting, Windows};
+use etherpen_ethercat::wire::coe::Object;
+use heapless::Vec;
+
+/// Most settings written to a drive before use.
+pub const SETTINGS_MAX: usize = 8;
+/// Control word, 16 bits.
+pub const CONTROL_WORD: Object = Object::new(0x6040, 0);
+/// Status word, 16 bits.
+pub const STATUS_WORD: Object = Object::new(0x6041, 0);
+/// Mode of operation, 8 bits.
+pub const OPERATION_MODE: Object = Object::new(0x6060, 0);
+/// Mode of operation in effect, 8 bits.
+pub const OPERATION_MODE_DISPLAY: Object = Object::new(0x6061, 0);
+/// Position in the drive's own increments, 32 bits; some drives report it instead of [`POSITION`].
+pub const POSITION_INTERNAL: Object = Object::new(0x6063, 0);
+/// Position, 32 bits.
+pub const POSITION: Object = Object::new(0x6064, 0);
+/// Actual torque or current, 16 bits.
+pub const TORQUE: Object = Object::new(0x6077, 0);
+/// Target position, 32 bits.
+pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
+/// Quick-stop deceleration, 32 bits.
+pub const QUICK_STOP_DECELERATION: Object = Object::new(0x6085, 0);
+
+/// What the demand of a drive is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
+pub enum AxisMode {
+    /// A velocity: the drive closes the velocity loop.
+    #[default]
+    Velocity,
+    /// A torque: the velocity loop is closed outside the drive.
+    Torque,
+}
+
+/// What is written to a drive, and what its digits are worth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveSettings {
+    /// What the drive is commanded by.
+    pub mode: AxisMode,
+    /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
+    pub gear: f64,
+    /// Encoder increments for one motor revolution.
+    pub increments_per_revolution: u32,
+    /// Velocity command digits for one motor revolution per minute.
+    pub digits_per_rpm: f64,
+    /// Quick-stop deceleration at the joint, rad/s2.
+    pub quick_stop_rad_s2: f64,
+    /// Torque constant of the motor, N m/A.
+    pub torque_constant_nm_a: f64,
+    /// Peak current of the drive, A.
+    pub peak_current_a: f64,
+    /// Rated torque of the motor, N m.
+    pub rated_torque_nm: f64,
+}
+
+impl Default for DriveSettings {
+    /// An axis of the ABB IRB 340 with an AX2006.
+    fn default() -> Self {
+        Self {
+            mode: AxisMode::Velocity,
+            gear: 12.0,
+            increments_per_revolution: 1 << 20,
+            digits_per_rpm: 262_144.0 / 1_875.0,
+            quick_stop_rad_s2: 100.0,
+            torque_constant_nm_a: 0.7,
+            peak_current_a: 12.0,
+            rated_torque_nm: 2.8,
+        }
+    }
+}
+
+/// Values that a drive reports each cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DriveInput {
+    /// Position in increments, wrapping.
+    pub position: i32,
+    /// CiA 402 status word.
+    pub status: StatusWord,
+    /// Whether the mode in effect is the one that was set; true if the drive does not report the mode each cycle.
+    pub mode_in_effect: bool,
+}
+
+/// Values sent to a drive each cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DriveOutput {
+    /// Velocity or torque demand, depending on the mode, in the drive's digits; limited to the object's range.
+    pub demand_digits: i32,
+    /// Present position of the drive. Drives that map a target position get it as target, so that no mode change causes
+    /// a jump.
+    pub position: i32,
+    /// CiA 402 control word.
+    pub control: ControlWord,
+}
+
+/// The settings of one drive, in the order they are written.
+pub type SettingList = Vec<Setting, SETTINGS_MAX>;
+
+/// Description of one mode of a drive.
+#[derive(Clone, Copy, Debug)]
+pub struct ModeDescription {
+    /// Value of the mode of operation (0x6060).
+    pub operation_mode: i8,
+    /// The object that takes the demand: 32 bits for a velocity, 16 bits for a torque.
+    pub demand: Object,
+    /// Outputs to be assigned.
+    pub outputs: PdoChoice,
+    /// Inputs to be assigned.
+    pub inputs: PdoChoice,
+    /// Unit of a digit of the demand.
+    pub digits: Digits,
+}
+
+/// Unit of a digit of a demand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Digits {
+    /// Part of a velocity, as configured.
+    Velocity,
+    /// Part of the drive's peak current; the value is the number of digits at peak current.
+    PeakCurrent(f64),
+    /// Part of the motor's rated torque; the value is the number of digits at rated torque.
+    RatedTorque(f64),
+}
+
+impl Digits {
+    /// Digits for one unit at the motor of an axis: 1 rad/s for a velocity, 1 N m for a torque.
+    pub fn per_unit(self, axis: &DriveSettings) -> f64 {
+        match self {
+            Self::Velocity => axis.digits_per_rpm * 60.0 / TAU,
+            Self::PeakCurrent(digits) => digits / (axis.peak_current_a * axis.torque_constant_nm_a),
+            Self::RatedTorque(digits) => digits / axis.rated_torque_nm,
+        }
+    }
+}
+
+/// How a drive type is recognised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recognition {
+    /// By vendor and product in its SII.
+    Product {
+        /// Vendor number.
+        vendor: u32,
+        /// Product code.
+        product: u32,
+    },
+    /// By its device type (object 0x1000), if no other description knows its product.
+    DeviceType(u32),
+}
+
+/// Use of the distributed clocks, if the SII does not describe it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clocks {
+    /// AssignActivate: the value of registers 0x0980 (low byte) and 0x0981 (high byte).
+    pub assign_activate: u16,
+}
+
+impl Clocks {
+    /// Cyclic operation with SYNC0.
+    pub const SYNC0: Self = Self {
+        assign_activate: 0x0300,
+    };
+
+    /// Whether the drive needs SYNC0.
+    pub const fn uses_sync0(&self) -> bool {
+        self.assign_activate & 0x0200 != 0
+    }
+
+    /// Whether the drive needs SYNC1.
+    pub const fn uses_sync1(&self) -> bool {
+        self.assign_activate & 0x0400 != 0
+    }
+}
+
+/// Description of a drive type for the master.
+#[derive(Debug)]
+pub struct DriveDescription {
+    /// Name for messages; unique for each type.
+    pub name: &'static str,
+    /// How the drive type is recognised.
+    pub recognition: Recognition,
+    /// Velocity mode, if the drive has one.
+    pub velocity: Option<ModeDescription>,
+    /// Torque mode, if the drive has one.
+    pub torque: Option<ModeDescription>,
+    /// Addresses of the process data if the SII has none.
+    pub windows: Windows,
+    /// Use of the distributed clocks if the SII does not describe it.
+    pub clocks: Clocks,
+    /// Settings for an axis, written in PREOP; `None` when a value does not fit the drive's object.
+    pub settings: fn(&DriveSettings) -> Option<SettingList>,
+}
+
+impl DriveDescription {
+    /// Description of a mode; `None` when the drive does not have it.
+    pub const fn mode(&self, mode: AxisMode) -> Option<&ModeDescription> {
+        match mode {
+            AxisMode::Velocity => self.velocity.as_ref(),
+            AxisMode::Torque => self.torque.as_ref(),
+        }
+    }
+}
+
+impl PartialEq for DriveDescription {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for DriveDescription {}
+
+/// A drive type.
+pub type DriveKind = &'static DriveDescription;
+
+/// Quick-stop deceleration in the units of object 0x6085: position increments per second squared at the motor.
+///
+/// `None` when it does not fit 32 bits or is below 1.
+pub fn quick_stop_increments_s2(axis: &DriveSettings) -> Option<u32> {
+    let motor_rad_s2 = axis.quick_stop_rad_s2 * axis.gear.abs();
+    let increments_s2 = motor_rad_s2 / TAU * f64::from(axis.increments_per_revolution);
+    (1.0..=f64::from(u32::MAX))
+        .contains(&increments_s2)
+        .then_some(increments_s2 as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quick_stop_is_written_in_increments_and_bounded() {
+        let mut axis = DriveSettings::default();
+        // 100 rad/s2 at the joint are 1200 rad/s2, that is 190.99 revolutions/s2, at the motor.
+        assert_eq!(quick_stop_increments_s2(&axis), Some(200_263_264));
+        axis.quick_stop_rad_s2 = 1e9;
+        assert_eq!(quick_stop_increments_s2(&axis), None);
+        axis.quick_stop_rad_s2 = f64::NAN;
+        assert_eq!(quick_stop_increments_s2(&axis), None);
+    }
+
+    #[test]
+    fn assign_activate_tells_which_sync_signals_are_used() {
+        assert!(Clocks::SYNC0.uses_sync0() && !Clocks::SYNC0.uses_sync1());
+        let free_run = Clocks { assign_activate: 0 };
+        assert!(!free_run.uses_sync0());
+    }
+}

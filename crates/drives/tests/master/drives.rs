@@ -1,0 +1,287 @@
+//! How drives of every type get their process data, against a small chain of slaves.
+
+use super::fake::{FakeSegment, FakeSlave};
+use super::rig::{self, Bench, Drives, Next, run_with};
+use etherpen_drives::cia402::ControlWord;
+use etherpen_drives::{AxisMode, DriveOutput, DriveSettings, ax2000, generic};
+use etherpen_ethercat::error::BusError;
+use etherpen_ethercat::supervisor::{BusEvent, BusSetup, Step};
+use etherpen_ethercat::wire::coe::Object;
+use etherpen_ethercat::wire::register;
+use etherpen_ethercat::wire::sii::{self, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord, SyncManagerUse};
+use std::vec;
+use std::vec::Vec;
+
+fn setup(mode: AxisMode) -> BusSetup<Drives> {
+    let mut setup = rig::setup();
+    setup.settings = setup.settings.map(|drive| DriveSettings { mode, ..drive });
+    setup
+}
+
+/// A servo drive of an unknown maker with variable process data.
+fn generic_drive() -> FakeSlave {
+    let mut slave = FakeSlave::drive();
+    slave.sii[16..18].copy_from_slice(&[0x7E, 0x0E]);
+    slave.objects = [
+        ((0x1000, 0), generic::DEVICE_TYPE_SERVO.to_le_bytes().to_vec()),
+        ((0x1600, 0), vec![1]),
+        ((0x1600, 1), vec![0; 4]),
+        ((0x1600, 2), vec![0; 4]),
+        ((0x1A00, 0), vec![1]),
+        ((0x1A00, 1), vec![0; 4]),
+        ((0x1A00, 2), vec![0; 4]),
+        ((0x1A00, 3), vec![0; 4]),
+        ((0x1C12, 0), vec![0]),
+        ((0x1C12, 1), vec![0; 2]),
+        ((0x1C13, 0), vec![0]),
+        ((0x1C13, 1), vec![0; 2]),
+        ((0x6060, 0), vec![0]),
+        ((0x6085, 0), vec![0; 4]),
+    ]
+    .into_iter()
+    .collect();
+    slave
+}
+
+fn segment(slave: impl Fn() -> FakeSlave) -> FakeSegment {
+    let slaves = (0..4).map(|_| slave()).collect();
+    FakeSegment { slaves }
+}
+
+/// Runs until the bus is operational, then looks at it.
+fn operational(mode: AxisMode, segment: FakeSegment, look: impl Fn(&mut Bench<'_>)) {
+    let lossless = |_| false;
+    run_with(setup(mode), segment, lossless, |_, bench, events| {
+        let refused = events.iter().find(|event| matches!(event, BusEvent::Refused { .. }));
+        assert_eq!(refused, None);
+        if !events.contains(&BusEvent::Operational) {
+            return Next::On;
+        }
+        look(bench);
+        Next::Done
+    });
+}
+
+/// Runs until the bring-up is refused and gives the error of the first slave.
+fn refusal(mode: AxisMode, segment: FakeSegment) -> BusError {
+    let mut found = None;
+    run_with(
+        setup(mode),
+        segment,
+        |_| false,
+        |_, _, events| {
+            found = events.iter().find_map(|event| match event {
+                BusEvent::Refused { position, step, error } => {
+                    assert_eq!((*position, *step), (Some(0), Step::Objects));
+                    Some(*error)
+                }
+                _ => None,
+            });
+            if found.is_some() { Next::Done } else { Next::On }
+        },
+    );
+    found.unwrap()
+}
+
+/// The outputs of axis 0 for a demand of 0x1234 and the control word 0x000F.
+fn encoded(bench: &mut Bench<'_>) -> Vec<u8> {
+    let share = bench.exchange.plan().slaves[0];
+    let output = DriveOutput {
+        demand_digits: 0x1234,
+        position: 0,
+        control: ControlWord(0x000F),
+    };
+    let mut bytes = vec![0; share.output_length.into()];
+    share.role.unwrap().layout.encode(&output, &mut bytes);
+    bytes
+}
+
+#[test]
+fn an_unknown_servo_drive_is_used_as_the_generic_one_with_its_mapping_written() {
+    operational(AxisMode::Velocity, segment(generic_drive), |bench| {
+        for slave in &bench.segment.slaves {
+            assert_eq!(slave.objects[&(0x1600, 1)], 0x6040_0010_u32.to_le_bytes());
+            assert_eq!(slave.objects[&(0x1600, 2)], 0x60FF_0020_u32.to_le_bytes());
+            assert_eq!(slave.objects[&(0x1A00, 2)], 0x6064_0020_u32.to_le_bytes());
+            assert_eq!(slave.objects[&(0x1C13, 1)], [0x00, 0x1A]);
+            assert_eq!(slave.objects[&(0x6060, 0)], [9]);
+            assert_eq!((slave.manager(2).length, slave.manager(3).length), (6, 6));
+        }
+        let role = bench.exchange.plan().slaves[3].role.unwrap();
+        assert_eq!(role.device, &generic::GENERIC);
+        assert_eq!(encoded(bench), [0x0F, 0, 0x34, 0x12, 0, 0]);
+    });
+}
+
+#[test]
+fn torque_takes_other_objects_of_the_same_drives() {
+    operational(AxisMode::Torque, segment(generic_drive), |bench| {
+        assert_eq!(bench.segment.slaves[0].objects[&(0x6060, 0)], [10]);
+        assert_eq!(encoded(bench), [0x0F, 0, 0x34, 0x12]);
+        assert_eq!(bench.exchange.plan().slaves[0].input_length, 8);
+    });
+    operational(AxisMode::Torque, FakeSegment::drives(4), |bench| {
+        let slave = &bench.segment.slaves[2];
+        assert_eq!(slave.objects[&(0x1C12, 1)], [0x03, 0x17]);
+        assert_eq!(slave.objects[&(0x1C13, 1)], [0x03, 0x1B]);
+        assert_eq!(slave.objects[&(0x6060, 0)], [-3_i8 as u8]);
+        let watched = slave.manager(2).control == register::CONTROL_OUTPUTS;
+        assert!(watched);
+        assert_eq!(encoded(bench), [0x34, 0x12, 0x0F, 0]);
+    });
+}
+
+#[test]
+fn a_drive_that_keeps_its_assignment_is_used_as_it_is() {
+    let fixed = || {
+        let mut slave = FakeSlave::drive();
+        slave.read_only = vec![0x1C12, 0x1C13];
+        slave.objects.insert((0x1C12, 1), vec![0x02, 0x17]);
+        slave
+    };
+    operational(AxisMode::Velocity, segment(fixed), |bench| {
+        assert_eq!(encoded(bench), [0x34, 0x12, 0, 0, 0x0F, 0]);
+    });
+    // The same with another object, whose content nobody tells.
+    let other = || {
+        let mut slave = fixed();
+        slave.objects.insert((0x1C12, 1), vec![0x01, 0x17]);
+        slave
+    };
+    let error = refusal(AxisMode::Velocity, segment(other));
+    let object = Object::new(0x1701, 0);
+    assert!(
+        matches!(error, BusError::SdoAbort { object: at, .. } if at == object),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn a_mapping_without_the_demand_is_refused_with_the_object() {
+    let without = || {
+        let mut slave = generic_drive();
+        slave.read_only = vec![0x1600];
+        slave
+            .objects
+            .insert((0x1600, 1), 0x6040_0010_u32.to_le_bytes().to_vec());
+        slave
+    };
+    let expected = BusError::Mapping {
+        object: generic::TARGET_VELOCITY,
+        expected: 32,
+        actual: 0,
+    };
+    assert_eq!(refusal(AxisMode::Velocity, segment(without)), expected);
+}
+
+#[test]
+fn a_list_longer_than_any_is_refused() {
+    let endless = || {
+        let mut slave = generic_drive();
+        slave.read_only = vec![0x1600];
+        slave.objects.insert((0x1600, 0), vec![255]);
+        slave
+    };
+    let object = Object::new(0x1600, 0);
+    assert_eq!(
+        refusal(AxisMode::Velocity, segment(endless)),
+        BusError::Range { object }
+    );
+}
+
+#[test]
+fn a_mode_that_the_drive_does_not_show_is_refused() {
+    let stubborn = || {
+        let mut slave = generic_drive();
+        slave.objects.insert((0x6060, 0), vec![8, 0]);
+        slave
+    };
+    let error = refusal(AxisMode::Velocity, segment(stubborn));
+    assert!(
+        matches!(error, BusError::SdoAbort { object, .. } if object.index == 0x6060),
+        "{error:?}"
+    );
+}
+
+/// The categories of an SII: sync managers at unusual places, and the velocity objects in unusual order.
+fn categories() -> Vec<u8> {
+    let manager = |start, usage| SyncManagerRecord {
+        start,
+        usage,
+        ..SyncManagerRecord::default()
+    };
+    let mut managers = vec![0; 32];
+    for (record, place) in [
+        manager(0x1800, SyncManagerUse::MailboxOut),
+        manager(0x1C00, SyncManagerUse::MailboxIn),
+        manager(0x1300, SyncManagerUse::Outputs),
+        manager(0x1380, SyncManagerUse::Inputs),
+    ]
+    .into_iter()
+    .zip(managers.chunks_mut(8))
+    {
+        record.emit(place).unwrap();
+    }
+    type Entries<'a> = &'a [(u16, u8)];
+    let pdos = |list: &[(u16, u8, Entries<'_>)]| {
+        let mut bytes = Vec::new();
+        for (index, sync_manager, entries) in list {
+            let pdo = PdoRecord {
+                index: *index,
+                entries: entries.len() as u8,
+                sync_manager: *sync_manager,
+                ..PdoRecord::default()
+            };
+            let at = bytes.len();
+            bytes.resize(at + 8 * (1 + entries.len()), 0);
+            pdo.emit(&mut bytes[at..]).unwrap();
+            for ((index, bits), place) in entries.iter().zip(bytes[at + 8..].chunks_mut(8)) {
+                let entry = PdoEntryRecord {
+                    index: *index,
+                    bits: *bits,
+                    ..PdoEntryRecord::default()
+                };
+                entry.emit(place).unwrap();
+            }
+        }
+        bytes
+    };
+    let outputs = pdos(&[
+        (0x1701, 0xFF, &[(0x60C1, 32), (0x6040, 16)]),
+        (0x1702, 2, &[(0x6040, 16), (0, 16), (0x606B, 32)]),
+    ]);
+    let inputs = pdos(&[(0x1B01, 3, &[(0x6041, 16), (0x6063, 32)])]);
+    let mut bytes = Vec::new();
+    for (kind, data) in [
+        (sii::CATEGORY_SYNC_MANAGER, managers),
+        (sii::CATEGORY_TX_PDO, inputs),
+        (sii::CATEGORY_RX_PDO, outputs),
+        (sii::CATEGORY_END, Vec::new()),
+    ] {
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend((data.len() as u16 / 2).to_le_bytes());
+        bytes.extend(data);
+    }
+    bytes
+}
+
+#[test]
+fn where_the_drive_does_not_tell_its_sii_does() {
+    let silent = || {
+        let mut slave = FakeSlave::drive();
+        slave.objects.retain(|(index, _), _| !matches!(index, 0x1C12 | 0x1C13));
+        slave.sii[2 * usize::from(sii::WORD_SIZE)] = 15;
+        slave.sii.extend(categories());
+        slave
+    };
+    operational(AxisMode::Velocity, segment(silent), |bench| {
+        let slave = &bench.segment.slaves[1];
+        assert_eq!((slave.manager(2).start, slave.manager(3).start), (0x1300, 0x1380));
+        assert_eq!((slave.manager(2).length, slave.manager(3).length), (8, 6));
+        assert_eq!(encoded(bench), [0x0F, 0, 0, 0, 0x34, 0x12, 0, 0]);
+        let role = bench.exchange.plan().slaves[1].role.unwrap();
+        assert_eq!(role.device, &ax2000::AX2000);
+        let input = role.layout.decode(&[0x37, 0x06, 4, 3, 2, 1]).unwrap();
+        assert_eq!((input.status.0, input.position), (0x0637, 0x0102_0304));
+    });
+}

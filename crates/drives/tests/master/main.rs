@@ -1,0 +1,7 @@
+//! The master with drives: bring-up, loss and repair against a small chain that answers at once.
+
+mod bring_up;
+mod drives;
+mod fake;
+mod repair;
+mod rig;

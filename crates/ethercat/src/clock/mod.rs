@@ -1,0 +1,381 @@
+//! Distributed clocks: one time for all slaves, and a sample that keeps its phase to that time.
+//!
+//! The first slave with a clock is the reference: its time since power-up is the system time of the bus. Every other
+//! clock gets an offset and the delay of the cables before it, so that all clocks agree at once. From then on a
+//! datagram (FRMW of the system time) carries the reference's time to all others in every cycle, and each slave's own
+//! control loop follows it. [`delay`] computes the delays, [`steering`] keeps the sample's timer in phase. Registers
+//! and their order: IEC 61158-4-12 (distributed clocks) and the slave controllers' public data sheets.
+//!
+//! SYNC0 starts a configured time after the present phase of the frames at the reference, so nothing has to jump when
+//! it starts.
+//!
+//! Invariants: every step is bounded in frames; a slave without a clock is left alone; a slave that returns takes the
+//! time of the others and does not change theirs.
+
+pub mod delay;
+pub mod steering;
+
+use super::acyclic::{AcyclicPort, Request};
+use super::error::BusError;
+use super::plan::ReferenceClock;
+use super::wire::register::{self, DlStatus};
+use super::wire::{Address, Command, read_u32, read_u64};
+use delay::{PortTimes, propagation_delays_ns};
+use heapless::Vec;
+
+/// Frames that distribute the reference's time before the clocks are used (static drift compensation).
+pub const SETTLING_FRAMES: u16 = 32;
+/// Largest difference between a slave's system time and the reference's before the slave goes to OP, ns.
+pub const DIFFERENCE_MAX_NS: u32 = 1_000;
+/// Longest wait for the clocks to agree, ms.
+pub const DIFFERENCE_TIMEOUT_MS: u32 = 2_000;
+/// Time from the activation of SYNC0 to its first pulse, ns: many cycles, so that lost frames do not matter.
+const START_AHEAD_NS: u64 = 100_000_000;
+/// Bytes from the first port's receive time to the end of the processing unit's.
+const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
+
+/// Width of a slave's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Width {
+    /// Wraps after 4.3 s.
+    #[default]
+    Bits32,
+    /// Does not wrap.
+    Bits64,
+}
+
+/// The clock of one slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlaveClock {
+    /// Width of its time; `None` if it has no clock.
+    pub width: Option<Width>,
+    /// Port times latched by the last measurement.
+    pub ports: PortTimes,
+    /// The slave's own time when the frame of the measurement passed its processing unit, ns.
+    pub local_ns: u64,
+    /// System time minus the slave's own time, ns, wrapping.
+    pub offset_ns: u64,
+    /// Delay of a frame from the reference to this slave, ns.
+    pub delay_ns: u32,
+    /// Whether the slave took part in the last measurement.
+    pub measured: bool,
+}
+
+/// The clocks of a bus, in chain order.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BusClocks<const SLAVES: usize> {
+    /// One entry for each slave.
+    pub slaves: Vec<SlaveClock, SLAVES>,
+    /// Period of the cyclic exchange, ns.
+    pub period_ns: u32,
+    /// Phase of the frames at the reference, ns within the period.
+    pub phase_ns: u32,
+}
+
+impl<const SLAVES: usize> BusClocks<SLAVES> {
+    /// Place in the chain of the first slave with a clock.
+    pub fn reference(&self) -> Option<usize> {
+        self.slaves.iter().position(|slave| slave.width.is_some())
+    }
+
+    /// Reference clock for the critical side, which distributes its time. `stations` are the station addresses;
+    /// `answers` returns false for slaves that are lost.
+    pub fn reference_clock(&self, stations: &[u16], answers: impl Fn(usize) -> bool) -> Option<ReferenceClock> {
+        let station = *stations.get(self.reference()?)?;
+        let present = self
+            .slaves
+            .iter()
+            .enumerate()
+            .filter(|(position, _)| answers(*position));
+        let clocks = present.filter_map(|(_, slave)| slave.width);
+        let (slaves, wide) = clocks.fold((0, true), |(slaves, wide), width| {
+            (slaves + 1, wide && width == Width::Bits64)
+        });
+        Some(ReferenceClock { station, slaves, wide })
+    }
+
+    /// Whether the slave at this place has a clock.
+    pub fn has_clock(&self, position: usize) -> bool {
+        self.slaves.get(position).is_some_and(|slave| slave.width.is_some())
+    }
+
+    /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
+    fn offset_ns(&self, position: usize, source: usize) -> Option<u64> {
+        let (slave, source) = (self.slaves.get(position)?, self.slaves.get(source)?);
+        let system_ns = source.local_ns.wrapping_add(source.offset_ns);
+        let later_ns = u64::from(slave.delay_ns).wrapping_sub(u64::from(source.delay_ns));
+        Some(system_ns.wrapping_add(later_ns).wrapping_sub(slave.local_ns))
+    }
+
+    /// Start time of SYNC0: the first moment at least `START_AHEAD_NS` after `now_ns` that is `shift_ns` after the
+    /// phase of the frames.
+    pub fn start_time_ns(&self, now_ns: u64, shift_ns: u32) -> u64 {
+        let earliest_ns = now_ns.wrapping_add(START_AHEAD_NS);
+        let period_ns = u64::from(self.period_ns.max(1));
+        let wanted_ns = (u64::from(self.phase_ns) + u64::from(shift_ns)) % period_ns;
+        let wait_ns = (wanted_ns + period_ns - earliest_ns % period_ns) % period_ns;
+        earliest_ns.wrapping_add(wait_ns)
+    }
+}
+
+/// Finds out which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+) -> Result<BusClocks<SLAVES>, BusError> {
+    let mut clocks = BusClocks::<SLAVES>::default();
+    for station in stations.iter().take(SLAVES) {
+        let features = port.read_u16(*station, register::FEATURES).await?;
+        let width = match features & (register::FEATURE_CLOCKS | register::FEATURE_CLOCKS_64) {
+            both if both & register::FEATURE_CLOCKS == 0 => None,
+            register::FEATURE_CLOCKS => Some(Width::Bits32),
+            _ => Some(Width::Bits64),
+        };
+        // The loop ends at the capacity.
+        let _ = clocks.slaves.push(SlaveClock {
+            width,
+            ..SlaveClock::default()
+        });
+    }
+    Ok(clocks)
+}
+
+/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+) -> Result<(), BusError> {
+    // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
+    port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
+    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
+    for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
+        slave.measured = false;
+        let status = match port.read_u16(*station, register::DL_STATUS).await {
+            // Another lost slave: the frames pass its place.
+            Err(BusError::WorkingCounter { actual: 0, .. }) => continue,
+            status => status?,
+        };
+        slave.measured = true;
+        slave.ports = PortTimes {
+            has_clock: slave.width.is_some(),
+            open: open_ports(status),
+            ..PortTimes::default()
+        };
+        if let Some(width) = slave.width {
+            let times = port.read(*station, register::DC_RECEIVE_TIME, TIMES_LEN).await?;
+            slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
+            let local_ns = read_u64(&times, TIMES_LEN - 8);
+            slave.local_ns = match width {
+                Width::Bits32 => local_ns & u64::from(u32::MAX),
+                Width::Bits64 => local_ns,
+            };
+        }
+        // There is room for all slaves.
+        let _ = (there.push(position), ports.push(slave.ports));
+    }
+    for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
+        if let Some(slave) = clocks.slaves.get_mut(*position) {
+            slave.delay_ns = delay_ns;
+        }
+    }
+    Ok(())
+}
+
+/// The open ports as bits, from the data-link status.
+fn open_ports(status: u16) -> u8 {
+    let ports = DlStatus::from_bits(status).ports;
+    (0..)
+        .zip(ports)
+        .fold(0, |open, (number, port)| open | u8::from(port.is_open()) << number)
+}
+
+/// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
+/// loops have begun to follow. Does nothing on a bus without clocks.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    period_ns: u32,
+) -> Result<BusClocks<SLAVES>, BusError> {
+    let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
+    clocks.period_ns = period_ns;
+    let Some(reference) = clocks.reference() else {
+        return Ok(clocks);
+    };
+    measure(port, stations, &mut clocks).await?;
+    for (position, station) in stations.iter().enumerate() {
+        if !clocks.has_clock(position) {
+            continue;
+        }
+        let offset_ns = match position == reference {
+            true => Some(0),
+            false => clocks.offset_ns(position, reference),
+        };
+        write_offset(port, *station, position, &mut clocks, offset_ns.unwrap_or(0)).await?;
+    }
+    settle(port, stations, &mut clocks).await?;
+    Ok(clocks)
+}
+
+/// Gives a slave that was switched off the bus's time again; the other slaves keep theirs, even if this slave is the
+/// reference.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    position: usize,
+) -> Result<(), BusError> {
+    let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
+        return Ok(());
+    };
+    measure(port, stations, clocks).await?;
+    let measured = |other: &usize| clocks.slaves.get(*other).is_some_and(|slave| slave.measured);
+    let mut others = (0..clocks.slaves.len()).filter(|other| *other != position && clocks.has_clock(*other));
+    let source = others.find(measured);
+    let offset_ns = source
+        .and_then(|source| clocks.offset_ns(position, source))
+        .unwrap_or(0);
+    write_offset(port, *station, position, clocks, offset_ns).await
+}
+
+/// Writes offset and delay of one slave and clears the filters of its control loop.
+async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    position: usize,
+    clocks: &mut BusClocks<SLAVES>,
+    offset_ns: u64,
+) -> Result<(), BusError> {
+    let Some(slave) = clocks.slaves.get_mut(position) else {
+        return Ok(());
+    };
+    slave.offset_ns = offset_ns;
+    let length = match slave.width {
+        Some(Width::Bits64) => 8,
+        _ => 4,
+    };
+    let offset = offset_ns.to_le_bytes();
+    port.write(station, register::DC_OFFSET, offset.get(..length).unwrap_or(&offset))
+        .await?;
+    port.write(station, register::DC_DELAY, &slave.delay_ns.to_le_bytes())
+        .await?;
+    let start = register::SPEED_START_DEFAULT.to_le_bytes();
+    port.write(station, register::DC_SPEED_START, &start).await
+}
+
+/// Distributes the reference's time [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
+async fn settle<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+) -> Result<(), BusError> {
+    let Some(station) = clocks.reference().and_then(|reference| stations.get(reference)) else {
+        return Ok(());
+    };
+    let expected = clocks.slaves.iter().filter(|slave| slave.width.is_some()).count() as u16;
+    let address = Address::station(*station, register::DC_SYSTEM_TIME);
+    let request = Request::read(Command::Frmw, address, 8);
+    let (mut first_ns, mut sum_ns, mut readings) = (None, 0_i64, 0_i64);
+    let period_ns = i64::from(clocks.period_ns.max(1));
+    for _ in 0..SETTLING_FRAMES {
+        let time_ns = read_u64(&port.insist(&request, expected).await?, 0);
+        let phase_ns = (time_ns % period_ns.unsigned_abs()) as i64;
+        let first_ns = *first_ns.get_or_insert(phase_ns);
+        // Takes the difference by the shorter way round the period.
+        sum_ns += (phase_ns - first_ns + period_ns / 2).rem_euclid(period_ns) - period_ns / 2;
+        readings += 1;
+        let mean_ns = first_ns + sum_ns / readings;
+        clocks.phase_ns = mean_ns.rem_euclid(period_ns) as u32;
+    }
+    Ok(())
+}
+
+/// A slave's difference from the reference, ns: positive when it is ahead.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn difference_ns<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<i32, BusError> {
+    let bytes = port.read(station, register::DC_TIME_DIFFERENCE, 4).await?;
+    Ok(register::time_difference_ns(read_u32(&bytes, 0)))
+}
+
+/// Waits until a slave's clock agrees with the reference to within [`DIFFERENCE_MAX_NS`]; the cyclic frames have to
+/// carry the time datagram meanwhile.
+///
+/// # Errors
+/// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::insist`].
+pub async fn await_agreement<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<i32, BusError> {
+    let started_ms = port.now_ms();
+    loop {
+        let actual_ns = difference_ns(port, station).await?;
+        if actual_ns.unsigned_abs() <= DIFFERENCE_MAX_NS {
+            return Ok(actual_ns);
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > DIFFERENCE_TIMEOUT_MS {
+            return Err(BusError::ClockDifference {
+                expected_ns: DIFFERENCE_MAX_NS,
+                actual_ns,
+                waited_ms,
+            });
+        }
+    }
+}
+
+/// Starts SYNC0 of a slave in PREOP: the period of the exchange, `shift_ns` after the frames pass the reference.
+///
+/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981.
+/// Returns the start time.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    clocks: &BusClocks<SLAVES>,
+    assign_activate: u16,
+    shift_ns: u32,
+) -> Result<u64, BusError> {
+    stop_sync(port, station).await?;
+    port.write(station, register::DC_SYNC0_CYCLE, &clocks.period_ns.to_le_bytes())
+        .await?;
+    let now_ns = read_u64(&port.read(station, register::DC_SYSTEM_TIME, 8).await?, 0);
+    let start_ns = clocks.start_time_ns(now_ns, shift_ns);
+    port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
+        .await?;
+    port.write(station, register::DC_CYCLIC_CONTROL, &assign_activate.to_le_bytes())
+        .await?;
+    Ok(start_ns)
+}
+
+/// Stops SYNC0 and SYNC1 of a slave.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn stop_sync<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<(), BusError> {
+    port.write(station, register::DC_CYCLIC_CONTROL, &[0; 2]).await
+}
+
+#[cfg(test)]
+mod tests;

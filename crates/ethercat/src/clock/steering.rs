@@ -1,0 +1,392 @@
+//! Clock steering: the sample's timer follows the bus clock.
+//!
+//! Every millisecond the frame of the input telegram returns the system time at which it passed the reference clock. A
+//! PI loop lengthens or shortens the next period of the timer so that this time keeps its phase: the phase that the bus
+//! had when its clocks were set up, to which the slaves' SYNC0 was aligned. No sample ever jumps, neither at the start
+//! nor after a repair.
+//!
+//! Invariants: a correction never exceeds [`CORRECTION_MAX_NS`]; a fault is reported once the clock has been missing
+//! for [`MISSING_CYCLES_MAX`] cycles, or once its phase error exceeds the limit after it was locked.
+
+use core::num::NonZeroU32;
+
+/// Largest change of one period of the timer, ns: 1000 ppm, far more than quartz crystals differ.
+pub const CORRECTION_MAX_NS: i32 = 1_000;
+/// Consecutive cycles without a clock value after which the clock counts as lost.
+pub const MISSING_CYCLES_MAX: u8 = 10;
+/// Phase error below which the loop locks after [`LOCK_CYCLES`] cycles, ns.
+pub const LOCK_ERROR_NS: i32 = 5_000;
+/// Consecutive cycles within [`LOCK_ERROR_NS`] after which the loop is locked.
+pub const LOCK_CYCLES: u16 = 100;
+
+/// Proportional part: 1/2^n of the phase error a cycle. With the two cycles between measurement and effect the loop
+/// stays far from its limit of 1/2.
+const PROPORTIONAL_SHIFT: u32 = 4;
+/// Integral part: 1/2^n of the sum of phase errors a cycle; a quarter of the square of the proportional part is the
+/// aperiodic limit (2^-10).
+const INTEGRAL_SHIFT: u32 = 11;
+/// The integral part alone never exceeds the largest correction (anti-windup).
+const INTEGRAL_MAX: i64 = (CORRECTION_MAX_NS as i64) << INTEGRAL_SHIFT;
+
+const _: () = {
+    assert!(INTEGRAL_SHIFT > 2 * PROPORTIONAL_SHIFT + 2, "the loop does not swing");
+};
+
+/// Fault of the bus clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockFault {
+    /// No clock value came for too many cycles.
+    Lost {
+        /// Consecutive cycles without a value.
+        missing_cycles: u8,
+        /// Cycles allowed.
+        limit_cycles: u8,
+    },
+    /// The phase left its limit after it was locked.
+    Jump {
+        /// Phase error, ns.
+        error_ns: i32,
+        /// Phase error allowed, ns.
+        limit_ns: u32,
+    },
+}
+
+/// Clock input of one millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClockReading {
+    /// System time when the frame passed the reference clock, ns, low 32 bits; `None` when the frame did not come back.
+    pub reference_ns: Option<u32>,
+    /// Time from the nominal release to the beginning of the sample, ns: compensated, so a late sample does not move
+    /// the timer.
+    pub elapsed_ns: u32,
+}
+
+/// PI loop from the bus clock to the sample's timer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockSteering {
+    period_ns: NonZeroU32,
+    /// Time expected in this cycle, low 32 bits.
+    expected_ns: Option<u32>,
+    integral: i64,
+    missing_cycles: u8,
+    locked_cycles: u16,
+    error_ns: i32,
+}
+
+impl ClockSteering {
+    /// A loop for cycles of `period_ns`, at most 2^31 ns, that keeps the phase of the first time it receives. A period of
+    /// 0 counts as 1 ns.
+    pub const fn new(period_ns: u32) -> Self {
+        Self {
+            period_ns: match NonZeroU32::new(period_ns) {
+                Some(period_ns) => period_ns,
+                None => NonZeroU32::MIN,
+            },
+            expected_ns: None,
+            integral: 0,
+            missing_cycles: 0,
+            locked_cycles: 0,
+            error_ns: 0,
+        }
+    }
+
+    /// Clears a fault and locks again. Meanwhile the sample returns to its phase by the shorter way, at most half a
+    /// period: the slaves' SYNC0 keeps that phase, whatever happens to the time.
+    pub fn begin_anew(&mut self) {
+        (self.missing_cycles, self.locked_cycles) = (0, 0);
+    }
+
+    /// Phase error of the last reading, ns: positive when the sample was late.
+    pub const fn error_ns(&self) -> i32 {
+        self.error_ns
+    }
+
+    /// Whether the phase has been within [`LOCK_ERROR_NS`] for [`LOCK_CYCLES`] cycles.
+    pub const fn is_locked(&self) -> bool {
+        self.locked_cycles >= LOCK_CYCLES
+    }
+
+    /// Advances by one cycle; returns the correction of the timer's next period, ns, at most [`CORRECTION_MAX_NS`]
+    /// either way.
+    pub fn step(&mut self, reading: ClockReading) -> i32 {
+        let expected_ns = self.expected_ns.map(|expected| expected.wrapping_add(self.period_ns.get()));
+        let Some(reference_ns) = reading.reference_ns else {
+            self.expected_ns = expected_ns;
+            self.missing_cycles = self.missing_cycles.saturating_add(1);
+            return self.integral_ns();
+        };
+        self.missing_cycles = 0;
+        let released_ns = reference_ns.wrapping_sub(reading.elapsed_ns);
+        let expected_ns = match expected_ns {
+            None => released_ns,
+            Some(expected_ns) if self.is_locked() => expected_ns,
+            Some(expected_ns) => same_phase(expected_ns, released_ns, self.period_ns),
+        };
+        self.expected_ns = Some(expected_ns);
+        let error_ns = released_ns.wrapping_sub(expected_ns) as i32;
+        self.error_ns = error_ns;
+        self.locked_cycles = match error_ns.unsigned_abs() <= LOCK_ERROR_NS.unsigned_abs() {
+            true => self.locked_cycles.saturating_add(1),
+            false if self.is_locked() => self.locked_cycles,
+            false => 0,
+        };
+        let proportional_ns = i64::from(error_ns) >> PROPORTIONAL_SHIFT;
+        let sum = (self.integral + i64::from(error_ns)).clamp(-INTEGRAL_MAX, INTEGRAL_MAX);
+        let limit_ns = i64::from(CORRECTION_MAX_NS);
+        let wanted_ns = -(proportional_ns + (sum >> INTEGRAL_SHIFT));
+        // At the limit the sum is held, so there is no wind-up.
+        if wanted_ns.abs() <= limit_ns {
+            self.integral = sum;
+        }
+        wanted_ns.clamp(-limit_ns, limit_ns) as i32
+    }
+
+    /// The fault of the clock: lost, or out of phase by more than `limit_ns` after it was locked.
+    pub fn fault(&self, limit_ns: u32) -> Option<ClockFault> {
+        if self.missing_cycles >= MISSING_CYCLES_MAX {
+            return Some(ClockFault::Lost {
+                missing_cycles: self.missing_cycles,
+                limit_cycles: MISSING_CYCLES_MAX,
+            });
+        }
+        let jumped = self.is_locked() && self.error_ns.unsigned_abs() > limit_ns;
+        jumped.then_some(ClockFault::Jump {
+            error_ns: self.error_ns,
+            limit_ns,
+        })
+    }
+
+    /// The part of the correction that is kept while no time arrives.
+    fn integral_ns(&self) -> i32 {
+        -(self.integral >> INTEGRAL_SHIFT) as i32
+    }
+}
+
+/// The time nearest to `near_ns` that is whole periods away from `time_ns`.
+fn same_phase(time_ns: u32, near_ns: u32, period_ns: NonZeroU32) -> u32 {
+    let half_ns = period_ns.get() / 2;
+    let off_ns = near_ns.wrapping_sub(time_ns).wrapping_add(half_ns).cast_signed();
+    let within_ns = off_ns.unsigned_abs() % period_ns;
+    let phase_ns = match off_ns < 0 && within_ns > 0 {
+        true => period_ns.get() - within_ns,
+        false => within_ns,
+    };
+    near_ns.wrapping_sub(phase_ns).wrapping_add(half_ns)
+}
+
+/// Converts corrections in ns to whole timer counts; the remainder is kept for the next correction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CountCorrection {
+    counts_per_us: u32,
+    /// Remainder, ns times counts per microsecond.
+    rest: i32,
+}
+
+/// Parts of [`CountCorrection::rest`] in a count.
+const PARTS: i32 = 1_000;
+
+impl CountCorrection {
+    /// For a timer with this many counts a microsecond, at most 1000.
+    pub const fn new(counts_per_us: u32) -> Self {
+        Self { counts_per_us, rest: 0 }
+    }
+
+    /// Takes a correction; returns the whole counts by which the period has to be longer (negative: shorter).
+    pub fn take(&mut self, correction_ns: i32) -> i32 {
+        let correction_ns = correction_ns.clamp(-CORRECTION_MAX_NS, CORRECTION_MAX_NS);
+        let owed = self.rest + correction_ns * self.counts_per_us.min(1_000) as i32;
+        let counts = owed.div_euclid(PARTS);
+        // Rounds to the nearest count: the rest is within half a count.
+        let counts = counts + i32::from(owed.rem_euclid(PARTS) > PARTS / 2);
+        self.rest = owed - counts * PARTS;
+        counts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    const PERIOD_NS: u32 = 1_000_000;
+
+    use super::*;
+    use std::println;
+
+    /// A timer that runs `drift_ppb` slow against the reference, corrected two periods later by whole `resolution_ns`.
+    struct Bench {
+        steering: ClockSteering,
+        release_ns: i64,
+        pending_ns: [i32; 2],
+        drift_ppb: i64,
+    }
+
+    impl Bench {
+        fn new(drift_ppb: i64) -> Self {
+            Self {
+                steering: ClockSteering::new(PERIOD_NS),
+                release_ns: i64::from(u32::MAX) - 3_000_000,
+                pending_ns: [0; 2],
+                drift_ppb,
+            }
+        }
+
+        fn cycle(&mut self, disturbance_ns: i64, comes: bool) -> i32 {
+            let reading = ClockReading {
+                reference_ns: comes.then_some((self.release_ns + disturbance_ns + 7_000) as u32),
+                elapsed_ns: 2_000,
+            };
+            let correction_ns = self.steering.step(reading);
+            let [due_ns, next_ns] = self.pending_ns;
+            self.pending_ns = [next_ns, correction_ns];
+            let period_ns = i64::from(PERIOD_NS) + i64::from(due_ns);
+            self.release_ns += period_ns + period_ns * self.drift_ppb / 1_000_000_000;
+            correction_ns
+        }
+    }
+
+    #[test]
+    fn without_drift_nothing_is_corrected() {
+        let mut bench = Bench::new(0);
+        for _ in 0..10_000 {
+            assert_eq!(bench.cycle(0, true), 0);
+        }
+        assert!(bench.steering.is_locked());
+        assert_eq!(bench.steering.fault(1_000), None);
+    }
+
+    #[test]
+    fn a_drift_of_50_ppm_and_of_100_ppm_either_way_is_locked_within_a_second() {
+        for drift_ppb in [50_000, -50_000, 100_000, -100_000] {
+            let mut bench = Bench::new(drift_ppb);
+            let (mut largest_ns, mut settled_ns) = (0, 0);
+            for cycle in 0..5_000 {
+                bench.cycle(0, true);
+                let error_ns = bench.steering.error_ns().abs();
+                largest_ns = largest_ns.max(error_ns);
+                if cycle >= 1_000 {
+                    settled_ns = settled_ns.max(error_ns);
+                }
+            }
+            println!("{drift_ppb} ppb: at most {largest_ns} ns, after a second {settled_ns} ns");
+            assert!(largest_ns < 2_500 && settled_ns <= 50, "{largest_ns} {settled_ns}");
+            assert!(bench.steering.is_locked());
+        }
+    }
+
+    #[test]
+    fn corrections_are_bounded_and_a_long_push_leaves_no_windup() {
+        let mut bench = Bench::new(0);
+        for _ in 0..200 {
+            assert_eq!(bench.cycle(0, true), 0);
+        }
+        for _ in 0..2_000 {
+            assert!(bench.cycle(400_000, true).abs() <= CORRECTION_MAX_NS);
+        }
+        // The push is over: the phase comes back without swinging far to the other side.
+        let before_ns = bench.release_ns;
+        let mut farthest_ns = 0;
+        for _ in 0..3_000 {
+            bench.cycle(0, true);
+            farthest_ns = farthest_ns.max(bench.steering.error_ns());
+        }
+        println!("pushed for 2 s, overshoot {farthest_ns} ns");
+        assert!(before_ns != 0 && farthest_ns < 10_000, "{farthest_ns}");
+        assert!(bench.steering.error_ns().abs() < 50);
+    }
+
+    #[test]
+    fn a_clock_that_stays_away_is_a_fault_and_single_gaps_are_none() {
+        let mut bench = Bench::new(50_000);
+        for cycle in 0..3_999 {
+            bench.cycle(0, cycle % 3 != 0);
+            assert_eq!(bench.steering.fault(10_000), None, "cycle {cycle}");
+        }
+        assert!(bench.steering.error_ns().abs() < 100);
+        for missing in 1..MISSING_CYCLES_MAX {
+            bench.cycle(0, false);
+            assert_eq!(bench.steering.fault(10_000), None, "{missing} missing");
+        }
+        bench.cycle(0, false);
+        let lost = ClockFault::Lost {
+            missing_cycles: MISSING_CYCLES_MAX,
+            limit_cycles: MISSING_CYCLES_MAX,
+        };
+        assert_eq!(bench.steering.fault(10_000), Some(lost));
+    }
+
+    #[test]
+    fn a_jump_after_the_lock_is_a_fault_with_its_size() {
+        let mut bench = Bench::new(0);
+        for _ in 0..LOCK_CYCLES {
+            bench.cycle(0, true);
+        }
+        bench.cycle(30_000, true);
+        let jump = ClockFault::Jump {
+            error_ns: 30_000,
+            limit_ns: 20_000,
+        };
+        assert_eq!(bench.steering.fault(20_000), Some(jump));
+        assert_eq!(bench.steering.fault(40_000), None);
+    }
+
+    #[test]
+    fn after_a_jump_of_any_size_the_sample_comes_back_to_its_phase_once_the_fault_is_forgotten() {
+        for jump_ns in [
+            -2_000_000_000,
+            -419_319_330,
+            -1_000_000,
+            -30_000,
+            30_000,
+            499_999,
+            500_001,
+            7_300_000_000,
+        ] {
+            let mut bench = Bench::new(50_000);
+            for _ in 0..1_000 {
+                bench.cycle(0, true);
+            }
+            let phase_ns = bench.release_ns.rem_euclid(i64::from(PERIOD_NS));
+            for _ in 0..20 {
+                bench.cycle(0, false);
+            }
+            assert!(bench.steering.fault(20_000).is_some(), "the clock was away");
+            bench.cycle(jump_ns, true);
+            let jumped = jump_ns.unsigned_abs() > 20_000;
+            assert_eq!(bench.steering.fault(20_000).is_some(), jumped, "{jump_ns}");
+            bench.steering.begin_anew();
+            // A repair may set the time once more.
+            for _ in 0..50 {
+                bench.cycle(3 * jump_ns, true);
+            }
+            let mut longest = 0;
+            for cycle in 0..3_000 {
+                bench.cycle(jump_ns, true);
+                assert_eq!(bench.steering.fault(20_000), None, "{jump_ns}, cycle {cycle}");
+                if bench.steering.error_ns().abs() > 1_000 {
+                    longest = cycle;
+                }
+            }
+            let off_ns = (bench.release_ns + jump_ns - phase_ns).rem_euclid(i64::from(PERIOD_NS));
+            let off_ns = off_ns.min(i64::from(PERIOD_NS) - off_ns);
+            println!("jump of {jump_ns} ns: within 1 us after {longest} ms, {off_ns} ns off its phase at the end");
+            assert!(bench.steering.is_locked() && longest < 1_500);
+            // Beyond what 32 bits tell apart, any phase is as good.
+            assert!(off_ns < 200 || jump_ns.unsigned_abs() > 1 << 31, "{off_ns}");
+        }
+    }
+
+    #[test]
+    fn counts_add_up_to_the_corrections() {
+        for counts_per_us in [25, 60, 240] {
+            let mut correction = CountCorrection::new(counts_per_us);
+            let (mut asked_ns, mut given) = (0_i64, 0_i64);
+            for step in 0..10_000 {
+                let ns = (step * 7919) % 1_999 - 999;
+                asked_ns += i64::from(ns);
+                given += i64::from(correction.take(ns));
+                let off_ns = asked_ns - given * 1_000 / i64::from(counts_per_us);
+                assert!(off_ns.abs() * i64::from(counts_per_us) <= 1_500, "{off_ns} ns");
+            }
+        }
+    }
+}

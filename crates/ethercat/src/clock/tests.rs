@@ -1,0 +1,329 @@
+//! The clocks' set-up against a small model of slave clocks, frame by frame.
+
+extern crate std;
+
+use super::super::acyclic::{Lane, Outcome, Reply};
+use super::super::wire::write_bytes;
+use super::*;
+use core::future::Future;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use heapless::spsc::Queue;
+use std::boxed::Box;
+use std::collections::VecDeque;
+use std::println;
+use std::string::String;
+use std::vec::Vec as StdVec;
+
+const PERIOD_NS: u32 = 1_000_000;
+const STATIONS: [u16; 4] = [0x1001, 0x1002, 0x1003, 0x1004];
+/// One way from a slave's entry to the next one's, ns.
+const HOP_NS: u64 = 500;
+
+/// A slave with a clock of its own, which differs from true time by a start value and a drift.
+struct Model {
+    width: Option<Width>,
+    start_ns: u64,
+    drift_ppb: i64,
+    memory: StdVec<u8>,
+    delay_ns: u64,
+}
+
+impl Model {
+    fn local_ns(&self, true_ns: u64) -> u64 {
+        let drift_ns = (true_ns as i64 / 1_000 * self.drift_ppb / 1_000_000) as u64;
+        let time_ns = true_ns.wrapping_add(self.start_ns).wrapping_add(drift_ns);
+        match self.width {
+            Some(Width::Bits32) => time_ns & u64::from(u32::MAX),
+            _ => time_ns,
+        }
+    }
+
+    fn system_ns(&self, true_ns: u64) -> u64 {
+        let offset_ns = read_u64(&self.memory, usize::from(register::DC_OFFSET));
+        let time_ns = self.local_ns(true_ns).wrapping_add(offset_ns);
+        match self.width {
+            Some(Width::Bits32) => time_ns & u64::from(u32::MAX),
+            _ => time_ns,
+        }
+    }
+
+    fn put(&mut self, at: u16, bytes: &[u8]) {
+        write_bytes(&mut self.memory, usize::from(at), bytes);
+    }
+}
+
+/// A chain of four slaves; a frame a millisecond.
+struct Chain {
+    slaves: StdVec<Model>,
+    true_ns: u64,
+    frames: usize,
+    log: String,
+}
+
+impl Chain {
+    fn new(slaves: [(Option<Width>, u64, i64); 4]) -> Self {
+        let mut models = StdVec::new();
+        for (number, (width, start_ns, drift_ppb)) in (0_u64..).zip(slaves) {
+            let features = match width {
+                None => 0,
+                Some(Width::Bits32) => register::FEATURE_CLOCKS,
+                Some(Width::Bits64) => register::FEATURE_CLOCKS | register::FEATURE_CLOCKS_64,
+            };
+            let mut model = Model {
+                width,
+                start_ns,
+                drift_ppb,
+                memory: std::vec![0; 0x1000],
+                delay_ns: number * HOP_NS,
+            };
+            model.put(register::FEATURES, &features.to_le_bytes());
+            // Ports 0 and 1 open, the last slave's port 1 closed; ports 2 and 3 closed.
+            let status: u16 = if number == 3 { 0x5611 } else { 0x5A31 };
+            model.put(register::DL_STATUS, &status.to_le_bytes());
+            models.push(model);
+        }
+        Self {
+            slaves: models,
+            true_ns: 7_000_000_123,
+            frames: 0,
+            log: String::new(),
+        }
+    }
+
+    fn latch(&mut self) {
+        for model in &mut self.slaves {
+            let entry_ns = model.local_ns(self.true_ns + model.delay_ns);
+            let behind_ns = 2 * (3 * HOP_NS - model.delay_ns);
+            let back_ns = model.local_ns(self.true_ns + model.delay_ns + behind_ns);
+            model.put(register::DC_RECEIVE_TIME, &(entry_ns as u32).to_le_bytes());
+            model.put(register::DC_RECEIVE_TIME + 4, &(back_ns as u32).to_le_bytes());
+            model.put(register::DC_RECEIVE_TIME_UNIT, &entry_ns.to_le_bytes());
+        }
+    }
+
+    fn answer(&mut self, request: &Request) -> Reply {
+        self.frames += 1;
+        self.true_ns += u64::from(PERIOD_NS);
+        let (at, mut data, mut working_counter) = (request.address.register(), request.data.clone(), 0);
+        if !self.log.is_empty() {
+            self.log.push(' ');
+        }
+        self.log.push_str(&std::format!("{:?}:{at:04x}", request.command));
+        if request.command == Command::Bwr && at == register::DC_RECEIVE_TIME {
+            self.latch();
+            working_counter = self.slaves.len() as u16;
+        }
+        for (model, station) in self.slaves.iter_mut().zip(STATIONS) {
+            let now_ns = self.true_ns + model.delay_ns;
+            let system = model.system_ns(now_ns).to_le_bytes();
+            write_bytes(&mut model.memory, usize::from(register::DC_SYSTEM_TIME), &system);
+            let mine = request.address == Address::station(station, at);
+            match request.command {
+                Command::Fprd | Command::Frmw if mine => {
+                    let length = data.len();
+                    data.copy_from_slice(&model.memory[usize::from(at)..][..length]);
+                    working_counter += 1;
+                }
+                Command::Frmw if model.width.is_some() => {
+                    let delay_ns = u64::from(read_u32(&model.memory, usize::from(register::DC_DELAY)));
+                    let reference_ns = read_u64(&data, 0).wrapping_add(delay_ns);
+                    let difference_ns = (read_u64(&system, 0) as u32).wrapping_sub(reference_ns as u32) as i32;
+                    let bits = register::time_difference_bits(difference_ns);
+                    model.put(register::DC_TIME_DIFFERENCE, &bits.to_le_bytes());
+                    working_counter += 1;
+                }
+                Command::Fpwr if mine => {
+                    model.put(at, &data);
+                    working_counter += 1;
+                }
+                _ => {}
+            }
+        }
+        Reply {
+            data,
+            outcome: Outcome::Processed { working_counter },
+        }
+    }
+
+    /// Runs a step of the set-up to its end.
+    fn run<T, F>(&mut self, step: impl FnOnce(AcyclicPort<'static, 64>) -> F) -> T
+    where
+        F: Future<Output = T>,
+    {
+        let requests: &'static mut Queue<Request, 5> = Box::leak(Box::default());
+        let replies: &'static mut Queue<Reply, 5> = Box::leak(Box::default());
+        let messages: &'static mut Queue<Request<64>, 2> = Box::leak(Box::default());
+        let message_replies: &'static mut Queue<Reply<64>, 2> = Box::leak(Box::default());
+        let ((request_in, mut request_out), (mut reply_in, reply_out)) = (requests.split(), replies.split());
+        let (message_in, message_reply_out) = (messages.split().0, message_replies.split().1);
+        let port = AcyclicPort::new(
+            Lane::new(request_in, reply_out),
+            Lane::new(message_in, message_reply_out),
+        );
+        let mut future = pin!(step(port));
+        for _ in 0..10_000 {
+            if let Poll::Ready(result) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+                return result;
+            }
+            let taken: VecDeque<Request> = core::iter::from_fn(|| request_out.dequeue()).collect();
+            for request in taken {
+                let reply = self.answer(&request);
+                assert!(reply_in.enqueue(reply).is_ok());
+            }
+        }
+        panic!("no end after {} frames", self.frames);
+    }
+
+    fn set_up(&mut self) -> BusClocks<16> {
+        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS, PERIOD_NS).await)
+            .expect("the set-up")
+    }
+
+    fn differences_ns(&mut self) -> StdVec<i32> {
+        STATIONS
+            .iter()
+            .map(|station| {
+                self.run(async |mut port: AcyclicPort<'static, 64>| difference_ns(&mut port, *station).await)
+                    .expect("the difference")
+            })
+            .collect()
+    }
+}
+
+const WIDE: Option<Width> = Some(Width::Bits64);
+const NARROW: Option<Width> = Some(Width::Bits32);
+
+#[test]
+fn offsets_and_delays_let_all_clocks_agree_with_the_reference() {
+    let mut chain = Chain::new([
+        (WIDE, 5, 0),
+        (WIDE, 1 << 40, 0),
+        (WIDE, u64::MAX - 77, 0),
+        (WIDE, 123_456, 0),
+    ]);
+    let clocks = chain.set_up();
+    let delays: StdVec<u32> = clocks.slaves.iter().map(|slave| slave.delay_ns).collect();
+    let differences_ns = chain.differences_ns();
+    println!(
+        "{} frames, delays {delays:?} ns, differences {differences_ns:?} ns",
+        chain.frames
+    );
+    assert_eq!(delays, [0, 500, 1_000, 1_500]);
+    assert_eq!(differences_ns, [0; 4]);
+    assert_eq!(clocks.reference(), Some(0));
+    // The frames pass the reference at this phase of its own time.
+    assert_eq!(u64::from(clocks.phase_ns), (7_000_000_123 + 5) % 1_000_000);
+}
+
+#[test]
+fn clocks_of_32_and_of_64_bits_agree_in_what_they_share() {
+    for widths in [[WIDE, NARROW, WIDE, NARROW], [NARROW, WIDE, NARROW, WIDE]] {
+        let starts = [u64::from(u32::MAX) - 9, 1 << 35, 3, 99];
+        let slaves = core::array::from_fn(|number| (widths[number], starts[number], 0));
+        let mut chain = Chain::new(slaves);
+        chain.set_up();
+        assert_eq!(chain.differences_ns(), [0; 4]);
+    }
+}
+
+#[test]
+fn the_first_slave_with_a_clock_is_the_reference_and_a_bus_without_clocks_is_left_alone() {
+    let mut chain = Chain::new([(None, 0, 0), (WIDE, 9_000, 0), (None, 0, 0), (WIDE, 50, 0)]);
+    let clocks = chain.set_up();
+    assert_eq!(clocks.reference(), Some(1));
+    assert_eq!(clocks.slaves[3].delay_ns, 1_000);
+    assert_eq!(chain.differences_ns(), [0; 4]);
+
+    let mut bare = Chain::new([(None, 0, 0); 4]);
+    let clocks = bare.set_up();
+    assert_eq!((clocks.reference(), bare.frames), (None, 4));
+    assert_eq!(bare.log, "Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0008");
+}
+
+#[test]
+fn the_set_up_comes_in_order_and_in_a_bounded_number_of_frames() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (None, 0, 0), (None, 0, 0), (NARROW, 9, 0)]);
+    chain.set_up();
+    let settling = " Frmw:0910".repeat(usize::from(SETTLING_FRAMES));
+    let expected = "Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0008 Bwr:0900 Fprd:0110 Fprd:0900 Fprd:0110 Fprd:0110 Fprd:0110 \
+                    Fprd:0900 Fpwr:0920 Fpwr:0928 Fpwr:0930 Fpwr:0920 Fpwr:0928 Fpwr:0930";
+    assert_eq!(chain.log, std::format!("{expected}{settling}"));
+    assert_eq!(
+        read_u16(&chain, 3, register::DC_SPEED_START),
+        register::SPEED_START_DEFAULT
+    );
+}
+
+fn read_u16(chain: &Chain, slave: usize, at: u16) -> u16 {
+    super::super::wire::read_u16(&chain.slaves[slave].memory, usize::from(at))
+}
+
+#[test]
+fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_reference() {
+    for position in [2, 0] {
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        let mut clocks = chain.set_up();
+        let before_ns = chain.slaves[1].system_ns(chain.true_ns);
+        chain.slaves[position].start_ns = 0_u64.wrapping_sub(chain.true_ns);
+        chain.slaves[position].put(register::DC_OFFSET, &[0; 12]);
+        let writes = chain.log.matches("Fpwr").count();
+        chain
+            .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, position).await)
+            .expect("the clock");
+        assert_eq!(chain.log.matches("Fpwr").count() - writes, 3, "only its own registers");
+        let passed_ns = chain.slaves[1].system_ns(chain.true_ns) - before_ns;
+        assert_eq!(passed_ns % u64::from(PERIOD_NS), 0);
+        let now_ns = chain.true_ns;
+        let times: StdVec<u64> = chain.slaves.iter().map(|slave| slave.system_ns(now_ns)).collect();
+        assert_eq!(times, [times[1]; 4], "slave {position}");
+    }
+}
+
+#[test]
+fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 7, 0)]);
+    let clocks = chain.set_up();
+    for (shift_ns, station) in [(0, STATIONS[1]), (250_000, STATIONS[2]), (999_999, STATIONS[3])] {
+        chain.log.clear();
+        let start_ns = chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                start_sync(&mut port, station, &clocks, 0x0300, shift_ns).await
+            })
+            .expect("the activation");
+        assert_eq!(chain.log, "Fpwr:0980 Fpwr:09a0 Fprd:0910 Fpwr:0990 Fpwr:0980");
+        let now_ns = chain.slaves[0].system_ns(chain.true_ns);
+        let ahead_ns = start_ns - now_ns;
+        println!("shift {shift_ns} ns: {ahead_ns} ns ahead");
+        assert!((START_AHEAD_NS - 3_000_000..=START_AHEAD_NS + 1_000_000).contains(&ahead_ns));
+        let behind_ns = (start_ns + u64::from(PERIOD_NS) - u64::from(clocks.phase_ns)) % u64::from(PERIOD_NS);
+        assert_eq!(behind_ns, u64::from(shift_ns));
+        let slave = usize::from(station - STATIONS[0]);
+        assert_eq!(read_u16(&chain, slave, register::DC_CYCLIC_CONTROL), 0x0300);
+        assert_eq!(
+            read_u32(&chain.slaves[slave].memory, usize::from(register::DC_SYNC0_CYCLE)),
+            PERIOD_NS
+        );
+    }
+}
+
+#[test]
+fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
+    // Half a percent fast and without a control loop: 32 frames later it is far away.
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 5_000_000), (WIDE, 42, 0), (WIDE, 7, 0)]);
+    chain.set_up();
+    let result = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[1]).await);
+    match result {
+        Err(BusError::ClockDifference {
+            expected_ns: DIFFERENCE_MAX_NS,
+            actual_ns,
+            waited_ms,
+        }) => {
+            println!("{actual_ns} ns after {waited_ms} ms");
+            assert!(actual_ns > 100_000 && waited_ms > DIFFERENCE_TIMEOUT_MS);
+        }
+        other => panic!("{other:?}"),
+    }
+    let agreed = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[2]).await);
+    assert_eq!(agreed, Ok(0));
+}

@@ -1,0 +1,172 @@
+//! Slave discovery: counts the slaves, assigns addresses, and resets them to INIT without any configuration.
+//!
+//! Positions count from 0 along the chain; a station address is given to a position and stays with the slave until it is
+//! switched off. Datagrams for several slaves share frames.
+//!
+//! Invariant: no function here takes a slave out of INIT, and only [`reset_all`] takes a slave to INIT.
+
+use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
+use crate::driver::SlaveFactory;
+use crate::error::BusError;
+use crate::slave::{STATION_BASE, Slave};
+use crate::state::{AlState, STATE_TIMEOUT_MS};
+use crate::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
+use crate::wire::sii::MailboxWindow;
+use crate::wire::{Address, Command, read_u16};
+use heapless::Vec;
+
+/// Sync managers and FMMUs that are cleared at the start.
+const CLEARED: usize = 4;
+
+/// Brings all slaves to INIT without any configuration; resets the error counters.
+///
+/// A slave that does not reach INIT in time is left as it is; the next step that uses it fails.
+///
+/// # Errors
+/// [`BusError::Lost`].
+pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
+    let init = AlState::Init as u16 | register::AL_ERROR_BIT;
+    port.broadcast_write(register::AL_CONTROL, &init.to_le_bytes()).await?;
+    let started_ms = port.now_ms();
+    loop {
+        let (status, _) = port.broadcast_read_u16(register::AL_STATUS).await?;
+        let seen = status & (register::AL_STATE_MASK | register::AL_ERROR_BIT);
+        if seen == AlState::Init as u16 || port.now_ms().wrapping_sub(started_ms) > STATE_TIMEOUT_MS {
+            break;
+        }
+    }
+    port.broadcast_write(register::STATION_ADDRESS, &[0; 2]).await?;
+    port.broadcast_write(register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
+    port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
+        .await?;
+    port.broadcast_write(register::DC_CYCLIC_CONTROL, &[0; 2]).await?;
+    port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
+        .await?;
+    Ok(())
+}
+
+/// Number of slaves that answer.
+///
+/// # Errors
+/// As [`AcyclicPort::broadcast_read_u16`].
+pub async fn count<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<u16, BusError> {
+    let (_, slaves) = port.broadcast_read_u16(register::AL_STATUS).await?;
+    Ok(slaves)
+}
+
+/// Reads the station addresses of the first `count` slaves of the chain; 0 where no slave answers.
+///
+/// # Errors
+/// As [`AcyclicPort::insist_all`].
+pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    count: u16,
+    stations: &mut Vec<u16, PLACES>,
+) -> Result<(), BusError> {
+    stations.clear();
+    for first in (0..count).step_by(IN_FLIGHT_MAX) {
+        let places = first..count.min(first + IN_FLIGHT_MAX as u16);
+        let requests = places.map(|position| {
+            let address = Address::position(position, register::STATION_ADDRESS);
+            Request::read(Command::Aprd, address, 2)
+        });
+        let requests: Vec<Request, IN_FLIGHT_MAX> = requests.collect();
+        let before = stations.len();
+        // Slaves that do not fit are not among the first.
+        let _ = stations.resize(before + requests.len(), 0);
+        port.insist_all(&requests, 1, |number, bytes| {
+            if let Some(station) = stations.get_mut(before + number) {
+                *station = read_u16(bytes, 0);
+            }
+        })
+        .await?;
+    }
+    Ok(())
+}
+
+/// Assigns a station address to the slave at a place in the chain.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn assign_station<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    position: u16,
+    station: u16,
+) -> Result<(), BusError> {
+    port.insist(&assignment(position, station), 1).await.map(|_| ())
+}
+
+/// Assigns station addresses to the first `count` slaves of the chain, from [`STATION_BASE`] on.
+///
+/// # Errors
+/// As [`AcyclicPort::insist_all`].
+pub async fn assign_stations<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    count: u16,
+) -> Result<(), BusError> {
+    for first in (0..count).step_by(IN_FLIGHT_MAX) {
+        let places = first..count.min(first + IN_FLIGHT_MAX as u16);
+        let requests = places.map(|position| assignment(position, STATION_BASE.wrapping_add(position)));
+        let requests: Vec<Request, IN_FLIGHT_MAX> = requests.collect();
+        port.insist_all(&requests, 1, |_, _| {}).await?;
+    }
+    Ok(())
+}
+
+fn assignment(position: u16, station: u16) -> Request {
+    let address = Address::position(position, register::STATION_ADDRESS);
+    Request::write(Command::Apwr, address, &station.to_le_bytes())
+}
+
+/// Sets up the mailbox's sync managers, in INIT.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn mailbox_managers<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+) -> Result<(), BusError> {
+    let managers = [
+        mailbox_manager(slave.fixed.mailbox_out, register::CONTROL_MAILBOX_OUT),
+        mailbox_manager(slave.fixed.mailbox_in, register::CONTROL_MAILBOX_IN),
+    ];
+    write_managers(port, slave.station(), 0, &managers).await
+}
+
+/// Writes two consecutive sync managers in one datagram.
+pub(super) async fn write_managers<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    first: u8,
+    managers: &[SyncManagerRepr; 2],
+) -> Result<(), BusError> {
+    let mut registers = [0; 2 * SYNC_MANAGER_LEN];
+    for (manager, bytes) in managers.iter().zip(registers.chunks_exact_mut(SYNC_MANAGER_LEN)) {
+        // Each part has the length of the structure.
+        let _ = manager.emit(bytes);
+    }
+    port.write(station, register::sync_manager(first), &registers).await
+}
+
+fn mailbox_manager(window: MailboxWindow, control: u8) -> SyncManagerRepr {
+    SyncManagerRepr {
+        start: window.start,
+        length: window.length,
+        control,
+        activate: register::SYNC_MANAGER_ENABLE,
+        ..SyncManagerRepr::default()
+    }
+}
+
+/// Clears all of a slave's sync managers and FMMUs, in INIT.
+///
+/// # Errors
+/// As [`AcyclicPort::insist_all`].
+pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
+    let write = |register, data: &[u8]| Request::write(Command::Fpwr, Address::station(station, register), data);
+    let requests = [
+        write(register::FMMU, &[0; CLEARED * FMMU_LEN]),
+        write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN]),
+    ];
+    port.insist_all(&requests, 1, |_, _| {}).await
+}

@@ -1,0 +1,350 @@
+//! A slave in PREOP, as its driver sees it: objects, lists of process data, and where these lie in its memory.
+//!
+//! The process data of the driver's choice are assigned and mapped; a device that refuses keeps its own. Then the lists
+//! are read back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
+//! entries). Where such an object is missing, the SII's lists are used, or else those of the driver.
+//!
+//! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
+
+use super::process_data::{SYNC_MANAGER_INPUTS, SYNC_MANAGER_OUTPUTS};
+use super::{mailbox_managers, read_sii};
+use crate::acyclic::AcyclicPort;
+use crate::coe::{DEVICE_TYPE, ObjectDictionary};
+use crate::driver::{Direction, Entry, PdoChoice, Setting, SlaveFactory, Windows};
+use crate::error::BusError;
+use crate::mailbox::Mailbox;
+use crate::slave::Slave;
+use crate::state::{self, AlState};
+use crate::wire::coe::Object;
+use crate::wire::register;
+use crate::wire::sii::{
+    self, CategoryHeader, CategoryWalker, PROTOCOL_COE, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord,
+    SyncManagerUse,
+};
+use crate::wire::{read_u16, write_bytes};
+use heapless::Vec;
+
+/// Object that lists the process data objects of the outputs.
+const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
+/// Object that lists the process data objects of the inputs.
+const ASSIGNMENT_INPUTS: u16 = 0x1C13;
+/// Most process data objects of one direction.
+const PDOS_MAX: usize = 8;
+/// Most entries of one process data object.
+const ENTRIES_MAX: u8 = 32;
+/// Most read-backs of a setting until the device shows the value; one read-back takes some milliseconds.
+const VERIFY_TRIES_MAX: u8 = 10;
+/// Lowest address of process memory.
+const PROCESS_MEMORY: u16 = register::PROCESS_MEMORY;
+/// Words of the SII in a KiBit.
+const SII_WORDS_PER_KIBIT: u16 = 64;
+/// Words of a sync manager, a process data object or an entry in the SII.
+const RECORD_WORDS: u16 = 4;
+
+impl Direction {
+    const fn assignment(self) -> u16 {
+        match self {
+            Self::Outputs => ASSIGNMENT_OUTPUTS,
+            Self::Inputs => ASSIGNMENT_INPUTS,
+        }
+    }
+
+    /// The SII's category of process data objects.
+    const fn category(self) -> u16 {
+        match self {
+            Self::Outputs => sii::CATEGORY_RX_PDO,
+            Self::Inputs => sii::CATEGORY_TX_PDO,
+        }
+    }
+
+    const fn sync_manager(self) -> u8 {
+        match self {
+            Self::Outputs => SYNC_MANAGER_OUTPUTS,
+            Self::Inputs => SYNC_MANAGER_INPUTS,
+        }
+    }
+}
+
+/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
+/// for it, or it does not answer.
+pub async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+) -> Option<F::Device> {
+    if F::by_identity(&slave.fixed.identity).is_some() || slave.fixed.protocols & PROTOCOL_COE == 0 {
+        return None;
+    }
+    let station = slave.station();
+    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).ok()?;
+    mailbox_managers(port, slave).await.ok()?;
+    let device_type = match state::change(port, station, AlState::PreOperational).await {
+        Ok(()) => ObjectDictionary::new(port, &mut mailbox)
+            .read(DEVICE_TYPE, 4)
+            .await
+            .ok(),
+        Err(_) => None,
+    };
+    // A slave that does not return to INIT is detected when it is used.
+    let _ = state::change(port, station, AlState::Init).await;
+    F::by_device_type(device_type?)
+}
+
+/// A slave in PREOP with its mailbox set up.
+pub struct PreOperational<'p, 'q, const MESSAGE: usize> {
+    port: &'p mut AcyclicPort<'q, MESSAGE>,
+    station: u16,
+    mailbox: &'p mut Mailbox,
+}
+
+impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
+    pub(crate) fn new(port: &'p mut AcyclicPort<'q, MESSAGE>, station: u16, mailbox: &'p mut Mailbox) -> Self {
+        Self { port, station, mailbox }
+    }
+
+    /// The slave's object dictionary.
+    pub fn dictionary(&mut self) -> ObjectDictionary<'_, 'q, MESSAGE> {
+        ObjectDictionary::new(self.port, self.mailbox)
+    }
+
+    /// Assigns a process data object, and writes its entries unless they are fixed; false when the device refused any of
+    /// it.
+    ///
+    /// # Errors
+    /// Errors of the mailbox.
+    pub async fn assign(&mut self, direction: Direction, choice: &PdoChoice) -> Result<bool, BusError> {
+        let dictionary = &mut self.dictionary();
+        let assignment = |sub| Object::new(direction.assignment(), sub);
+        if !offer(dictionary, assignment(0), 0, 1).await? {
+            return Ok(false);
+        }
+        let mut taken = true;
+        let count = Object::new(choice.pdo, 0);
+        if choice.written && offer(dictionary, count, 0, 1).await? {
+            for (sub, entry) in (1..).zip(choice.entries) {
+                let object = Object::new(choice.pdo, sub);
+                taken &= offer(dictionary, object, entry.mapping(), 4).await?;
+            }
+            taken &= offer(dictionary, count, choice.entries.len() as u32, 1).await?;
+        } else if choice.written {
+            taken = false;
+        }
+        taken &= offer(dictionary, assignment(1), choice.pdo.into(), 2).await?;
+        taken &= offer(dictionary, assignment(0), 1, 1).await?;
+        Ok(taken)
+    }
+
+    /// Writes an object, and reads it back if the setting asks for it.
+    ///
+    /// # Errors
+    /// [`BusError::SdoAbort`] unless the setting is optional, [`BusError::ReadBack`], or errors of the mailbox.
+    pub async fn write(&mut self, setting: &Setting) -> Result<(), BusError> {
+        let dictionary = &mut self.dictionary();
+        let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
+        let expected = setting.value & mask;
+        match dictionary.write(setting.object, setting.value, setting.length).await {
+            Err(BusError::SdoAbort { .. }) if setting.optional => return Ok(()),
+            other => other?,
+        }
+        let Some(object) = setting.verify else { return Ok(()) };
+        let mut actual = 0;
+        for _ in 0..VERIFY_TRIES_MAX {
+            actual = dictionary.read(object, setting.length).await?;
+            if actual == expected {
+                return Ok(());
+            }
+        }
+        Err(BusError::ReadBack {
+            object,
+            expected,
+            actual,
+        })
+    }
+
+    /// Passes the entries of one direction's actual process data to `take`, in their order. `choice` stands for lists that
+    /// the device does not have.
+    ///
+    /// # Errors
+    /// Those of `take`, [`BusError::Range`] for a list longer than any, [`BusError::SdoAbort`] for an object without
+    /// readable entries, or errors of the mailbox and the SII.
+    pub async fn entries(
+        &mut self,
+        direction: Direction,
+        choice: &PdoChoice,
+        mut take: impl FnMut(Entry) -> Result<(), BusError>,
+    ) -> Result<(), BusError> {
+        let station = self.station;
+        let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
+        let mut dictionary = self.dictionary();
+        let assigned = read_list(&mut dictionary, direction.assignment(), PDOS_MAX as u8, 2, |pdo| {
+            // The list has room for as many.
+            let _ = pdos.push(pdo as u16);
+            Ok(())
+        });
+        match assigned.await {
+            Err(BusError::SdoAbort { .. }) => {
+                let here = |pdo: &PdoRecord| pdo.sync_manager == direction.sync_manager();
+                if sii_entries(self.port, station, direction, here, &mut take).await? == 0 {
+                    choice.entries.iter().try_for_each(|entry| take(*entry))?;
+                }
+                return Ok(());
+            }
+            other => other?,
+        }
+        for pdo in pdos {
+            let mut dictionary = self.dictionary();
+            let entries = read_list(&mut dictionary, pdo, ENTRIES_MAX, 4, |value| {
+                take(Entry::from_mapping(value))
+            });
+            let error = match entries.await {
+                // An object with unreadable entries, none of which was passed on yet.
+                Err(error @ BusError::SdoAbort { object, .. }) if object.sub == 0 => error,
+                other => {
+                    other?;
+                    continue;
+                }
+            };
+            let here = |record: &PdoRecord| record.index == pdo;
+            if sii_entries(self.port, station, direction, here, &mut take).await? > 0 {
+                continue;
+            }
+            if pdo != choice.pdo {
+                return Err(error);
+            }
+            choice.entries.iter().try_for_each(|entry| take(*entry))?;
+        }
+        Ok(())
+    }
+
+    /// Addresses of the process data according to the SII, or `otherwise`.
+    ///
+    /// # Errors
+    /// Errors of the SII.
+    pub async fn windows(&mut self, otherwise: Windows) -> Result<Windows, BusError> {
+        let (port, station) = (&mut *self.port, self.station);
+        let mut windows = otherwise;
+        let Some(category) = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await? else {
+            return Ok(windows);
+        };
+        for number in [Direction::Outputs, Direction::Inputs].map(Direction::sync_manager) {
+            let offset = u16::from(number) * RECORD_WORDS;
+            if offset + RECORD_WORDS > category.words {
+                break;
+            }
+            let bytes = sii_record(port, station, category.word.saturating_add(offset)).await?;
+            match SyncManagerRecord::parse(&bytes) {
+                Ok(manager) if manager.start < PROCESS_MEMORY => {}
+                Ok(manager) if manager.usage == SyncManagerUse::Outputs => windows.outputs = manager.start,
+                Ok(manager) if manager.usage == SyncManagerUse::Inputs => windows.inputs = manager.start,
+                _ => {}
+            }
+        }
+        Ok(windows)
+    }
+}
+
+/// Writes a value; false when the drive refuses it.
+async fn offer<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    object: Object,
+    value: u32,
+    length: u8,
+) -> Result<bool, BusError> {
+    match dictionary.write(object, value, length).await {
+        Ok(()) => Ok(true),
+        Err(BusError::SdoAbort { .. }) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Reads an object whose sub-index 0 counts its values of `length` bytes, and passes the values to `take`.
+///
+/// # Errors
+/// [`BusError::SdoAbort`] with sub-index 0 when there is no such object; then no value was passed on.
+async fn read_list<const MESSAGE: usize>(
+    dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
+    index: u16,
+    most: u8,
+    length: u8,
+    mut take: impl FnMut(u32) -> Result<(), BusError>,
+) -> Result<(), BusError> {
+    let object = Object::new(index, 0);
+    let count = dictionary.read(object, 1).await?;
+    if count > most.into() {
+        return Err(BusError::Range { object });
+    }
+    for sub in 1..=count as u8 {
+        take(dictionary.read(Object::new(index, sub), length).await?)?;
+    }
+    Ok(())
+}
+
+/// Passes the entries of the SII's process data objects that `chosen` selects to `take`; returns the number of objects.
+async fn sii_entries<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    direction: Direction,
+    chosen: impl Fn(&PdoRecord) -> bool,
+    take: &mut impl FnMut(Entry) -> Result<(), BusError>,
+) -> Result<u8, BusError> {
+    let Some(category) = find_category(port, station, direction.category()).await? else {
+        return Ok(0);
+    };
+    let (mut word, end) = (category.word, category.word.saturating_add(category.words));
+    let mut found = 0_u8;
+    while word < end {
+        let Ok(pdo) = PdoRecord::parse(&sii_record(port, station, word).await?) else {
+            break;
+        };
+        word = word.saturating_add(RECORD_WORDS);
+        if chosen(&pdo) && pdo.entries > 0 {
+            found = found.saturating_add(1);
+            for number in 0..u16::from(pdo.entries) {
+                let at = word.saturating_add(number.saturating_mul(RECORD_WORDS));
+                if at >= end {
+                    break;
+                }
+                if let Ok(entry) = PdoEntryRecord::parse(&sii_record(port, station, at).await?) {
+                    take(Entry::new(Object::new(entry.index, entry.sub), entry.bits))?;
+                }
+            }
+        }
+        word = word.saturating_add(u16::from(pdo.entries).saturating_mul(RECORD_WORDS));
+    }
+    Ok(found)
+}
+
+/// Reads a record of eight bytes from the SII.
+async fn sii_record<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    word: u16,
+) -> Result<[u8; 8], BusError> {
+    let mut record = [0; 2 * RECORD_WORDS as usize];
+    let mut at = 0;
+    while at < record.len() {
+        let part = read_sii(port, station, word.saturating_add(at as u16 / 2)).await?;
+        let room = record.len() - at;
+        write_bytes(&mut record, at, part.get(..part.len().min(room)).unwrap_or(&[]));
+        at += part.len().max(2);
+    }
+    Ok(record)
+}
+
+/// Looks for a category in the SII.
+async fn find_category<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    kind: u16,
+) -> Result<Option<CategoryHeader>, BusError> {
+    let size = read_u16(&read_sii(port, station, sii::WORD_SIZE).await?, 0);
+    let words = size.saturating_add(1).saturating_mul(SII_WORDS_PER_KIBIT);
+    let mut walker = CategoryWalker::new(words);
+    while let Some(word) = walker.next_word() {
+        let header = read_sii(port, station, word).await?;
+        match walker.feed(read_u16(&header, 0), read_u16(&header, 2)) {
+            Some(category) if category.kind == kind => return Ok(Some(category)),
+            _ => {}
+        }
+    }
+    Ok(None)
+}

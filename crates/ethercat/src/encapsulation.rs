@@ -1,0 +1,141 @@
+//! Encapsulations: the headers around the datagrams.
+//!
+//! The headers are written once when a frame is built; sending only changes them when the frame's length has changed.
+//!
+//! Invariant: opening a received frame reads nothing beyond its end and only decides whose frame it is.
+
+use super::telegram::Ignored;
+use super::wire::{
+    self, ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
+    UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr, read_u16, write_bytes,
+};
+
+const LENGTH_MASK: u16 = 0x07FF;
+const TYPE_SHIFT: u16 = 12;
+
+/// Transport of EtherCAT.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Encapsulation {
+    /// In Ethernet frames with EtherCAT's own EtherType.
+    #[default]
+    Raw,
+    /// In UDP, with these headers.
+    Udp(UdpRepr),
+    /// Without further headers: EtherCAT header and datagrams only, for transports that add their own, such as sockets.
+    Bare,
+}
+
+/// A received frame without its encapsulation.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Opened<'f> {
+    /// The chain of datagrams.
+    pub(super) payload: &'f [u8],
+    /// Whether a slave controller has marked the source address.
+    pub(super) marked: bool,
+}
+
+impl Encapsulation {
+    /// Bytes in front of the first datagram, EtherCAT header included.
+    pub(super) const fn header_len(&self) -> usize {
+        match self {
+            Self::Raw => PAYLOAD_OFFSET,
+            Self::Udp(_) => UDP_PAYLOAD_OFFSET + ETHERCAT_HEADER_LEN,
+            Self::Bare => ETHERCAT_HEADER_LEN,
+        }
+    }
+
+    /// Writes the headers without the lengths.
+    pub(super) fn emit(&self, frame: &mut [u8], source: MacAddress) {
+        match self {
+            Self::Raw => {
+                write_bytes(frame, 0, &[0xFF; 6]);
+                write_bytes(frame, 6, &source);
+                write_bytes(frame, 12, &ETHERTYPE.to_be_bytes());
+            }
+            // Headers that contain lengths are written when the frame is closed.
+            Self::Udp(_) | Self::Bare => {}
+        }
+    }
+
+    /// Writes the lengths of a frame whose datagrams end at `end`. Returns how many bytes to send; those behind `end`
+    /// have to be zero.
+    pub(super) fn close(&self, frame: &mut [u8], end: usize) -> usize {
+        let start = self.header_len();
+        let length = end.saturating_sub(start) as u16 & LENGTH_MASK;
+        let header = length | (EtherCatType::Datagrams as u16) << TYPE_SHIFT;
+        write_bytes(frame, start - ETHERCAT_HEADER_LEN, &header.to_le_bytes());
+        match self {
+            Self::Raw => end.max(FRAME_LEN_MIN),
+            // Frames are built in buffers of the greatest length.
+            Self::Udp(repr) => repr.emit(frame, end.saturating_sub(UDP_PAYLOAD_OFFSET)).unwrap_or(0),
+            Self::Bare => end,
+        }
+    }
+
+    /// Opens a received frame that `source` may have sent.
+    ///
+    /// # Errors
+    /// [`Ignored::EtherType`], [`Ignored::FrameType`], [`Ignored::Truncated`] or [`Ignored::ForeignSource`].
+    #[inline]
+    pub(super) fn open<'f>(&self, frame: &'f [u8], source: &MacAddress) -> Result<Opened<'f>, Ignored> {
+        let (content, marked) = match self {
+            Self::Raw => open_raw(frame, source)?,
+            Self::Udp(own) => (open_udp(frame, own)?, false),
+            Self::Bare => (frame, false),
+        };
+        let header = content.first_chunk::<2>().ok_or(Ignored::Truncated)?;
+        let header = u16::from_le_bytes(*header);
+        if header >> TYPE_SHIFT != EtherCatType::Datagrams as u16 {
+            return Err(Ignored::FrameType);
+        }
+        let end = ETHERCAT_HEADER_LEN + usize::from(header & LENGTH_MASK);
+        let payload = content.get(ETHERCAT_HEADER_LEN..end).ok_or(Ignored::Truncated)?;
+        Ok(Opened { payload, marked })
+    }
+}
+
+/// Checks an Ethernet header. Returns its payload and whether the source is marked.
+#[inline]
+fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool), Ignored> {
+    let content = frame
+        .get(PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN..)
+        .ok_or(Ignored::Truncated)?;
+    if content.len() < ETHERCAT_HEADER_LEN {
+        return Err(Ignored::Truncated);
+    }
+    if read_u16(frame, 12) != ETHERTYPE.swap_bytes() {
+        return Err(Ignored::EtherType);
+    }
+    // The first four and the last two bytes of the addresses are compared as words.
+    let words = |bytes: &[u8]| Some((bytes.first_chunk().copied()?, bytes.get(4..)?.first_chunk().copied()?));
+    let sender = frame.get(6..).and_then(words).ok_or(Ignored::Truncated)?;
+    let own = words(source).ok_or(Ignored::Truncated)?;
+    let first = u32::from_le_bytes(sender.0);
+    let (own_first, last, own_last) = (
+        u32::from_le_bytes(own.0),
+        u16::from_le_bytes(sender.1),
+        u16::from_le_bytes(own.1),
+    );
+    let differs = first ^ own_first;
+    if differs & !u32::from(SOURCE_BIT) | u32::from(last ^ own_last) != 0 {
+        return Err(Ignored::ForeignSource);
+    }
+    Ok((content, differs != 0))
+}
+
+/// Checks the headers of Ethernet, IPv4 and UDP. Returns the UDP payload of an answer, or of an own packet that slave
+/// controllers passed on unchanged.
+#[inline(never)]
+fn open_udp<'f>(frame: &'f [u8], own: &UdpRepr) -> Result<&'f [u8], Ignored> {
+    let (found, payload) = UdpRepr::parse(frame).map_err(|error| match error {
+        wire::Error::Truncated { .. } | wire::Error::Checksum { .. } => Ignored::Truncated,
+        _ => Ignored::EtherType,
+    })?;
+    let answers = (found.destination, found.destination_port) == (own.source, own.source_port);
+    let returns = (found.source, found.source_port) == (own.source, own.source_port);
+    if answers || returns && found.destination_port == UDP_PORT {
+        frame.get(payload).ok_or(Ignored::Truncated)
+    } else {
+        Err(Ignored::ForeignSource)
+    }
+}

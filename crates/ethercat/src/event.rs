@@ -1,0 +1,173 @@
+//! Commands to the supervisor and events from it.
+//!
+//! Invariant: every event stands alone; if one is lost the others remain valid.
+
+use super::driver::SlaveFactory;
+use super::error::BusError;
+use super::plan::ExchangeKind;
+use super::port_state::PortState;
+use super::state::AlReport;
+use super::wire::coe::Emergency;
+use super::wire::sii::Identity;
+
+/// The bus that a bring-up expects, and how it is to run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BusSetup<F: SlaveFactory> {
+    /// Members expected: the first slaves in the chain that have a driver, in chain order.
+    pub members: u8,
+    /// What the application asks of them.
+    pub settings: F::Settings,
+    /// When inputs are read and outputs are written.
+    pub exchange: ExchangeKind,
+    /// Period of the cyclic exchange, ns.
+    pub cycle_ns: u32,
+    /// Sync-manager watchdog of the members, ms; 0 switches it off.
+    pub watchdog_ms: u16,
+    /// Whether the slaves' distributed clocks are set up.
+    pub clocks: bool,
+    /// Time of SYNC0 after the input telegram's frame has passed the reference clock, us, for slaves that use SYNC0.
+    pub sync_shift_us: u16,
+}
+
+impl<F: SlaveFactory> Default for BusSetup<F> {
+    /// No members, a cycle of 1 ms.
+    fn default() -> Self {
+        Self {
+            members: 0,
+            settings: F::Settings::default(),
+            exchange: ExchangeKind::default(),
+            cycle_ns: 1_000_000,
+            watchdog_ms: 10,
+            clocks: false,
+            sync_shift_us: 500,
+        }
+    }
+}
+
+/// An order to the supervisor.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // few are alive at a time, in static memory
+pub enum BusCommand<F: SlaveFactory> {
+    /// Bring the bus up from any state.
+    Start(BusSetup<F>),
+    /// Bring lost slaves back; if the last bring-up failed, bring the bus up again.
+    Recover,
+    /// Send safe outputs, take all slaves out of OP, then leave the bus alone.
+    Stop,
+    /// The Ethernet port's link state changed.
+    Port(PortState),
+}
+
+/// A step of bring-up or repair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Step {
+    /// Counting the slaves.
+    Discover,
+    /// Bringing all slaves to INIT.
+    Reset,
+    /// Assigning station addresses.
+    Address,
+    /// Reading identity and mailbox from the SII.
+    Identify,
+    /// Finding a lost slave in the chain.
+    Locate,
+    /// Going to INIT.
+    Init,
+    /// Setting up the mailbox.
+    Mailbox,
+    /// Going to PREOP.
+    PreOperational,
+    /// Writing objects by CoE.
+    Objects,
+    /// Setting up sync managers, FMMUs and watchdogs.
+    ProcessData,
+    /// Going to SAFEOP.
+    SafeOperational,
+    /// Waiting for cyclic inputs.
+    CyclicData,
+    /// Going to OP.
+    Operational,
+    /// Setting up the distributed clocks.
+    Clocks,
+    /// Another slave changed during a bring-up or a repair.
+    Watch,
+}
+
+/// Event from the supervisor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BusEvent {
+    /// The slaves in the chain were counted.
+    Found {
+        /// Number of slaves.
+        slaves: u16,
+    },
+    /// A slave was identified or changed its state.
+    Slave {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// Identity.
+        identity: Identity,
+        /// Name for display.
+        name: &'static str,
+        /// Its number among the application's members, if it is used.
+        member: Option<u8>,
+        /// AL state, error flag and code.
+        report: AlReport,
+    },
+    /// All members are in OP.
+    Operational,
+    /// A slave no longer answers.
+    SlaveLost {
+        /// Place in the chain, from 0.
+        position: u8,
+    },
+    /// A slave answers, but left OP.
+    SlaveLeft {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// AL state, error flag and code.
+        report: AlReport,
+    },
+    /// A slave is back in OP.
+    Repaired {
+        /// Place in the chain, from 0.
+        position: u8,
+    },
+    /// All used slaves were taken out of OP.
+    Stopped,
+    /// A slave has sent an emergency.
+    Emergency {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// Content of the emergency.
+        emergency: Emergency,
+    },
+    /// A cable damages frames or has lost its link.
+    CableErrors {
+        /// The slave at whose port the errors were counted: place in the chain, from 0.
+        position: u8,
+        /// The port, 0 to 3.
+        port: u8,
+        /// The slave at the other end; `None` if it is the master or not known.
+        partner: Option<u8>,
+        /// Increase of the port's counters.
+        count: u16,
+    },
+    /// A slave's processor stopped for longer than its watchdog allows, while its slave controller went on answering.
+    ProcessorStopped {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// Expiries counted by its watchdog.
+        expiries: u8,
+    },
+    /// Bring-up or repair failed.
+    Refused {
+        /// The slave concerned, if any: place in the chain, from 0.
+        position: Option<u8>,
+        /// The step that failed.
+        step: Step,
+        /// Why it failed.
+        error: BusError,
+    },
+}

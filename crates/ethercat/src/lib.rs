@@ -1,0 +1,149 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod acyclic;
+pub mod clock;
+pub mod coe;
+#[cfg(test)]
+mod coe_tests;
+pub mod configure;
+pub mod cyclic;
+pub mod diagnostics;
+pub mod driver;
+pub mod encapsulation;
+#[cfg(test)]
+mod encapsulation_tests;
+pub mod error;
+pub mod event;
+#[cfg(test)]
+mod exchange_tests;
+pub mod frame_port;
+pub mod mailbox;
+#[cfg(test)]
+mod no_drivers;
+mod plan;
+pub mod port_state;
+pub mod queue;
+pub mod slave;
+pub mod state;
+pub mod supervisor;
+mod telegram;
+pub mod topology;
+pub mod wire;
+
+use acyclic::{AcyclicPort, IN_FLIGHT_MAX, Lane, Reply, Request};
+use cyclic::{CyclicPlan, ExchangeEnd, Observation};
+use diagnostics::{ServiceRequest, ServiceResult};
+use driver::SlaveFactory;
+use event::{BusCommand, BusEvent};
+use heapless::spsc::{Consumer, Producer, Queue};
+use supervisor::SupervisorEnd;
+
+/// Size of a queue that holds `IN_FLIGHT_MAX` entries; one place of a queue stays empty.
+const ACYCLIC_PLACES: usize = IN_FLIGHT_MAX + 1;
+
+/// The queues between critical side, supervisor and application; in static memory.
+///
+/// `SLAVES` is the maximum number of slaves on the bus, up to 32; `MESSAGE` is the longest acyclic datagram in bytes,
+/// which is also the longest usable mailbox window.
+#[derive(Debug)]
+pub struct BusQueues<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+    plans: Queue<CyclicPlan<F, SLAVES>, 3>,
+    requests: Queue<Request, ACYCLIC_PLACES>,
+    replies: Queue<Reply, ACYCLIC_PLACES>,
+    messages: Queue<Request<MESSAGE>, 2>,
+    message_replies: Queue<Reply<MESSAGE>, 2>,
+    observations: Queue<Observation, 17>,
+    commands: Queue<BusCommand<F>, 3>,
+    events: Queue<BusEvent, 33>,
+    services: Queue<ServiceRequest, 2>,
+    answers: Queue<ServiceResult, 2>,
+}
+
+/// The application's ends of the queues.
+pub struct ApplicationEnd<'a, F: SlaveFactory> {
+    /// Orders to the supervisor.
+    pub commands: Producer<'a, BusCommand<F>>,
+    /// Events of the supervisor; take them at least every few milliseconds.
+    pub events: Consumer<'a, BusEvent>,
+    /// Service requests; one at a time.
+    pub services: Producer<'a, ServiceRequest>,
+    /// Answers to the service requests, in order.
+    pub answers: Consumer<'a, ServiceResult>,
+}
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> BusQueues<F, SLAVES, MESSAGE> {
+    /// Empty queues.
+    pub const fn new() -> Self {
+        Self {
+            plans: Queue::new(),
+            requests: Queue::new(),
+            replies: Queue::new(),
+            messages: Queue::new(),
+            message_replies: Queue::new(),
+            observations: Queue::new(),
+            commands: Queue::new(),
+            events: Queue::new(),
+            services: Queue::new(),
+            answers: Queue::new(),
+        }
+    }
+
+    /// Splits into the ends for the three sides.
+    pub fn split(
+        &mut self,
+    ) -> (
+        ExchangeEnd<'_, F, SLAVES, MESSAGE>,
+        SupervisorEnd<'_, F, SLAVES, MESSAGE>,
+        ApplicationEnd<'_, F>,
+    ) {
+        let (plans_in, plans) = self.plans.split();
+        let (requests_in, requests) = self.requests.split();
+        let (replies, replies_out) = self.replies.split();
+        let (messages_in, messages) = self.messages.split();
+        let (message_replies, message_replies_out) = self.message_replies.split();
+        let (observations, observations_out) = self.observations.split();
+        let (commands, commands_out) = self.commands.split();
+        let (events_in, events) = self.events.split();
+        let (services_in, services) = self.services.split();
+        let (answers, answers_out) = self.answers.split();
+        (
+            ExchangeEnd {
+                plans,
+                requests,
+                replies,
+                messages,
+                message_replies,
+                observations,
+            },
+            SupervisorEnd {
+                plans: plans_in,
+                port: AcyclicPort::new(
+                    Lane::new(requests_in, replies_out),
+                    Lane::new(messages_in, message_replies_out),
+                ),
+                observations: observations_out,
+                commands: commands_out,
+                events: events_in,
+                services,
+                answers,
+            },
+            ApplicationEnd {
+                commands,
+                events,
+                services: services_in,
+                answers: answers_out,
+            },
+        )
+    }
+}
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Default for BusQueues<F, SLAVES, MESSAGE> {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,346 @@
+//! The cyclic plan: what is exchanged each cycle, and whether it fits into the frames.
+//!
+//! The supervisor makes a plan, checks with [`CyclicPlan::check`] whether it can be exchanged, and passes it to the
+//! critical side, which builds its frames from it.
+//!
+//! Invariant: each slave's data travel in separate datagrams, in every kind of exchange.
+
+use super::driver::{Role, SlaveFactory};
+use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
+use heapless::Vec;
+
+/// Most process data of one slave in one direction, bytes.
+pub const PROCESS_BYTES_MAX: usize = 32;
+/// Longest stretch of logical memory that inputs and outputs of one slave may take together, bytes.
+pub const SPAN_BYTES_MAX: usize = 2 * PROCESS_BYTES_MAX;
+/// Bytes of the longest encapsulation: Ethernet, IPv4, UDP and EtherCAT headers.
+pub(super) const HEADERS_LEN_MAX: usize = 14 + 20 + 8 + 2;
+/// Bytes of the AL status register that are read each cycle.
+pub(super) const AL_STATUS_LEN: usize = 2;
+
+/// When inputs are read and outputs are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
+pub enum ExchangeKind {
+    /// Inputs at the start of the cycle, outputs after control in the same cycle.
+    #[default]
+    Split,
+    /// Both at the start of the cycle; the outputs are those of the previous cycle.
+    Combined,
+}
+
+/// One slave's share of the logical memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CyclicSlave<F: SlaveFactory> {
+    /// Logical address of its inputs.
+    pub input_address: u32,
+    /// Bytes of its inputs, at most [`PROCESS_BYTES_MAX`]; 0 for none.
+    pub input_length: u16,
+    /// Logical address of its outputs.
+    pub output_address: u32,
+    /// Bytes of its outputs, at most [`PROCESS_BYTES_MAX`]; 0 for none.
+    pub output_length: u16,
+    /// Whether a missing answer is an error; false while the slave is being configured or known to be lost.
+    pub watched: bool,
+    /// What the application uses the slave for, if it does.
+    pub role: Option<Role<F>>,
+    /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
+    /// off in between.
+    pub generation: u8,
+}
+
+/// The reference clock: its time is read in each cycle and written to the slaves behind it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReferenceClock {
+    /// Its station address.
+    pub station: u16,
+    /// Number of slaves that take part, including the reference: the expected working counter.
+    pub slaves: u16,
+    /// Whether all participating clocks have 64 bits; otherwise the low 32 bits are sent.
+    pub wide: bool,
+}
+
+impl ReferenceClock {
+    pub(super) const fn length(&self) -> usize {
+        if self.wide { 8 } else { 4 }
+    }
+}
+
+/// Plan of the cyclic exchange; slaves in chain order.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CyclicPlan<F: SlaveFactory, const SLAVES: usize> {
+    /// The slaves; those without process data have lengths of 0.
+    pub slaves: Vec<CyclicSlave<F>, SLAVES>,
+    /// When inputs are read and outputs are written.
+    pub exchange: ExchangeKind,
+    /// The reference clock, if there is one.
+    pub clock: Option<ReferenceClock>,
+    /// AL status bits that come from slaves that are not in use.
+    pub al_bits_ignored: u16,
+}
+
+/// Why a plan cannot be exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlanError {
+    /// A slave has too much process data in one direction.
+    ProcessData {
+        /// Place in the chain, from 0.
+        slave: u8,
+        /// Most bytes allowed.
+        expected: u16,
+        /// Bytes planned.
+        actual: u16,
+    },
+    /// Inputs and outputs of a slave lie too far apart for one datagram.
+    Span {
+        /// Place in the chain, from 0.
+        slave: u8,
+        /// Longest stretch allowed, bytes.
+        expected: u32,
+        /// Planned length, bytes.
+        actual: u32,
+    },
+    /// The cyclic datagrams and an acyclic datagram of the requested length do not fit into a frame.
+    Room {
+        /// Bytes that a frame carries.
+        expected: usize,
+        /// Bytes that the datagrams take.
+        actual: usize,
+    },
+}
+
+impl<F: SlaveFactory, const SLAVES: usize> CyclicPlan<F, SLAVES> {
+    /// Checks that the plan can be exchanged in any encapsulation, with room for an acyclic datagram of `message` bytes of
+    /// data.
+    ///
+    /// # Errors
+    /// The first [`PlanError`] found. Slaves without a valid share, and those beyond the end of the frame, are not
+    /// exchanged; acyclic datagrams that do not fit are answered by
+    /// [`Outcome::NoRoom`](super::acyclic::Outcome::NoRoom).
+    pub fn check(&self, message: usize) -> Result<(), PlanError> {
+        for (number, slave) in (0..).zip(&self.slaves) {
+            slave.check(number, self.exchange)?;
+        }
+        let sum = |window: fn(&CyclicSlave<F>, ExchangeKind) -> Option<Window>| {
+            let windows = self.slaves.iter().filter_map(|slave| window(slave, self.exchange));
+            windows.fold(0, |sum, window| sum + DATAGRAM_OVERHEAD + usize::from(window.length))
+        };
+        let clock = self.clock.map_or(0, |clock| DATAGRAM_OVERHEAD + clock.length());
+        let status = DATAGRAM_OVERHEAD + AL_STATUS_LEN;
+        let first = sum(CyclicSlave::first_window) + status + clock + DATAGRAM_OVERHEAD + message;
+        let actual = first.max(sum(CyclicSlave::second_window));
+        let expected = FRAME_LEN_MAX - HEADERS_LEN_MAX;
+        if actual > expected {
+            return Err(PlanError::Room { expected, actual });
+        }
+        Ok(())
+    }
+}
+
+/// One slave's datagram, and the places of its inputs and outputs in the data.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Window {
+    pub(super) command: Command,
+    pub(super) address: Address,
+    pub(super) length: u16,
+    pub(super) working_counter: u16,
+    pub(super) input_offset: u16,
+    pub(super) input_length: u16,
+    pub(super) output_offset: u16,
+    pub(super) output_length: u16,
+}
+
+impl<F: SlaveFactory> CyclicSlave<F> {
+    /// Lowest logical address and length of inputs and outputs together.
+    const fn span(&self) -> (u32, u32) {
+        let (low, high) = if self.input_address < self.output_address {
+            (self.input_address, self.output_address)
+        } else {
+            (self.output_address, self.input_address)
+        };
+        let (low_length, high_length) = if self.input_address < self.output_address {
+            (self.input_length as u32, self.output_length as u32)
+        } else {
+            (self.output_length as u32, self.input_length as u32)
+        };
+        let end = (high - low).saturating_add(high_length);
+        (low, if end > low_length { end } else { low_length })
+    }
+
+    fn check(&self, slave: u8, kind: ExchangeKind) -> Result<(), PlanError> {
+        let longest = self.input_length.max(self.output_length);
+        if usize::from(longest) > PROCESS_BYTES_MAX {
+            return Err(PlanError::ProcessData {
+                slave,
+                expected: PROCESS_BYTES_MAX as u16,
+                actual: longest,
+            });
+        }
+        let (_, actual) = self.span();
+        let both = kind == ExchangeKind::Combined && self.input_length > 0 && self.output_length > 0;
+        if both && actual > SPAN_BYTES_MAX as u32 {
+            return Err(PlanError::Span {
+                slave,
+                expected: SPAN_BYTES_MAX as u32,
+                actual,
+            });
+        }
+        Ok(())
+    }
+
+    fn inputs(&self) -> Option<Window> {
+        (self.input_length > 0).then_some(Window {
+            command: Command::Lrd,
+            address: Address::logical(self.input_address),
+            length: self.input_length,
+            working_counter: 1,
+            input_offset: 0,
+            input_length: self.input_length,
+            output_offset: 0,
+            output_length: 0,
+        })
+    }
+
+    fn outputs(&self) -> Option<Window> {
+        (self.output_length > 0).then_some(Window {
+            command: Command::Lwr,
+            address: Address::logical(self.output_address),
+            length: self.output_length,
+            working_counter: 1,
+            input_offset: 0,
+            input_length: 0,
+            output_offset: 0,
+            output_length: self.output_length,
+        })
+    }
+
+    fn both(&self) -> Window {
+        let (start, length) = self.span();
+        Window {
+            command: Command::Lrw,
+            address: Address::logical(start),
+            length: length as u16,
+            working_counter: 3,
+            input_offset: (self.input_address - start) as u16,
+            input_length: self.input_length,
+            output_offset: (self.output_address - start) as u16,
+            output_length: self.output_length,
+        }
+    }
+
+    /// The slave's datagram at the start of a cycle; `None` if it has none or its share is invalid.
+    pub(super) fn first_window(&self, kind: ExchangeKind) -> Option<Window> {
+        self.check(0, kind).ok()?;
+        match kind {
+            ExchangeKind::Split => self.inputs(),
+            ExchangeKind::Combined if self.input_length == 0 => self.outputs(),
+            ExchangeKind::Combined if self.output_length == 0 => self.inputs(),
+            ExchangeKind::Combined => Some(self.both()),
+        }
+    }
+
+    /// The slave's datagram after control; `None` if it has none or its share is invalid.
+    pub(super) fn second_window(&self, kind: ExchangeKind) -> Option<Window> {
+        self.check(0, kind).ok()?;
+        match kind {
+            ExchangeKind::Split => self.outputs(),
+            ExchangeKind::Combined => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::no_drivers::NoDrivers;
+
+    fn plan(slaves: usize, length: u16, exchange: ExchangeKind) -> CyclicPlan<NoDrivers, 32> {
+        let slaves = (0..slaves as u32).map(|number| CyclicSlave {
+            input_address: 0x1000 + 64 * number,
+            input_length: length,
+            output_address: 0x1000 + 64 * number + u32::from(length),
+            output_length: length,
+            ..CyclicSlave::default()
+        });
+        CyclicPlan {
+            slaves: slaves.collect(),
+            exchange,
+            clock: Some(ReferenceClock {
+                station: 0x1001,
+                slaves: 4,
+                wide: true,
+            }),
+            ..CyclicPlan::default()
+        }
+    }
+
+    #[test]
+    fn four_drives_leave_room_for_a_mailbox_of_1024_bytes_and_too_many_do_not() {
+        for kind in [ExchangeKind::Split, ExchangeKind::Combined] {
+            assert_eq!(plan(4, 32, kind).check(1024), Ok(()));
+        }
+        // 16 datagrams of 44 bytes, AL status, clock and the message.
+        assert_eq!(
+            plan(16, 32, ExchangeKind::Split).check(1024),
+            Err(PlanError::Room {
+                expected: 1470,
+                actual: 16 * 44 + 14 + 20 + 1036
+            })
+        );
+        assert_eq!(plan(32, 32, ExchangeKind::Split).check(4), Ok(()));
+        assert!(plan(32, 32, ExchangeKind::Combined).check(4).is_err());
+    }
+
+    #[test]
+    fn shares_that_are_too_long_or_too_far_apart_are_refused() {
+        let error = PlanError::ProcessData {
+            slave: 0,
+            expected: 32,
+            actual: 33,
+        };
+        assert_eq!(plan(1, 33, ExchangeKind::Split).check(0), Err(error));
+        let mut apart = plan(2, 8, ExchangeKind::Split);
+        apart.slaves[1].input_address = 0;
+        assert_eq!(apart.check(0), Ok(()));
+        apart.exchange = ExchangeKind::Combined;
+        let error = PlanError::Span {
+            slave: 1,
+            expected: 64,
+            actual: 0x1000 + 64 + 16,
+        };
+        assert_eq!(apart.check(0), Err(error));
+        apart.slaves[1].output_address = u32::MAX;
+        assert!(apart.check(0).is_err());
+        assert!(apart.slaves[1].first_window(ExchangeKind::Combined).is_none());
+    }
+
+    #[test]
+    fn a_combined_datagram_covers_both_directions_in_any_order() {
+        let slave = CyclicSlave::<NoDrivers> {
+            input_address: 0x100,
+            input_length: 8,
+            output_address: 0x108,
+            output_length: 6,
+            ..CyclicSlave::default()
+        };
+        let window = slave.first_window(ExchangeKind::Combined).unwrap();
+        assert_eq!(
+            (window.address.0, window.length, window.working_counter),
+            (0x100, 14, 3)
+        );
+        assert_eq!((window.input_offset, window.output_offset), (0, 8));
+        let same = CyclicSlave {
+            output_address: 0x100,
+            ..slave
+        };
+        let window = same.first_window(ExchangeKind::Combined).unwrap();
+        assert_eq!((window.length, window.input_offset, window.output_offset), (8, 0, 0));
+        let only = CyclicSlave {
+            input_length: 0,
+            ..slave
+        };
+        let window = only.first_window(ExchangeKind::Combined).unwrap();
+        assert_eq!((window.command, window.working_counter), (Command::Lwr, 1));
+    }
+}

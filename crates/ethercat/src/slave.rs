@@ -1,0 +1,100 @@
+//! The master's record of one slave.
+//!
+//! Invariant: plain data; only the supervisor changes it.
+
+use super::mailbox::Mailbox;
+use super::state::AlReport;
+use super::wire::coe::Emergency;
+use super::wire::register::PORTS;
+use super::wire::sii::{FixedPart, Identity};
+use crate::driver::{ProcessData, SlaveFactory};
+
+/// Station address of the first slave; the others follow in chain order.
+pub const STATION_BASE: u16 = 0x1001;
+/// Station address of a slave while it is being identified.
+pub const STATION_TEMPORARY: u16 = 0x1000;
+
+/// Condition of a slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Condition {
+    /// Visible, not in use.
+    #[default]
+    Unused,
+    /// Being configured.
+    Configuring,
+    /// In OP, exchanging process data.
+    Operational,
+    /// The slave does not answer.
+    Lost,
+    /// The slave answers, but is not in OP.
+    LeftOperational,
+    /// Brought below OP on request, and left there.
+    Parked,
+}
+
+/// One slave in the chain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slave<F: SlaveFactory> {
+    /// Place in the chain, from 0.
+    pub position: u16,
+    /// Fixed part of its SII.
+    pub fixed: FixedPart,
+    /// Its device type, if there is a driver for it.
+    pub device: Option<F::Device>,
+    /// Its number among the application's members, if it is used.
+    pub member: Option<u8>,
+    /// Its process data, once they have been configured.
+    pub process_data: Option<ProcessData<F>>,
+    /// Its mailbox, once configured.
+    pub mailbox: Mailbox,
+    /// Condition of the slave.
+    pub condition: Condition,
+    /// Link states of its ports: the last DL status register read.
+    pub dl_status: u16,
+    /// Damaged frames and lost links of each port, as last read.
+    pub port_errors: [u16; PORTS],
+    /// Expiries of its processor's watchdog, as last read.
+    pub processor_stops: Option<u8>,
+    /// Its last emergency since it was configured.
+    pub emergency: Option<Emergency>,
+    /// Its AL status, as last read.
+    pub report: AlReport,
+    /// Number of its last configuration from INIT, counted over all slaves of this bus, wrapping.
+    pub generation: u8,
+}
+
+impl<F: SlaveFactory> Slave<F> {
+    /// A slave at a place in the chain, of which nothing else is known.
+    pub fn at(position: u16) -> Self {
+        Self {
+            position,
+            fixed: FixedPart::default(),
+            device: None,
+            member: None,
+            process_data: None,
+            mailbox: Mailbox::default(),
+            condition: Condition::default(),
+            dl_status: 0,
+            port_errors: [0; PORTS],
+            processor_stops: None,
+            emergency: None,
+            report: AlReport::default(),
+            generation: 0,
+        }
+    }
+
+    /// Its station address.
+    pub const fn station(&self) -> u16 {
+        STATION_BASE.wrapping_add(self.position)
+    }
+
+    /// Name of its device type for messages.
+    pub fn name(&self) -> &'static str {
+        self.device.map_or("unknown device", |device| F::describe(device).name)
+    }
+
+    /// Identity of the slave.
+    pub const fn identity(&self) -> Identity {
+        self.fixed.identity
+    }
+}

@@ -1,0 +1,277 @@
+//! The application layer's state machine: INIT, PREOP, SAFEOP, OP, and the reasons for a refusal.
+//!
+//! Upwards only one step is requested at a time. A slave may answer with another state and the error flag; the AL
+//! status code gives the reason. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
+//!
+//! Invariant: a change either ends in the requested state without error flag, or is an error with state and code.
+
+use super::acyclic::{AcyclicPort, Request};
+use super::error::BusError;
+use super::wire::{Address, Command, register};
+
+/// Longest wait for a state, ms: the standard's default time-out.
+pub const STATE_TIMEOUT_MS: u32 = 3_000;
+/// Longest wait for OP, ms.
+pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
+/// Longest wait for an error flag to clear after it was acknowledged, ms.
+pub const ACKNOWLEDGE_TIMEOUT_MS: u32 = 500;
+
+/// State of a slave's application layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[repr(u8)]
+pub enum AlState {
+    /// Registers only.
+    Init = 1,
+    /// Mailbox.
+    PreOperational = 2,
+    /// Firmware update.
+    Bootstrap = 3,
+    /// Mailbox and inputs; outputs are in their safe state.
+    SafeOperational = 4,
+    /// Mailbox, inputs and outputs.
+    Operational = 8,
+}
+
+impl AlState {
+    /// The state in an AL status register; the error flag is ignored.
+    pub const fn from_status(status: u16) -> Option<Self> {
+        Some(match status & register::AL_STATE_MASK {
+            1 => Self::Init,
+            2 => Self::PreOperational,
+            3 => Self::Bootstrap,
+            4 => Self::SafeOperational,
+            8 => Self::Operational,
+            _ => return None,
+        })
+    }
+
+    /// Common name of the state.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Init => "INIT",
+            Self::PreOperational => "PREOP",
+            Self::Bootstrap => "BOOT",
+            Self::SafeOperational => "SAFEOP",
+            Self::Operational => "OP",
+        }
+    }
+}
+
+/// A slave's state with its error flag and code.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct AlReport {
+    /// The AL status register: state and error flag.
+    pub status: u8,
+    /// The AL status code.
+    pub code: u16,
+}
+
+impl AlReport {
+    /// Bytes from the AL status register to the end of the code.
+    pub const LEN: usize = 6;
+
+    /// Parses the registers from AL status on; missing bytes count as 0.
+    pub fn parse(bytes: &[u8]) -> Self {
+        let status = super::wire::read_u16(bytes, 0);
+        Self {
+            status: (status & (register::AL_STATE_MASK | register::AL_ERROR_BIT)) as u8,
+            code: super::wire::read_u16(bytes, 4),
+        }
+    }
+
+    /// Whether the error flag is set.
+    pub const fn is_error(&self) -> bool {
+        self.status as u16 & register::AL_ERROR_BIT != 0
+    }
+
+    /// The state without the error flag.
+    pub const fn state(&self) -> Option<AlState> {
+        AlState::from_status(self.status as u16)
+    }
+
+    /// Whether the slave is in `state` without an error.
+    pub fn is(&self, state: AlState) -> bool {
+        self.status == state as u8
+    }
+}
+
+/// Reads a slave's state, error flag and code in one datagram.
+///
+/// # Errors
+/// As [`AcyclicPort::insist`].
+pub async fn report<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<AlReport, BusError> {
+    let bytes = port.read(station, register::AL_STATUS, AlReport::LEN).await?;
+    Ok(AlReport::parse(&bytes))
+}
+
+/// Acknowledges a pending error: requests the present state with the acknowledge bit.
+///
+/// # Errors
+/// [`BusError::State`] when the flag stays, or as [`AcyclicPort::insist`].
+pub async fn acknowledge<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<AlReport, BusError> {
+    let before = report(port, station).await?;
+    if !before.is_error() {
+        return Ok(before);
+    }
+    port.write(station, register::AL_CONTROL, &u16::from(before.status).to_le_bytes())
+        .await?;
+    let started_ms = port.now_ms();
+    loop {
+        let now = report(port, station).await?;
+        if !now.is_error() {
+            return Ok(now);
+        }
+        if port.now_ms().wrapping_sub(started_ms) > ACKNOWLEDGE_TIMEOUT_MS {
+            let expected = before.status & register::AL_STATE_MASK as u8;
+            return Err(BusError::State {
+                expected,
+                actual: now.status,
+                code: now.code,
+            });
+        }
+    }
+}
+
+/// Requests `target` and waits until the slave has reached it. A pending error is acknowledged first.
+///
+/// Upwards, `target` has to be the next state.
+///
+/// # Errors
+/// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state, or as
+/// [`AcyclicPort::insist`].
+pub async fn change<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    target: AlState,
+) -> Result<(), BusError> {
+    let control = if target == AlState::Init {
+        // INIT clears errors that an acknowledgement alone does not clear.
+        AlState::Init as u16 | register::AL_ERROR_BIT
+    } else {
+        acknowledge(port, station).await?;
+        target as u16
+    };
+    let address = |register| Address::station(station, register);
+    let requests = [
+        Request::write(Command::Fpwr, address(register::AL_CONTROL), &control.to_le_bytes()),
+        Request::read(Command::Fprd, address(register::AL_STATUS), AlReport::LEN),
+    ];
+    let mut now = AlReport::default();
+    let take = |number, bytes: &[u8]| {
+        if number == 1 {
+            now = AlReport::parse(bytes);
+        }
+    };
+    let started_ms = port.now_ms();
+    port.insist_all(&requests, 1, take).await?;
+    let timeout_ms = if target == AlState::Operational {
+        OPERATIONAL_TIMEOUT_MS
+    } else {
+        STATE_TIMEOUT_MS
+    };
+    loop {
+        if now.is(target) {
+            return Ok(());
+        }
+        if now.is_error() && target != AlState::Init {
+            return Err(BusError::State {
+                expected: target as u8,
+                actual: now.status,
+                code: now.code,
+            });
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > timeout_ms {
+            return Err(BusError::StateTimeout {
+                expected: target as u8,
+                actual: now.status,
+                waited_ms,
+            });
+        }
+        now = report(port, station).await?;
+    }
+}
+
+/// Text of an AL status code.
+pub const fn al_code_text(code: u16) -> &'static str {
+    match code {
+        0x0000 => "no error code",
+        0x0001 => "unspecified error",
+        0x0002 => "out of memory",
+        0x0003 => "device setup invalid",
+        0x0006 => "SII and firmware do not match",
+        0x0007 => "firmware update failed",
+        0x000E => "licence error",
+        0x0011 => "state change not allowed",
+        0x0012 => "unknown state requested",
+        0x0013 => "bootstrap not supported",
+        0x0014 => "no valid firmware",
+        0x0015 => "mailbox settings invalid (bootstrap)",
+        0x0016 => "mailbox settings invalid",
+        0x0017 => "sync manager settings invalid",
+        0x0018 => "no valid inputs",
+        0x0019 => "no valid outputs",
+        0x001A => "synchronisation error",
+        0x001B => "outputs stopped coming (sync manager watchdog)",
+        0x001C => "sync manager types invalid",
+        0x001D => "output settings invalid",
+        0x001E => "input settings invalid",
+        0x001F => "watchdog settings invalid",
+        0x0020 => "slave needs a cold start",
+        0x0021 => "slave needs INIT",
+        0x0022 => "slave needs PREOP",
+        0x0023 => "slave needs SAFEOP",
+        0x0024 => "input mapping invalid",
+        0x0025 => "output mapping invalid",
+        0x0026 => "settings inconsistent",
+        0x0027 => "free run not supported",
+        0x0028 => "synchronous mode not supported",
+        0x0029 => "free run needs three buffers",
+        0x002A => "background watchdog",
+        0x002B => "no valid inputs and outputs",
+        0x002C => "fatal synchronisation error",
+        0x002D => "no synchronisation signal",
+        0x002E => "cycle time too short",
+        0x0030 => "clock settings invalid",
+        0x0031 => "clock did not lock",
+        0x0032 => "clock control error",
+        0x0033 => "clock timing error",
+        0x0035 => "cycle time of the clock invalid",
+        0x0042 => "mailbox error: EoE",
+        0x0043 => "mailbox error: CoE",
+        0x0044 => "mailbox error: FoE",
+        0x0045 => "mailbox error: SoE",
+        0x004F => "mailbox error: VoE",
+        0x0050 => "no access to the SII",
+        0x0051 => "SII error",
+        0x0060 => "slave restarted itself",
+        0x0061 => "device identification updated",
+        0x00F0 => "application controller not available",
+        _ => "unknown code",
+    }
+}
+
+/// Suggested remedy for an AL status code.
+pub const fn al_code_hint(code: u16) -> &'static str {
+    match code {
+        0x0011 | 0x0012 => "go up one state at a time; power-cycle the slave if it persists",
+        0x0015 | 0x0016 => "compare the mailbox windows with the slave's SII",
+        0x0017 | 0x001D | 0x001E | 0x0024 | 0x0025 | 0x0026 => "compare process data lengths with the objects selected",
+        0x001A | 0x002C | 0x002D | 0x0030..=0x0035 => "check cycle time and clock settings",
+        0x001B => {
+            "keep cyclic data running before and in OP; look for lost frames or a watchdog shorter than the pauses"
+        }
+        0x001F => "choose a watchdog time that the slave supports",
+        0x0020 | 0x0060 => "power-cycle the slave",
+        0x0050 | 0x0051 => "check the slave's SII contents; the memory may be damaged",
+        _ => "look for the code in the slave's manual",
+    }
+}

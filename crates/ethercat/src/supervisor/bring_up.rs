@@ -1,0 +1,318 @@
+//! Bring-up: from an unknown chain to slaves in OP, and shutdown.
+//!
+//! Each function is one guarded step. Bring-up and repair share these steps.
+//!
+//! Invariant: only members leave INIT here; a slave goes up one state at a time.
+
+use super::super::acyclic::Request;
+use super::super::clock::{self, BusClocks};
+use super::super::configure;
+use super::super::configure::{PreOperational, discovery, information};
+use super::super::driver::{ProcessData, SlaveFactory};
+use super::super::error::BusError;
+use super::super::event::{BusEvent, Step};
+use super::super::mailbox::Mailbox;
+use super::super::slave::{Condition, STATION_BASE, Slave};
+use super::super::state::{self, AlReport, AlState};
+use super::super::wire::{Address, Command, register};
+use super::Failure;
+use super::bus::Bus;
+
+/// Longest wait for the expected number of slaves, ms.
+pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
+/// How long the number of slaves has to be stable, ms.
+const STABLE_MS: u32 = 10;
+/// Longest wait for the first inputs, ms.
+const INPUTS_TIMEOUT_MS: u32 = 1_000;
+/// How long outputs are sent before OP is requested for a member, ms.
+const OUTPUTS_BEFORE_OPERATIONAL_MS: u32 = 10;
+/// Watchdog of slaves that the application does not use, ms: the slave controllers' default, as they move nothing.
+const UNUSED_WATCHDOG_MS: u16 = 100;
+/// How long safe outputs are sent before the slaves leave OP, ms.
+const SAFE_OUTPUTS_MS: u32 = 3;
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
+    /// Counts, resets and identifies the slaves, and chooses the members.
+    pub(super) async fn find_all(&mut self) -> Result<(), Failure> {
+        self.slaves.clear();
+        self.clocks = BusClocks::default();
+        self.send_plan().await;
+        let found = self.discover().await.map_err(Failure::bus(Step::Discover))?;
+        self.emit(BusEvent::Found { slaves: found }).await;
+        discovery::reset_all(&mut self.port)
+            .await
+            .map_err(Failure::bus(Step::Reset))?;
+        let unread = self.identify_all(found).await?;
+        for slave in self.slaves.iter_mut().filter(|slave| slave.device.is_none()) {
+            slave.device = configure::ask_device_type(&mut self.port, slave).await;
+        }
+        if let Err(error) = self.choose_members() {
+            // A member may be missing because it could not be read.
+            return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
+        }
+        self.introduce_all().await;
+        self.send_plan().await;
+        Ok(())
+    }
+
+    /// Makes the slaves' clocks agree and has the reference's time distributed from then on.
+    pub(super) async fn set_up_clocks(&mut self) -> Result<(), Failure> {
+        self.clocks = BusClocks::default();
+        if !self.setup.clocks {
+            return Ok(());
+        }
+        let stations = self.stations();
+        self.clocks = clock::set_up(&mut self.port, &stations, self.setup.cycle_ns)
+            .await
+            .map_err(Failure::bus(Step::Clocks))?;
+        self.send_plan().await;
+        Ok(())
+    }
+
+    /// Waits until as many slaves as expected are there and their number is stable.
+    async fn discover(&mut self) -> Result<u16, BusError> {
+        let expected = u16::from(self.setup.members);
+        let (started_ms, mut found, mut since_ms) = (self.port.now_ms(), 0, self.port.now_ms());
+        loop {
+            let answer = self.port.broadcast_read_u16(register::AL_STATUS).await;
+            let count = answer.map_or(0, |(_, slaves)| slaves);
+            let now_ms = self.port.now_ms();
+            if count != found {
+                (found, since_ms) = (count, now_ms);
+            }
+            if found >= expected && found > 0 && now_ms.wrapping_sub(since_ms) >= STABLE_MS {
+                break;
+            }
+            if now_ms.wrapping_sub(started_ms) > DISCOVERY_TIMEOUT_MS {
+                return Err(BusError::SlaveCount {
+                    expected,
+                    actual: found,
+                });
+            }
+        }
+        if usize::from(found) > SLAVES {
+            return Err(BusError::TooManySlaves {
+                expected: SLAVES as u16,
+                actual: found,
+            });
+        }
+        Ok(found)
+    }
+
+    /// Assigns addresses to all slaves and reads their identities. A slave whose SII cannot be read stays unknown; the
+    /// first such failure is returned.
+    pub(super) async fn identify_all(&mut self, found: u16) -> Result<Option<Failure>, Failure> {
+        self.slaves.clear();
+        self.ordered = usize::from(found);
+        for position in 0..found {
+            // There is room for as many slaves as were found.
+            let _ = self.slaves.push(Slave::at(position));
+        }
+        discovery::assign_stations(&mut self.port, found)
+            .await
+            .map_err(Failure::bus(Step::Address))?;
+        let mut unread = None;
+        let Self { port, slaves, .. } = self;
+        for chunk in slaves.chunks_mut(information::TOGETHER_MAX) {
+            let first = chunk.first().map_or(0, |slave| slave.position);
+            let stations = STATION_BASE.wrapping_add(first)..STATION_BASE.wrapping_add(first + chunk.len() as u16);
+            let parts = information::fixed_parts(port, stations).await;
+            for (slave, part) in chunk.iter_mut().zip(parts) {
+                match part {
+                    Ok(fixed) => {
+                        slave.fixed = fixed;
+                        slave.device = F::by_identity(&fixed.identity);
+                    }
+                    Err(error) => {
+                        unread = unread.or(Some(Failure::of(slave.position, Step::Identify)(error)));
+                    }
+                }
+            }
+        }
+        self.read_ports().await;
+        Ok(unread)
+    }
+
+    /// Numbers the members: the slaves with a driver, in chain order.
+    fn choose_members(&mut self) -> Result<(), BusError> {
+        let expected = self.setup.members;
+        let known = self.slaves.iter_mut().filter(|slave| slave.device.is_some());
+        let actual = (0..expected)
+            .zip(known)
+            .map(|(member, slave)| slave.member = Some(member))
+            .count() as u8;
+        if actual < expected {
+            Err(BusError::MemberCount { expected, actual })
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Configures a slave in use from INIT to SAFEOP; leaves other slaves alone.
+    pub(super) async fn reach_safe_operational(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get_mut(number).filter(|slave| slave.member.is_some()) else {
+            return Ok(());
+        };
+        slave.condition = Condition::Configuring;
+        self.generation = self.generation.wrapping_add(1);
+        slave.generation = self.generation;
+        slave.emergency = None;
+        self.reach_pre_operational(number).await?;
+        self.configure(number).await
+    }
+
+    /// Takes a slave from any state through INIT to PREOP with its mailbox set up, if it has one.
+    pub(super) async fn reach_pre_operational(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let (port, station) = (&mut self.port, slave.station());
+        let at = |step| Failure::of(slave.position, step);
+        if !slave.report.is(AlState::Init) {
+            state::change(port, station, AlState::Init)
+                .await
+                .map_err(at(Step::Init))?;
+        }
+        slave.report = AlReport::default();
+        discovery::clear(port, station).await.map_err(at(Step::Init))?;
+        if slave.fixed.mailbox_out.length > 0 || slave.member.is_some() {
+            let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
+            slave.mailbox = Mailbox::new::<MESSAGE>(station, out, input).map_err(at(Step::Mailbox))?;
+            discovery::mailbox_managers(port, slave)
+                .await
+                .map_err(at(Step::Mailbox))?;
+        }
+        state::change(port, station, AlState::PreOperational)
+            .await
+            .map_err(at(Step::PreOperational))
+    }
+
+    /// Process data of another slave with equal product and revision.
+    fn twin(&self, number: usize) -> Option<ProcessData<F>> {
+        let product = |slave: &Slave<F>| {
+            let identity = slave.identity();
+            (identity.vendor, identity.product, identity.revision)
+        };
+        let wanted = product(self.slaves.get(number)?);
+        let mut others = self.slaves.iter().enumerate().filter(|(other, _)| *other != number);
+        others.find_map(|(_, other)| other.process_data.filter(|_| product(other) == wanted))
+    }
+
+    /// Takes a slave from PREOP to SAFEOP with settings, process data and watchdogs.
+    pub(super) async fn configure(&mut self, number: usize) -> Result<(), Failure> {
+        let twin = self.twin(number);
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let (port, station, position) = (&mut self.port, slave.station(), slave.position);
+        let at = |step| Failure::of(position, step);
+        let watchdog_ms = match slave.member {
+            Some(_) => self.setup.watchdog_ms,
+            None => UNUSED_WATCHDOG_MS,
+        };
+        if let Some(device) = slave.device {
+            let mut there = PreOperational::new(port, station, &mut slave.mailbox);
+            let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
+            if let Some(data) = configured.await.map_err(at(Step::Objects))? {
+                slave.process_data = Some(data);
+            }
+        }
+        self.check_plan().map_err(Failure::of(position, Step::ProcessData))?;
+        let Self { port, slaves, .. } = self;
+        let Some(slave) = slaves.get_mut(number) else {
+            return Ok(());
+        };
+        configure::process_data(port, slave, watchdog_ms)
+            .await
+            .map_err(at(Step::ProcessData))?;
+        let activate = slave.device.map_or(0, |device| F::describe(device).assign_activate);
+        if activate != 0 && self.clocks.has_clock(usize::from(position)) {
+            let shift_ns = u32::from(self.setup.sync_shift_us) * 1_000;
+            clock::start_sync(port, station, &self.clocks, activate, shift_ns)
+                .await
+                .map_err(at(Step::Clocks))?;
+        }
+        state::change(port, station, AlState::SafeOperational)
+            .await
+            .map_err(at(Step::SafeOperational))
+    }
+
+    /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
+    /// with its process data has to be in force.
+    pub(super) async fn reach_operational(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied().filter(|slave| slave.member.is_some()) else {
+            return Ok(());
+        };
+        let at = |step| Failure::of(slave.position, step);
+        let result = self.inputs_come(&slave).await;
+        result.map_err(at(Step::CyclicData))?;
+        if self.clocks.has_clock(usize::from(slave.position)) {
+            let result = clock::await_agreement(&mut self.port, slave.station()).await;
+            result.map_err(at(Step::Clocks))?;
+        }
+        let result = state::change(&mut self.port, slave.station(), AlState::Operational).await;
+        result.map_err(at(Step::Operational))?;
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.condition = Condition::Operational;
+            slave.report = AlReport {
+                status: AlState::Operational as u8,
+                code: 0,
+            };
+        }
+        Ok(())
+    }
+
+    /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.
+    pub(super) async fn inputs_come(&mut self, slave: &Slave<F>) -> Result<(), BusError> {
+        let share = configure::cyclic_slave(slave);
+        let started_ms = self.port.now_ms();
+        let request = Request::read(
+            Command::Lrd,
+            Address::logical(share.input_address),
+            share.input_length.into(),
+        );
+        loop {
+            let (_, answers) = self.port.answered(&request).await?;
+            let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
+            let settled = waited_ms >= OUTPUTS_BEFORE_OPERATIONAL_MS;
+            if settled && (answers > 0 || share.input_length == 0) {
+                return Ok(());
+            }
+            if waited_ms > INPUTS_TIMEOUT_MS {
+                return Err(BusError::NoInputs { waited_ms });
+            }
+        }
+    }
+
+    /// Takes all slaves in use out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is
+    /// left to its watchdog.
+    pub(super) async fn shut_down(&mut self) {
+        self.send_safe_plan().await;
+        self.port.wait_ms(SAFE_OUTPUTS_MS).await;
+        for target in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {
+            for number in 0..self.slaves.len() {
+                let Some(slave) = self.slaves.get_mut(number) else {
+                    continue;
+                };
+                let above = slave.report.state().is_some_and(|state| state as u8 > target as u8);
+                if slave.member.is_none() || slave.condition == Condition::Lost || !above {
+                    continue;
+                }
+                if state::change(&mut self.port, slave.station(), target).await.is_ok() {
+                    slave.report = AlReport {
+                        status: target as u8,
+                        code: 0,
+                    };
+                }
+            }
+        }
+        for slave in &mut self.slaves {
+            (slave.member, slave.process_data) = (None, None);
+            slave.condition = match slave.condition {
+                Condition::Lost => Condition::Lost,
+                _ => Condition::Unused,
+            };
+        }
+        self.send_plan().await;
+    }
+}

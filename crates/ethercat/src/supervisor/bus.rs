@@ -1,0 +1,310 @@
+//! The supervisor's record of the slaves, and its access to them.
+//!
+//! Invariant: every change of a slave's condition sends the resulting plan; a slave on which work is in progress may
+//! show any AL state without disturbing the critical side.
+
+use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
+use super::super::clock::BusClocks;
+use super::super::configure;
+use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
+use super::super::driver::SlaveFactory;
+use super::super::error::BusError;
+use super::super::event::{BusEvent, BusSetup};
+use super::super::slave::{Condition, Slave};
+use super::super::state::{AlReport, AlState};
+use super::super::wire::{Address, Command, register};
+use super::inbox::{Expectation, STATUS_MASK};
+use super::{Failure, LookList};
+use core::ops::Range;
+use heapless::Vec;
+use heapless::spsc::Producer;
+
+/// Longest wait for the application to take an event, ms.
+const EVENT_TIMEOUT_MS: u32 = 50;
+/// Slaves inspected in one frame.
+pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
+
+/// The slaves, and the queues to reach them.
+pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+    pub(super) port: AcyclicPort<'a, MESSAGE>,
+    plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+    events: Producer<'a, BusEvent>,
+    pub(super) setup: BusSetup<F>,
+    pub(super) slaves: Vec<Slave<F>, SLAVES>,
+    pub(super) clocks: BusClocks<SLAVES>,
+    /// How many of the slaves were in the chain when the bus was brought up; these keep its order.
+    pub(super) ordered: usize,
+    pub(super) generation: u8,
+    worked_on: Option<usize>,
+    pub(super) cable_next: usize,
+    pub(super) events_dropped: u32,
+    /// A long value between two pieces of its transfer.
+    pub(super) value: Vec<u8, MESSAGE>,
+}
+
+impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, SLAVES, MESSAGE> {
+    pub(super) fn new(
+        port: AcyclicPort<'a, MESSAGE>,
+        plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+        events: Producer<'a, BusEvent>,
+    ) -> Self {
+        Self {
+            port,
+            plans,
+            events,
+            setup: BusSetup::default(),
+            slaves: Vec::new(),
+            clocks: BusClocks::default(),
+            ordered: 0,
+            generation: 0,
+            worked_on: None,
+            cable_next: 0,
+            events_dropped: 0,
+            value: Vec::new(),
+        }
+    }
+
+    pub(super) async fn emit(&mut self, event: BusEvent) {
+        for _ in 0..EVENT_TIMEOUT_MS {
+            if self.events.enqueue(event).is_ok() {
+                return;
+            }
+            self.port.wait_ms(1).await;
+        }
+        self.events_dropped = self.events_dropped.saturating_add(1);
+    }
+
+    pub(super) async fn refuse(&mut self, failure: Failure) {
+        let Failure { position, step, error } = failure;
+        let position = position.map(|position| position as u8);
+        self.emit(BusEvent::Refused { position, step, error }).await;
+    }
+
+    /// Reports a slave with its last known state.
+    pub(super) async fn introduce(&mut self, number: usize) {
+        let Some(slave) = self.slaves.get(number) else { return };
+        let identity = slave.identity();
+        let event = BusEvent::Slave {
+            position: slave.position as u8,
+            identity,
+            name: slave.name(),
+            member: slave.member,
+            report: slave.report,
+        };
+        self.emit(event).await;
+    }
+
+    /// Reports all slaves with their present states.
+    pub(super) async fn introduce_all(&mut self) {
+        for first in (0..self.slaves.len()).step_by(LOOK_MAX) {
+            let reports = self.reports(first..first + LOOK_MAX).await;
+            for (number, report) in (first..).zip(reports) {
+                if let Some(slave) = self.slaves.get_mut(number) {
+                    slave.report = report.unwrap_or_default();
+                }
+                self.introduce(number).await;
+            }
+        }
+    }
+
+    /// AL status and code of at most [`LOOK_MAX`] slaves, read in one frame; `None` for those that do not answer.
+    pub(super) async fn reports(&mut self, numbers: Range<usize>) -> LookList<Option<AlReport>> {
+        let mut reports = LookList::new();
+        let mut requests: LookList<Request> = LookList::new();
+        for slave in self.slaves.iter().skip(numbers.start).take(numbers.len().min(LOOK_MAX)) {
+            let address = Address::station(slave.station(), register::AL_STATUS);
+            // Both lists have room for one frame's slaves.
+            let _ = requests.push(Request::read(Command::Fprd, address, AlReport::LEN));
+            let _ = reports.push(None);
+        }
+        // A slave that does not answer has no report, whatever the reason.
+        let _ = self
+            .port
+            .insist_all(&requests, 1, |number, bytes| {
+                if let Some(report) = reports.get_mut(number) {
+                    *report = Some(AlReport::parse(bytes));
+                }
+            })
+            .await;
+        reports
+    }
+
+    /// The plan that results from the slaves' conditions.
+    fn plan(&self) -> CyclicPlan<F, SLAVES> {
+        let worked_on = self.worked_on;
+        let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
+            watched: slave.condition == Condition::Operational && worked_on != Some(number),
+            ..configure::cyclic_slave(slave)
+        });
+        let ignored = (0..).zip(&self.slaves).map(|(number, slave)| {
+            let idle = slave.member.is_none() || slave.condition == Condition::Parked;
+            match (worked_on == Some(number), idle) {
+                (true, _) => STATUS_MASK,
+                (false, true) => u16::from(slave.report.status),
+                (false, false) => 0,
+            }
+        });
+        CyclicPlan {
+            // The OP bit is the one that concerns the slaves in use.
+            al_bits_ignored: ignored.fold(0, |bits, slave| bits | slave) & !(AlState::Operational as u16),
+            slaves: slaves.collect(),
+            exchange: self.setup.exchange,
+            clock: self.reference_clock(),
+        }
+    }
+
+    /// Fails if the slaves' process data leave no room in a frame for the longest mailbox among them.
+    pub(super) fn check_plan(&self) -> Result<(), BusError> {
+        let windows = self.slaves.iter().map(|slave| {
+            let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
+            out.max(input)
+        });
+        let longest = windows.max().unwrap_or(0);
+        self.plan().check(longest.into()).map_err(|error| match error {
+            PlanError::ProcessData { expected, actual, .. } => BusError::ProcessLength { expected, actual },
+            PlanError::Span { expected, actual, .. } => BusError::ProcessLength {
+                expected: expected as u16,
+                actual: u16::try_from(actual).unwrap_or(u16::MAX),
+            },
+            PlanError::Room { expected, actual } => BusError::NoRoom {
+                expected: longest,
+                actual: longest.saturating_sub(actual.saturating_sub(expected) as u16),
+            },
+        })
+    }
+
+    /// Sends the plan that results from the slaves' conditions.
+    pub(super) async fn send_plan(&mut self) {
+        let mut plan = self.plan();
+        while let Err(back) = self.plans.enqueue(plan) {
+            plan = back;
+            self.port.wait_ms(1).await;
+        }
+    }
+
+    /// Sends a plan in which no slave is used: the outputs become 0.
+    pub(super) async fn send_safe_plan(&mut self) {
+        let slaves = self.slaves.iter().map(|slave| CyclicSlave {
+            role: None,
+            watched: false,
+            ..configure::cyclic_slave(slave)
+        });
+        let mut plan = CyclicPlan {
+            slaves: slaves.collect(),
+            exchange: self.setup.exchange,
+            al_bits_ignored: STATUS_MASK,
+            clock: self.reference_clock(),
+        };
+        while let Err(back) = self.plans.enqueue(plan) {
+            plan = back;
+            self.port.wait_ms(1).await;
+        }
+    }
+
+    /// The reference clock whose time is distributed in each cycle, if the clocks were set up.
+    fn reference_clock(&self) -> Option<ReferenceClock> {
+        let answers = |position: usize| {
+            let slave = self.slaves.get(position);
+            slave.is_some_and(|slave| slave.condition != Condition::Lost)
+        };
+        self.clocks.reference_clock(&self.stations(), answers)
+    }
+
+    /// The station addresses of all slaves.
+    pub(super) fn stations(&self) -> Vec<u16, SLAVES> {
+        self.slaves.iter().map(Slave::station).collect()
+    }
+
+    /// Begins or ends work on a slave; its state changes meanwhile do not count as a disturbance.
+    pub(super) async fn work_on(&mut self, number: Option<usize>) {
+        if let (Some(before), None) = (self.worked_on, number) {
+            self.inspect(before..before + 1).await;
+        }
+        self.worked_on = number;
+        self.send_plan().await;
+    }
+
+    /// Whether work on a slave is in progress.
+    pub(super) const fn is_worked_on(&self) -> bool {
+        self.worked_on.is_some()
+    }
+
+    /// Number of slaves that should answer.
+    pub(super) fn present(&self) -> u16 {
+        let present = |slave: &&Slave<F>| slave.condition != Condition::Lost;
+        self.slaves.iter().filter(present).count() as u16
+    }
+
+    /// Whether all slaves in use are in OP.
+    pub(super) fn is_operational(&self) -> bool {
+        let mut used = self.slaves.iter().filter(|slave| slave.member.is_some());
+        used.all(|slave| slave.condition == Condition::Operational)
+    }
+
+    /// What the critical side should see; a slave on which work is in progress is excluded.
+    pub(super) fn expectation(&self, worked_on: Option<usize>) -> Expectation {
+        let (mut status, mut answering) = (0, 0);
+        for (number, slave) in self.slaves.iter().enumerate() {
+            if slave.condition == Condition::Lost {
+                continue;
+            }
+            status |= u16::from(slave.report.status);
+            if slave.condition == Condition::Operational && worked_on != Some(number) {
+                answering |= 1 << (number & 31);
+            }
+        }
+        let (required, allowed) = match worked_on {
+            None => (status, status),
+            Some(_) => (0, register::AL_STATE_MASK | status & register::AL_ERROR_BIT),
+        };
+        Expectation {
+            slaves: Some(self.present()),
+            required,
+            allowed,
+            answering,
+        }
+    }
+
+    /// Queries slaves for their state, and reports changes.
+    pub(super) async fn inspect(&mut self, numbers: Range<usize>) {
+        let mut changed = false;
+        let last = numbers.end.min(self.slaves.len());
+        for first in (numbers.start..last).step_by(LOOK_MAX) {
+            let reports = self.reports(first..last.min(first + LOOK_MAX)).await;
+            for (number, report) in (first..).zip(reports) {
+                changed |= self.judge(number, report).await;
+            }
+        }
+        if changed {
+            self.send_plan().await;
+        }
+    }
+
+    /// Takes a slave's report, or `None` if it does not answer; returns whether its condition changed.
+    async fn judge(&mut self, number: usize, answer: Option<AlReport>) -> bool {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return false;
+        };
+        let (condition, report) = match answer {
+            None => (Condition::Lost, AlReport::default()),
+            Some(report) if slave.member.is_none() => (Condition::Unused, report),
+            Some(report) => match slave.condition {
+                // Only a repair brings a slave back into use.
+                Condition::Operational if report.is(AlState::Operational) => (Condition::Operational, report),
+                left_alone @ (Condition::Parked | Condition::Unused) => (left_alone, report),
+                _ => (Condition::LeftOperational, report),
+            },
+        };
+        if (condition, report) == (slave.condition, slave.report) {
+            return false;
+        }
+        (slave.condition, slave.report) = (condition, report);
+        let position = slave.position as u8;
+        match condition {
+            Condition::Lost => self.emit(BusEvent::SlaveLost { position }).await,
+            Condition::LeftOperational => self.emit(BusEvent::SlaveLeft { position, report }).await,
+            _ => self.introduce(number).await,
+        }
+        true
+    }
+}

@@ -1,0 +1,158 @@
+//! Inputs of the supervisor while it works: observations, commands, requests.
+//!
+//! Work on one slave may take seconds. [`Inbox::guard`] polls it and checks the bus between two polls. If another slave
+//! looks wrong for [`WORK_SUSPICION_MS`], or a command arrives that makes the work pointless, the work is dropped. The
+//! acyclic port skips the replies that the dropped work leaves behind.
+//!
+//! Invariant: no work delays a change of the bus or a command by more than a few milliseconds.
+
+use super::super::cyclic::Observation;
+use super::super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
+use super::super::driver::SlaveFactory;
+use super::super::event::BusCommand;
+use super::super::wire::register;
+use crate::port_state::PortState;
+use crate::queue::front;
+use core::future::{Future, poll_fn};
+use core::pin::Pin;
+use core::task::Poll;
+use heapless::spsc::{Consumer, Producer};
+
+/// How long something has to look wrong before the slaves are asked, ms.
+pub(super) const SUSPICION_MS: u32 = 3;
+/// How long something has to look wrong before the slaves are asked while bus work is in progress, ms. The work itself
+/// may disturb the bus briefly.
+pub(super) const WORK_SUSPICION_MS: u32 = 20;
+
+/// State and error flag of an AL status register.
+pub(super) const STATUS_MASK: u16 = register::AL_STATE_MASK | register::AL_ERROR_BIT;
+
+/// Bus state that the critical side should see.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Expectation {
+    /// Number of slaves that answer; `None` for any number.
+    pub(super) slaves: Option<u16>,
+    /// Bits of the AL status that have to be set.
+    pub(super) required: u16,
+    /// Bits that may be set.
+    pub(super) allowed: u16,
+    /// Slaves whose inputs have to arrive, one bit each.
+    pub(super) answering: u32,
+}
+
+impl Expectation {
+    /// Any bus state.
+    pub(super) const ANYTHING: Self = Self {
+        slaves: None,
+        required: 0,
+        allowed: u16::MAX,
+        answering: 0,
+    };
+
+    /// Whether the observed state differs from the expected one.
+    fn differs(&self, seen: &Observation) -> bool {
+        let Some(slaves) = self.slaves else { return false };
+        let status = seen.al.status & STATUS_MASK;
+        seen.silent && slaves > 0
+            || seen.al.slaves != slaves
+            || self.required & !status != 0
+            || status & !self.allowed != 0
+            || seen.answered & self.answering != self.answering
+    }
+}
+
+/// Why work was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Interruption {
+    /// Another slave looks wrong.
+    Bus,
+    /// A command arrived.
+    Command,
+}
+
+/// The incoming ends of the supervisor's queues.
+pub(super) struct Inbox<'a, F: SlaveFactory> {
+    pub(super) observations: Consumer<'a, Observation>,
+    pub(super) commands: Consumer<'a, BusCommand<F>>,
+    pub(super) services: Consumer<'a, ServiceRequest>,
+    pub(super) answers: Producer<'a, ServiceResult>,
+    pub(super) seen: Option<Observation>,
+    pub(super) suspicion_ms: u32,
+    /// State of the Ethernet port.
+    pub(super) port: PortState,
+}
+
+impl<F: SlaveFactory> Inbox<'_, F> {
+    /// Takes the critical side's new observations; call it once a millisecond.
+    pub(super) fn observe(&mut self, expected: &Expectation) {
+        while let Some(observation) = self.observations.dequeue() {
+            self.seen = Some(observation);
+        }
+        self.clear_the_way();
+        self.suspicion_ms = if self.seen.is_some_and(|seen| expected.differs(&seen)) {
+            self.suspicion_ms.saturating_add(1)
+        } else {
+            0
+        };
+    }
+
+    /// Takes changes of the port, so that no other command waits behind them, and lets a start overtake a repair.
+    fn clear_the_way(&mut self) {
+        while let Some(BusCommand::Port(port)) = front(&self.commands) {
+            self.port = *port;
+            // This is the command that was just checked.
+            let _ = self.commands.dequeue();
+        }
+        if self.commands.len() > 1 && matches!(front(&self.commands), Some(BusCommand::Recover)) {
+            // A command after the repair makes the repair pointless.
+            let _ = self.commands.dequeue();
+        }
+    }
+
+    /// Number of slaves that answered in the last cycle.
+    pub(super) fn slaves(&self) -> u16 {
+        self.seen.map_or(0, |seen| seen.al.slaves)
+    }
+
+    /// Runs `work` as long as the bus is as `expected` and no command makes the work pointless.
+    ///
+    /// With `refuse`, as in bring-up and repair, requests that arrive meanwhile are answered by [`ServiceError::Busy`],
+    /// and the work ends when the port loses its link.
+    pub(super) async fn guard<T>(
+        &mut self,
+        mut expected: Expectation,
+        refuse: bool,
+        mut work: Pin<&mut impl Future<Output = T>>,
+    ) -> Result<T, Interruption> {
+        self.suspicion_ms = 0;
+        poll_fn(|context| {
+            if let Poll::Ready(value) = work.as_mut().poll(context) {
+                return Poll::Ready(Ok(value));
+            }
+            self.observe(&expected);
+            // An error flag that was set at the start may clear; a new one belongs to another slave.
+            if self
+                .seen
+                .is_some_and(|seen| seen.al.status & register::AL_ERROR_BIT == 0)
+                && expected.slaves.is_some()
+            {
+                expected.allowed &= !register::AL_ERROR_BIT;
+            }
+            if refuse && self.answers.ready() && self.services.dequeue().is_some() {
+                // There is room; it was just checked.
+                let _ = self.answers.enqueue(Err(ServiceError::Busy));
+            }
+            if refuse && self.port.is_down() {
+                return Poll::Ready(Err(Interruption::Bus));
+            }
+            if self.suspicion_ms >= WORK_SUSPICION_MS {
+                return Poll::Ready(Err(Interruption::Bus));
+            }
+            if matches!(front(&self.commands), Some(BusCommand::Start(_) | BusCommand::Stop)) {
+                return Poll::Ready(Err(Interruption::Command));
+            }
+            Poll::Pending
+        })
+        .await
+    }
+}

@@ -1,0 +1,434 @@
+//! The supervisor: brings the bus up, watches it, repairs it, and answers service requests.
+//!
+//! One `async` function runs for ever, polled once a millisecond at low priority. It configures the slaves of the
+//! chain, passes the critical side its plan, takes the drives to OP while cyclic data already run, and then watches for
+//! slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a slave
+//! back while the others continue. In between, the supervisor carries out service requests
+//! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with slave, step
+//! and reason.
+//!
+//! Invariants: a slave in use is only repaired on command; a slave is only taken back if it is the product that was
+//! there before; every wait ends; while work on one slave is in progress, a change of another is detected within 100
+//! ms.
+
+mod bring_up;
+mod bus;
+mod diagnosis;
+mod inbox;
+mod objects;
+mod repair;
+mod requests;
+mod rescan;
+mod state_request;
+
+use super::acyclic::AcyclicPort;
+use super::cyclic::{CyclicPlan, Observation};
+use super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
+use super::driver::SlaveFactory;
+use super::error::BusError;
+pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
+use super::slave::Condition;
+use crate::port_state::PortState;
+pub use bring_up::DISCOVERY_TIMEOUT_MS;
+use bus::Bus;
+use core::pin::pin;
+use heapless::Vec;
+use heapless::spsc::{Consumer, Producer};
+use inbox::{Expectation, Inbox, Interruption, SUSPICION_MS, WORK_SUSPICION_MS};
+
+/// Pause between two inspections for one suspicion, ms.
+const INSPECTION_PAUSE_MS: u32 = 50;
+/// Period of the supervisor's routine inspection of a few slaves in turn, ms.
+const LOOK_PERIOD_MS: u32 = 20;
+/// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
+pub const LINK_TIMEOUT_MS: u32 = 5_000;
+/// How often a repair is restarted after another slave has interrupted it.
+const REPAIR_TRIES_MAX: u8 = 3;
+
+const _: () = {
+    assert!(
+        SUSPICION_MS + INSPECTION_PAUSE_MS < 100 && WORK_SUSPICION_MS + INSPECTION_PAUSE_MS < 100,
+        "changes are noticed within 100 ms"
+    );
+    assert!(
+        LOOK_PERIOD_MS as usize * 32_usize.div_ceil(bus::LOOK_MAX) < 100,
+        "each slave is looked at within 100 ms"
+    );
+};
+
+/// The supervisor's ends of the queues.
+pub struct SupervisorEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+    /// Plans to the critical side.
+    pub plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+    /// Acyclic requests and their replies.
+    pub port: AcyclicPort<'a, MESSAGE>,
+    /// Bus states from the critical side.
+    pub observations: Consumer<'a, Observation>,
+    /// Commands of the application.
+    pub commands: Consumer<'a, BusCommand<F>>,
+    /// Events to the application.
+    pub events: Producer<'a, BusEvent>,
+    /// Service requests.
+    pub services: Consumer<'a, ServiceRequest>,
+    /// Answers to the service requests, one each, in order.
+    pub answers: Producer<'a, ServiceResult>,
+}
+
+/// A failed step.
+#[derive(Clone, Copy, Debug)]
+struct Failure {
+    position: Option<u16>,
+    step: Step,
+    error: BusError,
+}
+
+impl Failure {
+    fn of(position: u16, step: Step) -> impl Fn(BusError) -> Self {
+        move |error| Self {
+            position: Some(position),
+            step,
+            error,
+        }
+    }
+
+    fn bus(step: Step) -> impl Fn(BusError) -> Self {
+        move |error| Self {
+            position: None,
+            step,
+            error,
+        }
+    }
+}
+
+/// State of the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// No bring-up was requested, or the bus was stopped.
+    Stopped,
+    /// The bring-up failed.
+    Failed,
+    /// All slaves in use were brought to OP.
+    Running,
+}
+
+/// Brings the bus up, watches it and repairs it.
+pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+    bus: Bus<'a, F, SLAVES, MESSAGE>,
+    inbox: Inbox<'a, F>,
+    phase: Phase,
+    /// Number of slaves at the last rescan.
+    slaves_sorted: u16,
+    inspected_ms: u32,
+    looked_ms: u32,
+    look_next: usize,
+    /// Whether the lost link of the running bus was reported.
+    port_missed: bool,
+}
+
+impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, F, SLAVES, MESSAGE> {
+    /// A supervisor that waits for [`BusCommand::Start`].
+    pub fn new(end: SupervisorEnd<'a, F, SLAVES, MESSAGE>) -> Self {
+        let SupervisorEnd {
+            plans,
+            port,
+            observations,
+            commands,
+            events,
+            services,
+            answers,
+        } = end;
+        Self {
+            bus: Bus::new(port, plans, events),
+            inbox: Inbox {
+                observations,
+                commands,
+                services,
+                answers,
+                seen: None,
+                suspicion_ms: 0,
+                port: PortState::Unknown,
+            },
+            port_missed: false,
+            phase: Phase::Stopped,
+            slaves_sorted: 0,
+            inspected_ms: 0,
+            looked_ms: 0,
+            look_next: 0,
+        }
+    }
+
+    /// Events that the application did not take in time.
+    pub const fn events_dropped(&self) -> u32 {
+        self.bus.events_dropped
+    }
+
+    /// Runs the supervisor for ever; to be polled once a millisecond.
+    pub async fn run(&mut self) -> ! {
+        loop {
+            match (self.inbox.commands.dequeue(), self.phase) {
+                (Some(BusCommand::Start(setup)), _) => {
+                    self.stop().await;
+                    self.bus.setup = setup;
+                    self.start().await;
+                }
+                (Some(BusCommand::Port(port)), _) => self.inbox.port = port,
+                (Some(BusCommand::Recover), Phase::Running) if self.inbox.port.is_down() => self.miss_link().await,
+                (Some(BusCommand::Recover), Phase::Running) => self.recover().await,
+                (Some(BusCommand::Recover), Phase::Failed) => self.start().await,
+                (Some(BusCommand::Recover), Phase::Stopped) => {}
+                (Some(BusCommand::Stop), _) => {
+                    self.stop().await;
+                    self.bus.emit(BusEvent::Stopped).await;
+                }
+                (None, phase) => match self.inbox.services.dequeue() {
+                    Some(request) => self.serve(request).await,
+                    None if phase == Phase::Running => self.watch().await,
+                    None => {
+                        self.bus.port.wait_ms(1).await;
+                        self.inbox.observe(&Expectation::ANYTHING);
+                    }
+                },
+            }
+        }
+    }
+
+    /// Brings the whole bus up.
+    async fn start(&mut self) {
+        self.phase = Phase::Failed;
+        if self.link_stays_away().await {
+            // A command that arrived meanwhile is carried out instead.
+            if !self.inbox.commands.ready() {
+                self.miss_link().await;
+            }
+            return;
+        }
+        let result = self.bring_up().await;
+        match result {
+            Ok(Ok(())) => {
+                self.phase = Phase::Running;
+                self.slaves_sorted = self.bus.slaves.len() as u16;
+                self.bus.emit(BusEvent::Operational).await;
+            }
+            Ok(Err(failure)) => self.bus.refuse(failure).await,
+            Err(Interruption::Command) => {}
+            Err(Interruption::Bus) if self.inbox.port.is_down() => self.miss_link().await,
+            Err(Interruption::Bus) => {
+                self.bus.inspect(0..SLAVES).await;
+                let error = BusError::SlaveCount {
+                    expected: self.bus.slaves.len() as u16,
+                    actual: self.inbox.slaves(),
+                };
+                self.bus.refuse(Failure::bus(Step::Watch)(error)).await;
+            }
+        }
+    }
+
+    /// Waits for the port's link, which takes some seconds after a common power-up; returns early when another command
+    /// arrives. Returns whether the link is still missing.
+    async fn link_stays_away(&mut self) -> bool {
+        let began_ms = self.bus.port.now_ms();
+        while self.inbox.port.is_down()
+            && !self.inbox.commands.ready()
+            && self.bus.port.now_ms().wrapping_sub(began_ms) < LINK_TIMEOUT_MS
+        {
+            self.bus.port.wait_ms(1).await;
+            self.inbox.observe(&Expectation::ANYTHING);
+        }
+        self.inbox.port.is_down()
+    }
+
+    /// Reports that the port has no link.
+    async fn miss_link(&mut self) {
+        let error = BusError::NoLink { port: self.inbox.port };
+        self.bus.refuse(Failure::bus(Step::Discover)(error)).await;
+    }
+
+    /// The steps of a bring-up, each of them guarded.
+    async fn bring_up(&mut self) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, inbox, .. } = self;
+        {
+            let work = pin!(bus.find_all());
+            if let Err(failure) = inbox.guard(Expectation::ANYTHING, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        {
+            let expected = bus.expectation(Some(SLAVES));
+            let work = pin!(bus.set_up_clocks());
+            if let Err(failure) = inbox.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        for number in 0..bus.slaves.len() {
+            let expected = bus.expectation(Some(number));
+            let work = pin!(bus.reach_safe_operational(number));
+            if let Err(failure) = inbox.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        bus.send_plan().await;
+        for number in 0..bus.slaves.len() {
+            let expected = bus.expectation(Some(number));
+            let work = pin!(bus.reach_operational(number));
+            if let Err(failure) = inbox.guard(expected, true, work).await? {
+                return Ok(Err(failure));
+            }
+        }
+        bus.send_plan().await;
+        bus.introduce_all().await;
+        Ok(Ok(()))
+    }
+
+    /// Watches the bus for one millisecond.
+    async fn watch(&mut self) {
+        self.bus.port.wait_ms(1).await;
+        let expected = self.bus.expectation(None);
+        self.inbox.observe(&expected);
+        let missed = self.inbox.port.is_down();
+        if missed && !self.port_missed {
+            self.miss_link().await;
+        }
+        self.port_missed = missed;
+        let now_ms = self.bus.port.now_ms();
+        let paused = now_ms.wrapping_sub(self.inspected_ms) < INSPECTION_PAUSE_MS;
+        if self.inbox.suspicion_ms >= SUSPICION_MS && !paused {
+            self.inspect_all().await;
+        } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
+            self.looked_ms = now_ms;
+            self.look().await;
+        }
+    }
+
+    /// Queries all slaves for their state, and takes a rescan if their number has changed.
+    async fn inspect_all(&mut self) {
+        self.bus.inspect(0..SLAVES).await;
+        let there = self.inbox.slaves();
+        if there > self.bus.present() && there != self.slaves_sorted {
+            let Self { bus, inbox, .. } = self;
+            let expected = Expectation {
+                slaves: Some(there),
+                ..bus.expectation(None)
+            };
+            let expected = Expectation {
+                required: 0,
+                allowed: inbox::STATUS_MASK,
+                ..expected
+            };
+            let work = pin!(bus.rescan());
+            // After an interruption the inspection is repeated at the next suspicion.
+            if inbox.guard(expected, false, work).await.is_ok() {
+                self.slaves_sorted = there;
+            }
+        } else if there <= self.bus.present() {
+            self.slaves_sorted = there;
+        }
+        self.inspected_ms = self.bus.port.now_ms();
+    }
+
+    /// Inspects the states of a few slaves, and error counters, processor watchdog and mailbox of one of them.
+    async fn look(&mut self) {
+        let slaves = self.bus.slaves.len().max(1);
+        let first = self.look_next % slaves;
+        let last = (first + bus::LOOK_MAX).min(slaves);
+        self.look_next = last;
+        self.bus.inspect(first..last).await;
+        self.bus.look_at_cables().await;
+        self.bus.look_at_processor().await;
+        let expected = self.bus.expectation(None);
+        let Self { bus, inbox, .. } = self;
+        let work = pin!(bus.look_at_mailbox());
+        // After an interruption the mailbox is read again in the next round.
+        let _ = inbox.guard(expected, false, work).await;
+    }
+
+    /// Brings every slave in use that is not in OP back to OP.
+    async fn recover(&mut self) {
+        self.inspect_all().await;
+        for number in 0..self.bus.slaves.len() {
+            let Some(slave) = self.bus.slaves.get(number).copied() else {
+                continue;
+            };
+            if slave.member.is_none() || slave.condition == Condition::Operational {
+                continue;
+            }
+            match self.repair_guarded(number).await {
+                Ok(Ok(())) => {
+                    self.bus.send_plan().await;
+                    let position = slave.position as u8;
+                    self.bus.emit(BusEvent::Repaired { position }).await;
+                    self.bus.introduce(number).await;
+                }
+                Ok(Err(failure)) => self.bus.refuse(failure).await,
+                Err(_) => return,
+            }
+        }
+        if self.bus.is_operational() {
+            self.bus.emit(BusEvent::Operational).await;
+        }
+    }
+
+    /// Repairs a slave; restarts when another slave needs attention.
+    async fn repair_guarded(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        for _ in 0..REPAIR_TRIES_MAX {
+            let Self { bus, inbox, .. } = self;
+            bus.work_on(Some(number)).await;
+            let expected = Expectation {
+                slaves: Some(inbox.slaves()),
+                ..bus.expectation(Some(number))
+            };
+            let result = {
+                let work = pin!(bus.repair(number));
+                inbox.guard(expected, true, work).await
+            };
+            bus.work_on(None).await;
+            match result {
+                Err(Interruption::Bus) => self.inspect_all().await,
+                done => return done,
+            }
+        }
+        let error = BusError::SlaveCount {
+            expected: self.bus.slaves.len() as u16,
+            actual: self.inbox.slaves(),
+        };
+        Ok(Err(Failure::of(number as u16, Step::Watch)(error)))
+    }
+
+    /// Takes the slaves out of OP: safe outputs are sent first, then the states follow.
+    async fn stop(&mut self) {
+        if self.phase == Phase::Running {
+            self.bus.shut_down().await;
+        }
+        self.phase = Phase::Stopped;
+    }
+
+    /// Carries out a request and answers it.
+    async fn serve(&mut self, request: ServiceRequest) {
+        let running = self.phase == Phase::Running;
+        let Self { bus, inbox, .. } = self;
+        let slave = request.slave().map(usize::from);
+        let expected = if running {
+            bus.expectation(slave)
+        } else {
+            Expectation::ANYTHING
+        };
+        let seen = inbox.seen;
+        let result = {
+            let work = pin!(bus.carry_out(&request, seen, running));
+            inbox.guard(expected, false, work).await
+        };
+        if bus.is_worked_on() {
+            bus.work_on(None).await;
+        }
+        if result == Err(Interruption::Bus) {
+            self.inspect_all().await;
+        }
+        let mut answer = result.unwrap_or(Err(ServiceError::Interrupted));
+        while let Err(back) = self.inbox.answers.enqueue(answer) {
+            answer = back;
+            self.bus.port.wait_ms(1).await;
+        }
+    }
+}
+
+/// A list with a place for each slave of one inspection.
+type LookList<T> = Vec<T, { bus::LOOK_MAX }>;

@@ -1,0 +1,218 @@
+//! Repair: brings one slave back into use while the others continue.
+//!
+//! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
+//! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
+//! kept their addresses tells between which of them it belongs.
+//!
+//! Invariant: a slave is only taken back at its place in the order, with the expected product, and with a serial number
+//! that does not belong to another slave of this bus.
+
+use super::super::clock;
+use super::super::configure::{discovery, information};
+use super::super::driver::SlaveFactory;
+use super::super::error::BusError;
+use super::super::event::Step;
+use super::super::slave::{STATION_BASE, STATION_TEMPORARY, Slave};
+use super::super::state::{self, AlState};
+use super::super::wire::sii::{FixedPart, Identity};
+use super::Failure;
+use super::bus::Bus;
+use heapless::Vec;
+
+/// Most places of a chain that are searched.
+pub(super) const PLACES_MAX: usize = 64;
+
+/// The station addresses along the chain; 0 where a slave has none.
+pub(super) type Places = Vec<u16, PLACES_MAX>;
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
+    /// Brings a slave in use back to OP.
+    pub(super) async fn repair(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let (station, at) = (slave.station(), |step| Failure::of(slave.position, step));
+        let places = self.places().await.map_err(at(Step::Locate))?;
+        match places.iter().position(|there| *there == station) {
+            Some(place) => {
+                self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
+                if self.resume(number).await.is_ok() {
+                    return Ok(());
+                }
+            }
+            None => self.take_back(number, &places).await?,
+        }
+        if let Some(slave) = self.slaves.get_mut(number) {
+            // The slave goes through INIT in any case.
+            slave.report = Default::default();
+        }
+        let stations = self.stations();
+        clock::restore(&mut self.port, &stations, &mut self.clocks, number)
+            .await
+            .map_err(at(Step::Clocks))?;
+        self.reach_safe_operational(number).await?;
+        self.send_plan().await;
+        self.reach_operational(number).await
+    }
+
+    /// The station addresses along the chain.
+    pub(super) async fn places(&mut self) -> Result<Places, BusError> {
+        let mut places = Places::new();
+        let found = discovery::count(&mut self.port).await?;
+        if usize::from(found) > PLACES_MAX {
+            return Err(BusError::TooManySlaves {
+                expected: PLACES_MAX as u16,
+                actual: found,
+            });
+        }
+        discovery::stations(&mut self.port, found, &mut places).await?;
+        Ok(places)
+    }
+
+    /// The number of the slave with a station address, if it belongs to this bus.
+    pub(super) fn number_of(&self, station: u16) -> Option<usize> {
+        let number = usize::from(station.checked_sub(STATION_BASE)?);
+        (number < self.slaves.len()).then_some(number)
+    }
+
+    /// Finds a slave that lost its address, checks its identity, and assigns its address.
+    async fn take_back(&mut self, number: usize, places: &Places) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let at = |step| Failure::of(slave.position, step);
+        let strangers = self.strangers_between(number, places);
+        let missing = self.missing_between(number, places);
+        // If as many strangers as missing slaves are found, the order identifies them; otherwise only their identity
+        // does.
+        let by_order = (strangers.len() == missing.len())
+            .then(|| missing.iter().position(|missing| usize::from(*missing) == number))
+            .flatten();
+        let mut other = None;
+        for (rank, place) in strangers.iter().enumerate() {
+            if by_order.is_some_and(|wanted| wanted != rank) {
+                continue;
+            }
+            let fixed = self.fixed_at(*place).await.map_err(at(Step::Identify))?;
+            match self.is_same(&slave, &fixed.identity) {
+                Ok(()) => {
+                    return discovery::assign_station(&mut self.port, *place, slave.station())
+                        .await
+                        .map_err(at(Step::Address));
+                }
+                Err(error) => other = Some(error),
+            }
+        }
+        match other {
+            Some(error) => Err(at(Step::Identify)(error)),
+            None => Err(at(Step::Locate)(BusError::SlaveCount {
+                expected: self.slaves.len() as u16,
+                actual: places.len() as u16,
+            })),
+        }
+    }
+
+    /// Index of the slave at `station` among those whose order in the chain is known. Extra slaves may be anywhere in
+    /// the chain.
+    fn rank_of(&self, station: u16) -> Option<usize> {
+        self.number_of(station).filter(|number| *number < self.ordered)
+    }
+
+    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
+    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+        let (mut first, mut last) = (0, places.len());
+        if number < self.ordered {
+            let rank = |station: &u16| self.rank_of(*station);
+            let before = places
+                .iter()
+                .rposition(|there| rank(there).is_some_and(|there| there < number));
+            let after = places
+                .iter()
+                .position(|there| rank(there).is_some_and(|there| there > number));
+            first = before.map_or(first, |place| place + 1);
+            last = after.unwrap_or(last);
+        }
+        let between = (0_u16..).zip(places).take(last).skip(first);
+        between
+            .filter(|(_, there)| self.number_of(**there).is_none())
+            .map(|(place, _)| place)
+            .collect()
+    }
+
+    /// Missing slaves that belong between the neighbours of this slave.
+    fn missing_between(&self, number: usize, places: &Places) -> Vec<u8, PLACES_MAX> {
+        let there = |number: &usize| places.contains(&STATION_BASE.wrapping_add(*number as u16));
+        let first = (0..number).rev().find(there).map_or(0, |number| number + 1);
+        let last = (number..self.ordered).find(there).unwrap_or(self.ordered);
+        (first..last).map(|number| number as u8).collect()
+    }
+
+    /// Reads the fixed part of the slave at a place without an address; its address is removed afterwards.
+    pub(super) async fn fixed_at(&mut self, place: u16) -> Result<FixedPart, BusError> {
+        discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
+        let fixed = information::fixed_part(&mut self.port, STATION_TEMPORARY).await;
+        let forgotten = discovery::assign_station(&mut self.port, place, 0).await;
+        forgotten?;
+        fixed
+    }
+
+    /// Whether a slave with this identity may take a slave's place.
+    pub(super) fn is_same(&self, slave: &Slave<F>, identity: &Identity) -> Result<(), BusError> {
+        let (old, new) = (slave.identity(), identity);
+        if (old.vendor, old.product) != (new.vendor, new.product) {
+            return Err(BusError::Identity {
+                expected: old.product,
+                actual: new.product,
+            });
+        }
+        let mut others = self.slaves.iter().filter(|other| other.position != slave.position);
+        let elsewhere = others.any(|other| {
+            let other = other.identity();
+            (other.vendor, other.product, other.serial) == (new.vendor, new.product, new.serial)
+        });
+        if new.serial != 0 && new.serial != old.serial && elsewhere {
+            return Err(BusError::Serial {
+                expected: old.serial,
+                actual: new.serial,
+            });
+        }
+        Ok(())
+    }
+
+    /// Brings a slave back that only left OP: acknowledges the error and requests OP again.
+    async fn resume(&mut self, number: usize) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let at = |step| Failure::of(slave.position, step);
+        let report = state::acknowledge(&mut self.port, slave.station())
+            .await
+            .map_err(at(Step::Operational))?;
+        if report.is(AlState::Operational) || report.is(AlState::SafeOperational) {
+            return self.reach_operational(number).await;
+        }
+        let error = BusError::State {
+            expected: AlState::SafeOperational as u8,
+            actual: report.status,
+            code: report.code,
+        };
+        Err(at(Step::Operational)(error))
+    }
+
+    /// Whether the slave at a place is between the neighbours that it had before.
+    fn is_in_order(&self, places: &Places, place: usize, number: usize) -> Result<(), BusError> {
+        let rank = |there: &u16| self.rank_of(*there);
+        let mut before = places.iter().take(place).filter_map(rank);
+        let mut after = places.iter().skip(place + 1).filter_map(rank);
+        let wrong = before
+            .find(|there| *there > number)
+            .or_else(|| after.find(|there| *there < number));
+        match wrong.filter(|_| number < self.ordered) {
+            Some(other) => Err(BusError::Station {
+                expected: STATION_BASE.wrapping_add(number as u16),
+                actual: STATION_BASE.wrapping_add(other as u16),
+            }),
+            None => Ok(()),
+        }
+    }
+}

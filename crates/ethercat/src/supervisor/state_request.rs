@@ -1,0 +1,169 @@
+//! State requests: brings one slave to a requested state.
+//!
+//! Invariant: up one state at a time, with all prerequisites of the state set up first; a slave in use that was brought
+//! below OP stays there until it is requested to go up again, or the bus is repaired or restarted.
+
+use super::super::coe::ObjectDictionary;
+use super::super::diagnostics::ServiceError;
+use super::super::driver::SlaveFactory;
+use super::super::error::BusError;
+use super::super::event::BusEvent;
+use super::super::mailbox::Mailbox;
+use super::super::slave::Condition;
+use super::super::state::{self, AlReport, AlState};
+use super::super::wire::sii::PROTOCOL_COE;
+use super::Failure;
+use super::bus::Bus;
+
+impl From<Failure> for ServiceError {
+    fn from(failure: Failure) -> Self {
+        Self::Bus(failure.error)
+    }
+}
+
+impl From<BusError> for ServiceError {
+    fn from(error: BusError) -> Self {
+        Self::Bus(error)
+    }
+}
+
+/// Whether process data are exchanged in a state.
+const fn is_exchanging(state: AlState) -> bool {
+    matches!(state, AlState::SafeOperational | AlState::Operational)
+}
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
+    /// Brings a slave to a state; returns the actual state.
+    pub(super) async fn set_state(&mut self, number: usize, target: AlState) -> Result<AlReport, ServiceError> {
+        self.work_on(Some(number)).await;
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Err(ServiceError::Interrupted);
+        };
+        let station = slave.station();
+        let before = match state::acknowledge(&mut self.port, station).await {
+            Ok(report) => report,
+            // Only INIT clears a flag that stays set.
+            Err(BusError::State { .. }) => AlReport::default(),
+            Err(error) => return Err(error.into()),
+        };
+        if slave.member.is_some() && target != AlState::Operational {
+            self.set_condition(number, Condition::Parked);
+        }
+        if slave.member.is_none() && !is_exchanging(target) {
+            self.forget_process_data(number);
+        }
+        let present = before.state().unwrap_or(AlState::Init);
+        if target as u8 > present as u8 && target != AlState::Bootstrap {
+            let result = self.climb(number, before.state(), target).await;
+            if slave.member.is_none() && result.is_err() {
+                self.forget_process_data(number);
+            }
+            result?;
+        } else if !before.is(target) {
+            state::change(&mut self.port, station, target).await?;
+        }
+        let report = state::report(&mut self.port, station).await?;
+        if target == AlState::Operational && slave.member.is_some() && report.is(target) {
+            self.set_condition(number, Condition::Operational);
+            if let Some(slave) = self.slaves.get_mut(number) {
+                slave.report = report;
+            }
+            if self.is_operational() {
+                self.emit(BusEvent::Operational).await;
+            }
+        }
+        Ok(report)
+    }
+
+    fn set_condition(&mut self, number: usize, condition: Condition) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.condition = condition;
+        }
+    }
+
+    fn forget_process_data(&mut self, number: usize) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.process_data = None;
+        }
+    }
+
+    /// Goes up from a state, one state at a time.
+    async fn climb(&mut self, number: usize, from: Option<AlState>, target: AlState) -> Result<(), ServiceError> {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Err(ServiceError::Interrupted);
+        };
+        let station = slave.station();
+        // The process data of another master are not known.
+        let from = match from {
+            Some(AlState::SafeOperational) if slave.device.is_some() && slave.process_data.is_none() => {
+                state::change(&mut self.port, station, AlState::PreOperational).await?;
+                Some(AlState::PreOperational)
+            }
+            from => from,
+        };
+        if !matches!(from, Some(AlState::PreOperational | AlState::SafeOperational)) {
+            self.generation = self.generation.wrapping_add(1);
+            slave.generation = self.generation;
+            slave.report = AlReport::default();
+            self.reach_pre_operational(number).await?;
+        }
+        if target == AlState::PreOperational {
+            return Ok(());
+        }
+        if from != Some(AlState::SafeOperational) {
+            self.ready_mailbox(number).await?;
+            self.configure(number).await?;
+        }
+        if target == AlState::SafeOperational {
+            return Ok(());
+        }
+        self.send_plan().await;
+        match self.slaves.get(number).copied() {
+            Some(slave) if slave.member.is_none() => {
+                if slave.process_data.is_some() {
+                    self.inputs_come(&slave).await?;
+                }
+                state::change(&mut self.port, station, AlState::Operational).await?;
+            }
+            _ => self.reach_operational(number).await?,
+        }
+        Ok(())
+    }
+
+    /// Makes a mailbox usable that is already set up, perhaps by another master.
+    async fn ready_mailbox(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
+        if slave.mailbox == Mailbox::default() && out.length > 0 {
+            let mut mailbox = Mailbox::new::<MESSAGE>(slave.station(), out, input)?;
+            if slave.fixed.protocols & PROTOCOL_COE != 0 {
+                ObjectDictionary::new(&mut self.port, &mut mailbox).join().await?;
+            }
+            slave.mailbox = mailbox;
+        }
+        Ok(())
+    }
+
+    /// Makes sure that a slave's CoE mailbox can be used: a slave in INIT is brought to PREOP.
+    pub(super) async fn open_mailbox(&mut self, number: usize) -> Result<(), ServiceError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Err(ServiceError::Interrupted);
+        };
+        if slave.fixed.protocols & PROTOCOL_COE == 0 || slave.fixed.mailbox_out.length == 0 {
+            return Err(ServiceError::NoCoe);
+        }
+        let report = state::report(&mut self.port, slave.station()).await?;
+        if report.state() == Some(AlState::Init) {
+            self.work_on(Some(number)).await;
+            if let Some(slave) = self.slaves.get_mut(number) {
+                slave.report = AlReport::default();
+            }
+            self.reach_pre_operational(number).await?;
+        } else {
+            self.ready_mailbox(number).await?;
+        }
+        Ok(())
+    }
+}

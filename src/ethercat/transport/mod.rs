@@ -1,3 +1,0 @@
-//! Transports that carry EtherCAT frames to the segment.
-
-pub mod raw;

@@ -1,0 +1,34 @@
+//! The master with the robot's drivers and sizes.
+
+use crate::drives::ServoDrives;
+use crate::ethercat::cyclic::{CyclicSlave, Exchange};
+use crate::ethercat::driver::Role;
+use crate::ethercat::event::{BusCommand, BusSetup};
+use crate::ethercat::supervisor::Supervisor;
+use crate::ethercat::{ApplicationEnd, BusQueues};
+use crate::robot::AXES;
+
+/// Length of the sample period, ns.
+pub const PERIOD_NS: u32 = 1_000_000;
+/// Most slaves on the robot's bus.
+pub const BUS_SLAVES_MAX: usize = 16;
+/// Longest mailbox window on the robot's bus, bytes: that of a Kollmorgen AKD.
+pub const BUS_MESSAGE_BYTES: usize = 1024;
+/// The drivers of the robot's bus: each axis has a servo drive.
+pub type RobotDrives = ServoDrives<AXES>;
+/// What the robot's axes ask of the bus.
+pub type RobotBusSetup = BusSetup<RobotDrives>;
+/// A command to the supervisor of the robot's bus.
+pub type RobotBusCommand = BusCommand<RobotDrives>;
+/// The ends of the queues to the robot's bus.
+pub type RobotBusEnd<'a> = ApplicationEnd<'a, RobotDrives>;
+/// The drive of an axis, as the plan names it.
+pub type DriveRole = Role<RobotDrives>;
+/// A slave's share of the plan.
+pub type DriveShare = CyclicSlave<RobotDrives>;
+/// The queues of the robot's bus.
+pub type RobotBusQueues = BusQueues<RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The exchange of the robot's bus.
+pub type RobotExchange<'a> = Exchange<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The supervisor of the robot's bus.
+pub type RobotSupervisor<'a> = Supervisor<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
