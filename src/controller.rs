@@ -3,14 +3,15 @@
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
 //! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes,
 //! `usb_bytes` to the task that moves the link's bytes on the board's own USB, `link` to the low-priority task that
-//! runs the protocol and the operating mode, `network` to the task that runs the IP stack, `supervisor` to the task
+//! runs the protocol and the coordinator, `network` to the task that runs the IP stack, `supervisor` to the task
 //! that brings up and watches the bus. A simulation calls these parts in the same order in virtual time.
 //!
 //! Architecture invariant: priorities communicate only through these channels; no part waits for another.
 
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
+use crate::coordinator::CoordinatorEnds;
 use crate::link::frame::Decoder;
-use crate::link::task::{LinkEnds, LinkTask, PortEnds, SENT_AHEAD_BYTES};
+use crate::link_task::{LinkTask, PortEnds, Ports, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
 use crate::network::{NetworkQueues, NetworkTask};
@@ -18,11 +19,11 @@ use crate::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
-/// References between the trajectory task and the sampler: the period being read, the next one, and a spare.
-pub const REFERENCES: usize = 40;
+/// Setpoints between the trajectory task and the sampler: the period being read, the next one, and a spare.
+pub const SETPOINTS: usize = 40;
 /// Cycle reports queued for the link task: one for each millisecond that the trajectory task may delay the link task.
 pub const REPORTS: usize = 33;
-/// Vertices queued between the link task and the trajectory task.
+/// Vertices queued between the coordinator and the trajectory task.
 pub const VERTICES: usize = 513;
 /// Bytes received from the host that are queued for the link task.
 pub const RECEIVED_BYTES: usize = 4_097;
@@ -36,14 +37,14 @@ pub const USB_SENT_BYTES: usize = 257;
 /// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
 pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 
-const _: () = assert!(REFERENCES > 3 * crate::motion::PERIOD_MS);
+const _: () = assert!(SETPOINTS > 3 * crate::motion::PERIOD_MS);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
 const _: () = assert!(SENT_BYTES > SENT_AHEAD_BYTES && USB_SENT_BYTES > SENT_AHEAD_BYTES);
 
 /// All queues between the tasks, and the planner's memory. Large objects stay in here and are never moved.
 pub struct Channels {
     trajectory: Trajectory,
-    references: Queue<Queued, REFERENCES>,
+    setpoints: Queue<Queued, SETPOINTS>,
     reports: Queue<CycleReport, REPORTS>,
     sampler_commands: Queue<SamplerCommand, 17>,
     vertices: Queue<PathItem, VERTICES>,
@@ -91,7 +92,7 @@ impl Channels {
     pub const fn new() -> Self {
         Self {
             trajectory: Trajectory::unconfigured(),
-            references: Queue::new(),
+            setpoints: Queue::new(),
             reports: Queue::new(),
             sampler_commands: Queue::new(),
             vertices: Queue::new(),
@@ -111,7 +112,7 @@ impl Channels {
 
     /// Makes the task bodies; `board` is the name the firmware reports to the host.
     pub fn split(&mut self, board: &'static str) -> Parts<'_> {
-        let (references_in, references_out) = self.references.split();
+        let (setpoints_in, setpoints_out) = self.setpoints.split();
         let (reports_in, reports_out) = self.reports.split();
         let (sampler_commands_in, sampler_commands_out) = self.sampler_commands.split();
         let (vertices_in, vertices_out) = self.vertices.split();
@@ -126,12 +127,12 @@ impl Channels {
         let measurements = &self.measurements;
         let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
         Parts {
-            sampler: Sampler::new(exchange, network_end, sampler_commands_out, references_out, reports_in),
+            sampler: Sampler::new(exchange, network_end, sampler_commands_out, setpoints_out, reports_in),
             trajectory: TrajectoryTask::new(
                 &mut self.trajectory,
                 orders_out,
                 vertices_out,
-                references_in,
+                setpoints_in,
                 motion_reports_in,
             ),
             host_bytes: HostBytes {
@@ -146,7 +147,7 @@ impl Channels {
             },
             link: LinkTask::new(
                 board,
-                LinkEnds {
+                Ports {
                     serial: PortEnds {
                         received: received_out,
                         decoder: &mut self.decoder,
@@ -157,6 +158,8 @@ impl Channels {
                         decoder: &mut self.usb_decoder,
                         sent: usb_sent_in,
                     },
+                },
+                CoordinatorEnds {
                     reports: reports_out,
                     sampler_commands: sampler_commands_in,
                     vertices: vertices_in,

@@ -13,7 +13,7 @@ mod findings;
 
 pub use findings::{Reading, ReferenceError};
 
-use crate::application::reference::resolver_angle_rad;
+use crate::application::homing::resolver_angle_rad;
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limited;

@@ -16,9 +16,9 @@
 //! |---|---|---|---|
 //! | [`control::sampler::Sampler`] | timer, Ethernet, deadline | 15 | input telegram, control, output telegram |
 //! | [`controller::HostBytes`] | serial line, every millisecond | 10 | the link's bytes in and out |
-//! | [`trajectory_task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms references |
+//! | [`trajectory_task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms setpoints |
 //! | [`controller::HostBytes`], a second one | USB, every millisecond | 3 | the link's bytes on a board's own USB port |
-//! | [`link::task::LinkTask`] | every millisecond | 3 | protocol, operating mode, configuration |
+//! | [`link_task::LinkTask`] | every millisecond | 3 | the link's messages; owns the [`coordinator::Coordinator`], which decides modes, admission and configuration |
 //! | [`ethercat::supervisor::Supervisor`] | every millisecond | 1 | brings the bus up, watches and repairs it |
 //! | [`network::NetworkTask`] | every millisecond | 1 | the IP stack that finds the addresses for EtherCAT in UDP |
 //!
@@ -26,12 +26,12 @@
 //!
 //! 1. The host vectorises a photograph into strokes, orders them, expands them with their lifts into a path in the
 //!    robot's frame and admits every vertex ([`motion::Admission`]).
-//! 2. The vertex travels in a path message within the firmware's credit ([`link`]); the link task admits it again and
-//!    puts it into the vertex queue.
+//! 2. The vertex travels in a path message within the firmware's credit ([`link`]); the [`coordinator`] admits it
+//!    again and puts it into the vertex queue.
 //! 3. The trajectory task takes it into its window, rounds the corner within the tolerance, finds the fastest speed
 //!    along the path that keeps every joint within its limits and still ends at rest ([`motion`]), and puts one
-//!    reference a millisecond into the ring.
-//! 4. The sampler takes one reference a millisecond, compares it with the position that the drives have just reported
+//!    setpoint a millisecond into the ring.
+//! 4. The sampler takes one setpoint a millisecond, compares it with the position that the drives have just reported
 //!    ([`ethercat::cyclic`], [`ethercat_robot`]), and sends each drive a velocity ([`control::position`]).
 //! 5. The drive turns the motor. Its measurements come back a millisecond later and also go to the host as telemetry.
 //!
@@ -56,10 +56,11 @@ pub mod board;
 pub mod config;
 pub mod control;
 pub mod controller;
-mod coordinator;
+pub mod coordinator;
 pub mod ethercat_robot;
 pub mod ethernet;
 pub mod link;
+pub mod link_task;
 pub mod measurement;
 pub mod network;
 pub mod robot_bus;

@@ -1,6 +1,6 @@
-//! The trajectory task: every 12 ms it plans and fills the ring with the next references.
+//! The trajectory task: every 12 ms it plans and fills the ring with the next setpoints.
 //!
-//! Released by every twelfth sample, below the critical tasks. It keeps at least one whole period of references ahead
+//! Released by every twelfth sample, below the critical tasks. It keeps at least one whole period of setpoints ahead
 //! of the sampler, so a release may take up to its deadline. Every committed plan ends at rest, so the robot comes to
 //! rest if a release never comes.
 
@@ -15,7 +15,7 @@ use heapless::spsc::{Consumer, Producer};
 pub enum MotionOrder {
     /// Use these settings; discards everything planned.
     Configure(Settings),
-    /// Start at rest from this pose; the references carry the epoch.
+    /// Start at rest from this pose; the setpoints carry the epoch.
     Place {
         /// The pose.
         pose: JointAngles,
@@ -82,7 +82,7 @@ pub struct TrajectoryTask<'a> {
     configured: bool,
     orders: Consumer<'a, MotionOrder>,
     vertices: Consumer<'a, PathItem>,
-    references: Producer<'a, Queued>,
+    setpoints: Producer<'a, Queued>,
     reports: Producer<'a, MotionReport>,
     epoch: Option<u8>,
     filled: bool,
@@ -99,7 +99,7 @@ impl<'a> TrajectoryTask<'a> {
         trajectory: &'a mut Trajectory,
         orders: Consumer<'a, MotionOrder>,
         vertices: Consumer<'a, PathItem>,
-        references: Producer<'a, Queued>,
+        setpoints: Producer<'a, Queued>,
         reports: Producer<'a, MotionReport>,
     ) -> Self {
         Self {
@@ -107,7 +107,7 @@ impl<'a> TrajectoryTask<'a> {
             configured: false,
             orders,
             vertices,
-            references,
+            setpoints,
             reports,
             epoch: None,
             filled: false,
@@ -132,12 +132,12 @@ impl<'a> TrajectoryTask<'a> {
             self.path = take_vertices(trajectory, &mut self.vertices, self.path);
         }
         if let Some(epoch) = self.epoch {
-            self.overruns += u32::from(self.filled && self.references.is_empty());
+            self.overruns += u32::from(self.filled && self.setpoints.is_empty());
             self.filled = true;
-            while self.references.len() <= PERIOD_MS {
-                for reference in trajectory.step() {
+            while self.setpoints.len() <= PERIOD_MS {
+                for setpoint in trajectory.step() {
                     // There is room: the ring holds more than three periods.
-                    let _ = self.references.enqueue(Queued { epoch, reference });
+                    let _ = self.setpoints.enqueue(Queued { epoch, setpoint });
                 }
             }
         }
@@ -173,7 +173,7 @@ impl<'a> TrajectoryTask<'a> {
     fn take_order(&mut self, order: MotionOrder) {
         match order {
             MotionOrder::Configure(settings) => {
-                // The link task has refused geometries that are none.
+                // The coordinator has refused geometries that are none.
                 self.configured = self.trajectory.reconfigure(&settings).is_ok();
                 self.epoch = None;
                 self.drop_path();

@@ -163,7 +163,7 @@ impl Operator {
             session,
             config: Some(config),
             drawing,
-            next: Command::Reference,
+            next: Command::Home,
             next_ms: 0,
             asked: false,
             jobs: 0,
@@ -188,7 +188,7 @@ impl Operator {
             Event::Answered { command, result, .. } => {
                 self.asked = false;
                 match (command, result) {
-                    (Command::Reference, Ok(())) => (self.next, self.next_ms) = (Command::Enable, ms + 100),
+                    (Command::Home, Ok(())) => (self.next, self.next_ms) = (Command::Enable, ms + 100),
                     (Command::Enable, Ok(())) => self.next = Command::Draw { job: 1 },
                     (Command::Draw { job }, Ok(())) => {
                         self.jobs = job;
@@ -221,7 +221,7 @@ impl Operator {
     fn act(&mut self, ms: u32) {
         let mode = self.status.as_ref().map(|status| status.mode);
         let wanted = match self.next {
-            Command::Reference => Mode::DrivesOff,
+            Command::Home => Mode::DrivesOff,
             Command::Enable => Mode::DrivesOff,
             _ => Mode::Idle,
         };

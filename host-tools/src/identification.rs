@@ -18,7 +18,7 @@
 
 use etherpen::application::Mode;
 use etherpen::config::{Axis, AxisMode, Config, Orientation};
-use etherpen::control::position::{PositionController, REFERENCES_AHEAD};
+use etherpen::control::position::{PositionController, SETPOINTS_AHEAD};
 use etherpen::link::protocol::{PathVertex, Sample};
 use etherpen::motion::Pen;
 use etherpen::robot::{ARMS, AXES};
@@ -275,16 +275,16 @@ fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Eq
         let sample = &run[k];
         let ahead = run[k..]
             .iter()
-            .take(REFERENCES_AHEAD)
-            .map(|sample| f64::from(sample.reference_rad_s[number]));
-        let (reference, measured) = (sample.reference_rad[number].into(), sample.measured_rad[number].into());
+            .take(SETPOINTS_AHEAD)
+            .map(|sample| f64::from(sample.setpoint_rad_s[number]));
+        let (reference, measured) = (sample.setpoint_rad[number].into(), sample.measured_rad[number].into());
         controller.step(reference, measured, ahead)
     };
     let commands: Vec<f64> = (0..run.len()).map(command).collect();
     let answers: Vec<f64> = run.iter().map(|sample| sample.measured_rad_s[number].into()).collect();
     let (commands, answers) = (low_pass(&commands), low_pass(&answers));
     // References after the run's end are not known, nor commands before its beginning.
-    let last = answers.len().saturating_sub(REFERENCES_AHEAD);
+    let last = answers.len().saturating_sub(SETPOINTS_AHEAD);
     let first = shift + 2 + etherpen::control::position::AGE_MAX_MS;
     (first..last)
         .filter_map(|k| {
@@ -375,16 +375,16 @@ mod tests {
                 let speed = gain * commands[ms as usize];
                 angle += speed / 1_000.0;
                 let velocity = |ms: i32| (reference(ms) - reference(ms - 1)) * 1_000.0;
-                let ahead = (0..REFERENCES_AHEAD as i32).map(|k| velocity(ms + k));
+                let ahead = (0..SETPOINTS_AHEAD as i32).map(|k| velocity(ms + k));
                 commands.push(controller.step(reference(ms), angle, ahead));
                 Sample {
                     t_ms: ms as u32,
                     mode: Mode::Drawing,
                     stroke: 0,
                     pen: Pen::Up,
-                    reference_rad: [reference(ms) as f32; AXES],
+                    setpoint_rad: [reference(ms) as f32; AXES],
                     measured_rad: [angle as f32; AXES],
-                    reference_rad_s: [velocity(ms) as f32; AXES],
+                    setpoint_rad_s: [velocity(ms) as f32; AXES],
                     measured_rad_s: [speed as f32; AXES],
                 }
             })

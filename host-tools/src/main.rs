@@ -54,7 +54,8 @@ enum Subcommand {
     Flash(flash::Arguments),
     /// Show the configuration, with the origin of each value.
     Config(configuration::Arguments),
-    /// Take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
+    /// Home: take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
+    #[command(visible_alias = "home")]
     Reference(reference::Arguments),
     /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
     Identify(identify::Arguments),

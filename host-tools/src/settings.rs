@@ -7,7 +7,7 @@
 //! all.
 
 use crate::error::{ProgramError, code};
-use etherpen::application::reference::resolver_angle_rad;
+use etherpen::application::homing::resolver_angle_rad;
 use etherpen::config::{Config, ConfigError};
 use etherpen::robot::AXES;
 use std::io;

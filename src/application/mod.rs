@@ -9,12 +9,19 @@
 //! power only after a standstill and the brake delay; a fault stays latched until it is acknowledged; a failed
 //! acknowledgement leaves a fault that names the remaining cause; every wait has a time limit.
 
-mod exchange;
-pub mod reference;
-mod terms;
+mod action;
+mod command;
+mod condition;
+mod fault;
+pub mod homing;
+mod mode;
+mod step;
 
-pub use exchange::{Action, BusCondition, Condition, Power, Progress};
-pub use terms::{Fault, Mode, Refusal, StopSource};
+pub use action::{Action, Power};
+pub use command::{Command, Refusal};
+pub use condition::{BusCondition, Condition, Progress};
+pub use fault::{Fault, StopSource};
+pub use mode::Mode;
 
 use crate::motion::MotionCommand;
 use crate::robot::JointAngles;
@@ -34,8 +41,8 @@ pub const ACTIONS_MAX: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Enabling {
     No,
-    /// Taking the reference: waiting until the angles are valid.
-    Referencing {
+    /// Homing: waiting until the angles are valid.
+    Homing {
         since_ms: u32,
     },
     /// Switching the drives' power on.
@@ -82,13 +89,8 @@ impl Default for Application {
     }
 }
 
-/// Time until the reports of the other tasks reflect an action, ms.
-const SETTLE_MS: u32 = 2;
 /// Time from a quick stop request until the drives decelerate, ms: bus cycles and the drives' own delay.
 const QUICK_STOP_DELAY_MS: u32 = 30;
-/// Time until a reset shows in the drives' status, ms.
-const RESET_MS: u32 = 30;
-
 impl Application {
     /// The state machine before a configuration has been taken.
     pub const fn new() -> Self {
@@ -187,16 +189,15 @@ impl Application {
     ///
     /// # Errors
     /// The reason; nothing has changed.
-    pub fn command(&mut self, command: crate::link::protocol::Command) -> Result<(), Refusal> {
-        use crate::link::protocol::Command;
+    pub fn command(&mut self, command: Command) -> Result<(), Refusal> {
         match command {
             Command::Stop => {
                 self.enter_fault(Fault::EmergencyStop(StopSource::Link));
                 Ok(())
             }
             Command::Acknowledge => self.acknowledge(),
-            Command::Reference => self.reference(None),
-            Command::ReferenceAt { pose, .. } => self.reference(Some(pose)),
+            Command::Home => self.home(None),
+            Command::HomeAt { pose, .. } => self.home(Some(pose)),
             Command::Enable => self.enable(),
             Command::Disable => self.disable(),
             Command::Draw { .. } => {
@@ -239,35 +240,6 @@ impl Application {
         }
     }
 
-    /// Advances by one millisecond: takes the reports and returns the actions.
-    pub fn step(
-        &mut self,
-        now_ms: u32,
-        condition: &Condition,
-        progress: Progress,
-        host_silence_ms: u32,
-    ) -> Vec<Action, ACTIONS_MAX> {
-        self.now_ms = now_ms;
-        self.condition = *condition;
-        if let Some(fault) = condition.fault
-            && self.fault.is_none()
-        {
-            self.enter_fault(fault);
-        }
-        if progress.stalled_ms > 0 && self.fault.is_none() {
-            self.enter_fault(Fault::MotionStalled {
-                vertex: progress.executed,
-                waited_ms: progress.stalled_ms,
-            });
-        }
-        self.look_at_reference();
-        self.step_enabling();
-        self.step_stop();
-        self.step_recovery();
-        self.step_motion(progress, host_silence_ms);
-        self.take_actions()
-    }
-
     /// Actions that have become due since the last call; call it after each command.
     pub fn take_actions(&mut self) -> Vec<Action, ACTIONS_MAX> {
         core::mem::take(&mut self.actions)
@@ -289,8 +261,8 @@ impl Application {
         }
     }
 
-    /// Checks that a motion may begin: no operation is in progress. Taking a reference counts as one, because it takes
-    /// the references of a motion away from the drives.
+    /// Checks that a motion may begin: no operation is in progress. Homing counts as one, because it takes the
+    /// setpoints of a motion away from the drives.
     fn require_idle(&self) -> Result<(), Refusal> {
         match self.mode {
             Mode::Idle if self.enabling != Enabling::No => Err(Refusal::Moving),
@@ -359,15 +331,15 @@ impl Application {
         }
     }
 
-    fn reference(&mut self, near: Option<JointAngles>) -> Result<(), Refusal> {
+    fn home(&mut self, near: Option<JointAngles>) -> Result<(), Refusal> {
         if !matches!(self.mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
             return Err(Refusal::NotInMode(self.mode));
         }
         if !self.condition.standstill || self.enabling != Enabling::No {
             return Err(Refusal::Moving);
         }
-        self.act(Action::TakeReference { near });
-        self.enabling = Enabling::Referencing { since_ms: self.now_ms };
+        self.act(Action::Home { near });
+        self.enabling = Enabling::Homing { since_ms: self.now_ms };
         Ok(())
     }
 
@@ -440,134 +412,6 @@ impl Application {
 
     fn waited_ms(&self, since_ms: u32) -> u32 {
         self.now_ms.wrapping_sub(since_ms)
-    }
-
-    /// Requires the angles of all axes in modes in which the robot moves or may be asked to move.
-    fn look_at_reference(&mut self) {
-        let needed = match self.mode {
-            Mode::Idle | Mode::Moving | Mode::Drawing | Mode::Holding => true,
-            Mode::Stopping => self.cancelling,
-            _ => false,
-        };
-        if let Some(axis) = self.condition.unreferenced.filter(|_| needed) {
-            self.enter_fault(Fault::ReferenceLost { axis });
-        }
-    }
-
-    fn step_enabling(&mut self) {
-        match self.enabling {
-            Enabling::No => {}
-            Enabling::Referencing { since_ms } => {
-                let taken = self.condition.unreferenced.is_none() && self.waited_ms(since_ms) >= SETTLE_MS;
-                if !taken && self.waited_ms(since_ms) <= ENABLE_MAX_MS {
-                    return;
-                }
-                self.enabling = Enabling::No;
-                if matches!(self.mode, Mode::Unreferenced | Mode::Idle) {
-                    // Taking a reference ends following; on an axis without a reference the drives hold the pose again.
-                    self.follow_from_here();
-                    self.mode = if taken { Mode::Idle } else { Mode::Unreferenced };
-                }
-            }
-            Enabling::Powering { since_ms } => {
-                if self.condition.powered {
-                    self.enabling = Enabling::No;
-                    self.mode = match self.condition.unreferenced {
-                        None => Mode::Idle,
-                        Some(_) => Mode::Unreferenced,
-                    };
-                } else if self.waited_ms(since_ms) > ENABLE_MAX_MS {
-                    self.enter_fault(Fault::EnableTimeout {
-                        waited_ms: ENABLE_MAX_MS as u16,
-                    });
-                }
-            }
-        }
-    }
-
-    fn step_stop(&mut self) {
-        let Some(stop) = self.stop else { return };
-        self.stop = match stop {
-            Stop::Ramp { since_ms } if self.condition.standstill || self.waited_ms(since_ms) > STANDSTILL_MAX_MS => {
-                Some(Stop::Brake { since_ms: self.now_ms })
-            }
-            Stop::Brake { since_ms } if self.waited_ms(since_ms) >= BRAKE_DELAY_MS => {
-                self.act(Action::Power(Power::Off));
-                Some(Stop::Release { since_ms: self.now_ms })
-            }
-            Stop::Release { since_ms } if self.condition.unpowered || self.waited_ms(since_ms) > ENABLE_MAX_MS => {
-                self.mode = if self.fault.is_some() {
-                    Mode::Fault
-                } else {
-                    Mode::DrivesOff
-                };
-                None
-            }
-            waiting => Some(waiting),
-        };
-    }
-
-    fn step_recovery(&mut self) {
-        let Some(since_ms) = self.recovering_since_ms else {
-            return;
-        };
-        if self.waited_ms(since_ms) < RESET_MS {
-            return;
-        }
-        if !self.has_configuration {
-            self.recovering_since_ms = None;
-            self.fault = None;
-            self.mode = Mode::Startup;
-            return;
-        }
-        let timed_out = self.waited_ms(since_ms) > RECOVERY_MAX_MS;
-        match (self.condition.fault, self.missing()) {
-            // The fault came after the acknowledgement.
-            (Some(fault), _) => self.give_up(fault),
-            (None, None) => {
-                self.recovering_since_ms = None;
-                self.fault = None;
-                self.act(Action::Power(Power::Off));
-                self.act(Action::ClearFault);
-                self.mode = Mode::DrivesOff;
-            }
-            (None, Some(missing)) if timed_out => self.give_up(missing),
-            (None, Some(Fault::Drive { .. })) => self.act(Action::Power(Power::FaultReset)),
-            (None, Some(_)) => {}
-        }
-    }
-
-    /// What keeps the drives from being enabled again, as far as known.
-    fn missing(&self) -> Option<Fault> {
-        match (self.bus, self.condition.silent, self.condition.drive_fault) {
-            (Some(BusCondition::Failed(fault) | BusCondition::Refused(fault)), ..) => Some(fault),
-            (None, ..) => Some(Fault::RepairTimeout {
-                waited_ms: RECOVERY_MAX_MS as u16,
-            }),
-            (Some(BusCondition::Operational), Some(slave), _) => Some(Fault::SlaveLost { slave }),
-            (Some(BusCondition::Operational), None, drive_fault) => drive_fault,
-        }
-    }
-
-    /// Ends an acknowledgement that failed, with the cause.
-    fn give_up(&mut self, fault: Fault) {
-        self.recovering_since_ms = None;
-        self.fault = Some(fault);
-        self.act(Action::Power(Power::Off));
-    }
-
-    fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
-        // The references of the last period are still in the ring when the trajectory is at rest.
-        let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
-        match self.mode {
-            Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
-            Mode::Drawing | Mode::Moving | Mode::Holding if at_rest => self.mode = Mode::Idle,
-            Mode::Stopping if self.cancelling && at_rest => {
-                self.cancelling = false;
-                self.mode = Mode::Idle;
-            }
-            _ => {}
-        }
     }
 }
 

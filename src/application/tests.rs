@@ -1,7 +1,6 @@
 //! Every way through the modes, against a plant that does what it is asked for.
 
 use super::*;
-use crate::link::protocol::Command;
 use crate::motion::Pen;
 use crate::robot::Position;
 
@@ -70,7 +69,7 @@ impl Plant {
     fn take(&mut self, action: Action) {
         match action {
             Action::Power(power) if power != self.power => (self.power, self.power_since_ms) = (power, self.now_ms),
-            Action::TakeReference { .. } => self.condition.unreferenced = None,
+            Action::Home { .. } => self.condition.unreferenced = None,
             Action::ClearFault => self.condition.fault = None,
             Action::RecoverBus if self.condition.silent.is_none() => self.application.bus(BusCondition::Operational),
             _ => {}
@@ -95,7 +94,7 @@ impl Plant {
 
     fn idle() -> Self {
         let mut plant = Self::bus_up();
-        plant.order(Command::Reference).unwrap();
+        plant.order(Command::Home).unwrap();
         plant.run(10);
         plant.order(Command::Enable).unwrap();
         plant.run(50);
@@ -130,24 +129,24 @@ fn the_way_up_is_startup_bus_drives_off_idle() {
 }
 
 #[test]
-fn enabling_without_a_reference_holds_the_pose_and_draws_nothing() {
+fn enabling_before_homing_holds_the_pose_and_draws_nothing() {
     let mut plant = Plant::bus_up();
     plant.order(Command::Enable).unwrap();
     plant.run(50);
     assert_eq!(plant.mode(), Mode::Unreferenced);
     assert_eq!(plant.order(Command::Draw { job: 1 }), Err(Refusal::NotReferenced));
-    plant.order(Command::Reference).unwrap();
+    plant.order(Command::Home).unwrap();
     plant.run(10);
     assert_eq!(plant.mode(), Mode::Idle);
 }
 
 #[test]
-fn a_reference_taken_under_power_starts_the_references_anew() {
+fn homing_under_power_starts_the_setpoints_anew() {
     let mut plant = Plant::bus_up();
     plant.order(Command::Enable).unwrap();
     plant.run(50);
     plant.actions.clear();
-    plant.order(Command::Reference).unwrap();
+    plant.order(Command::Home).unwrap();
     plant.run(10);
     let epochs = plant
         .actions
@@ -182,7 +181,7 @@ fn a_drawing_ends_in_idle_when_the_path_is_executed() {
     assert_eq!(
         plant.mode(),
         Mode::Drawing,
-        "the last references are still being followed"
+        "the last setpoints are still being followed"
     );
     plant.condition.standstill = true;
     plant.run(1);
@@ -344,7 +343,7 @@ fn a_recovery_that_fails_names_what_is_still_wrong() {
 }
 
 #[test]
-fn a_motion_and_a_reference_in_one_millisecond_exclude_each_other() {
+fn a_motion_and_homing_in_one_millisecond_exclude_each_other() {
     let position = Position {
         x_mm: 0.0,
         y_mm: 0.0,
@@ -360,14 +359,14 @@ fn a_motion_and_a_reference_in_one_millisecond_exclude_each_other() {
     ];
     for motion in motions {
         let mut plant = Plant::idle();
-        plant.application.command(Command::Reference).unwrap();
+        plant.application.command(Command::Home).unwrap();
         assert_eq!(plant.application.command(motion), Err(Refusal::Moving), "{motion:?}");
         plant.run(10);
         plant.order(motion).unwrap();
         let mut plant = Plant::idle();
         plant.application.command(motion).unwrap();
         let now = Err(Refusal::NotInMode(plant.mode()));
-        assert_eq!(plant.application.command(Command::Reference), now, "{motion:?}");
+        assert_eq!(plant.application.command(Command::Home), now, "{motion:?}");
     }
 }
 
@@ -387,7 +386,7 @@ fn drives_that_do_not_take_power_are_a_fault() {
 fn the_first_fault_is_kept_when_others_follow() {
     let mut plant = Plant::drawing();
     plant.order(Command::Stop).unwrap();
-    plant.condition.fault = Some(Fault::ReferenceUnderrun);
+    plant.condition.fault = Some(Fault::SetpointUnderrun);
     plant.run(100);
     assert_eq!(plant.application.fault(), Some(Fault::EmergencyStop(StopSource::Link)));
 }

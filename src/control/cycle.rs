@@ -1,6 +1,6 @@
 //! Data exchanged between the sampler and the slower tasks.
 //!
-//! The slower tasks send commands and references; the sampler sends a report every millisecond. All of it is plain data
+//! The slower tasks send commands and setpoints; the sampler sends a report every millisecond. All of it is plain data
 //! that the lock-free queues copy; the logic is in the sampler.
 //!
 //! Invariant: a report holds everything that a slower task may know about its millisecond; no task asks the sampler for
@@ -10,16 +10,16 @@ use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
 use crate::ethercat::cyclic::BusCounters;
-use crate::motion::Reference;
+use crate::motion::Setpoint;
 use crate::robot::{AXES, JointAngles};
 
-/// A reference for the sampler, with the start that it belongs to.
+/// A setpoint for the sampler, with the start that it belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Queued {
-    /// The start ([`crate::application::Action::Place`]) this reference belongs to.
+    /// The start ([`crate::application::Action::Place`]) this setpoint belongs to.
     pub epoch: u8,
-    /// The reference.
-    pub reference: Reference,
+    /// The setpoint.
+    pub setpoint: Setpoint,
 }
 
 /// A command of the slower tasks to the sampler.
@@ -35,13 +35,13 @@ pub enum SamplerCommand {
     },
     /// Power of the drives.
     Power(Power),
-    /// Take the resolvers' present angles as the reference, on the turns nearest to a pose, or nearest to the marks if
-    /// there is no pose.
-    TakeReference {
+    /// Home: take the resolvers' present angles as the joint angles, on the turns nearest to a pose, or nearest to the
+    /// marks if there is no pose.
+    Home {
         /// The pose.
         near: Option<JointAngles>,
     },
-    /// Follow the references of this start.
+    /// Follow the setpoints of this start.
     Follow {
         /// Number of the start.
         epoch: u8,
@@ -57,7 +57,7 @@ pub struct SamplerCounters {
     pub cycles: u32,
     /// Output telegrams later than [`OUTPUT_LATE_NS`](super::sampler::OUTPUT_LATE_NS), or not sent at all.
     pub cycles_late: u32,
-    /// Milliseconds without a reference while following.
+    /// Milliseconds without a setpoint while following.
     pub underruns: u32,
     /// Reports dropped because their queue was full.
     pub reports_dropped: u32,
@@ -68,9 +68,9 @@ pub struct SamplerCounters {
 pub struct CycleReport {
     /// Number of the millisecond.
     pub cycle: u32,
-    /// The reference that was followed.
-    pub reference: Reference,
-    /// Whether a reference was followed.
+    /// The setpoint that was followed.
+    pub setpoint: Setpoint,
+    /// Whether a setpoint was followed.
     pub following: bool,
     /// Measured or predicted joint positions, rad.
     pub measured_rad: [f64; AXES],

@@ -1,14 +1,14 @@
 //! Whether an axis's position feedback can be true: what was sent to the drive against what the position shows.
 //!
 //! A [`FeedbackMonitor`] predicts the motion from the commands that really went to the drive and compares it with the
-//! measured motion, each millisecond. It does not look at the reference: a controller whose feedback does not answer
+//! measured motion, each millisecond. It does not look at the setpoint: a controller whose feedback does not answer
 //! sends more and more, and only what was sent tells how far the motor has gone.
 //!
 //! - **Velocity.** The drive follows the velocity after a delay, modelled as a low-pass of that delay. The *deviation*
 //!   is the sum of predicted less measured motion. What is left of a wrong delay is a motion of [`LAG_MS`] at the present
 //!   speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
 //! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its position
-//!   error. Beside it the motion is compared with the one before, with the reference and with the torque
+//!   error. Beside it the motion is compared with the one before, with the setpoint and with the torque
 //!   (`torque_feedback.rs`).
 //! - **Noise.** The mean change of the measured speed from one millisecond to the next is an acceleration. Above what
 //!   any motor can do, the measurement is noise.
@@ -173,7 +173,7 @@ impl FeedbackMonitor {
         moved_rad / (1.0 + f32::from(core::mem::take(&mut self.blind_ms)))
     }
 
-    /// Tells what the references demand from now on; only a torque axis needs it.
+    /// Tells what the setpoints demand from now on; only a torque axis needs it.
     pub fn set_demanded(&mut self, demanded: &Demanded) {
         if let Model::Torque(model) = &mut self.model {
             model.set_demanded(demanded);
@@ -339,7 +339,7 @@ mod tests {
         ahead: VecDeque<f64>,
         velocity_rad_s: f64,
         goal_rad_s: f64,
-        reference_rad: f64,
+        setpoint_rad: f64,
         measured_rad: f64,
         obeyed: i32,
         sent: i32,
@@ -368,7 +368,7 @@ mod tests {
                 ahead: VecDeque::from([0.0; 12]),
                 velocity_rad_s: 0.0,
                 goal_rad_s: 0.0,
-                reference_rad: 0.0,
+                setpoint_rad: 0.0,
                 measured_rad: 0.0,
                 obeyed: 0,
                 sent: 0,
@@ -395,7 +395,7 @@ mod tests {
             let next = wander(seed, &mut self.velocity_rad_s, &mut self.goal_rad_s, speed_rad_s);
             self.ahead.push_back(next);
             self.ahead.pop_front();
-            self.reference_rad += self.ahead[0] * STEP_S;
+            self.setpoint_rad += self.ahead[0] * STEP_S;
             let believed = if splitmix(seed) < LOST && self.blind_ms < 5 {
                 self.blind_ms += 1;
                 self.monitor.step_blind(sent);
@@ -407,7 +407,7 @@ mod tests {
                 self.monitor.step(sent, moved)
             };
             let ahead = self.ahead.iter().copied();
-            let command_rad_s = self.controller.step(self.reference_rad, self.measured_rad, ahead);
+            let command_rad_s = self.controller.step(self.setpoint_rad, self.measured_rad, ahead);
             self.sent = (command_rad_s.clamp(-27.0, 27.0) * DIGITS) as i32;
             believed
         }

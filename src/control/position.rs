@@ -1,9 +1,9 @@
 //! The position controller: v = Kfb (x_ref(t - age) - x) + Kff v_ff(t + lead).
 //!
 //! A measurement is older than the moment it is used, and a command takes effect later than the moment it is computed.
-//! The controller compares the measurement with the reference of the same age, and feeds forward the velocity reference
+//! The controller compares the measurement with the setpoint of the same age, and feeds forward the velocity setpoint
 //! of the moment at which the drive will follow. Fractions of a millisecond are interpolated between neighbouring
-//! references. `etherpen identify` finds gains and delays.
+//! setpoints. `etherpen identify` finds gains and delays.
 //!
 //! Invariant: the command is the output of the control law, neither clamped nor filtered, so that the supervision sees
 //! a demand beyond the limit or a NaN. `ethercat_robot` clamps the value sent to a drive, and sends 0 instead of a NaN.
@@ -14,16 +14,16 @@ use crate::config::Axis;
 pub const AGE_MAX_MS: usize = 10;
 /// Greatest lead of the feed-forward, ms; the bound of `axes.feed_forward_lead_ms`.
 pub const LEAD_MAX_MS: usize = 10;
-/// Time from the centre of a velocity reference to its time stamp, ms: it is the difference over the millisecond that
+/// Time from the centre of a velocity setpoint to its time stamp, ms: it is the difference over the millisecond that
 /// ends there.
 const DIFFERENCE_CENTRE_MS: f64 = 0.5;
 /// Cycles in a second.
 const CYCLES_PER_S: f64 = 1_000.0;
-/// References kept: the present one, the oldest whole age, one more to interpolate to, and the one before it; a power of
+/// Setpoints kept: the present one, the oldest whole age, one more to interpolate to, and the one before it; a power of
 /// two, so that an index is wrapped by a mask.
 const HISTORY: usize = (AGE_MAX_MS + 3).next_power_of_two();
-/// Upcoming references that [`PositionController::step`] looks at, counted from the present one.
-pub const REFERENCES_AHEAD: usize = LEAD_MAX_MS + 3;
+/// Upcoming setpoints that [`PositionController::step`] looks at, counted from the present one.
+pub const SETPOINTS_AHEAD: usize = LEAD_MAX_MS + 3;
 
 /// Position controller of one axis, stepped once a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +35,7 @@ pub struct PositionController {
     history: [f64; HISTORY],
     newest: usize,
     filled: bool,
-    reference_at_age_rad: f64,
+    setpoint_at_age_rad: f64,
 }
 
 impl PositionController {
@@ -50,35 +50,35 @@ impl PositionController {
             history: [0.0; HISTORY],
             newest: 0,
             filled: false,
-            reference_at_age_rad: 0.0,
+            setpoint_at_age_rad: 0.0,
         }
     }
 
-    /// Discards the references: the next one counts as having been constant before. Used when the axis is enabled.
+    /// Discards the setpoints: the next one counts as having been constant before. Used when the axis is enabled.
     pub fn reset(&mut self) {
         self.filled = false;
     }
 
     /// Advances by one millisecond.
     ///
-    /// `reference_rad` is the position reference of this millisecond, `measured_rad` the latest measurement. `ahead`
-    /// gives the velocity references from this millisecond on; after its end its last value is used.
+    /// `setpoint_rad` is the position setpoint of this millisecond, `measured_rad` the latest measurement. `ahead`
+    /// gives the velocity setpoints from this millisecond on; after its end its last value is used.
     ///
     /// Returns the velocity command, rad/s at the joint, unclamped; not finite when an input is not.
-    pub fn step(&mut self, reference_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
+    pub fn step(&mut self, setpoint_rad: f64, measured_rad: f64, ahead: impl IntoIterator<Item = f64>) -> f64 {
         let forward_rad_s = interpolate(ahead, self.lead);
-        self.step_with(reference_rad, measured_rad, forward_rad_s)
+        self.step_with(setpoint_rad, measured_rad, forward_rad_s)
     }
 
-    /// Advances like [`Self::step`], with the velocity reference at [`Self::lead`].
+    /// Advances like [`Self::step`], with the velocity setpoint at [`Self::lead`].
     #[inline]
-    pub(super) fn step_with(&mut self, reference_rad: f64, measured_rad: f64, forward_rad_s: f64) -> f64 {
-        self.remember(reference_rad);
-        let error = self.reference_at_age_rad - measured_rad;
+    pub(super) fn step_with(&mut self, setpoint_rad: f64, measured_rad: f64, forward_rad_s: f64) -> f64 {
+        self.remember(setpoint_rad);
+        let error = self.setpoint_at_age_rad - measured_rad;
         self.feedback_gain_per_s * error + self.feed_forward_gain * forward_rad_s
     }
 
-    /// Place among the velocity references from this millisecond on at which the feed-forward is read.
+    /// Place among the velocity setpoints from this millisecond on at which the feed-forward is read.
     #[inline]
     pub(super) fn lead(&self) -> Place {
         self.lead
@@ -87,21 +87,21 @@ impl PositionController {
     /// Advances an axis whose velocity loop is closed by the firmware by one millisecond.
     ///
     /// Returns the velocity to compare with the measured one, rad/s at the joint. Its feed-forward is the difference of
-    /// the reference over the millisecond over which the latest measurements were differenced.
-    pub fn step_for_torque(&mut self, reference_rad: f64, measured_rad: f64) -> f64 {
-        self.remember(reference_rad);
-        let reference_rad = self.reference_at_age_rad;
-        let forward = (reference_rad - self.reference_back(1)) * CYCLES_PER_S;
-        self.feedback_gain_per_s * (reference_rad - measured_rad) + self.feed_forward_gain * forward
+    /// the setpoint over the millisecond over which the latest measurements were differenced.
+    pub fn step_for_torque(&mut self, setpoint_rad: f64, measured_rad: f64) -> f64 {
+        self.remember(setpoint_rad);
+        let setpoint_rad = self.setpoint_at_age_rad;
+        let forward = (setpoint_rad - self.setpoint_back(1)) * CYCLES_PER_S;
+        self.feedback_gain_per_s * (setpoint_rad - measured_rad) + self.feed_forward_gain * forward
     }
 
-    /// The reference to which the latest measurement is compared, rad.
-    pub fn reference_at_age(&self) -> f64 {
-        self.reference_at_age_rad
+    /// The setpoint to which the latest measurement is compared, rad.
+    pub fn setpoint_at_age(&self) -> f64 {
+        self.setpoint_at_age_rad
     }
 
-    /// The reference this many whole milliseconds before the latest measurement, rad.
-    fn reference_back(&self, before_ms: usize) -> f64 {
+    /// The setpoint this many whole milliseconds before the latest measurement, rad.
+    fn setpoint_back(&self, before_ms: usize) -> f64 {
         let back = self.newest.wrapping_sub(self.age.whole + before_ms);
         let (low, high) = (
             self.history[back % HISTORY],
@@ -111,14 +111,14 @@ impl PositionController {
     }
 
     #[inline]
-    fn remember(&mut self, reference_rad: f64) {
+    fn remember(&mut self, setpoint_rad: f64) {
         if !self.filled {
-            self.history = [reference_rad; HISTORY];
+            self.history = [setpoint_rad; HISTORY];
             self.filled = true;
         }
         self.newest = (self.newest + 1) % HISTORY;
-        self.history[self.newest % HISTORY] = reference_rad;
-        self.reference_at_age_rad = self.reference_back(0);
+        self.history[self.newest % HISTORY] = setpoint_rad;
+        self.setpoint_at_age_rad = self.setpoint_back(0);
     }
 }
 
@@ -175,11 +175,11 @@ mod tests {
     }
 
     #[test]
-    fn a_measurement_is_compared_with_the_reference_of_its_age() {
+    fn a_measurement_is_compared_with_the_setpoint_of_its_age() {
         let mut controller = PositionController::new(&axis(2.25, 0.0));
         for ms in 0..40 {
-            let reference = 0.01 * f64::from(ms);
-            let command = controller.step(reference, reference - 0.0225, [0.0; 2]);
+            let setpoint = 0.01 * f64::from(ms);
+            let command = controller.step(setpoint, setpoint - 0.0225, [0.0; 2]);
             assert!(ms < 4 || command.abs() < 1.0e-9, "{command} at {ms} ms");
         }
     }
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn references_that_end_early_go_on_with_the_last_one() {
+    fn setpoints_that_end_early_go_on_with_the_last_one() {
         let mut controller = PositionController::new(&axis(1.0, 3.1));
         assert_eq!(controller.step(1.0, 1.0, [0.5, 0.25]), 0.25);
         assert_eq!(controller.step(1.0, 1.0, []), 0.0);
@@ -216,7 +216,7 @@ mod tests {
                 let measured = position(f64::from(ms) - age_ms);
                 let wanted = controller.step_for_torque(position(ms.into()), measured);
                 let expected = (measured - position(f64::from(ms) - age_ms - 1.0)) * CYCLES_PER_S;
-                // Between two references the parabola is a chord.
+                // Between two setpoints the parabola is a chord.
                 assert!(
                     ms < 14 || (wanted - expected).abs() < 0.005,
                     "{wanted} at {ms} ms, age {age_ms} ms"
@@ -226,12 +226,12 @@ mod tests {
     }
 
     #[test]
-    fn enabling_forgets_old_references() {
+    fn enabling_forgets_old_setpoints() {
         let mut controller = PositionController::new(&axis(5.0, 0.0));
         controller.step(3.0, 3.0, [0.0]);
         controller.reset();
         assert_eq!(controller.step(1.0, 1.0, [0.0]), 0.0);
     }
 
-    const _: () = assert!(REFERENCES_AHEAD > LEAD_MAX_MS + 1 && HISTORY > AGE_MAX_MS + 2);
+    const _: () = assert!(SETPOINTS_AHEAD > LEAD_MAX_MS + 1 && HISTORY > AGE_MAX_MS + 2);
 }

@@ -9,7 +9,7 @@
 //! telegram.
 //!
 //! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets
-//! a velocity other than zero only while it follows references of the epoch it was told; the first fault makes every
+//! a velocity other than zero only while it follows setpoints of the epoch it was told; the first fault makes every
 //! following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
@@ -71,7 +71,7 @@ pub struct Sampler<'a> {
     has_torque_axis: bool,
     supervision: Supervision,
     commands: Consumer<'a, SamplerCommand>,
-    references: Consumer<'a, Queued>,
+    setpoints: Consumer<'a, Queued>,
     reports: Producer<'a, CycleReport>,
     phase: Phase,
     power: Power,
@@ -103,7 +103,7 @@ impl<'a> Sampler<'a> {
         exchange: RobotExchange<'a>,
         network: NetworkEnd<'a>,
         commands: Consumer<'a, SamplerCommand>,
-        references: Consumer<'a, Queued>,
+        setpoints: Consumer<'a, Queued>,
         reports: Producer<'a, CycleReport>,
     ) -> Self {
         let axes = [Axis::default(); AXES];
@@ -119,7 +119,7 @@ impl<'a> Sampler<'a> {
             has_torque_axis: false,
             supervision: Supervision::new(),
             commands,
-            references,
+            setpoints,
             reports,
             phase: Phase::Done,
             power: Power::Off,
@@ -250,7 +250,7 @@ impl<'a> Sampler<'a> {
         self.phase = Phase::Done;
         self.measure();
         self.steer();
-        let (following, underrun) = self.next_reference();
+        let (following, underrun) = self.next_setpoint();
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
@@ -328,7 +328,7 @@ impl<'a> Sampler<'a> {
                         self.epoch = None;
                     }
                 }
-                SamplerCommand::TakeReference { near } => {
+                SamplerCommand::Home { near } => {
                     self.epoch = None;
                     // A refusal leaves the axes without a reference, which the operating modes see and report.
                     let _ = self.robot.reference(near.as_ref());
@@ -390,19 +390,19 @@ impl<'a> Sampler<'a> {
         now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
     }
 
-    /// Advances to this millisecond's reference: whether one is followed, and whether one was missing.
+    /// Advances to this millisecond's setpoint: whether one is followed, and whether one was missing.
     #[inline]
-    fn next_reference(&mut self) -> (bool, bool) {
+    fn next_setpoint(&mut self) -> (bool, bool) {
         let Some(epoch) = self.epoch else {
             self.window.clear();
             return (false, false);
         };
         let was_following = !self.window.is_empty();
         self.window.advance();
-        self.window.fill(&mut self.references, epoch);
+        self.window.fill(&mut self.setpoints, epoch);
         match self.window.first() {
-            Some(reference) => {
-                self.now.reference = *reference;
+            Some(setpoint) => {
+                self.now.setpoint = *setpoint;
                 (true, false)
             }
             None => (false, was_following),
@@ -429,11 +429,11 @@ impl<'a> Sampler<'a> {
     /// The velocity command of an axis, rad/s; `around` is what the first axis's lead reads.
     #[inline(always)]
     fn control_axis<const AXIS: usize>(&mut self, around: &[[f64; AXES]; 2]) -> f64 {
-        let (reference_rad, measured_rad) = (self.now.reference.position_rad[AXIS], self.now.measured_rad[AXIS]);
+        let (setpoint_rad, measured_rad) = (self.now.setpoint.position_rad[AXIS], self.now.measured_rad[AXIS]);
         let whole = self.controllers[0].lead().whole;
         let controller = &mut self.controllers[AXIS];
         if self.axes[AXIS].mode == AxisMode::Torque {
-            return controller.step_for_torque(reference_rad, measured_rad);
+            return controller.step_for_torque(setpoint_rad, measured_rad);
         }
         let lead = controller.lead();
         let [low, high] = match lead.whole == whole {
@@ -443,7 +443,7 @@ impl<'a> Sampler<'a> {
                 .velocities_around(lead.whole)
                 .map(|velocities| velocities[AXIS]),
         };
-        controller.step_with(reference_rad, measured_rad, lead.between(low, high))
+        controller.step_with(setpoint_rad, measured_rad, lead.between(low, high))
     }
 
     #[inline(never)]
@@ -470,7 +470,7 @@ impl<'a> Sampler<'a> {
         };
         if following {
             for (axis, error) in seen.following_error_rad.iter_mut().enumerate() {
-                *error = self.controllers[axis].reference_at_age() - self.now.measured_rad[axis];
+                *error = self.controllers[axis].setpoint_at_age() - self.now.measured_rad[axis];
             }
         }
         if power && self.robot.is_in_operation() {
@@ -537,7 +537,7 @@ impl<'a> Sampler<'a> {
         self.robot.write_axis::<AXIS>(&mut self.exchange, &command);
     }
 
-    /// Tells the axes what the references demand of them and of the others.
+    /// Tells the axes what the setpoints demand of them and of the others.
     #[inline(never)]
     fn tell_demanded(&mut self, moving: bool) {
         let mut demanded = [Demanded::default(); AXES];

@@ -34,9 +34,9 @@ pub struct Observation {
     pub clock: Option<Fault>,
     /// Whether the drives should have power.
     pub power: bool,
-    /// Whether the drives follow references.
+    /// Whether the drives follow setpoints.
     pub following: bool,
-    /// Whether the ring of references was empty.
+    /// Whether the ring of setpoints was empty.
     pub underrun: bool,
     /// Number of output telegrams since the last cycle that were late or not sent at all.
     pub late: u16,
@@ -167,7 +167,7 @@ impl Supervision {
             self.latch(fault);
         }
         if seen.underrun {
-            self.latch(Fault::ReferenceUnderrun);
+            self.latch(Fault::SetpointUnderrun);
         }
     }
 
@@ -400,9 +400,9 @@ mod tests {
     #[test]
     fn the_first_cause_stays_until_it_is_cleared() {
         let mut supervision = Supervision::new();
-        supervision.latch(Fault::ReferenceUnderrun);
+        supervision.latch(Fault::SetpointUnderrun);
         supervision.latch(Fault::ReferenceLost { axis: 0 });
-        assert_eq!(supervision.fault(), Some(Fault::ReferenceUnderrun));
+        assert_eq!(supervision.fault(), Some(Fault::SetpointUnderrun));
         supervision.clear();
         assert_eq!(supervision.fault(), None);
     }

@@ -1,4 +1,4 @@
-//! Whether the position feedback of an axis in torque mode can be true: torque and references against the motion shown.
+//! Whether the position feedback of an axis in torque mode can be true: torque and setpoints against the motion shown.
 //!
 //! In torque mode the firmware closes the velocity loop, so that a wrong feedback makes an arm run away with the square of
 //! time and faster. Four comparisons, each quick where the others are slow:
@@ -7,11 +7,11 @@
 //!   inertia; the load is part of its state. Its position error answers an acceleration `d` that the model lacks with
 //!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a filter
 //!   with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of `|d|` is in
-//!   proportion to what the references demand now, not to what they may demand ever.
+//!   proportion to what the setpoints demand now, not to what they may demand ever.
 //! - **Sudden.** The motion of two milliseconds differs from that of the two before by what the motor can do, or by one
 //!   position that is repeated or left out.
-//! - **Stuck.** While the reference moves, the position follows in the same direction.
-//! - **Torque against a position at rest.** The torque less what accelerates the axis as its reference demands is the load.
+//! - **Stuck.** While the setpoint moves, the position follows in the same direction.
+//! - **Torque against a position at rest.** The torque less what accelerates the axis as its setpoint demands is the load.
 //!   While the position stands, the load changes by no more than friction, the changing weight, and the *doubt*: what
 //!   inertia, coupling and speed may add to the load that the model does not know. The load is compared with the one of the
 //!   moment at which the position came to where it stands, and that one was in doubt as well: both doubts count.
@@ -26,7 +26,7 @@
 //! 770, 30 robot hours, used at most 0.75 of any limit; sound motions of seeds 100 to 104 of the scan at most 0.72 (before
 //! that change).
 //!
-//! Invariants: bounded work; all values stay finite; what the references demand comes from the plan, never from the axis's
+//! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the axis's
 //! own feedback.
 
 use super::limited;
@@ -37,9 +37,9 @@ const OBSERVER_PER_S: f32 = 30.0;
 const OBSERVER_PER_MS: f32 = OBSERVER_PER_S / 1_000.0;
 /// Poles of the filter that bounds the observer's error, per millisecond.
 const BOUND_PER_MS: f32 = 0.86 * OBSERVER_PER_MS;
-/// Acceleration that the model lacks for one of the axis's own reference: the inertia may be wrong by this share.
+/// Acceleration that the model lacks for one of the axis's own setpoint: the inertia may be wrong by this share.
 const OWN_SHARE: f32 = 0.3;
-/// Acceleration that the model lacks for one of the other axes' references: coupling.
+/// Acceleration that the model lacks for one of the other axes' setpoints: coupling.
 const OTHERS_SHARE: f32 = 0.2;
 /// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: the weight changes with the pose.
 const WEIGHT_PER_S: f32 = 0.4;
@@ -48,21 +48,21 @@ const ENABLING_RAD_S2: f32 = 30.0;
 /// Speed that stands for it in the observer's bound, rad a millisecond.
 const ENABLING_RAD: f32 = 2.0e-3;
 
-/// Change of the speed in two milliseconds that is never sudden, rad/s2, and the part of the references' greatest
+/// Change of the speed in two milliseconds that is never sudden, rad/s2, and the part of the setpoints' greatest
 /// acceleration that adds to it.
 const SUDDEN_RAD_S2: f32 = 125.0;
 const SUDDEN_SHARE: f32 = 0.75;
 
 /// Motion within which a position counts as standing, rad.
 const STANDING_RAD: f32 = 2.0e-4;
-/// Motion of the reference from which a position that goes the other way does not follow, rad.
+/// Motion of the setpoint from which a position that goes the other way does not follow, rad.
 const LED_RAD: f32 = 0.5 * STANDING_RAD;
-/// How far the reference may go from a position that stands, beside what follows from the controllers: a part of the
+/// How far the setpoint may go from a position that stands, beside what follows from the controllers: a part of the
 /// deviation limit.
 const STUCK_LIMIT_SHARE: f32 = 0.15;
-/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any reference: inertia and coupling.
+/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any setpoint: inertia and coupling.
 const LACKING_SHARE: f64 = 0.55;
-/// What that load counts for an axis that stands: it has sunk, comes back against its reference, and then goes with it.
+/// What that load counts for an axis that stands: it has sunk, comes back against its setpoint, and then goes with it.
 const ENABLED_SHARE: f32 = 3.0;
 /// The most that follows from accelerations, in deviation limits: above 1 m/s a feedback that is frozen has to be found soon.
 const STUCK_MOST_SHARE: f32 = 1.25;
@@ -84,9 +84,9 @@ const BENT_SHARE: f32 = 0.45;
 const LOAD_PER_RAD_S2: f32 = 9.0;
 /// Share of a new torque in the one that is compared with a position at rest: the mean of 16 ms.
 const TORQUE_SHARE: f32 = 1.0 / 16.0;
-/// Share by which the load of a position at rest is learned in each millisecond while no reference moves: 20 ms.
+/// Share by which the load of a position at rest is learned in each millisecond while no setpoint moves: 20 ms.
 const REST_SHARE: f32 = 0.05;
-/// Share of a past speed that a millisecond leaves: the motion answers later than the reference.
+/// Share of a past speed that a millisecond leaves: the motion answers later than the setpoint.
 const HELD_SHARE: f32 = 0.95;
 
 /// Length of a step, s.
@@ -95,18 +95,18 @@ const STEP_S2: f32 = (STEP_S * STEP_S) as f32;
 /// Stands for an inertia of 0, which switches the torque feed-forward off.
 const INERTIA_MIN_KG_M2: f64 = 1.0e-3;
 
-/// What the references demand in this millisecond.
+/// What the setpoints demand in this millisecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Demanded {
-    /// Speed of the axis's own reference, rad/s.
+    /// Speed of the axis's own setpoint, rad/s.
     pub own_rad_s: f32,
-    /// Acceleration of the axis's own reference, rad/s2.
+    /// Acceleration of the axis's own setpoint, rad/s2.
     pub own_rad_s2: f32,
-    /// Accelerations of the other axes' references, rad/s2: the sum of their amounts.
+    /// Accelerations of the other axes' setpoints, rad/s2: the sum of their amounts.
     pub others_rad_s2: f32,
-    /// Greatest speed of any axis's reference, rad/s.
+    /// Greatest speed of any axis's setpoint, rad/s.
     pub greatest_rad_s: f32,
-    /// Greatest acceleration of any axis's reference, rad/s2.
+    /// Greatest acceleration of any axis's setpoint, rad/s2.
     pub greatest_rad_s2: f32,
 }
 
@@ -126,14 +126,14 @@ impl Margin {
     }
 }
 
-/// How far a sound axis stays behind its reference.
+/// How far a sound axis stays behind its setpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Following {
     /// In any case, rad.
     base_rad: f32,
-    /// For each rad/s of the reference: the delays, s.
+    /// For each rad/s of the setpoint: the delays, s.
     per_rad_s: f32,
-    /// For each rad/s2 of the references, s2.
+    /// For each rad/s2 of the setpoints, s2.
     per_rad_s2: f32,
     /// The most of that, rad.
     most_rad: f32,
@@ -149,7 +149,7 @@ impl Following {
     /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain, a
     /// load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
     /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f). From an error on one
-    /// side to one on the other, the reference moves by twice that while the position stands.
+    /// side to one on the other, the setpoint moves by twice that while the position stands.
     fn of(axis: &Axis) -> Self {
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
@@ -175,7 +175,7 @@ pub(super) struct TorqueModel {
     kept: f32,
     following: Following,
     demanded: Demanded,
-    /// Speed and acceleration of references that were demanded a moment ago, rad/s and rad/s2.
+    /// Speed and acceleration of setpoints that were demanded a moment ago, rad/s and rad/s2.
     held_rad_s: f32,
     lasting_rad_s2: f32,
     /// Filtered command, change of speed in a millisecond.
@@ -189,8 +189,8 @@ pub(super) struct TorqueModel {
     unrest_rad: f32,
     /// Motion measured in the last milliseconds, the newest first, rad.
     recent_rad: [f32; 3],
-    /// Since the position last left its place: motion of the reference, of the position, and the longest way of any axis, rad.
-    reference_rad: f32,
+    /// Since the position last left its place: motion of the setpoint, of the position, and the longest way of any axis, rad.
+    setpoint_rad: f32,
     position_rad: f32,
     way_rad: f32,
     /// Mean load, and that of when the position last left its place; changes of speed in a millisecond.
@@ -229,7 +229,7 @@ impl TorqueModel {
             unrest_speed_rad: ENABLING_RAD,
             unrest_rad: 0.0,
             recent_rad: [0.0; 3],
-            reference_rad: 0.0,
+            setpoint_rad: 0.0,
             position_rad: 0.0,
             way_rad: 0.0,
             mean_load_rad: 0.0,
@@ -247,7 +247,7 @@ impl TorqueModel {
         *self = Self::at_rest(self.rad_per_digit, self.kept, self.following);
     }
 
-    /// Tells what the references demand from now on.
+    /// Tells what the setpoints demand from now on.
     pub(super) fn set_demanded(&mut self, demanded: &Demanded) {
         self.demanded = *demanded;
     }
@@ -275,7 +275,7 @@ impl TorqueModel {
         self.unrest_rad += self.unrest_speed_rad - self.unrest_rad * BOUND_PER_MS;
         self.held_rad_s = greater(demanded.own_rad_s.abs(), self.held_rad_s * HELD_SHARE);
         self.lasting_rad_s2 = greater(demanded.greatest_rad_s2, self.lasting_rad_s2 * self.following.kept);
-        self.reference_rad += demanded.own_rad_s * STEP_S as f32;
+        self.setpoint_rad += demanded.own_rad_s * STEP_S as f32;
         self.way_rad += demanded.greatest_rad_s * STEP_S as f32;
         self.push_rad = self.push_rad * self.kept + sent_digits * self.rad_per_digit;
         let load_rad = self.push_rad - demanded.own_rad_s2 * STEP_S2;
@@ -302,7 +302,7 @@ impl TorqueModel {
         deviation_rad - 3.0 * OBSERVER_PER_MS * deviation_rad
     }
 
-    /// Takes the motion of a millisecond, rad. Whether it goes with the motion before, the references and the torque.
+    /// Takes the motion of a millisecond, rad. Whether it goes with the motion before, the setpoints and the torque.
     #[inline]
     pub(super) fn follows(&mut self, moved_rad: f32) -> bool {
         self.look_for_sudden(moved_rad);
@@ -341,18 +341,18 @@ impl TorqueModel {
         };
     }
 
-    /// The reference, and the torque, beside a position that stands where it stood.
+    /// The setpoint, and the torque, beside a position that stands where it stood.
     #[inline]
     fn look_for_stuck(&mut self, moved_rad: f32) {
         self.position_rad += moved_rad;
         let is_left = self.position_rad.abs() > STANDING_RAD;
-        let is_led = self.reference_rad.abs() > LED_RAD;
-        let against = self.position_rad * self.reference_rad < 0.0;
+        let is_led = self.setpoint_rad.abs() > LED_RAD;
+        let against = self.position_rad * self.setpoint_rad < 0.0;
         if is_left & is_led & against {
             // The way back counts as following.
             self.position_rad = limited(self.position_rad, STANDING_RAD);
         } else if is_left {
-            (self.reference_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
+            (self.setpoint_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
             (self.mark_load_rad, self.mark_doubt_rad) = (self.mean_load_rad, self.doubt_rad);
         }
         if self.demanded.greatest_rad_s == 0.0 {
@@ -366,7 +366,7 @@ impl TorqueModel {
             value: if self.demanded.own_rad_s == 0.0 {
                 0.0
             } else {
-                self.reference_rad.abs()
+                self.setpoint_rad.abs()
             },
             limit: following.base_rad + following.per_rad_s * self.held_rad_s + lasting_rad,
         };

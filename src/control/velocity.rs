@@ -53,9 +53,9 @@ impl VelocityController {
 
     /// Advances by one millisecond; returns the torque command, N m at the joint.
     ///
-    /// `wanted_rad_s` and `measured_rad_s` are velocities at the joint. `ahead` gives the velocity references from this
+    /// `wanted_rad_s` and `measured_rad_s` are velocities at the joint. `ahead` gives the velocity setpoints from this
     /// millisecond on, each the difference over the millisecond that ends there. Their differences are the acceleration
-    /// for the torque feed-forward, which is 0 without references.
+    /// for the torque feed-forward, which is 0 without setpoints.
     pub fn step(&mut self, wanted_rad_s: f64, measured_rad_s: f64, mut ahead: impl Iterator<Item = f64>) -> f64 {
         let error_rad_s = wanted_rad_s - measured_rad_s;
         self.error_rad_s += self.filter * (error_rad_s - self.error_rad_s);
@@ -130,15 +130,15 @@ mod tests {
         let (mut outer, mut inner) = (PositionController::new(axis), VelocityController::new(axis));
         let (mut measured_rad, mut worst_rad) = (0.0, 0.0_f64);
         for ms in 0..2_000 {
-            let reference = |ahead: f64| position(f64::from(ms) + ahead);
+            let setpoint = |ahead: f64| position(f64::from(ms) + ahead);
             let before_rad = measured_rad;
             measured_rad = plant.positions[0];
-            let wanted_rad_s = outer.step_for_torque(reference(0.0), measured_rad);
-            let ahead = (0..12).map(|k| (reference(k.into()) - reference(f64::from(k) - 1.0)) / STEP_S);
+            let wanted_rad_s = outer.step_for_torque(setpoint(0.0), measured_rad);
+            let ahead = (0..12).map(|k| (setpoint(k.into()) - setpoint(f64::from(k) - 1.0)) / STEP_S);
             let torque_nm = inner.step(wanted_rad_s, (measured_rad - before_rad) / STEP_S, ahead);
             plant.step(torque_nm);
             if ms > 100 {
-                worst_rad = worst_rad.max((outer.reference_at_age() - measured_rad).abs());
+                worst_rad = worst_rad.max((outer.setpoint_at_age() - measured_rad).abs());
             }
         }
         worst_rad

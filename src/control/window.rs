@@ -1,25 +1,25 @@
-//! The sampler's look-ahead: references of this millisecond and the next ones.
+//! The sampler's look-ahead: setpoints of this millisecond and the next ones.
 //!
-//! Invariant: a reference is copied once, from the queue into the window, and stays at its place until its time is
+//! Invariant: a setpoint is copied once, from the queue into the window, and stays at its place until its time is
 //! over.
 
 use super::sampler::Queued;
 use crate::ethercat::queue;
-use crate::motion::Reference;
+use crate::motion::Setpoint;
 use crate::robot::AXES;
 use heapless::spsc::Consumer;
 
-/// Number of references of the look-ahead, for the velocity feed-forward.
+/// Number of setpoints of the look-ahead, for the velocity feed-forward.
 const LOOK_AHEAD: usize = 12;
-/// Most references taken from the queue or discarded in a millisecond: at a start the window fills in two.
+/// Most setpoints taken from the queue or discarded in a millisecond: at a start the window fills in two.
 const TAKEN_MAX: usize = 8;
 /// Slots of the window: a power of two, so that an index is wrapped by a mask.
 const SLOTS: usize = LOOK_AHEAD.next_power_of_two();
 
-/// References of this millisecond and the next ones.
+/// Setpoints of this millisecond and the next ones.
 #[derive(Debug)]
 pub(super) struct Window {
-    references: [Reference; SLOTS],
+    setpoints: [Setpoint; SLOTS],
     first: usize,
     length: usize,
 }
@@ -27,7 +27,7 @@ pub(super) struct Window {
 impl Window {
     pub(super) fn new() -> Self {
         Self {
-            references: [Reference::default(); SLOTS],
+            setpoints: [Setpoint::default(); SLOTS],
             first: 0,
             length: 0,
         }
@@ -41,7 +41,7 @@ impl Window {
         self.length == 0
     }
 
-    /// Removes the first reference.
+    /// Removes the first setpoint.
     #[inline]
     pub(super) fn advance(&mut self) {
         if self.length > 0 {
@@ -50,28 +50,28 @@ impl Window {
         }
     }
 
-    /// Takes the references of a start from the queue while there is room, and discards those of other starts.
+    /// Takes the setpoints of a start from the queue while there is room, and discards those of other starts.
     #[inline]
-    pub(super) fn fill(&mut self, references: &mut Consumer<'_, Queued>, epoch: u8) {
+    pub(super) fn fill(&mut self, setpoints: &mut Consumer<'_, Queued>, epoch: u8) {
         for _ in 0..TAKEN_MAX {
             if self.length >= LOOK_AHEAD {
                 return;
             }
-            let Some(queued) = queue::front(references) else {
+            let Some(queued) = queue::front(setpoints) else {
                 return;
             };
             if queued.epoch == epoch {
-                self.references[(self.first + self.length) % SLOTS] = queued.reference;
+                self.setpoints[(self.first + self.length) % SLOTS] = queued.setpoint;
                 self.length += 1;
             }
-            queue::drop_front(references);
+            queue::drop_front(setpoints);
         }
     }
 
-    /// This millisecond's reference.
+    /// This millisecond's setpoint.
     #[inline]
-    pub(super) fn first(&self) -> Option<&Reference> {
-        (self.length > 0).then(|| &self.references[self.first % SLOTS])
+    pub(super) fn first(&self) -> Option<&Setpoint> {
+        (self.length > 0).then(|| &self.setpoints[self.first % SLOTS])
     }
 
     /// Velocities of all axes `whole` milliseconds from this one on, and a millisecond later, rad/s. After the end the
@@ -81,14 +81,14 @@ impl Window {
         let Some(last) = self.length.checked_sub(1) else {
             return [&[0.0; AXES]; 2];
         };
-        [whole, whole + 1].map(|ahead| &self.references[(self.first + ahead.min(last)) % SLOTS].velocity_rad_s)
+        [whole, whole + 1].map(|ahead| &self.setpoints[(self.first + ahead.min(last)) % SLOTS].velocity_rad_s)
     }
 
     /// An axis's velocities from this millisecond on, rad/s.
     pub(super) fn velocities_rad_s(&self, axis: usize) -> impl Iterator<Item = f64> {
         (0..self.length).map(move |ahead| {
-            let reference = &self.references[(self.first + ahead) % SLOTS];
-            reference.velocity_rad_s.get(axis).copied().unwrap_or(0.0)
+            let setpoint = &self.setpoints[(self.first + ahead) % SLOTS];
+            setpoint.velocity_rad_s.get(axis).copied().unwrap_or(0.0)
         })
     }
 }

@@ -1,6 +1,6 @@
 //! Arithmetic of encoder positions.
 
-use crate::application::reference::nearest_turn;
+use crate::application::homing::nearest_turn;
 
 /// Takes an encoder's difference over a cycle for the nearest one within half a revolution.
 #[inline]

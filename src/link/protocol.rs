@@ -3,13 +3,15 @@
 //! Every message is postcard-encoded, followed by a CRC-32 and framed with COBS (see `frame`). An unknown protocol
 //! version is refused with both versions named; [`Hello`] and [`Welcome`] never change their first field.
 
+pub use crate::application::Command;
+
 use crate::application::{Fault, Mode, Refusal};
 use crate::board::{Interlock, PortState, PreviousRun};
 use crate::config::{Config, ConfigError};
 use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::Pen;
-use crate::robot::{AXES, GeometryError, JointAngles, Position};
+use crate::robot::{AXES, GeometryError};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
@@ -61,60 +63,6 @@ pub struct PathVertex {
     pub pen: Pen,
     /// Index of the stroke this vertex belongs to.
     pub stroke: u32,
-}
-
-/// A command of the operator.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Command {
-    /// Take the resolvers' angles at the present pose as the reference.
-    Reference,
-    /// Take the motor turns nearest to a known pose as the reference, if the resolvers show that pose and its forward
-    /// kinematics leads to the measured position.
-    ReferenceAt {
-        /// The robot's present pose.
-        pose: JointAngles,
-        /// Measured position of the platform, if known.
-        position: Option<Position>,
-    },
-    /// Power the drives and hold the pose.
-    Enable,
-    /// Decelerate to a standstill, close the brakes, then switch the drives' power off.
-    Disable,
-    /// Move while this message is repeated within the dead-man time; velocity in mm/s.
-    Jog {
-        /// Velocity of the platform, mm/s.
-        velocity_mm_s: [f32; 3],
-    },
-    /// Move to a position in a straight line.
-    Move {
-        /// Target.
-        position: Position,
-    },
-    /// Begin a drawing: the path's vertices follow, counted from 0.
-    Draw {
-        /// Number chosen by the host, repeated in the acknowledgements.
-        job: u16,
-    },
-    /// Decelerate on the path, lift the pen and wait; the drawing can be resumed.
-    Hold,
-    /// Go on with a held drawing.
-    Resume,
-    /// End the drawing: decelerate on the path, lift the pen, discard the rest.
-    Cancel,
-    /// Scale the path speed, percent from 10 to 200.
-    Override {
-        /// Percent of the configured speed.
-        percent: u8,
-    },
-    /// Lift or lower the pen at the present position.
-    Pen {
-        /// Target.
-        pen: Pen,
-    },
-    /// Quick stop of all drives at once, latched as a fault.
-    Stop,
-    /// Acknowledge a fault: clears it if its cause is gone, and brings lost slaves back.
-    Acknowledge,
 }
 
 /// Message from the host to the firmware.
@@ -177,14 +125,16 @@ pub struct Sample {
     pub mode: Mode,
     /// Stroke being drawn or travelled to.
     pub stroke: u32,
-    /// Pen state in the reference.
+    /// Pen state in the setpoint.
     pub pen: Pen,
     /// Commanded joint positions, rad.
-    pub reference_rad: [f32; AXES],
+    #[serde(rename = "reference_rad")]
+    pub setpoint_rad: [f32; AXES],
     /// Measured joint positions, rad.
     pub measured_rad: [f32; AXES],
     /// Commanded joint velocities, rad/s.
-    pub reference_rad_s: [f32; AXES],
+    #[serde(rename = "reference_rad_s")]
+    pub setpoint_rad_s: [f32; AXES],
     /// Measured joint velocities, rad/s.
     pub measured_rad_s: [f32; AXES],
 }
@@ -202,8 +152,9 @@ pub struct Counters {
     pub working_counter_errors: u32,
     /// Replies that were dropped: late, duplicated, foreign or damaged.
     pub frames_ignored: u32,
-    /// Milliseconds without a reference while the controller was following references.
-    pub reference_underruns: u32,
+    /// Milliseconds without a setpoint while the controller was following setpoints.
+    #[serde(rename = "reference_underruns")]
+    pub setpoint_underruns: u32,
     /// Times the path ran out of vertices while drawing.
     pub path_starvations: u32,
     /// Releases of the trajectory task before it had finished the previous period.

@@ -130,7 +130,7 @@ fn table(task: &RunTask, drawn: &Drawn, report: &Report) -> String {
 /// From the first to the last sample in which a reference moves, so that it does not matter in which millisecond of the
 /// planner's period the drawing was asked for.
 fn motion(samples: &[Sample]) -> &[Sample] {
-    let moves = |sample: &Sample| sample.mode == Mode::Drawing && sample.reference_rad_s != [0.0; AXES];
+    let moves = |sample: &Sample| sample.mode == Mode::Drawing && sample.setpoint_rad_s != [0.0; AXES];
     let first = samples.iter().position(moves).unwrap_or(samples.len());
     let last = samples.iter().rposition(moves).map_or(first, |last| last + 1);
     &samples[first..last]

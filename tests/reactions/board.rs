@@ -139,7 +139,7 @@ fn a_board_without_link_at_the_start_waits_for_it_and_then_says_so() {
     robot.run(100);
     robot.command(Command::Acknowledge).unwrap();
     robot.wait_for(Mode::DrivesOff);
-    robot.command(Command::Reference).unwrap();
+    robot.command(Command::Home).unwrap();
     robot.run(100);
     robot.command(Command::Enable).unwrap();
     robot.wait_for(Mode::Idle);
@@ -170,18 +170,18 @@ fn a_trajectory_task_that_is_late_by_most_of_its_period_costs_nothing() {
     robot.run_until("the path is executed", |robot| robot.ack.finished);
     robot.run(600);
     assert_eq!(robot.fault(), None);
-    assert_eq!(robot.status.as_ref().unwrap().counters.reference_underruns, 0);
+    assert_eq!(robot.status.as_ref().unwrap().counters.setpoint_underruns, 0);
 }
 
 #[test]
 fn a_trajectory_task_that_hangs_in_motion_is_a_quick_stop() {
     let mut robot = Robot::drawing();
     robot.surround(|around| around.trajectory_waits = true);
-    assert_described_standstill(&mut robot, |fault| *fault == Fault::ReferenceUnderrun);
+    assert_described_standstill(&mut robot, |fault| *fault == Fault::SetpointUnderrun);
     robot.surround(|around| around.trajectory_waits = false);
     robot.run(100);
     let counters = robot.status.as_ref().unwrap().counters;
-    assert_eq!(counters.reference_underruns, 1, "the first one stopped the drives");
+    assert_eq!(counters.setpoint_underruns, 1, "the first one stopped the drives");
     assert_recovers_and_draws(&mut robot);
 }
 

@@ -151,7 +151,7 @@ fn event(random: &mut Random) -> Event {
             Command::Hold,
             Command::Resume,
             Command::Cancel,
-            Command::Reference,
+            Command::Home,
         ])),
         _ => Event::Cell(of_a_slave(random)),
     }

@@ -24,8 +24,8 @@ fn any(random: &mut Random, robot: &Robot) -> Command {
         z_mm: -840.0,
     };
     match random.below(24) {
-        0 | 1 => Command::Reference,
-        2 => Command::ReferenceAt {
+        0 | 1 => Command::Home,
+        2 => Command::HomeAt {
             pose: robot.cell().joints,
             position: None,
         },
@@ -103,8 +103,8 @@ fn a_reference_and_a_motion_at_once_never_leave_the_robot_moving() {
         for at in [false, true] {
             let mut robot = with(false).enabled();
             let reference = match at {
-                false => Command::Reference,
-                true => Command::ReferenceAt {
+                false => Command::Home,
+                true => Command::HomeAt {
                     pose: robot.cell().joints,
                     position: None,
                 },

@@ -245,7 +245,7 @@ pub(crate) fn recover(robot: &mut Robot, case: &Case) {
         robot.run(20);
     }
     let pose = robot.cell().joints;
-    robot.command(Command::ReferenceAt { pose, position: None }).unwrap();
+    robot.command(Command::HomeAt { pose, position: None }).unwrap();
     robot.run(100);
     if robot.mode() == Mode::DrivesOff {
         robot.command(Command::Enable).unwrap();

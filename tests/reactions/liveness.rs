@@ -60,7 +60,7 @@ fn gets_up(robot: &mut Robot) -> bool {
     if !robot.status.as_ref().is_some_and(|status| status.referenced) {
         // The arms are not at the marks: the operator measures the pose.
         let pose = robot.cell().joints;
-        insist(robot, Command::ReferenceAt { pose, position: None });
+        insist(robot, Command::HomeAt { pose, position: None });
         robot.run(100);
     }
     if robot.mode() == Mode::DrivesOff {

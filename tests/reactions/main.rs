@@ -60,7 +60,7 @@ fn assert_recovers_and_draws(robot: &mut Robot) {
     robot.wait_for(Mode::DrivesOff);
     assert_eq!(robot.fault(), None);
     if !robot.status.as_ref().unwrap().referenced {
-        robot.command(Command::Reference).unwrap();
+        robot.command(Command::Home).unwrap();
         robot.run(100);
     }
     robot.command(Command::Enable).unwrap();
@@ -213,7 +213,7 @@ fn a_power_cycled_drive_comes_back_without_its_reference() {
     robot.command(Command::Enable).unwrap();
     robot.wait_for(Mode::Unreferenced);
     assert_eq!(robot.command(Command::Draw { job: 2 }), Err(Refusal::NotReferenced));
-    robot.command(Command::Reference).unwrap();
+    robot.command(Command::Home).unwrap();
     robot.wait_for(Mode::Idle);
     robot.draw(path());
     robot.run_until("the path is executed", |robot| robot.ack.finished);
@@ -241,7 +241,7 @@ fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
     let mut wrong = pose;
     // One turn of the second motor.
     wrong.0[1] += std::f64::consts::TAU / Config::default().axes[1].gear;
-    let refused = robot.command(Command::ReferenceAt {
+    let refused = robot.command(Command::HomeAt {
         pose: wrong,
         position: Some(position),
     });
@@ -251,7 +251,7 @@ fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
     );
     let mut beside = pose;
     beside.0[2] += 0.1;
-    let refused = robot.command(Command::ReferenceAt {
+    let refused = robot.command(Command::HomeAt {
         pose: beside,
         position: None,
     });
@@ -260,7 +260,7 @@ fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
         "{refused:?}"
     );
     robot
-        .command(Command::ReferenceAt {
+        .command(Command::HomeAt {
             pose,
             position: Some(position),
         })
@@ -312,7 +312,7 @@ fn single_bad_frames_cost_one_cycle_each_and_the_drawing_goes_on() {
         counters.frames_lost >= 4 && counters.frames_ignored >= 4,
         "{counters:?}"
     );
-    assert_eq!((counters.cycles_late, counters.reference_underruns), (0, 0));
+    assert_eq!((counters.cycles_late, counters.setpoint_underruns), (0, 0));
 }
 
 #[test]
@@ -516,7 +516,7 @@ fn enabling_far_from_the_last_reference_is_without_a_bump() {
     robot.command(Command::Stop).unwrap();
     robot.wait_for(Mode::Fault);
     let following = robot.samples.iter().rev().find(|sample| sample.mode == Mode::Drawing);
-    let last_reference = following.expect("telemetry of the drawing").reference_rad;
+    let last_reference = following.expect("telemetry of the drawing").setpoint_rad;
     robot.command(Command::Acknowledge).unwrap();
     robot.wait_for(Mode::DrivesOff);
     let before = robot.cell().joints;

@@ -63,7 +63,7 @@ fn beside(angle_rad: f64) -> Robot {
     });
     if !robot.status.as_ref().unwrap().referenced {
         let pose = robot.cell().joints;
-        robot.command(Command::ReferenceAt { pose, position: None }).unwrap();
+        robot.command(Command::HomeAt { pose, position: None }).unwrap();
         robot.run(100);
     }
     robot.command(Command::Enable).unwrap();

@@ -195,7 +195,7 @@ impl Robot {
         let config = self.config.clone();
         self.configure(&config);
         self.wait_for(Mode::DrivesOff);
-        self.command(Command::Reference).unwrap();
+        self.command(Command::Home).unwrap();
         self.run(100);
         self.command(Command::Enable).unwrap();
         self.wait_for(Mode::Idle);

@@ -1,4 +1,4 @@
-//! The moving average of the references: its longest length, and the tolerance that remains for shaping.
+//! The moving average of the setpoints: its longest length, and the tolerance that remains for shaping.
 
 use super::micro_interpolator::TICK_S;
 use super::shaping::Tolerances;
@@ -16,7 +16,7 @@ pub(super) fn tolerances(settings: &Settings) -> Tolerances {
     }
 }
 
-/// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for references the
+/// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for setpoints the
 /// time t apart, which cut corners by A t^2 / 8 but average over t less.
 pub(super) fn averaging(settings: &Settings) -> (u16, f64) {
     let deviation = |window_ms: u16| {

@@ -35,7 +35,7 @@ pub use trajectory::{QUEUE_VERTICES, Trajectory};
 use crate::robot::{AXES, Outside, Position};
 use serde::{Deserialize, Serialize};
 
-/// Period of the trajectory stage, ms: the number of references from one step.
+/// Period of the trajectory stage, ms: the number of setpoints from one step.
 pub const PERIOD_MS: usize = 12;
 
 /// Whether the pen touches the paper.
@@ -59,9 +59,9 @@ pub struct Vertex {
     pub stroke: u32,
 }
 
-/// One 1 ms reference.
+/// One 1 ms setpoint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Reference {
+pub struct Setpoint {
     /// Joint positions, rad.
     pub position_rad: [f64; AXES],
     /// Joint velocities, rad/s: exact differences of the positions.

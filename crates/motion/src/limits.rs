@@ -12,7 +12,7 @@ use crate::settings::MotionLimits;
 const ACCELERATION_PART: f64 = 0.9998;
 /// Part of the speed limits that the scan uses.
 const SPEED_PART: f64 = 0.9998;
-/// Part of the pen's vertical limits that the scan uses: on 250 random paths with lifts the 1 ms references exceed the
+/// Part of the pen's vertical limits that the scan uses: on 250 random paths with lifts the 1 ms setpoints exceed the
 /// part by 0.4 % of the limit at most.
 const PEN_PART: f64 = 0.985;
 

@@ -1,4 +1,4 @@
-//! The micro-interpolator: from path speeds to twelve joint references a period.
+//! The micro-interpolator: from path speeds to twelve joint setpoints a period.
 //!
 //! Every millisecond the interpolator advances along the path (in stretches of constant path acceleration between the
 //! speeds at the grid's points), converts the point into arm angles, and averages over a whole number of milliseconds,
@@ -9,7 +9,7 @@
 //! drift however long the program runs.
 
 use super::shaping::Label;
-use super::{PERIOD_MS, Reference};
+use super::{PERIOD_MS, Setpoint};
 use crate::robot::vector::{Vector, root};
 use crate::robot::{ARMS, AXES, Delta, JointAngles};
 
@@ -156,7 +156,7 @@ pub(crate) trait Profile {
     fn next_millisecond(&mut self) -> PathSample;
 }
 
-/// Averages a window of joint angles and turns them into references.
+/// Averages a window of joint angles and turns them into setpoints.
 #[derive(Clone, Debug)]
 pub(crate) struct MicroInterpolator {
     delta: Delta,
@@ -207,15 +207,15 @@ impl MicroInterpolator {
         self.settling_ms = 0;
     }
 
-    /// Whether the references are at rest.
+    /// Whether the setpoints are at rest.
     pub(crate) fn settled(&self) -> bool {
         self.settling_ms == 0
     }
 
     /// A period at rest at the last pose.
-    pub(crate) fn rest(&self) -> [Reference; PERIOD_MS] {
+    pub(crate) fn rest(&self) -> [Setpoint; PERIOD_MS] {
         let (parts, label) = self.window[self.newest];
-        [Reference {
+        [Setpoint {
             position_rad: parts.map(|value| value as f64 / PARTS_PER_RAD),
             velocity_rad_s: [0.0; AXES],
             stroke: label.stroke,
@@ -225,14 +225,14 @@ impl MicroInterpolator {
     }
 
     /// The next period.
-    pub(crate) fn step(&mut self, profile: &mut impl Profile) -> [Reference; PERIOD_MS] {
+    pub(crate) fn step(&mut self, profile: &mut impl Profile) -> [Setpoint; PERIOD_MS] {
         [(); PERIOD_MS].map(|()| {
             let sample = profile.next_millisecond();
-            self.reference(&sample)
+            self.setpoint(&sample)
         })
     }
 
-    fn reference(&mut self, sample: &PathSample) -> Reference {
+    fn setpoint(&mut self, sample: &PathSample) -> Setpoint {
         let mut angles = [sample.heading; AXES];
         let arms: [f64; ARMS] = self.delta.angles(&sample.point);
         for (angle, arm) in angles.iter_mut().zip(arms) {
@@ -241,7 +241,7 @@ impl MicroInterpolator {
         self.average(angles.map(to_parts), sample.label)
     }
 
-    fn average(&mut self, parts: [i64; AXES], label: Label) -> Reference {
+    fn average(&mut self, parts: [i64; AXES], label: Label) -> Setpoint {
         let slot = |newest: usize, back: usize| (newest + WINDOW_MAX - back) % WINDOW_MAX;
         let before = self.window[self.newest].0;
         self.settling_ms = if parts == before {
@@ -254,19 +254,19 @@ impl MicroInterpolator {
         // A window as long as the ring overwrites its oldest entry with the newest.
         self.window[self.newest] = (parts, label);
         let per_part = 1.0 / (PARTS_PER_RAD * self.length() as f64);
-        let mut reference = Reference::default();
+        let mut setpoint = Setpoint::default();
         for axis in 0..AXES {
             let change = parts[axis] - oldest[axis];
             self.sums[axis] += change;
-            reference.position_rad[axis] = self.sums[axis] as f64 * per_part;
-            reference.velocity_rad_s[axis] = change as f64 * (per_part / TICK_S);
+            setpoint.position_rad[axis] = self.sums[axis] as f64 * per_part;
+            setpoint.velocity_rad_s[axis] = change as f64 * (per_part / TICK_S);
         }
         // The average lags by half its length; labels lag by the same amount.
         let label = self.window[slot(self.newest, self.length() / 2)].1;
-        reference.stroke = label.stroke;
-        reference.pen = label.pen;
-        reference.vertex = label.vertex;
-        reference
+        setpoint.stroke = label.stroke;
+        setpoint.pen = label.pen;
+        setpoint.vertex = label.vertex;
+        setpoint
     }
 }
 
@@ -303,7 +303,7 @@ mod tests {
         }
     }
 
-    fn run(window_ms: u16) -> (MicroInterpolator, [[Reference; PERIOD_MS]; 12]) {
+    fn run(window_ms: u16) -> (MicroInterpolator, [[Setpoint; PERIOD_MS]; 12]) {
         let delta = Delta::new(&Geometry::default()).unwrap();
         let mut interpolator = MicroInterpolator::new();
         interpolator.configure(delta, window_ms);
@@ -323,8 +323,8 @@ mod tests {
     fn velocities_are_the_differences_of_the_positions() {
         for window_ms in [0, 4, 32] {
             let (_, periods) = run(window_ms);
-            let references = periods.as_flattened();
-            for pair in references.windows(2) {
+            let setpoints = periods.as_flattened();
+            for pair in setpoints.windows(2) {
                 for axis in 0..AXES {
                     let difference = (pair[1].position_rad[axis] - pair[0].position_rad[axis]) / TICK_S;
                     assert!((difference - pair[1].velocity_rad_s[axis]).abs() < 1.0e-9);
@@ -351,10 +351,10 @@ mod tests {
     fn the_average_bounds_the_jerk_and_raises_no_acceleration() {
         let peaks = |window_ms| {
             let (_, periods) = run(window_ms);
-            let references = periods.as_flattened();
-            let acceleration = |a: &Reference, b: &Reference| (b.velocity_rad_s[0] - a.velocity_rad_s[0]) / TICK_S;
+            let setpoints = periods.as_flattened();
+            let acceleration = |a: &Setpoint, b: &Setpoint| (b.velocity_rad_s[0] - a.velocity_rad_s[0]) / TICK_S;
             let mut peak = (0.0_f64, 0.0_f64);
-            for three in references.windows(3) {
+            for three in setpoints.windows(3) {
                 let (first, second) = (acceleration(&three[0], &three[1]), acceleration(&three[1], &three[2]));
                 peak = (peak.0.max(second.abs()), peak.1.max((second - first).abs() / TICK_S));
             }

@@ -43,9 +43,9 @@ const BULGE_PART: f64 = 0.25;
 /// Further addition to the curvature, as a part of the change of the curvature over the interval and of its bulge
 /// either way, where half of the interval takes longer than [`SMOOTHED_S`]: the speed grows while the curvature falls,
 /// so the centripetal acceleration is largest between the middle and an end. On the paths of `checks/slow.rs` the 1 ms
-/// references exceed the limit by 2.9 % without this addition and stay 0.009 % under it with it.
+/// setpoints exceed the limit by 2.9 % without this addition and stay 0.009 % under it with it.
 const STEEP_PART: f64 = 0.25;
-/// Duration of a peak of the acceleration that does not show in the differences of 1 ms references, s.
+/// Duration of a peak of the acceleration that does not show in the differences of 1 ms setpoints, s.
 const SMOOTHED_S: f64 = 0.5e-3;
 /// Points needed to begin the grid or to continue it from a stop, beside the end of the next interval.
 const STOP_POINTS: usize = 2;

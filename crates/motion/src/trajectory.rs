@@ -1,10 +1,10 @@
-//! The 12 ms trajectory stage: takes vertices and commands, returns the references of a period.
+//! The 12 ms trajectory stage: takes vertices and commands, returns the setpoints of a period.
 //!
 //! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over the shaped path. Everything beside
 //! the path (lifting and lowering the pen, moves, jogs) is a separate motion from rest to rest. When path data stop
 //! arriving the motion ends at rest on the path; that counts as an underrun if the motion had begun.
 //!
-//! Invariants: [`Trajectory::step`] always returns twelve valid references and does a bounded amount of work; every
+//! Invariants: [`Trajectory::step`] always returns twelve valid setpoints and does a bounded amount of work; every
 //! command leads from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
@@ -17,7 +17,7 @@ use super::progress::Watch;
 use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper};
 use super::straight::Straight;
-use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Reference, Refusal, RefusalReason, Vertex};
+use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Refusal, RefusalReason, Setpoint, Vertex};
 use crate::robot::vector::{Vector, length, subtract};
 use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
 use crate::settings::Settings;
@@ -157,7 +157,7 @@ impl Trajectory {
 
     /// Takes the measured pose, at rest, as the start; discards any path.
     ///
-    /// Returns whether the robot can have this pose. Without a valid pose, references stay where they are and commands
+    /// Returns whether the robot can have this pose. Without a valid pose, setpoints stay where they are and commands
     /// are refused.
     pub fn place(&mut self, pose: JointAngles) -> bool {
         self.pose = None;
@@ -212,16 +212,16 @@ impl Trajectory {
         self.motion.command(command, state)
     }
 
-    /// The references of the next 12 ms.
-    pub fn step(&mut self) -> [Reference; PERIOD_MS] {
+    /// The setpoints of the next 12 ms.
+    pub fn step(&mut self) -> [Setpoint; PERIOD_MS] {
         if self.pose.is_none() {
             return self.interpolator.rest();
         }
         self.motion.feed();
-        let references = self.interpolator.step(&mut self.motion);
+        let setpoints = self.interpolator.step(&mut self.motion);
         let motion = &mut self.motion;
         motion.watch.step(&motion.here, motion.has_to_move());
-        references
+        setpoints
     }
 
     /// State of the stage.

@@ -96,9 +96,9 @@ fn sample(t_ms: u32) -> Sample {
         mode: Mode::Drawing,
         stroke: t_ms / 1_000,
         pen: if t_ms % 1_000 < 800 { Pen::Down } else { Pen::Up },
-        reference_rad: angles(0.0),
+        setpoint_rad: angles(0.0),
         measured_rad: angles(0.001),
-        reference_rad_s: speeds(0.0),
+        setpoint_rad_s: speeds(0.0),
         measured_rad_s: speeds(0.001),
     }
 }

@@ -171,7 +171,7 @@ impl Rows {
             self.offset_ms += u64::from(last.t_ms) + RESTART_MS;
             self.last = None;
         }
-        let commanded = self.platform_mm(&sample.reference_rad);
+        let commanded = self.platform_mm(&sample.setpoint_rad);
         let measured = self.platform_mm(&sample.measured_rad);
         let speeds_mm_s = |last: &Last| last.speeds_mm_s(sample, &commanded, &measured);
         let [speed_ref, speed] = self.last.as_ref().map_or([f32::NAN; 2], speeds_mm_s);
@@ -184,12 +184,12 @@ impl Rows {
         let mut values = [f32::NAN; SIGNALS];
         let axes = (0..AXES).flat_map(|axis| {
             let of = |values: &[f32; AXES]| values.get(axis).copied().unwrap_or(f32::NAN);
-            let (reference, measured) = (of(&sample.reference_rad), of(&sample.measured_rad));
+            let (reference, measured) = (of(&sample.setpoint_rad), of(&sample.measured_rad));
             [
                 reference,
                 measured,
                 reference - measured,
-                of(&sample.reference_rad_s),
+                of(&sample.setpoint_rad_s),
                 of(&sample.measured_rad_s),
             ]
         });
@@ -231,9 +231,9 @@ pub(crate) mod tests {
             mode: Mode::Idle,
             stroke: 0,
             pen: Pen::Up,
-            reference_rad: [angle_rad; AXES],
+            setpoint_rad: [angle_rad; AXES],
             measured_rad: [angle_rad; AXES],
-            reference_rad_s: [0.0; AXES],
+            setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
         }
     }
@@ -255,7 +255,7 @@ pub(crate) mod tests {
         let mut rows = Rows::new(&config);
         rows.take(&sample(6, 0.3));
         let moved = Sample {
-            reference_rad: [0.31, 0.3, 0.3, 0.0],
+            setpoint_rad: [0.31, 0.3, 0.3, 0.0],
             ..sample(7, 0.3)
         };
         let row = rows.take(&moved);

@@ -238,7 +238,7 @@ impl Job {
         if is_lost || is_elsewhere {
             self.ending.get_or_insert(JobError::NotReferenced);
         } else {
-            self.request(Command::Reference);
+            self.request(Command::Home);
         }
     }
 

@@ -9,7 +9,7 @@ use super::error::{JobError, Phase};
 use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use crate::link::session::{Event, Session};
 use crate::simulation::Host;
-use etherpen::application::reference::resolver_angle_rad;
+use etherpen::application::homing::resolver_angle_rad;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, Sample, Status};
@@ -55,10 +55,10 @@ impl Wanted {
     /// The command for the firmware when its resolvers show these increments.
     pub(crate) fn command(&self, config: &Config, increments: &[u32; AXES]) -> Command {
         match (self.known_pose(config, increments), self.position) {
-            (None, None) => Command::Reference,
-            (Some(pose), position) => Command::ReferenceAt { pose, position },
+            (None, None) => Command::Home,
+            (Some(pose), position) => Command::HomeAt { pose, position },
             // The angles of the marks, checked against the measured position.
-            (None, position) => Command::ReferenceAt {
+            (None, position) => Command::HomeAt {
                 pose: angles(config, increments, [None; AXES]),
                 position,
             },
@@ -347,7 +347,7 @@ impl ReferenceJob {
             if self.now_ms.saturating_sub(self.entered_ms) > PATIENCE_MS {
                 let axis = (0u8..).zip(status.increments).find(|(_, shown)| shown.is_none());
                 let axis = axis.map_or(0, |(axis, _)| axis);
-                self.fail(JobError::Refused(Command::Reference, Refusal::NoPosition { axis }));
+                self.fail(JobError::Refused(Command::Home, Refusal::NoPosition { axis }));
             }
             return;
         };

@@ -41,7 +41,7 @@ fn a_whole_drawing_ends_without_power_and_leaves_every_sample() {
     assert_eq!(job.outcome(), Some(&Ok(())));
     assert_eq!((rig.mode, rig.vertices.len()), (Mode::DrivesOff, 2_000));
     let expected = [
-        Command::Reference,
+        Command::Home,
         Command::Enable,
         Command::Draw {
             job: path_number(path_hash(&path(2_000))),

@@ -368,7 +368,7 @@ impl Verifier {
         }
         let Some(delta) = &self.delta else { return };
         let place = |angles_rad: [f32; 4]| delta.forward(&JointAngles(angles_rad.map(f64::from))).ok();
-        let (Some(reference), Some(measured)) = (place(cause.reference_rad), place(sample.measured_rad)) else {
+        let (Some(reference), Some(measured)) = (place(cause.setpoint_rad), place(sample.measured_rad)) else {
             return;
         };
         let line = self.numbers.get(&cause.stroke).copied();

@@ -209,7 +209,7 @@ impl Rig {
             }
         };
         match command {
-            Command::Reference | Command::ReferenceAt { .. } => match self.refuse_reference {
+            Command::Home | Command::HomeAt { .. } => match self.refuse_reference {
                 Some(refusal) => return Err(refusal),
                 None => self.referenced = true,
             },
@@ -311,25 +311,25 @@ impl Rig {
 
     fn sample(&mut self, now_ms: u64) -> Sample {
         let vertex = self.vertices.get((self.executed as usize).wrapping_sub(1));
-        let reference_rad = vertex.map_or([0.0; AXES], |vertex| {
+        let setpoint_rad = vertex.map_or([0.0; AXES], |vertex| {
             let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
             let pose = self.delta.inverse(&Position { x_mm, y_mm, z_mm });
             let [a, b, c] = pose.unwrap_or_default().map(|rad| rad as f32);
             [a, b, c, 0.0]
         });
-        self.following.push_back(reference_rad);
+        self.following.push_back(setpoint_rad);
         let measured_rad = match self.following.len() > self.age_ms {
             true => self.following.pop_front().unwrap_or_default(),
-            false => reference_rad,
+            false => setpoint_rad,
         };
         Sample {
             t_ms: now_ms as u32,
             mode: self.mode,
             stroke: vertex.map_or(0, |vertex| vertex.stroke),
             pen: vertex.map_or(Pen::Up, |vertex| vertex.pen),
-            reference_rad,
+            setpoint_rad,
             measured_rad,
-            reference_rad_s: [0.0; AXES],
+            setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
         }
     }

@@ -39,7 +39,7 @@ pub fn doing(status: &Status) -> &'static str {
 /// A command as a noun.
 pub fn command(command: &Command) -> &'static str {
     match command {
-        Command::Reference | Command::ReferenceAt { .. } => "taking the reference",
+        Command::Home | Command::HomeAt { .. } => "taking the reference",
         Command::Enable => "enabling the drives",
         Command::Disable => "disabling the drives",
         Command::Jog { .. } => "jogging",
@@ -255,7 +255,7 @@ pub fn fault(fault: &Fault) -> String {
         Fault::CyclesLate { late, limit } => {
             format!("{late} late cycles within a second (limit {limit}); the board is overloaded or its clock is wrong")
         }
-        Fault::ReferenceUnderrun => {
+        Fault::SetpointUnderrun => {
             "the controller ran out of references; this is an error of the firmware, please report it".into()
         }
         Fault::EnableTimeout { waited_ms } => format!(

@@ -104,9 +104,9 @@ mod tests {
             mode: Mode::Drawing,
             stroke: 3,
             pen: Pen::Down,
-            reference_rad: [0.1, f32::MIN_POSITIVE, -0.0, 1e30],
+            setpoint_rad: [0.1, f32::MIN_POSITIVE, -0.0, 1e30],
             measured_rad: [f32::NAN, f32::INFINITY, 0.2, 0.3],
-            reference_rad_s: [1.0; 4],
+            setpoint_rad_s: [1.0; 4],
             measured_rad_s: [2.0; 4],
         };
         let account = Account::Samples {

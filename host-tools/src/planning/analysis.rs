@@ -189,11 +189,11 @@ impl Analysis {
         }
     }
 
-    /// Takes the next reference.
+    /// Takes the next setpoint.
     pub fn observe(&mut self, sample: &PlannedSample) {
-        let reference = &sample.reference;
+        let setpoint = &sample.setpoint;
         let rest = Last {
-            pen: reference.pen,
+            pen: setpoint.pen,
             velocity: [0.0; AXES],
             acceleration: [0.0; AXES],
             point: sample.point,
@@ -203,7 +203,7 @@ impl Analysis {
         let last = self.last.unwrap_or(rest);
         let t_ms = sample.t_ms;
         let mut here = rest;
-        here.velocity = reference.velocity_rad_s;
+        here.velocity = setpoint.velocity_rad_s;
         for axis in 0..AXES {
             let speed = here.velocity[axis];
             let acceleration = (speed - last.velocity[axis]) / TICK_S;
@@ -233,7 +233,7 @@ impl Analysis {
         here.speed = subtract(&here.point, &last.point).map(|way| way / TICK_S);
         here.change = subtract(&here.speed, &last.speed).map(|change| change / TICK_S);
         self.cartesian(t_ms, &here, &last);
-        let deviation = self.track.step(&sample.point, reference.vertex as usize);
+        let deviation = self.track.step(&sample.point, setpoint.vertex as usize);
         let (index, limit_of, limit) = if here.pen == Pen::Down && last.pen == Pen::Down {
             (0, "tolerance_mm", self.limits.tolerance_mm)
         } else {

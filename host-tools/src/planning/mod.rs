@@ -13,7 +13,7 @@ pub use analysis::{Analysis, Findings, Limits, Peaks, Violation};
 pub use table::Table;
 
 use etherpen::config::{Config, Orientation};
-use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Reference, Trajectory, Vertex};
+use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Setpoint, Trajectory, Vertex};
 use etherpen::robot::vector::{Vector, length, subtract};
 use etherpen::robot::{ARMS, Delta, GeometryError, JointAngles, KinematicsError};
 
@@ -27,8 +27,8 @@ const HORIZONTAL_MIN: f64 = 0.1;
 pub struct PlannedSample {
     /// Time since the path began, ms.
     pub t_ms: u64,
-    /// The reference, as the position controllers get it.
-    pub reference: Reference,
+    /// The setpoint, as the position controllers get it.
+    pub setpoint: Setpoint,
     /// Position of the platform, mm.
     pub point: Vector,
 }
@@ -126,11 +126,11 @@ pub fn plan(
     trajectory.place(pose);
     let mut sample = PlannedSample {
         t_ms: 0,
-        reference: Reference {
+        setpoint: Setpoint {
             position_rad: pose.0,
             pen: first.pen,
             stroke: first.stroke,
-            ..Reference::default()
+            ..Setpoint::default()
         },
         point: first.position.into(),
     };
@@ -151,19 +151,19 @@ pub fn plan(
                 .map_err(PlanningError::Command)?;
             started = true;
         }
-        for reference in trajectory.step() {
-            let [a, b, c, _] = reference.position_rad;
+        for setpoint in trajectory.step() {
+            let [a, b, c, _] = setpoint.position_rad;
             let t_ms = sample.t_ms + 1;
-            if reference.position_rad[..ARMS] != sample.reference.position_rad[..ARMS] {
+            if setpoint.position_rad[..ARMS] != sample.setpoint.position_rad[..ARMS] {
                 let position = delta
                     .forward(&JointAngles([a, b, c, 0.0]))
                     .map_err(|cause| PlanningError::Reference { t_ms, cause })?;
                 sample.point = position.into();
             }
-            if reference.position_rad != sample.reference.position_rad {
+            if setpoint.position_rad != sample.setpoint.position_rad {
                 run.duration_ms = t_ms;
             }
-            (sample.t_ms, sample.reference) = (t_ms, reference);
+            (sample.t_ms, sample.setpoint) = (t_ms, setpoint);
             observe(&sample, &run);
         }
         run.work_max = run.work_max.max(trajectory.work());
@@ -240,21 +240,21 @@ mod tests {
         let mut samples = Vec::new();
         let run = plan(&Config::default(), &path, |sample, _| samples.push(*sample)).unwrap();
         assert_eq!((samples[0].t_ms, samples[0].point), (0, [0.0, 0.0, -800.0]));
-        assert_eq!(samples[0].reference.velocity_rad_s, [0.0; 4]);
+        assert_eq!(samples[0].setpoint.velocity_rad_s, [0.0; 4]);
         let end = samples[run.duration_ms as usize];
         assert_eq!(end.t_ms, run.duration_ms);
         for (value, expected) in end.point.iter().zip([50.0, 30.0, -800.0]) {
             assert!((value - expected).abs() < 1.0e-6);
         }
         assert_ne!(
-            samples[run.duration_ms as usize - 1].reference.position_rad,
-            end.reference.position_rad
+            samples[run.duration_ms as usize - 1].setpoint.position_rad,
+            end.setpoint.position_rad
         );
         assert!(
             samples[run.duration_ms as usize..]
                 .iter()
                 .skip(1)
-                .all(|s| s.reference.velocity_rad_s == [0.0; 4])
+                .all(|s| s.setpoint.velocity_rad_s == [0.0; 4])
         );
     }
 

@@ -35,7 +35,7 @@ impl<W: Write> Table<W> {
     /// # Errors
     /// Errors of the writer.
     pub fn step(&mut self, sample: &PlannedSample) -> io::Result<()> {
-        let position = sample.reference.position_rad;
+        let position = sample.setpoint.position_rad;
         if self.last.replace(position) == Some(position) {
             self.waiting.push(*sample);
             return Ok(());
@@ -55,11 +55,11 @@ impl<W: Write> Table<W> {
 fn row(out: &mut impl Write, sample: &PlannedSample) -> io::Result<()> {
     let [x, y, z] = sample.point;
     write!(out, "{},{x:.9},{y:.9},{z:.9}", sample.t_ms)?;
-    for angle in sample.reference.position_rad {
+    for angle in sample.setpoint.position_rad {
         write!(out, ",{angle:.13}")?;
     }
-    for speed in sample.reference.velocity_rad_s {
+    for speed in sample.setpoint.velocity_rad_s {
         write!(out, ",{speed:.10}")?;
     }
-    writeln!(out, ",{}", u8::from(sample.reference.pen == Pen::Down))
+    writeln!(out, ",{}", u8::from(sample.setpoint.pen == Pen::Down))
 }

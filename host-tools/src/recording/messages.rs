@@ -180,15 +180,15 @@ impl Moment {
                 *column.get_mut(axis)? = f32::from_bits(cdr.word()?);
             }
         }
-        let [reference_rad, measured_rad, reference_rad_s, measured_rad_s] = columns;
+        let [setpoint_rad, measured_rad, setpoint_rad_s, measured_rad_s] = columns;
         let sample = Sample {
             t_ms,
             mode,
             stroke,
             pen,
-            reference_rad,
+            setpoint_rad,
             measured_rad,
-            reference_rad_s,
+            setpoint_rad_s,
             measured_rad_s,
         };
         Some(Self { sample, position })
@@ -197,8 +197,8 @@ impl Moment {
 
 /// Reference angle, angle, reference speed and speed of each axis.
 pub fn axes(sample: &Sample) -> impl Iterator<Item = [f32; 4]> {
-    let angles = sample.reference_rad.into_iter().zip(sample.measured_rad);
-    let speeds = sample.reference_rad_s.into_iter().zip(sample.measured_rad_s);
+    let angles = sample.setpoint_rad.into_iter().zip(sample.measured_rad);
+    let speeds = sample.setpoint_rad_s.into_iter().zip(sample.measured_rad_s);
     angles.zip(speeds).map(|((q_ref, q), (v_ref, v))| [q_ref, q, v_ref, v])
 }
 
@@ -280,7 +280,7 @@ fn counters(of: &mut Counters) -> [&mut u32; 11] {
         &mut of.frames_lost,
         &mut of.working_counter_errors,
         &mut of.frames_ignored,
-        &mut of.reference_underruns,
+        &mut of.setpoint_underruns,
         &mut of.path_starvations,
         &mut of.trajectory_overruns,
         &mut of.telemetry_dropped,
@@ -407,9 +407,9 @@ mod tests {
                 mode: Mode::Drawing,
                 stroke: 7,
                 pen: Pen::Down,
-                reference_rad: [0.1, -0.2, 0.3, 0.4],
+                setpoint_rad: [0.1, -0.2, 0.3, 0.4],
                 measured_rad: [1.1, 1.2, 1.3, f32::NAN],
-                reference_rad_s: [2.1, 2.2, 2.3, 2.4],
+                setpoint_rad_s: [2.1, 2.2, 2.3, 2.4],
                 measured_rad_s: [3.1, 3.2, 3.3, -0.0],
             },
             position: Position {

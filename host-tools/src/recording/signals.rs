@@ -221,7 +221,7 @@ impl Evaluator {
             self.interrupt();
         }
         self.measured_rad = Some(sample.measured_rad);
-        self.references_rad.push_front(moment.sample.reference_rad);
+        self.references_rad.push_front(moment.sample.setpoint_rad);
         let oldest = self.ages.iter().copied().max().unwrap_or(0);
         self.references_rad.truncate(oldest + 1);
     }

@@ -213,7 +213,7 @@ pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
         Row {
             sample: *sample,
             position: platform(sample.measured_rad),
-            reference: platform(cause.reference_rad),
+            reference: platform(cause.setpoint_rad),
             stroke: cause.stroke,
             pen: cause.pen,
         }
@@ -288,7 +288,7 @@ impl Report {
             cycles_late: counters.cycles_late,
             frames_lost: counters.frames_lost,
             working_counter_errors: counters.working_counter_errors,
-            reference_underruns: counters.reference_underruns,
+            reference_underruns: counters.setpoint_underruns,
             path_starvations: counters.path_starvations,
             telemetry_lost: span_ms(evidence.samples).saturating_sub(evidence.samples.len() as u32),
             image: evidence.image.clone(),
@@ -350,7 +350,7 @@ fn following_error(config: &Config, samples: &[Sample]) -> [f64; AXES] {
     std::array::from_fn(|axis| {
         let age = config.axes[axis].measurement_age_ms.round() as usize;
         let errors = samples.iter().skip(age).zip(samples);
-        let error = errors.map(|(now, then)| f64::from(then.reference_rad[axis] - now.measured_rad[axis]).abs());
+        let error = errors.map(|(now, then)| f64::from(then.setpoint_rad[axis] - now.measured_rad[axis]).abs());
         error.fold(0.0, f64::max)
     })
 }
@@ -361,7 +361,7 @@ fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
     std::array::from_fn(|axis| {
         let speed: Vec<f64> = samples
             .iter()
-            .map(|sample| f64::from(sample.reference_rad_s[axis]))
+            .map(|sample| f64::from(sample.setpoint_rad_s[axis]))
             .collect();
         let per_second = |values: &[f64]| -> Vec<f64> { values.windows(2).map(|w| (w[1] - w[0]) * 1_000.0).collect() };
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, value| peak.max(value.abs()));

@@ -96,7 +96,7 @@ impl Outcome<'_> {
             frames_lost: since(last.frames_lost, before.frames_lost),
             working_counter_errors: since(last.working_counter_errors, before.working_counter_errors),
             frames_ignored: since(last.frames_ignored, before.frames_ignored),
-            reference_underruns: since(last.reference_underruns, before.reference_underruns),
+            setpoint_underruns: since(last.setpoint_underruns, before.setpoint_underruns),
             path_starvations: since(last.path_starvations, before.path_starvations),
             trajectory_overruns: since(last.trajectory_overruns, before.trajectory_overruns),
             telemetry_dropped: since(last.telemetry_dropped, before.telemetry_dropped),

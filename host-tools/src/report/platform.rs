@@ -43,12 +43,12 @@ fn motion(delta: &Delta, pair: &[Sample]) -> Option<(Vector, Vector)> {
     }
     let place = |speeds: [f32; AXES], ticks: f64| -> Option<Vector> {
         let joints: [f64; AXES] =
-            std::array::from_fn(|axis| f64::from(here.reference_rad[axis]) + ticks * f64::from(speeds[axis]));
+            std::array::from_fn(|axis| f64::from(here.setpoint_rad[axis]) + ticks * f64::from(speeds[axis]));
         Some(delta.forward(&JointAngles(joints)).ok()?.into())
     };
-    let before = place(here.reference_rad_s, -TICK_S)?;
+    let before = place(here.setpoint_rad_s, -TICK_S)?;
     let at = place([0.0; AXES], 0.0)?;
-    let after = place(next.reference_rad_s, TICK_S)?;
+    let after = place(next.setpoint_rad_s, TICK_S)?;
     let [arrival, departure] = [subtract(&at, &before), subtract(&after, &at)].map(|way| way.map(|mm| mm / TICK_S));
     let change = subtract(&departure, &arrival).map(|change| change / TICK_S);
     Some((departure, change))
@@ -84,9 +84,9 @@ mod tests {
                 mode: Mode::Drawing,
                 stroke: 0,
                 pen: Pen::Down,
-                reference_rad: sample.reference.position_rad.map(|angle| angle as f32),
+                setpoint_rad: sample.setpoint.position_rad.map(|angle| angle as f32),
                 measured_rad: [0.0; AXES],
-                reference_rad_s: sample.reference.velocity_rad_s.map(|speed| speed as f32),
+                setpoint_rad_s: sample.setpoint.velocity_rad_s.map(|speed| speed as f32),
                 measured_rad_s: [0.0; AXES],
             });
         })
@@ -110,7 +110,7 @@ mod tests {
             .iter()
             .map(|sample| {
                 delta
-                    .forward(&JointAngles(sample.reference_rad.map(f64::from)))
+                    .forward(&JointAngles(sample.setpoint_rad.map(f64::from)))
                     .unwrap()
                     .into()
             })

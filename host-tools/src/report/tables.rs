@@ -33,8 +33,8 @@ pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
             sample.t_ms, sample.mode
         )?;
         for k in 0..AXES {
-            let (q_ref, q) = (sample.reference_rad[k], sample.measured_rad[k]);
-            let (v_ref, v) = (sample.reference_rad_s[k], sample.measured_rad_s[k]);
+            let (q_ref, q) = (sample.setpoint_rad[k], sample.measured_rad[k]);
+            let (v_ref, v) = (sample.setpoint_rad_s[k], sample.measured_rad_s[k]);
             write!(out, ",{q_ref:.7},{q:.7},{v_ref:.5},{v:.5}")?;
         }
         writeln!(out)?;

@@ -84,7 +84,7 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
             points.map(|(k, sample)| at(k, of(sample).into())).collect()
         };
         let (reference, actual) = (
-            positions(&|s| s.reference_rad[axis]),
+            positions(&|s| s.setpoint_rad[axis]),
             positions(&|s| s.measured_rad[axis]),
         );
         let name = if axis + 1 == AXES {
@@ -136,7 +136,7 @@ fn differences(config: &Config, samples: &[Sample], axis: usize) -> Vec<f64> {
     let age = config.axes[axis].measurement_age_ms.round() as usize;
     let before = |index: usize| samples.get(index.saturating_sub(age));
     let difference = |(index, sample): (usize, &Sample)| {
-        let reference = before(index).map_or(0.0, |cause| f64::from(cause.reference_rad[axis]));
+        let reference = before(index).map_or(0.0, |cause| f64::from(cause.setpoint_rad[axis]));
         (reference - f64::from(sample.measured_rad[axis])) * 1e6
     };
     samples.iter().enumerate().map(difference).collect()
@@ -240,9 +240,9 @@ mod tests {
             mode: Mode::Drawing,
             stroke: 0,
             pen: Pen::Down,
-            reference_rad: [angle; AXES],
+            setpoint_rad: [angle; AXES],
             measured_rad: [angle + if ms == 3_000 { 1e-3 } else { 1e-5 }; AXES],
-            reference_rad_s: [0.0; AXES],
+            setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
         }
     }

@@ -213,9 +213,9 @@ fn sample(t_ms: u32) -> Sample {
         mode: Mode::DrivesOff,
         stroke: 0,
         pen: Pen::Up,
-        reference_rad: [0.5; 4],
+        setpoint_rad: [0.5; 4],
         measured_rad: [0.4; 4],
-        reference_rad_s: [0.0; 4],
+        setpoint_rad_s: [0.0; 4],
         measured_rad_s: [0.1; 4],
     }
 }

@@ -1,7 +1,6 @@
 //! What may come from outside in the search: commands, the supervisor's news, changes of a millisecond's report.
 
 use super::super::*;
-use crate::link::protocol::Command;
 use crate::motion::Pen;
 use crate::robot::Position;
 
@@ -27,8 +26,8 @@ const PLACE: Position = Position {
 
 /// Commands, those of which the operands decide twice.
 pub(super) const COMMANDS: [Command; 18] = [
-    Command::Reference,
-    Command::ReferenceAt {
+    Command::Home,
+    Command::HomeAt {
         pose: JointAngles([0.0; 4]),
         position: None,
     },

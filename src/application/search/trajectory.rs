@@ -41,7 +41,7 @@ pub(super) enum Data {
 /// The trajectory task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Model {
-    /// Start to which the references belong that it gives.
+    /// Start to which the setpoints belong that it gives.
     pub(super) epoch: Option<u8>,
     /// It was told where it is.
     pub(super) placed: bool,
@@ -99,7 +99,7 @@ impl Model {
         }
     }
 
-    /// Comes to the end of what it does; only while its references are taken.
+    /// Comes to the end of what it does; only while its setpoints are taken.
     pub(super) fn arrive(&mut self) {
         self.doing = match self.doing {
             Doing::Rest | Doing::Moving => Doing::Rest,
@@ -152,7 +152,7 @@ mod real {
         task: TrajectoryTask<'static>,
         orders: Producer<'static, MotionOrder>,
         vertices: Producer<'static, PathItem>,
-        references: Consumer<'static, Queued>,
+        setpoints: Consumer<'static, Queued>,
         reports: Consumer<'static, MotionReport>,
     }
 
@@ -164,33 +164,33 @@ mod real {
         fn new() -> Self {
             let (orders, orders_out) = queue::<_, 17>();
             let (vertices, vertices_out) = queue::<_, 65>();
-            let (references_in, references) = queue::<_, 40>();
+            let (setpoints_in, setpoints) = queue::<_, 40>();
             let (reports_in, reports) = queue::<_, 5>();
             let trajectory = Box::leak(Box::new(Trajectory::unconfigured()));
-            let task = TrajectoryTask::new(trajectory, orders_out, vertices_out, references_in, reports_in);
+            let task = TrajectoryTask::new(trajectory, orders_out, vertices_out, setpoints_in, reports_in);
             Self {
                 task,
                 orders,
                 vertices,
-                references,
+                setpoints,
                 reports,
             }
         }
 
-        /// A release; the sampler takes the references of this start and of no other.
+        /// A release; the sampler takes the setpoints of this start and of no other.
         fn release(&mut self, followed: Option<u8>) -> MotionReport {
             self.task.release();
             for _ in 0..PERIOD_MS {
                 while self
-                    .references
+                    .setpoints
                     .peek()
                     .is_some_and(|queued| Some(queued.epoch) != followed)
                     && followed.is_some()
                 {
-                    self.references.dequeue();
+                    self.setpoints.dequeue();
                 }
                 if followed.is_some() {
-                    self.references.dequeue();
+                    self.setpoints.dequeue();
                 }
             }
             self.reports.dequeue().expect("a report")
@@ -369,7 +369,7 @@ mod real {
     }
 
     #[test]
-    fn a_motion_whose_references_nobody_takes_never_ends() {
+    fn a_motion_whose_setpoints_nobody_takes_never_ends() {
         let config = Config::default();
         let pose = pose(&config);
         let target = Position { x_mm: 50.0, ..ABOVE };

@@ -1,16 +1,16 @@
 //! What surrounds the operating modes in the search: drives, bus, trajectory, host, operator.
 //!
 //! Anything may happen at any time, except what cannot be: drives do not get power that nobody asked for, an angle is not
-//! referenced by itself, a motion whose references nobody takes does not end. [`State::check`] holds every transition to
+//! referenced by itself, a motion whose setpoints nobody takes does not end. [`State::check`] holds every transition to
 //! what the operating modes promise.
 
 extern crate std;
 
+use super::super::step::{RESET_MS, SETTLE_MS};
 use super::super::*;
 use super::inputs::{ANSWERS, BLIND, CHANGES, COMMANDS, Change, DRIVE, NEWS};
 use super::trajectory::{Data, Doing, Model};
 use crate::board::Interlock;
-use crate::link::protocol::Command;
 use crate::trajectory_task::MotionOrder;
 use std::vec::Vec;
 
@@ -84,7 +84,7 @@ pub(super) struct State {
     now_ms: u32,
     /// The last report.
     condition: Condition,
-    /// A reference was ordered, and may be taken from the next millisecond on.
+    /// Homing was ordered, and may succeed from the next millisecond on.
     taking: bool,
     /// The start that the sampler follows.
     followed: Option<u8>,
@@ -151,7 +151,7 @@ impl State {
         let application = &self.application;
         let enabling = match application.enabling {
             Enabling::No => (None, [].as_slice()),
-            Enabling::Referencing { since_ms } => (Some(since_ms), [SETTLE_MS, ENABLE_MAX_MS + 1].as_slice()),
+            Enabling::Homing { since_ms } => (Some(since_ms), [SETTLE_MS, ENABLE_MAX_MS + 1].as_slice()),
             Enabling::Powering { since_ms } => (Some(since_ms), [ENABLE_MAX_MS + 1].as_slice()),
         };
         let stop = match application.stop {
@@ -189,7 +189,7 @@ impl State {
             enabling: (
                 match application.enabling {
                     Enabling::No => 0,
-                    Enabling::Referencing { .. } => 1,
+                    Enabling::Homing { .. } => 1,
                     Enabling::Powering { .. } => 2,
                 },
                 enabling,
@@ -391,7 +391,7 @@ impl State {
                     }
                 }
                 Action::ClearFault => self.condition.fault = None,
-                Action::TakeReference { .. } => (self.followed, self.taking) = (None, true),
+                Action::Home { .. } => (self.followed, self.taking) = (None, true),
                 Action::Place { pose, epoch } => self.order(&MotionOrder::Place { pose, epoch }),
                 Action::Follow { epoch } => self.followed = Some(epoch),
                 Action::BeginPath => self.order(&MotionOrder::BeginPath),
@@ -500,8 +500,8 @@ impl State {
         let wanted = match application.mode {
             _ if busy => None,
             Mode::Startup => Some(Move::Configure),
-            Mode::DrivesOff if !referenced => Some(Move::Command(Command::Reference)),
-            Mode::Unreferenced => Some(Move::Command(Command::Reference)),
+            Mode::DrivesOff if !referenced => Some(Move::Command(Command::Home)),
+            Mode::Unreferenced => Some(Move::Command(Command::Home)),
             Mode::DrivesOff => Some(Move::Command(Command::Enable)),
             Mode::Moving | Mode::Drawing | Mode::Holding if !self.progress().idle => {
                 Some(Move::Command(Command::Cancel))

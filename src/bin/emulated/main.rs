@@ -70,7 +70,7 @@ mod app {
     use etherpen::controller::{Channels, MASTER_ADDRESS};
     use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::lan9118::Lan9118;
-    use etherpen::link::task::LinkTask;
+    use etherpen::link_task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
     use etherpen::network::NetworkTask;
     use etherpen::robot_bus::RobotSupervisor;
@@ -328,7 +328,7 @@ mod app {
         cx.shared.serial.on_sent();
     }
 
-    /// Plans, then fills the next 12 references of the ring.
+    /// Plans, then fills the next 12 setpoints of the ring.
     ///
     /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: its next release. Overrun: a release that found the
     /// one before not completed is counted, and the late run serves both.

@@ -85,7 +85,7 @@ mod app {
     use etherpen::ethercat::clock::steering::CountCorrection;
     use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::phy::Phy;
-    use etherpen::link::task::LinkTask;
+    use etherpen::link_task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
     use etherpen::network::NetworkTask;
     use etherpen::robot_bus::RobotSupervisor;
@@ -302,7 +302,7 @@ mod app {
         load::urgent(|| measurements.critical_counts(), || context.local.serial.service());
     }
 
-    /// Plans ahead and fills the ring with the next 12 references.
+    /// Plans ahead and fills the ring with the next 12 setpoints.
     ///
     /// Period: 12 ms. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before not completed is
     /// counted; the ring holds a plan that ends at rest, so late planning slows the motion down and never starves it.

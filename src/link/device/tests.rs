@@ -132,7 +132,7 @@ fn every_greeting_is_told_how_the_run_before_ended() {
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
     let previous = PreviousRun {
         end: PreviousRun::panicked("panicked at src/main.rs:1:1"),
-        fault: Some(Fault::ReferenceUnderrun),
+        fault: Some(Fault::SetpointUnderrun),
     };
     endpoint.set_previous_run(previous.clone());
     for session in 1..3 {
@@ -181,9 +181,9 @@ fn sample(t_ms: u32) -> Sample {
         mode: Mode::Drawing,
         stroke: 20_000,
         pen: Pen::Down,
-        reference_rad: [angle; 4],
+        setpoint_rad: [angle; 4],
         measured_rad: [angle * 0.999; 4],
-        reference_rad_s: [angle * 7.1; 4],
+        setpoint_rad_s: [angle * 7.1; 4],
         measured_rad_s: [angle * 7.3; 4],
     }
 }

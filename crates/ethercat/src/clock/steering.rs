@@ -109,7 +109,9 @@ impl ClockSteering {
     /// Advances by one cycle; returns the correction of the timer's next period, ns, at most [`CORRECTION_MAX_NS`]
     /// either way.
     pub fn step(&mut self, reading: ClockReading) -> i32 {
-        let expected_ns = self.expected_ns.map(|expected| expected.wrapping_add(self.period_ns.get()));
+        let expected_ns = self
+            .expected_ns
+            .map(|expected| expected.wrapping_add(self.period_ns.get()));
         let Some(reference_ns) = reading.reference_ns else {
             self.expected_ns = expected_ns;
             self.missing_cycles = self.missing_cycles.saturating_add(1);

@@ -115,7 +115,7 @@ fn a_stroke_of_a_million_vertices_costs_bounded_work_in_every_period() {
         down(60.0 * libm::cos(angle), 60.0 * libm::sin(angle))
     };
     let mut trajectory = placed(&settings, at(0).position.into());
-    let (mut pushed, mut work, mut last, mut periods) = (0, 0, Reference::default(), 0_u32);
+    let (mut pushed, mut work, mut last, mut periods) = (0, 0, Setpoint::default(), 0_u32);
     trajectory.command(MotionCommand::Start).unwrap();
     while trajectory.executed() < VERTICES || trajectory.state() != MotionState::Idle {
         while pushed < VERTICES && trajectory.free() > 0 {
@@ -125,12 +125,12 @@ fn a_stroke_of_a_million_vertices_costs_bounded_work_in_every_period() {
         if pushed == VERTICES {
             trajectory.finish();
         }
-        for reference in trajectory.step() {
+        for setpoint in trajectory.step() {
             for axis in 0..AXES {
-                let change = (reference.velocity_rad_s[axis] - last.velocity_rad_s[axis]) / TICK_S;
+                let change = (setpoint.velocity_rad_s[axis] - last.velocity_rad_s[axis]) / TICK_S;
                 assert!(change.abs() <= settings.motion.joint_acceleration_rad_s2[axis] * (1.0 + EXCESS));
             }
-            last = reference;
+            last = setpoint;
         }
         work = work.max(trajectory.work());
         periods += 1;
@@ -170,8 +170,8 @@ fn vertices_on_the_border_of_the_work_area_are_taken_or_refused_and_never_left()
         }
         let run = Run::new(&settings, &path).whole();
         run.check_limits("border");
-        for reference in &run.references {
-            let at = area.delta().forward(&JointAngles(reference.position_rad)).unwrap();
+        for setpoint in &run.setpoints {
+            let at = area.delta().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let near = Position {
                 x_mm: at.x_mm * (1.0 - 1.0e-9),
                 y_mm: at.y_mm * (1.0 - 1.0e-9),
@@ -216,9 +216,9 @@ fn limits_of_zero_are_refused_and_never_moved_with() {
                 run.feed(usize::MAX);
                 run.step();
             }
-            for reference in &run.references {
+            for setpoint in &run.setpoints {
                 for axis in 0..AXES {
-                    let speed = reference.velocity_rad_s[axis].abs();
+                    let speed = setpoint.velocity_rad_s[axis].abs();
                     assert!(
                         speed <= settings.motion.joint_speed_rad_s[axis],
                         "{name}: {speed} rad/s"
@@ -260,7 +260,7 @@ fn contradictory_limits_are_refused_by_name() {
 }
 
 #[test]
-fn whatever_is_pushed_and_commanded_nothing_panics_and_references_are_numbers() {
+fn whatever_is_pushed_and_commanded_nothing_panics_and_setpoints_are_numbers() {
     for seed in 1..200 {
         let mut random = Random::new(seed);
         let mut trajectory = placed(&Settings::default(), [0.0, 0.0, -850.0]);
@@ -288,9 +288,9 @@ fn whatever_is_pushed_and_commanded_nothing_panics_and_references_are_numbers() 
                 7 => MotionCommand::Pen(Pen::Up),
                 _ => MotionCommand::JogStop,
             });
-            for reference in trajectory.step() {
-                assert!(reference.position_rad.iter().all(|angle| angle.is_finite()));
-                assert!(reference.velocity_rad_s.iter().all(|speed| speed.abs() <= 25.0));
+            for setpoint in trajectory.step() {
+                assert!(setpoint.position_rad.iter().all(|angle| angle.is_finite()));
+                assert!(setpoint.velocity_rad_s.iter().all(|speed| speed.abs() <= 25.0));
             }
         }
     }

@@ -19,11 +19,11 @@ fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
         }
         run.command(MotionCommand::Hold);
         run.until(MotionState::Held);
-        let held = *run.references.last().unwrap();
+        let held = *run.setpoints.last().unwrap();
         assert_eq!((held.velocity_rad_s, held.pen), ([0.0; AXES], Pen::Up), "{name}");
         assert!(run.end()[2] > -849.9, "{name}: pen is down");
         run.step();
-        assert_eq!(run.references.last().unwrap().position_rad, held.position_rad, "{name}");
+        assert_eq!(run.setpoints.last().unwrap().position_rad, held.position_rad, "{name}");
         run.command(MotionCommand::Resume);
         run.until(MotionState::Idle);
         run.check_limits(&name);
@@ -84,7 +84,7 @@ fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns
         }
         assert_eq!(run.trajectory.state(), MotionState::Starved, "{name}");
         assert_eq!(run.trajectory.underruns(), 1, "{name}");
-        let waiting = *run.references.last().unwrap();
+        let waiting = *run.setpoints.last().unwrap();
         assert_eq!((waiting.velocity_rad_s, waiting.pen), ([0.0; AXES], Pen::Up), "{name}");
         run.until(MotionState::Idle);
         run.check_limits(&name);
@@ -218,7 +218,7 @@ fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
     }
     run.command(MotionCommand::Pen(Pen::Down));
     run.until(MotionState::Idle);
-    assert!((run.end()[2] + 850.0).abs() < 1.0e-6 && run.references.last().unwrap().pen == Pen::Down);
+    assert!((run.end()[2] + 850.0).abs() < 1.0e-6 && run.setpoints.last().unwrap().pen == Pen::Down);
     run.command(MotionCommand::Pen(Pen::Up));
     run.until(MotionState::Idle);
     assert!((run.end()[2] + 847.0).abs() < 1.0e-6);
@@ -260,7 +260,7 @@ fn a_reconfigured_stage_is_as_good_as_new() {
         vertex(point, Pen::Down, 1)
     });
     let start: Vector = path[0].position.into();
-    let references = |mut trajectory: Trajectory| -> Vec<[Reference; PERIOD_MS]> {
+    let setpoints = |mut trajectory: Trajectory| -> Vec<[Setpoint; PERIOD_MS]> {
         for vertex in path {
             trajectory.push(vertex).unwrap();
         }
@@ -279,7 +279,7 @@ fn a_reconfigured_stage_is_as_good_as_new() {
     used.reconfigure(&second).unwrap();
     let [a, b, c] = Delta::new(&second.geometry).unwrap().inverse(&start.into()).unwrap();
     assert!(used.place(JointAngles([a, b, c, 0.0])));
-    let (used, new) = (references(used), references(placed(&second, start)));
+    let (used, new) = (setpoints(used), setpoints(placed(&second, start)));
     assert_eq!(used, new);
     assert_ne!(new[0], new[199], "the path moved");
 }
@@ -305,7 +305,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
         };
         run.path = start.to_vec();
         run.pushed = 1;
-        run.references.clear();
+        run.setpoints.clear();
         let [a, b, c] = area.delta().angles(&outside);
         let pose = JointAngles([a, b, c, 0.0]);
         assert!(area.check(&outside.into()).is_err(), "{outside:?} is inside");

@@ -17,7 +17,7 @@ fn unaveraged() -> Settings {
 fn earliest_mm(run: &Run) -> f64 {
     let delta = Delta::new(&run.settings.geometry).unwrap();
     let mut worst = f64::MIN;
-    for pair in run.references.windows(2) {
+    for pair in run.setpoints.windows(2) {
         let at = Vector::from(delta.forward(&JointAngles(pair[1].position_rad)).unwrap());
         for index in pair[0].vertex as usize..pair[1].vertex as usize {
             let point = |index: usize| Vector::from(run.path[index].position);

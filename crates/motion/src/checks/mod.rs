@@ -1,6 +1,6 @@
-//! Requirements on the whole trajectory stage, checked on every 1 ms reference.
+//! Requirements on the whole trajectory stage, checked on every 1 ms setpoint.
 //!
-//! Here is the harness: a run of the stage over a path, and the checks of its references. Paths and commands have
+//! Here is the harness: a run of the stage over a path, and the checks of its setpoints. Paths and commands have
 //! their requirements in files of their own.
 
 mod bad_input;
@@ -72,13 +72,13 @@ fn placed(settings: &Settings, point: Vector) -> Trajectory {
     trajectory
 }
 
-/// A run: the stage, the vertices still to be pushed, and all references so far.
+/// A run: the stage, the vertices still to be pushed, and all setpoints so far.
 struct Run {
     settings: Settings,
     trajectory: Trajectory,
     path: Vec<Vertex>,
     pushed: usize,
-    references: Vec<Reference>,
+    setpoints: Vec<Setpoint>,
     work_max: u32,
     work_sum: u64,
 }
@@ -91,7 +91,7 @@ impl Run {
             trajectory: placed(settings, path[0].position.into()),
             path: path.to_vec(),
             pushed: 0,
-            references: Vec::new(),
+            setpoints: Vec::new(),
             work_max: 0,
             work_sum: 0,
         };
@@ -112,7 +112,7 @@ impl Run {
     }
 
     fn step(&mut self) {
-        self.references.extend(self.trajectory.step());
+        self.setpoints.extend(self.trajectory.step());
         self.work_max = self.work_max.max(self.trajectory.work());
         self.work_sum += u64::from(self.trajectory.work());
     }
@@ -145,13 +145,13 @@ impl Run {
     }
 
     fn duration_s(&self) -> f64 {
-        let last = self.references.last().unwrap().position_rad;
+        let last = self.setpoints.last().unwrap().position_rad;
         let still = self
-            .references
+            .setpoints
             .iter()
             .take_while(|r| r.velocity_rad_s == [0.0; AXES])
             .count();
-        let moving = self.references.iter().rposition(|r| r.position_rad != last);
+        let moving = self.setpoints.iter().rposition(|r| r.position_rad != last);
         moving.map_or(0.0, |index| (index + 2).saturating_sub(still) as f64 * TICK_S)
     }
 
@@ -159,7 +159,7 @@ impl Run {
     fn check_limits(&self, name: &str) -> [f64; KINDS] {
         let motion = &self.settings.motion;
         let delta = Delta::new(&self.settings.geometry).unwrap();
-        let point = |r: &Reference| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
+        let point = |r: &Setpoint| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
         let mut worst = [0.0_f64; KINDS];
         let mut note = |kind: usize, value: f64, limit: f64, at: usize| {
             worst[kind] = worst[kind].max(value / limit);
@@ -171,19 +171,19 @@ impl Run {
         let window_ms = super::averaging::averaging(&self.settings).0;
         let jerk_s = f64::from(window_ms) * TICK_S;
         let mut accelerations = [0.0; AXES];
-        let mut before: Option<(Vector, Vector, Reference)> = None;
-        for (at, reference) in self.references.iter().enumerate() {
-            let here = point(reference);
-            let Some((last, last_velocity, last_reference)) = before else {
-                before = Some((here, [0.0; 3], *reference));
+        let mut before: Option<(Vector, Vector, Setpoint)> = None;
+        for (at, setpoint) in self.setpoints.iter().enumerate() {
+            let here = point(setpoint);
+            let Some((last, last_velocity, last_setpoint)) = before else {
+                before = Some((here, [0.0; 3], *setpoint));
                 continue;
             };
             for (axis, acceleration_before) in accelerations.iter_mut().enumerate() {
-                let velocity = reference.velocity_rad_s[axis];
-                let difference = (reference.position_rad[axis] - last_reference.position_rad[axis]) / TICK_S;
+                let velocity = setpoint.velocity_rad_s[axis];
+                let difference = (setpoint.position_rad[axis] - last_setpoint.position_rad[axis]) / TICK_S;
                 assert!((velocity - difference).abs() < 1.0e-8, "{name}: axis {axis} at {at} ms");
                 note(0, velocity.abs(), motion.joint_speed_rad_s[axis], at);
-                let acceleration = (velocity - last_reference.velocity_rad_s[axis]) / TICK_S;
+                let acceleration = (velocity - last_setpoint.velocity_rad_s[axis]) / TICK_S;
                 let limit = motion.joint_acceleration_rad_s2[axis];
                 note(1, acceleration.abs(), limit, at);
                 let jerk = (acceleration - *acceleration_before).abs() / TICK_S;
@@ -194,7 +194,7 @@ impl Run {
                 *acceleration_before = acceleration;
             }
             let velocity = subtract(&here, &last).map(|d| d / TICK_S);
-            let drawn = reference.pen == Pen::Down && last_reference.pen == Pen::Down;
+            let drawn = setpoint.pen == Pen::Down && last_setpoint.pen == Pen::Down;
             let speed_max = if drawn {
                 motion.speed_mm_s
             } else {
@@ -203,27 +203,27 @@ impl Run {
             note(2, length(&velocity), speed_max, at);
             let acceleration = length(&subtract(&velocity, &last_velocity)) / TICK_S;
             note(3, acceleration, motion.acceleration_mm_s2 + 0.1, at);
-            before = Some((here, velocity, *reference));
+            before = Some((here, velocity, *setpoint));
         }
-        let last = self.references.last().unwrap();
+        let last = self.setpoints.last().unwrap();
         assert_eq!(last.velocity_rad_s, [0.0; AXES], "{name}: not at rest");
         worst
     }
 
-    /// Largest distance of the references from the path, near the vertices that they report.
+    /// Largest distance of the setpoints from the path, near the vertices that they report.
     fn deviation(&self) -> (f64, f64) {
         let delta = Delta::new(&self.settings.geometry).unwrap();
         let mut worst = (0.0_f64, 0.0_f64);
-        for reference in &self.references {
-            let at = Vector::from(delta.forward(&JointAngles(reference.position_rad)).unwrap());
-            let near = reference.vertex as usize;
+        for setpoint in &self.setpoints {
+            let at = Vector::from(delta.forward(&JointAngles(setpoint.position_rad)).unwrap());
+            let near = setpoint.vertex as usize;
             let from = near.saturating_sub(8);
             let to = (near + 9).min(self.path.len());
             let distance = self.path[from..to]
                 .windows(2)
                 .map(|leg| distance(&at, &leg[0].position.into(), &leg[1].position.into()))
                 .fold(f64::INFINITY, f64::min);
-            if reference.pen == Pen::Down {
+            if setpoint.pen == Pen::Down {
                 worst.0 = worst.0.max(distance);
             } else {
                 worst.1 = worst.1.max(distance);
@@ -251,7 +251,7 @@ impl Run {
     fn end(&self) -> Vector {
         let delta = Delta::new(&self.settings.geometry).unwrap();
         delta
-            .forward(&JointAngles(self.references.last().unwrap().position_rad))
+            .forward(&JointAngles(self.setpoints.last().unwrap().position_rad))
             .unwrap()
             .into()
     }

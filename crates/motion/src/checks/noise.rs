@@ -123,7 +123,7 @@ pub(super) fn run_to_its_end(settings: &Settings, path: &[Vertex], name: &str) -
         run.step();
         assert_eq!(run.trajectory.stalled_ms(), 0, "{name}: no progress");
         if run.trajectory.state() == MotionState::Idle {
-            let took_s = run.references.len() as f64 * TICK_S;
+            let took_s = run.setpoints.len() as f64 * TICK_S;
             return (run, took_s / bound_s);
         }
     }
@@ -164,7 +164,7 @@ fn noise_of_every_scale_ends_at_its_last_vertex_in_bounded_time() {
     }
     println!("{count} walks, the longest took {longest:.3} of its bound, worst parts of the limits {worst:.4?}");
     println!(
-        "worst parts of the tolerance: reference to line {:.4}, vertex to reference {:.4}",
+        "worst parts of the tolerance: setpoint to line {:.4}, vertex to setpoint {:.4}",
         apart.0, apart.1
     );
 }
@@ -193,7 +193,7 @@ pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
         run.feed(usize::MAX);
         run.step();
     }
-    let before = run.references.len();
+    let before = run.setpoints.len();
     let percent = 10 + random.below(191) as u8;
     let _ = run.trajectory.command(MotionCommand::Override(percent));
     run.step();
@@ -223,7 +223,7 @@ pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
         matches!(state, MotionState::Idle) || !cancels && state == MotionState::Held,
         "{name}: {state:?} after {command:?} and {brake_s} s"
     );
-    let rest_ms = run.references.len() - before;
+    let rest_ms = run.setpoints.len() - before;
     if state == MotionState::Held {
         resume_to_the_end(&mut run, periods, &name);
     }
@@ -277,12 +277,12 @@ fn slow_line() -> Run {
 #[test]
 fn a_hold_a_cancel_and_an_override_cut_a_long_stretch() {
     let speed = |run: &Run| {
-        let mut ends = [run.references.len() - 2, run.references.len() - 1].into_iter();
+        let mut ends = [run.setpoints.len() - 2, run.setpoints.len() - 1].into_iter();
         let delta = Delta::new(&run.settings.geometry).unwrap();
         let mut point = || {
             Vector::from(
                 delta
-                    .forward(&JointAngles(run.references[ends.next().unwrap()].position_rad))
+                    .forward(&JointAngles(run.setpoints[ends.next().unwrap()].position_rad))
                     .unwrap(),
             )
         };
@@ -330,7 +330,7 @@ fn a_motion_that_makes_no_progress_is_noticed_and_a_slow_one_goes_on() {
         run.trajectory.stalled_ms() > 0
     });
     assert_eq!(noticed, Some(2_000 / PERIOD_MS + 2), "after two seconds and the start");
-    assert!(run.trajectory.place(JointAngles(run.references[0].position_rad)));
+    assert!(run.trajectory.place(JointAngles(run.setpoints[0].position_rad)));
     assert_eq!(run.trajectory.stalled_ms(), 0, "a new start is watched anew");
     // The slowest that a configuration may ask for.
     let mut settings = Settings::default();
@@ -348,7 +348,7 @@ fn a_motion_that_makes_no_progress_is_noticed_and_a_slow_one_goes_on() {
     run.command(MotionCommand::Start);
     for _ in 0..60_000 {
         run.step();
-        assert_eq!(run.trajectory.stalled_ms(), 0, "after {} ms", run.references.len());
+        assert_eq!(run.trajectory.stalled_ms(), 0, "after {} ms", run.setpoints.len());
         if run.trajectory.state() == MotionState::Idle {
             break;
         }

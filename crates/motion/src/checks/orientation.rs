@@ -11,14 +11,14 @@ fn following() -> Settings {
 }
 
 /// Largest difference between the fourth axis and the direction of the drawn leg in the middle of long legs, rad, and
-/// over how many references.
+/// over how many setpoints.
 fn misalignment(run: &Run) -> (f64, usize) {
     let delta = Delta::new(&run.settings.geometry).unwrap();
     let (mut worst, mut samples) = (0.0_f64, 0);
-    let drawn = |reference: &&Reference| reference.pen == Pen::Down && reference.velocity_rad_s[..3] != [0.0; 3];
-    for reference in run.references.iter().filter(drawn) {
-        let at = Vector::from(delta.forward(&JointAngles(reference.position_rad)).unwrap());
-        let near = reference.vertex as usize;
+    let drawn = |setpoint: &&Setpoint| setpoint.pen == Pen::Down && setpoint.velocity_rad_s[..3] != [0.0; 3];
+    for setpoint in run.setpoints.iter().filter(drawn) {
+        let at = Vector::from(delta.forward(&JointAngles(setpoint.position_rad)).unwrap());
+        let near = setpoint.vertex as usize;
         // Legs may cross.
         let (mut off, mut on_long_leg) = (f64::INFINITY, false);
         for leg in run.path[near.saturating_sub(2)..(near + 3).min(run.path.len())].windows(2) {
@@ -29,7 +29,7 @@ fn misalignment(run: &Run) -> (f64, usize) {
             if distance(&at, &from, &to) < 1.0e-3 && leg[1].pen == Pen::Down {
                 on_long_leg |= middle;
                 let direction = libm::atan2(way[1], way[0]);
-                off = off.min(turn_to(reference.position_rad[3], direction).abs());
+                off = off.min(turn_to(setpoint.position_rad[3], direction).abs());
             }
         }
         if on_long_leg {
@@ -89,7 +89,7 @@ fn on_a_circle_the_fourth_axis_turns_on_and_on() {
     }
     let run = Run::new(&following(), &path).whole();
     run.check_limits("circle");
-    let turned = run.references.last().unwrap().position_rad[3] - PI / 2.0;
+    let turned = run.setpoints.last().unwrap().position_rad[3] - PI / 2.0;
     assert!((turned - 3.0 * TAU).abs() < 0.1, "{turned} rad");
     let constant = Run::new(&Settings::default(), &path).whole();
     println!(
@@ -100,7 +100,7 @@ fn on_a_circle_the_fourth_axis_turns_on_and_on() {
 }
 
 #[test]
-fn the_angle_that_admission_expects_is_the_angle_of_the_references() {
+fn the_angle_that_admission_expects_is_the_angle_of_the_setpoints() {
     let (mut worst, mut widest) = (0.0_f64, 0.0_f64);
     for seed in 1..=100 {
         let path = random_path(&mut Random::new(seed), 2);
@@ -111,10 +111,10 @@ fn the_angle_that_admission_expects_is_the_angle_of_the_references() {
             winding = winding.over(&subtract(&leg[1].position.into(), &leg[0].position.into()));
             range = (range.0.min(winding.angle_rad()), range.1.max(winding.angle_rad()));
         }
-        let end = run.references.last().unwrap().position_rad[3];
+        let end = run.setpoints.last().unwrap().position_rad[3];
         worst = worst.max((end - winding.angle_rad()).abs());
-        for reference in &run.references {
-            let angle = reference.position_rad[3];
+        for setpoint in &run.setpoints {
+            let angle = setpoint.position_rad[3];
             assert!(
                 range.0 - 1.0e-3 < angle && angle < range.1 + 1.0e-3,
                 "seed {seed}: {angle} rad is not within {range:?}"
@@ -136,7 +136,7 @@ fn at_a_reversal_the_fourth_axis_turns_at_rest_and_does_not_wind_up() {
     }
     let run = Run::new(&following(), &path).whole();
     run.check_limits("to and fro");
-    let angles = run.references.iter().map(|reference| reference.position_rad[3]);
+    let angles = run.setpoints.iter().map(|setpoint| setpoint.position_rad[3]);
     let (low, high) = angles.fold((0.0_f64, 0.0_f64), |(low, high), angle| {
         (low.min(angle), high.max(angle))
     });

@@ -46,13 +46,13 @@ fn a_lift_costs_a_tenth_of_a_second() {
     let run = Run::new(&settings, &path).whole();
     let worst = run.check_limits("portrait");
     run.check_deviation("portrait");
-    let lifted = run.references.iter().filter(|r| r.pen == Pen::Up).count() as f64 * TICK_S;
+    let lifted = run.setpoints.iter().filter(|r| r.pen == Pen::Up).count() as f64 * TICK_S;
     println!(
         "{:.3} s for {drawn_mm:.0} mm, {:.4} s a lift, worst {worst:?}, work at most {}, mean {}",
         run.duration_s(),
         lifted / 40.0,
         run.work_max,
-        run.work_sum / (run.references.len() / PERIOD_MS) as u64
+        run.work_sum / (run.setpoints.len() / PERIOD_MS) as u64
     );
     assert!(lifted / 40.0 < 0.11);
 }

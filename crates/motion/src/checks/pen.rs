@@ -2,13 +2,13 @@
 
 use super::*;
 
-/// Largest vertical speed and acceleration of the references.
+/// Largest vertical speed and acceleration of the setpoints.
 fn vertical(run: &Run) -> (f64, f64) {
     let delta = Delta::new(&run.settings.geometry).unwrap();
     let heights: Vec<f64> = run
-        .references
+        .setpoints
         .iter()
-        .map(|reference| delta.forward(&JointAngles(reference.position_rad)).unwrap().z_mm)
+        .map(|setpoint| delta.forward(&JointAngles(setpoint.position_rad)).unwrap().z_mm)
         .collect();
     heights.windows(3).fold((0.0_f64, 0.0_f64), |(speed, acceleration), z| {
         let (first, second) = ((z[1] - z[0]) / TICK_S, (z[2] - z[1]) / TICK_S);
@@ -101,7 +101,7 @@ fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
             worst.0.max(speed / speed_max),
             worst.1.max(acceleration / acceleration_max),
         );
-        samples += run.references.len();
+        samples += run.setpoints.len();
         assert!(
             speed <= speed_max * (1.0 + EXCESS),
             "{name}: {speed} of {speed_max} mm/s"
@@ -123,10 +123,10 @@ fn the_pen_changes_without_a_stop_unless_it_dwells() {
         let run = Run::new(&settings, &path).whole();
         run.check_limits("dwell");
         run.check_deviation("dwell");
-        let moving = run.references.iter().skip_while(|r| r.velocity_rad_s == [0.0; AXES]);
+        let moving = run.setpoints.iter().skip_while(|r| r.velocity_rad_s == [0.0; AXES]);
         let (mut longest, mut current, mut rests) = (0, 0, 0);
-        for reference in moving {
-            if reference.velocity_rad_s == [0.0; AXES] {
+        for setpoint in moving {
+            if setpoint.velocity_rad_s == [0.0; AXES] {
                 current += 1;
                 continue;
             }

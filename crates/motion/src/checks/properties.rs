@@ -99,7 +99,7 @@ fn check_held(random: &mut Random, settings: &Settings, path: &[Vertex], periods
     if run.trajectory.state() == MotionState::Running {
         run.command(MotionCommand::Hold);
         run.until(MotionState::Held);
-        assert_eq!(run.references.last().unwrap().velocity_rad_s, [0.0; AXES], "{name}");
+        assert_eq!(run.setpoints.last().unwrap().velocity_rad_s, [0.0; AXES], "{name}");
         run.command(MotionCommand::Override(100));
         run.command(MotionCommand::Resume);
     }
@@ -117,11 +117,11 @@ fn check_seeds(seeds: core::ops::Range<u64>) {
         let path = varied_path(&mut random, &settings);
         let name = format!("seed {seed}");
         let run = Run::new(&settings, &path).whole();
-        samples += run.references.len();
+        samples += run.setpoints.len();
         for (all, one) in worst.iter_mut().zip(check_whole(&run, &name)) {
             *all = all.max(one);
         }
-        let periods = run.references.len() / PERIOD_MS;
+        let periods = run.setpoints.len() / PERIOD_MS;
         check_held(&mut random, &settings, &path, periods, &format!("seed {seed}, held"));
     }
     println!("worst parts of the limits in {samples} samples: {worst:?}");
@@ -162,8 +162,8 @@ fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
         }
         let run = Run::new(&settings, &path).whole();
         run.check_limits(&format!("seed {seed}"));
-        for reference in &run.references {
-            let at = area.delta().forward(&JointAngles(reference.position_rad)).unwrap();
+        for setpoint in &run.setpoints {
+            let at = area.delta().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let inside = area.check(&at);
             assert!(inside.is_ok(), "seed {seed}: {at:?} {inside:?}");
             samples += 1;

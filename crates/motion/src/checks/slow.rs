@@ -6,7 +6,7 @@ use super::*;
 fn peak(run: &Run) -> (f64, usize) {
     let delta = Delta::new(&run.settings.geometry).unwrap();
     let points: Vec<Vector> = run
-        .references
+        .setpoints
         .iter()
         .map(|r| delta.forward(&JointAngles(r.position_rad)).unwrap().into())
         .collect();

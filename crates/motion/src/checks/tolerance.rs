@@ -1,4 +1,4 @@
-//! Requirements on the tolerance, both ways: no reference far from its leg, no vertex far from the references.
+//! Requirements on the tolerance, both ways: no setpoint far from its leg, no vertex far from the setpoints.
 //!
 //! The distances are found by looking at all candidates near a place, with arithmetic of their own: nothing here knows
 //! how the path is shaped.
@@ -8,7 +8,7 @@ use super::*;
 /// Variable that asks for another number of drawings than the one of the test suite.
 const DRAWINGS: &str = "ETHERPEN_TOLERANCE_DRAWINGS";
 const DRAWINGS_OF_THE_SUITE: u64 = 150;
-/// Places around that of the vertex which a reference reports, among which its leg is looked for, and the reverse. Vertices
+/// Places around that of the vertex which a setpoint reports, among which its leg is looked for, and the reverse. Vertices
 /// that repeat one another are one place.
 const NEAR: usize = 3;
 
@@ -42,7 +42,7 @@ fn places(vertices: &[[f64; 3]]) -> Vec<usize> {
     numbers
 }
 
-/// Largest distances with the pen down: of a reference from its legs, and of a vertex from the references around it.
+/// Largest distances with the pen down: of a setpoint from its legs, and of a vertex from the setpoints around it.
 fn distances(run: &Run) -> (f64, f64) {
     let delta = Delta::new(&run.settings.geometry).unwrap();
     let vertices: Vec<[f64; 3]> = run.path.iter().map(|vertex| vertex.position.into()).collect();
@@ -50,10 +50,10 @@ fn distances(run: &Run) -> (f64, f64) {
     let mut off_legs = 0.0_f64;
     let mut nearest = std::vec![f64::INFINITY; vertices.len()];
     let mut before: Option<[f64; 3]> = None;
-    for (number, reference) in run.references.iter().enumerate() {
-        let at: [f64; 3] = delta.forward(&JointAngles(reference.position_rad)).unwrap().into();
+    for (number, setpoint) in run.setpoints.iter().enumerate() {
+        let at: [f64; 3] = delta.forward(&JointAngles(setpoint.position_rad)).unwrap().into();
         // A millisecond may pass many vertices, and an average lies between those of its neighbours.
-        let executed = |number: usize| run.references[number.min(run.references.len() - 1)].vertex as usize;
+        let executed = |number: usize| run.setpoints[number.min(run.setpoints.len() - 1)].vertex as usize;
         let (first, last) = (executed(number.saturating_sub(1)), executed(number + 1));
         let (low, high) = (
             places[first.min(last)].saturating_sub(NEAR),
@@ -65,7 +65,7 @@ fn distances(run: &Run) -> (f64, f64) {
             .windows(2)
             .map(|leg| apart(at, leg[0], leg[1]))
             .fold(f64::INFINITY, f64::min);
-        if reference.pen == Pen::Down && to - from > 1 {
+        if setpoint.pen == Pen::Down && to - from > 1 {
             off_legs = off_legs.max(off);
         }
         for index in from..to {
@@ -88,7 +88,7 @@ fn distances(run: &Run) -> (f64, f64) {
 pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
     let motion = &run.settings.motion;
     let (off_legs, missed) = distances(run);
-    // Where nothing is averaged, references a millisecond apart cut a corner.
+    // Where nothing is averaged, setpoints a millisecond apart cut a corner.
     let cut = if run.trajectory.jerk_window_ms() > 1 {
         0.0
     } else {
@@ -98,7 +98,7 @@ pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
     let most = limit * (1.0 + EXCESS);
     assert!(
         off_legs <= most,
-        "{name}: a reference is {off_legs} mm off, tolerance {limit} mm"
+        "{name}: a setpoint is {off_legs} mm off, tolerance {limit} mm"
     );
     // A vertex that repeats another one is merged with it.
     assert!(
@@ -156,7 +156,7 @@ fn drawings_of_every_scale_stay_within_the_tolerance_of_their_lines_and_reach_ev
         worst = (worst.0.max(one.0), worst.1.max(one.1));
     }
     println!(
-        "worst parts of the tolerance: reference to line {:.4}, vertex to reference {:.4}",
+        "worst parts of the tolerance: setpoint to line {:.4}, vertex to setpoint {:.4}",
         worst.0, worst.1
     );
 }
@@ -165,5 +165,5 @@ fn drawings_of_every_scale_stay_within_the_tolerance_of_their_lines_and_reach_ev
 fn a_recorded_walk_of_short_legs_keeps_its_tolerance() {
     let path = paths::sample_path(include_str!("../../../../samples/motion/tolerance.csv"));
     let (off_legs, missed) = check(&Settings::default(), &path, "tolerance.csv");
-    println!("parts of the tolerance: reference to line {off_legs:.4}, vertex to reference {missed:.4}");
+    println!("parts of the tolerance: setpoint to line {off_legs:.4}, vertex to setpoint {missed:.4}");
 }

@@ -222,7 +222,7 @@ impl Peer {
                 }
             }
             Step::Referencing if referenced => self.enter(Step::Enabling),
-            Step::Referencing => self.request(Command::Reference),
+            Step::Referencing => self.request(Command::Home),
             Step::Enabling if mode == Mode::Idle => {
                 let bits = self.disturbance.bits();
                 self.session.measure(MeasurementRequest::Disturb { bits });
@@ -279,7 +279,7 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
         frames_lost: after.frames_lost.wrapping_sub(before.frames_lost),
         working_counter_errors: after.working_counter_errors.wrapping_sub(before.working_counter_errors),
         frames_ignored: after.frames_ignored.wrapping_sub(before.frames_ignored),
-        reference_underruns: after.reference_underruns.wrapping_sub(before.reference_underruns),
+        setpoint_underruns: after.setpoint_underruns.wrapping_sub(before.setpoint_underruns),
         path_starvations: after.path_starvations.wrapping_sub(before.path_starvations),
         trajectory_overruns: after.trajectory_overruns.wrapping_sub(before.trajectory_overruns),
         telemetry_dropped: after.telemetry_dropped.wrapping_sub(before.telemetry_dropped),

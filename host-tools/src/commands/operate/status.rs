@@ -158,7 +158,7 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
             counters.cycles_late,
             counted(counters.frames_lost, "frame"),
             counted(counters.working_counter_errors, "working counter error"),
-            counted(counters.reference_underruns, "reference underrun")
+            counted(counters.setpoint_underruns, "reference underrun")
         );
     }
     if let (Some(drawing), Some(progress)) = (answer.drawing, answer.progress) {

@@ -454,7 +454,7 @@ impl Viewer {
 
     fn command(&self, heard: Ticket, action: Action) {
         let (what, order) = match action {
-            Action::Reference => ("the reference", Order::Tell(Command::Reference)),
+            Action::Reference => ("the reference", Order::Tell(Command::Home)),
             Action::ReferenceHere => match self.console.reference_here() {
                 Some(command) => ("the reference", Order::Tell(command)),
                 None => return self.refuse("nobody knows where the arms were; take the reference at the marks"),

@@ -146,16 +146,13 @@ fn a_robot_that_moves_has_no_position_or_has_a_fault_is_not_referenced() {
     rig.refuse_reference = Some(Refusal::Moving);
     assert_eq!(
         on_bench(&mut rig, false),
-        JobError::Refused(Command::Reference, Refusal::Moving)
+        JobError::Refused(Command::Home, Refusal::Moving)
     );
 
     let mut rig = Rig::new(1, 0);
     rig.increments[2] = None;
     let error = on_bench(&mut rig, false);
-    assert_eq!(
-        error,
-        JobError::Refused(Command::Reference, Refusal::NoPosition { axis: 2 })
-    );
+    assert_eq!(error, JobError::Refused(Command::Home, Refusal::NoPosition { axis: 2 }));
     assert!(error.to_string().contains("no position of axis 3"), "{error}");
 
     let mut rig = Rig::new(1, 0);
@@ -181,5 +178,5 @@ fn a_fault_from_before_is_acknowledged_where_that_is_asked_for() {
         ),
         "{error}"
     );
-    assert_eq!(rig.commands, [Command::Acknowledge, Command::Reference]);
+    assert_eq!(rig.commands, [Command::Acknowledge, Command::Home]);
 }

@@ -55,8 +55,8 @@ fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
     let age = config.axes[0].measurement_age_ms.round() as usize;
     (0..planned.len() + REST_MS)
         .map(|index| {
-            let now = &planned[index.min(planned.len() - 1)].reference;
-            let before = &planned[index.saturating_sub(age).min(planned.len() - 1)].reference;
+            let now = &planned[index.min(planned.len() - 1)].setpoint;
+            let before = &planned[index.saturating_sub(age).min(planned.len() - 1)].setpoint;
             Sample {
                 t_ms: 1_000 + index as u32,
                 mode: if index < planned.len() + age {
@@ -66,9 +66,9 @@ fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
                 },
                 stroke: now.stroke,
                 pen: now.pen,
-                reference_rad: now.position_rad.map(|rad| rad as f32),
+                setpoint_rad: now.position_rad.map(|rad| rad as f32),
                 measured_rad: before.position_rad.map(|rad| rad as f32),
-                reference_rad_s: now.velocity_rad_s.map(|rad_s| rad_s as f32),
+                setpoint_rad_s: now.velocity_rad_s.map(|rad_s| rad_s as f32),
                 measured_rad_s: before.velocity_rad_s.map(|rad_s| rad_s as f32),
             }
         })
@@ -155,9 +155,9 @@ fn an_axis_that_stands_still_is_noticed_with_the_length_that_it_takes() {
         for pair in (0..samples.len() - age - 1).collect::<Vec<_>>() {
             let (cause, next) = (&samples[pair], &samples[pair + 1]);
             let error_mm =
-                crate::matching::distance(&place(cause.reference_rad), &place(samples[pair + age].measured_rad));
+                crate::matching::distance(&place(cause.setpoint_rad), &place(samples[pair + age].measured_rad));
             if cause.pen == Pen::Down && next.pen == Pen::Down && error_mm > 2.5 {
-                away_mm += crate::matching::distance(&place(cause.reference_rad), &place(next.reference_rad));
+                away_mm += crate::matching::distance(&place(cause.setpoint_rad), &place(next.setpoint_rad));
             }
         }
         let verdict = verdict(&config, &path, &samples);

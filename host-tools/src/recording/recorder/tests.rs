@@ -18,9 +18,9 @@ fn sample(t_ms: u32) -> Sample {
         },
         stroke: t_ms / 700,
         pen: if t_ms % 700 < 500 { Pen::Down } else { Pen::Up },
-        reference_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t + k as f32).sin()),
+        setpoint_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t + k as f32).sin()),
         measured_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t - 0.001 + k as f32).sin() + 1e-5),
-        reference_rad_s: [0.1 * t.cos(); AXES],
+        setpoint_rad_s: [0.1 * t.cos(); AXES],
         measured_rad_s: [0.1 * t.cos() + 1e-4; AXES],
     }
 }

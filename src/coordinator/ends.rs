@@ -1,7 +1,5 @@
-//! The link task's ends of the channels.
+//! The coordinator's ends of the queues to the other tasks.
 
-use super::frame::Decoder;
-use super::ports::LinkPort;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::measurement::Measurements;
 use crate::network::SettingsEnd;
@@ -9,22 +7,8 @@ use crate::robot_bus::RobotBusEnd;
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem};
 use heapless::spsc::{Consumer, Producer};
 
-/// The link task's ends of a port's channels.
-pub struct PortEnds<'a> {
-    /// Bytes from the host.
-    pub received: Consumer<'a, u8>,
-    /// Finds the frames in the received bytes; large, therefore stored in the channels.
-    pub decoder: &'a mut Decoder,
-    /// Bytes to the host.
-    pub sent: Producer<'a, u8>,
-}
-
-/// The link task's ends of the channels.
-pub struct LinkEnds<'a> {
-    /// The serial line.
-    pub serial: PortEnds<'a>,
-    /// The board's own USB.
-    pub usb: PortEnds<'a>,
+/// The coordinator's ends of the queues to the other tasks.
+pub struct CoordinatorEnds<'a> {
     /// Reports of the sampler, one a millisecond.
     pub reports: Consumer<'a, CycleReport>,
     /// Commands to the sampler.
@@ -41,13 +25,4 @@ pub struct LinkEnds<'a> {
     pub network: SettingsEnd<'a>,
     /// Execution times of the tasks.
     pub measurements: &'a Measurements,
-}
-
-impl<'a> LinkEnds<'a> {
-    pub(super) fn port(&mut self, port: LinkPort) -> &mut PortEnds<'a> {
-        match port {
-            LinkPort::Serial => &mut self.serial,
-            LinkPort::Usb => &mut self.usb,
-        }
-    }
 }

@@ -1,4 +1,6 @@
-//! Modes, faults and refusals: the terms in which the firmware reports its state.
+//! Faults: why the robot was stopped, with what was measured.
+//!
+//! Invariant: a fault alone says which axis or slave is concerned and by how much a limit was exceeded.
 
 use crate::board::PortState;
 use crate::control::feedback::Implausible;
@@ -7,58 +9,6 @@ use serde::{Deserialize, Serialize};
 
 /// AL state OP without the error flag.
 const AL_OPERATIONAL: u8 = 8;
-
-/// Operating mode.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Mode {
-    /// Waiting for a configuration.
-    #[default]
-    Startup,
-    /// The bus is being brought up.
-    BusConfiguring,
-    /// The bus is operational; the drives have no power.
-    DrivesOff,
-    /// The drives hold the pose; the joint angles are not known.
-    Unreferenced,
-    /// Enabled and at rest.
-    Idle,
-    /// A jog or a single move.
-    Moving,
-    /// A path is being drawn.
-    Drawing,
-    /// A drawing is held on its path.
-    Holding,
-    /// Decelerating to a standstill, before the drives lose power.
-    Stopping,
-    /// A fault is latched.
-    Fault,
-}
-
-impl Mode {
-    /// All modes in the order of their numbers, from 0.
-    pub const ALL: [Self; 10] = [
-        Self::Startup,
-        Self::BusConfiguring,
-        Self::DrivesOff,
-        Self::Unreferenced,
-        Self::Idle,
-        Self::Moving,
-        Self::Drawing,
-        Self::Holding,
-        Self::Stopping,
-        Self::Fault,
-    ];
-
-    /// Its number.
-    pub const fn number(self) -> u8 {
-        self as u8
-    }
-
-    /// The mode with a number; `None` beyond the last one.
-    pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.get(usize::from(number)).copied()
-    }
-}
 
 /// Who asked for an emergency stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -102,7 +52,7 @@ pub enum Fault {
         /// CiA 402 status word.
         status_word: u16,
     },
-    /// The measured position is too far from its reference.
+    /// The measured position is too far from its setpoint.
     FollowingError {
         /// Axis, from 0.
         axis: u8,
@@ -132,8 +82,9 @@ pub enum Fault {
         /// The limit.
         limit: u16,
     },
-    /// The ring of references ran empty.
-    ReferenceUnderrun,
+    /// The ring of setpoints ran empty.
+    #[serde(rename = "ReferenceUnderrun")]
+    SetpointUnderrun,
     /// The drives did not switch to operation enabled in time.
     EnableTimeout {
         /// Time waited, ms.
@@ -289,50 +240,4 @@ impl Fault {
         );
         is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(self))
     }
-}
-
-/// Why a command was refused. A refused command changes nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Refusal {
-    /// The mode does not allow it.
-    NotInMode(Mode),
-    /// There is no configuration yet.
-    NotConfigured,
-    /// The joint angles are not referenced.
-    NotReferenced,
-    /// The target is outside the work area.
-    Target(crate::motion::Refusal),
-    /// The override is outside 10 to 200 percent.
-    OverrideRange(u8),
-    /// The cause of the fault is still present.
-    CauseRemains(Fault),
-    /// The robot is moving.
-    Moving,
-    /// A value is not a finite number.
-    NotFinite,
-    /// No position of an axis arrives.
-    NoPosition {
-        /// Axis, from 0.
-        axis: u8,
-    },
-    /// The axis's resolver angle differs from the pose.
-    PoseResolver {
-        /// Axis, from 0.
-        axis: u8,
-        /// Resolver angle on the turn nearest to the pose, minus the pose, rad.
-        difference_rad: f32,
-    },
-    /// Forward kinematics of the pose does not give the measured position.
-    PosePosition {
-        /// The axis that differs most, from 0.
-        axis: u8,
-        /// Difference of this axis, rad; near a multiple of a motor turn if the turn is wrong.
-        difference_rad: f32,
-        /// Distance between the two positions, mm.
-        distance_mm: f32,
-    },
-    /// Too many commands at once.
-    Busy,
-    /// The fault is already acknowledged; the bus and drives are recovering.
-    Recovering,
 }

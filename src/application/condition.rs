@@ -1,65 +1,17 @@
-//! Interface of the application: what it learns once a millisecond and what it orders.
+//! What the operating modes learn once a millisecond: conditions of robot and bus, progress of the trajectory.
 //!
-//! Plain data between the state machine and the tasks around it. Invariant: no code here takes a decision.
+//! Plain data. Invariant: no code here takes a decision.
 
 use super::Fault;
 use crate::board::Interlock;
-use crate::motion::MotionCommand;
 use crate::robot::{AXES, JointAngles};
-
-/// Power state that the drives are asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Power {
-    /// No power.
-    #[default]
-    Off,
-    /// Power, following the references of an epoch.
-    On,
-    /// Quick stop, then standstill under power.
-    QuickStop,
-    /// Reset of a drive fault.
-    FaultReset,
-}
-
-/// An order from the application to the other tasks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Action {
-    /// Power of the drives.
-    Power(Power),
-    /// Forget the latched fault of the critical tasks.
-    ClearFault,
-    /// Take the present resolver angles as the reference, on the turns nearest to a pose, or nearest to the
-    /// synchronisation marks if there is no pose.
-    TakeReference {
-        /// The pose.
-        near: Option<JointAngles>,
-    },
-    /// Start the trajectory from this pose; its references carry the epoch from then on.
-    Place {
-        /// The pose at rest.
-        pose: JointAngles,
-        /// Number of this start.
-        epoch: u8,
-    },
-    /// Follow the references of this epoch only.
-    Follow {
-        /// Number of the start.
-        epoch: u8,
-    },
-    /// Begin a path.
-    BeginPath,
-    /// Pass a command to the trajectory.
-    Motion(MotionCommand),
-    /// Bring lost slaves back.
-    RecoverBus,
-}
 
 /// What the critical tasks report about a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
     /// Measured pose; a joint angle is valid only on a referenced axis.
     pub pose: JointAngles,
-    /// The first axis without a reference, from 0.
+    /// The first axis that is not referenced (homed), from 0.
     pub unreferenced: Option<u8>,
     /// Whether all four drives are in operation enabled.
     pub powered: bool,

@@ -1,4 +1,4 @@
-//! Reference at a known pose: checks the pose before it is taken.
+//! Homing: the joint angles that resolvers show, and the check of a pose before it is taken.
 //!
 //! A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. A pose read from
 //! marks or measured selects the turn. Two things can be checked: within its turn the resolver has to show the pose's
@@ -53,12 +53,12 @@ pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal>
 
 /// Limits and geometry against which a pose is checked.
 #[derive(Clone, Copy, Debug)]
-pub struct PoseCheck {
+pub struct HomingCheck {
     axes: [Axis; AXES],
     delta: Option<Delta>,
 }
 
-impl PoseCheck {
+impl HomingCheck {
     /// Makes the check for a configuration.
     pub fn new(config: &Config) -> Self {
         Self {
@@ -77,7 +77,7 @@ impl PoseCheck {
         within
     }
 
-    /// Checks whether a pose may be taken as the reference: `increments` are the resolver positions, `position` is the
+    /// Checks whether the robot may be homed at a pose: `increments` are the resolver positions, `position` is the
     /// measured position of the platform.
     ///
     /// # Errors
@@ -172,7 +172,7 @@ mod tests {
     fn a_pose_that_the_resolvers_do_not_show_is_refused_with_its_axis() {
         let config = calibrated();
         let pose = JointAngles([0.31, 0.62, 0.1, 4.0]);
-        let check = PoseCheck::new(&config);
+        let check = HomingCheck::new(&config);
         let increments = shown(&pose, &config);
         assert_eq!(check.check(&increments, &pose, None), Ok(()));
         let mut wrong = pose;
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn increments_within_a_turn_are_from_0_and_below_a_revolution() {
-        let check = PoseCheck::new(&Config::default());
+        let check = HomingCheck::new(&Config::default());
         let revolution = i64::from(Config::default().axes[0].increments_per_revolution);
         let within = check.within_turn(&[Some(-1), Some(3 * revolution + 7), Some(5), None]);
         assert_eq!(within, [Some(revolution as u32 - 1), Some(7), Some(5), None]);
@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn a_wrong_multiple_of_30_degrees_disagrees_with_the_measured_position() {
         let config = calibrated();
-        let check = PoseCheck::new(&config);
+        let check = HomingCheck::new(&config);
         let delta = Delta::new(&config.geometry).unwrap();
         let pose = JointAngles([0.31, 0.42, 0.36, 0.0]);
         let mut position = delta.forward(&pose).unwrap();

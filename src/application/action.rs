@@ -1,0 +1,53 @@
+//! What the operating modes order from the other tasks.
+//!
+//! Plain data. Invariant: no code here takes a decision.
+
+use crate::motion::MotionCommand;
+use crate::robot::JointAngles;
+
+/// Power state that the drives are asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Power {
+    /// No power.
+    #[default]
+    Off,
+    /// Power, following the setpoints of an epoch.
+    On,
+    /// Quick stop, then standstill under power.
+    QuickStop,
+    /// Reset of a drive fault.
+    FaultReset,
+}
+
+/// An order from the application to the other tasks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Power of the drives.
+    Power(Power),
+    /// Forget the latched fault of the critical tasks.
+    ClearFault,
+    /// Home: take the present resolver angles as the joint angles, on the turns nearest to a pose, or nearest to the
+    /// synchronisation marks if there is no pose.
+    Home {
+        /// The pose.
+        near: Option<JointAngles>,
+    },
+    /// Start the trajectory from this pose; its setpoints carry the epoch from then on.
+    Place {
+        /// The pose at rest.
+        pose: JointAngles,
+        /// Number of this start.
+        epoch: u8,
+    },
+    /// Follow the setpoints of this epoch only.
+    Follow {
+        /// Number of the start.
+        epoch: u8,
+    },
+    /// Begin a path.
+    BeginPath,
+    /// Pass a command to the trajectory.
+    Motion(MotionCommand),
+    /// Bring lost slaves back.
+    RecoverBus,
+}

@@ -1,0 +1,132 @@
+//! What the coordinator tells the host: samples and status; and what a report means to the operating modes.
+
+use super::Coordinator;
+use crate::application::{Condition, Fault, Mode};
+use crate::board::{Interlock, PortState};
+use crate::control::sampler::CycleReport;
+use crate::drives::cia402::{DriveState, StatusWord};
+use crate::link::protocol::{Sample, Status};
+use crate::motion::Pen;
+use crate::robot::{AXES, JointAngles};
+
+/// Longest time between two status messages, ms.
+pub const STATUS_PERIOD_MS: u32 = 500;
+
+/// What was last reported to the host.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) struct Told {
+    mode: Mode,
+    fault: Option<Fault>,
+    recovering: bool,
+    interlock: Option<Interlock>,
+    port: PortState,
+}
+
+impl Told {
+    /// Before the first status.
+    pub(super) const NOTHING: Self = Self {
+        mode: Mode::Startup,
+        fault: None,
+        recovering: false,
+        interlock: None,
+        port: PortState::Unknown,
+    };
+}
+
+impl Coordinator<'_> {
+    /// The status if it has changed, or was last reported [`STATUS_PERIOD_MS`] ago.
+    pub fn due_status(&mut self) -> Option<Status> {
+        let changed = self.told != self.to_tell();
+        let due = changed || (self.now_ms as u32).wrapping_sub(self.told_ms) >= STATUS_PERIOD_MS;
+        due.then(|| self.status())
+    }
+
+    /// The status; counts as reported.
+    pub fn status(&mut self) -> Status {
+        (self.told, self.told_ms) = (self.to_tell(), self.now_ms as u32);
+        if let Some(report) = &self.report {
+            for (slave, status_word) in self.slaves.iter_mut().zip(report.status_word) {
+                slave.status_word = status_word;
+            }
+        }
+        Status {
+            mode: self.application.mode(),
+            fault: self.application.fault(),
+            recovering: self.application.is_recovering(),
+            interlock: self.condition.interlock,
+            port: self.board.port,
+            referenced: self.condition.unreferenced.is_none(),
+            reference_lost: self.was_referenced && self.condition.unreferenced.is_some(),
+            increments: self.increments(),
+            config: self.config_hash,
+            override_percent: self.application.override_percent(),
+            counters: self.counters,
+            slaves: self.slaves.clone(),
+        }
+    }
+
+    fn to_tell(&self) -> Told {
+        Told {
+            mode: self.application.mode(),
+            fault: self.application.fault(),
+            recovering: self.application.is_recovering(),
+            interlock: self.condition.interlock,
+            port: self.board.port,
+        }
+    }
+
+    /// Resolver positions within a motor turn.
+    fn increments(&self) -> [Option<u32>; AXES] {
+        match (&self.homing_check, &self.report) {
+            (Some(check), Some(report)) => check.within_turn(&report.shown()),
+            _ => [None; AXES],
+        }
+    }
+
+    /// The sample of a report.
+    pub(super) fn sample(&self, report: &CycleReport) -> Sample {
+        let single = |values: &[f64; 4]| values.map(|value| value as f32);
+        Sample {
+            t_ms: report.cycle,
+            mode: self.application.mode(),
+            stroke: report.setpoint.stroke,
+            pen: if report.following { report.setpoint.pen } else { Pen::Up },
+            setpoint_rad: single(if report.following {
+                &report.setpoint.position_rad
+            } else {
+                &report.measured_rad
+            }),
+            measured_rad: single(&report.measured_rad),
+            setpoint_rad_s: if report.following {
+                single(&report.setpoint.velocity_rad_s)
+            } else {
+                [0.0; 4]
+            },
+            measured_rad_s: single(&report.measured_rad_s),
+        }
+    }
+}
+
+/// What a report means to the operating modes.
+pub(super) fn condition(report: &CycleReport) -> Condition {
+    let status = report.status_word.map(StatusWord);
+    let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;
+    let first = |flags: [bool; AXES]| (0..).zip(flags).find_map(|(axis, flag)| flag.then_some(axis));
+    let silent = first(report.valid.map(|valid| !valid));
+    let faulty = |axis: usize| report.valid[axis] && status[axis].is_fault();
+    Condition {
+        pose: JointAngles(report.measured_rad),
+        unreferenced: first(report.referenced.map(|referenced| !referenced)),
+        powered: silent.is_none() && status.iter().all(in_operation),
+        // A drive that does not answer keeps its last known state.
+        unpowered: !status.iter().any(|status| status.is_powered()),
+        standstill: report.standstill,
+        drive_fault: (0..AXES).find(|axis| faulty(*axis)).map(|axis| Fault::Drive {
+            axis: axis as u8,
+            status_word: report.status_word[axis],
+        }),
+        silent,
+        fault: report.fault,
+        interlock: report.interlock,
+    }
+}

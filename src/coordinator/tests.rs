@@ -1,0 +1,278 @@
+//! The coordinator through its plain methods, with this test at the other end of its queues.
+
+extern crate std;
+
+use super::*;
+use crate::application::{Command, Refusal};
+use crate::config::Config;
+use crate::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
+use crate::ethercat::state::AlState;
+use crate::link::protocol::{ConfigRefusal, PathVertex};
+use crate::measurement::Measurements;
+use crate::motion::{Pen, RefusalReason};
+use crate::network::NetworkSettings;
+use crate::robot::AXES;
+use crate::robot_bus::{RobotBusCommand, RobotBusEnd};
+use crate::trajectory_task::PathItem;
+use heapless::spsc::{Consumer, Producer, Queue};
+use std::boxed::Box;
+
+/// A coordinator and the other tasks' ends of its queues.
+struct Tasks {
+    coordinator: Coordinator<'static>,
+    reports: Producer<'static, CycleReport>,
+    sampler_commands: Consumer<'static, SamplerCommand>,
+    vertices: Consumer<'static, PathItem>,
+    motion_orders: Consumer<'static, MotionOrder>,
+    bus_commands: Consumer<'static, RobotBusCommand>,
+    bus_events: Producer<'static, BusEvent>,
+    services: Consumer<'static, ServiceRequest>,
+    answers: Producer<'static, ServiceResult>,
+    network: Consumer<'static, Option<NetworkSettings>>,
+}
+
+fn queue<T, const N: usize>() -> (Producer<'static, T>, Consumer<'static, T>) {
+    Box::leak(Box::new(Queue::<T, N>::new())).split()
+}
+
+impl Tasks {
+    fn new() -> Self {
+        let (reports, reports_out) = queue::<_, 5>();
+        let (sampler_commands_in, sampler_commands) = queue::<_, 17>();
+        let (vertices_in, vertices) = queue::<_, 33>();
+        let (motion_orders_in, motion_orders) = queue::<_, 17>();
+        let (_, motion_reports) = queue::<_, 5>();
+        let (commands, bus_commands) = queue::<_, 3>();
+        let (bus_events, events) = queue::<_, 9>();
+        let (services_in, services) = queue::<_, 2>();
+        let (answers, answers_out) = queue::<_, 2>();
+        let (network_in, network) = queue::<_, 2>();
+        let ends = CoordinatorEnds {
+            reports: reports_out,
+            sampler_commands: sampler_commands_in,
+            vertices: vertices_in,
+            motion_orders: motion_orders_in,
+            motion_reports,
+            bus: RobotBusEnd {
+                commands,
+                events,
+                services: services_in,
+                answers: answers_out,
+            },
+            network: network_in,
+            measurements: Box::leak(Box::new(Measurements::new())),
+        };
+        Self {
+            coordinator: Coordinator::new(ends),
+            reports,
+            sampler_commands,
+            vertices,
+            motion_orders,
+            bus_commands,
+            bus_events,
+            services,
+            answers,
+            network,
+        }
+    }
+
+    /// A coordinator that has taken the default configuration, which the other tasks have taken from their queues.
+    fn configured() -> Self {
+        let mut tasks = Self::new();
+        assert!(tasks.coordinator.configure(&Config::default()).is_ok());
+        assert!(matches!(tasks.bus_commands.dequeue(), Some(BusCommand::Start(_))));
+        tasks.clear();
+        tasks
+    }
+
+    /// Drops what is in the queues.
+    fn clear(&mut self) {
+        while self.sampler_commands.dequeue().is_some() {}
+        while self.motion_orders.dequeue().is_some() {}
+        while self.network.dequeue().is_some() {}
+    }
+
+    fn event(&mut self, event: BusEvent) {
+        self.bus_events.enqueue(event).unwrap();
+        self.coordinator.take_events();
+    }
+
+    /// Whether no task has been given anything.
+    fn are_left_alone(&self) -> bool {
+        self.sampler_commands.is_empty()
+            && self.motion_orders.is_empty()
+            && self.bus_commands.is_empty()
+            && self.network.is_empty()
+            && self.vertices.is_empty()
+    }
+}
+
+fn vertex(x_um: i32) -> PathVertex {
+    PathVertex {
+        position_um: [x_um, 0, -850_000],
+        pen: Pen::Down,
+        stroke: 0,
+    }
+}
+
+#[test]
+fn a_configuration_that_the_mode_forbids_changes_nothing() {
+    let mut tasks = Tasks::configured();
+    let before = tasks.coordinator.status();
+    let mut other = Config::default();
+    other.work_area.radius_mm = 100.0;
+    other.bus.host_silence_ms += 1;
+    let refused = ConfigRefusal::NotInMode(Mode::BusConfiguring);
+    assert_eq!(tasks.coordinator.configure(&other), Err(refused));
+    assert!(tasks.are_left_alone());
+    assert_eq!(tasks.coordinator.status(), before);
+    assert_eq!(
+        tasks.coordinator.path(&[vertex(150_000)], false),
+        Ok(()),
+        "the work area is the former one"
+    );
+    assert_eq!(
+        tasks.coordinator.configure(&Config::default()),
+        Ok(before.config.unwrap()),
+        "the configuration in force is no change"
+    );
+    assert!(tasks.bus_commands.is_empty());
+    tasks.event(BusEvent::Operational);
+    assert!(tasks.coordinator.configure(&other).is_ok(), "DrivesOff allows it");
+    assert!(matches!(tasks.bus_commands.dequeue(), Some(BusCommand::Start(_))));
+}
+
+#[test]
+fn a_slave_that_leaves_the_bus_is_a_fault_that_names_it_and_ends_the_path() {
+    let mut tasks = Tasks::configured();
+    tasks.event(BusEvent::Operational);
+    assert_eq!(tasks.coordinator.mode(), Mode::DrivesOff);
+    assert!(!tasks.coordinator.take_abandoned());
+    let report = AlReport {
+        status: 0x14,
+        code: 0x1b,
+    };
+    tasks.event(BusEvent::SlaveLeft { position: 2, report });
+    let fault = Fault::SlaveState {
+        slave: 2,
+        al_state: 0x14,
+        al_code: 0x1b,
+    };
+    assert_eq!(
+        (tasks.coordinator.mode(), tasks.coordinator.fault()),
+        (Mode::Fault, Some(fault))
+    );
+    assert_eq!(
+        tasks.sampler_commands.dequeue(),
+        Some(SamplerCommand::Power(Power::Off))
+    );
+    assert_eq!(tasks.motion_orders.dequeue(), Some(MotionOrder::Abandon));
+    assert!(tasks.coordinator.take_abandoned());
+    assert!(!tasks.coordinator.take_abandoned(), "it is told once");
+    assert_eq!(
+        tasks.coordinator.due_status().and_then(|status| status.fault),
+        Some(fault)
+    );
+    assert_eq!(tasks.coordinator.due_status(), None);
+}
+
+#[test]
+fn a_vertex_outside_the_work_area_is_refused_with_its_index_and_those_before_it_are_kept() {
+    let mut tasks = Tasks::configured();
+    let free = tasks.coordinator.free();
+    assert_eq!(tasks.coordinator.path(&[vertex(0), vertex(1_000)], false), Ok(()));
+    assert_eq!(tasks.coordinator.free(), free - 2);
+    let part = [vertex(2_000), vertex(900_000), vertex(3_000)];
+    let refusal = tasks.coordinator.path(&part, true).unwrap_err();
+    assert_eq!(refusal.index, 3);
+    assert!(matches!(refusal.reason, RefusalReason::Outside(_)), "{refusal:?}");
+    let kept = std::iter::from_fn(|| tasks.vertices.dequeue());
+    let x_mm: std::vec::Vec<_> = kept
+        .map(|item| match item {
+            PathItem::Vertex(vertex) => Some(vertex.position.x_mm),
+            PathItem::End => None,
+        })
+        .collect();
+    assert_eq!(x_mm, [Some(0.0), Some(1.0), Some(2.0), None]);
+}
+
+#[test]
+fn a_command_is_refused_without_a_configuration_and_changes_nothing() {
+    let mut tasks = Tasks::new();
+    for command in [Command::Enable, Command::Home, Command::Draw { job: 1 }] {
+        assert_eq!(tasks.coordinator.command(command), Err(Refusal::NotConfigured));
+    }
+    assert!(tasks.are_left_alone());
+    assert_eq!(tasks.coordinator.command(Command::Stop), Ok(()));
+    assert_eq!(tasks.coordinator.mode(), Mode::Fault);
+}
+
+#[test]
+fn the_pose_is_not_taken_before_the_positions_of_all_axes_arrive() {
+    let mut tasks = Tasks::configured();
+    tasks.event(BusEvent::Operational);
+    let mut report = CycleReport {
+        cycle: 7,
+        valid: [true; AXES],
+        standstill: true,
+        ..CycleReport::default()
+    };
+    report.valid[3] = false;
+    tasks.reports.enqueue(report).unwrap();
+    assert_eq!(tasks.coordinator.take_sample().map(|sample| sample.t_ms), Some(7));
+    assert_eq!(tasks.coordinator.take_sample(), None);
+    tasks.coordinator.advance();
+    assert_eq!(tasks.coordinator.now_ms(), 7);
+    tasks.coordinator.step(0);
+    let missing = Err(Refusal::NoPosition { axis: 3 });
+    assert_eq!(tasks.coordinator.command(Command::Home), missing);
+    report.valid[3] = true;
+    tasks.reports.enqueue(report).unwrap();
+    tasks.coordinator.take_sample();
+    tasks.coordinator.step(0);
+    assert_eq!(tasks.coordinator.command(Command::Home), Ok(()));
+    let taken = SamplerCommand::Home { near: None };
+    assert_eq!(tasks.sampler_commands.dequeue(), Some(taken));
+}
+
+#[test]
+fn the_bus_is_asked_once_at_a_time_and_an_earlier_hosts_answer_is_dropped() {
+    let mut tasks = Tasks::configured();
+    let change = ServiceRequest::SetState {
+        slave: 0,
+        state: AlState::Init,
+    };
+    let refused = ServiceError::NotAllowed(Mode::BusConfiguring.number());
+    assert_eq!(tasks.coordinator.ask_bus(1, change), Err(refused));
+    assert_eq!(tasks.coordinator.ask_bus(2, ServiceRequest::Bus), Ok(()));
+    assert_eq!(tasks.services.dequeue(), Some(ServiceRequest::Bus));
+    let busy = Err(ServiceError::Busy);
+    assert_eq!(tasks.coordinator.ask_bus(3, ServiceRequest::Bus), busy);
+    assert!(tasks.services.is_empty());
+    tasks.coordinator.forget_bus_request();
+    tasks.answers.enqueue(Ok(ServiceReply::Done)).unwrap();
+    assert_eq!(tasks.coordinator.take_bus_answer(), None, "another host asked");
+    assert_eq!(tasks.coordinator.ask_bus(4, ServiceRequest::Bus), Ok(()));
+    tasks.answers.enqueue(Ok(ServiceReply::Done)).unwrap();
+    assert_eq!(tasks.coordinator.take_bus_answer(), Some((4, Ok(ServiceReply::Done))));
+}
+
+#[test]
+fn the_supervisor_gets_one_order_at_a_time() {
+    let mut tasks = Tasks::configured();
+    let up = BoardState {
+        port: PortState::Up,
+        ethernet_errors: 3,
+    };
+    tasks.coordinator.set_board(up);
+    tasks.event(BusEvent::SlaveLost { position: 0 });
+    assert_eq!(tasks.coordinator.command(Command::Acknowledge), Ok(()));
+    for _ in 0..3 {
+        tasks.coordinator.advance();
+    }
+    assert_eq!(tasks.bus_commands.dequeue(), Some(BusCommand::Port(PortState::Up)));
+    assert_eq!(tasks.bus_commands.dequeue(), None);
+    tasks.coordinator.advance();
+    assert_eq!(tasks.bus_commands.dequeue(), Some(BusCommand::Recover));
+    assert_eq!(tasks.coordinator.status().counters.ethernet_errors, 3);
+}
