@@ -23,8 +23,8 @@ use crate::drives::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, Tor
 use crate::drives::layout::ProcessLayout;
 use crate::drives::{DriveInput, DriveKind, DriveOutput};
 use crate::ethercat::cyclic::OutputPlace;
-use crate::robot::{AXES, JointAngles};
 use crate::robot_bus::{DriveRole, DriveShare, RobotExchange};
+use crate::robots::{AXES, JointAngles};
 use core::f64::consts::TAU;
 use encoder::{float, turned};
 

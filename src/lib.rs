@@ -1,6 +1,6 @@
 //! etherpen: a robot controller that runs on a microcontroller.
 //!
-//! An EtherCAT master, a motion planner and a 1 kHz position controller for a delta robot with four servo drives,
+//! An EtherCAT master, a motion planner and a 1 kHz position controller for a robot with four servo drives,
 //! without an operating system and without a heap. A host turns a photograph into strokes and streams them over a
 //! serial link; the firmware turns them into motion. It follows the structure of *Using Real-time Java for Industrial
 //! Robot Control* (Robertz, Henriksson, Nilsson, Blomdell, Tarasov; Lund, 2007).
@@ -69,4 +69,4 @@ pub mod trajectory_task;
 pub use etherpen_drives as drives;
 pub use etherpen_ethercat as ethercat;
 pub use etherpen_motion as motion;
-pub use etherpen_motion::robot;
+pub use etherpen_motion::robots;

@@ -6,7 +6,7 @@ use crate::ethercat::driver::Role;
 use crate::ethercat::event::{BusCommand, BusSetup};
 use crate::ethercat::supervisor::Supervisor;
 use crate::ethercat::{ApplicationEnd, BusQueues};
-use crate::robot::AXES;
+use crate::robots::AXES;
 
 /// Length of the sample period, ns.
 pub const PERIOD_NS: u32 = 1_000_000;

@@ -5,7 +5,7 @@
 //! rest if a release never comes.
 
 use crate::control::sampler::Queued;
-use etherpen_motion::robot::JointAngles;
+use etherpen_motion::robots::JointAngles;
 use etherpen_motion::{MotionCommand, MotionState, PERIOD_MS, Settings, Trajectory, Vertex};
 use heapless::spsc::{Consumer, Producer};
 

@@ -6,7 +6,7 @@ use core::future::Future;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
 use etherpen::ethercat::clock::steering::{ClockReading, ClockSteering};
-use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup};
+use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder, FrameView, register};
 use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use host_tools::cell::{Cell, CellOptions, ClockOptions};
@@ -56,7 +56,7 @@ fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() 
         let mut exchange = RobotExchange::new(exchange_end, MAC);
         let mut supervisor = RobotSupervisor::new(supervisor_end);
         let mut supervision = Box::pin(supervisor.run());
-        let mut steering = ClockSteering::new();
+        let mut steering = ClockSteering::new(PERIOD_NS as u32);
         let (mut release_ns, mut correction_ns, mut steered) = (0_u64, 0, 0);
         let (mut operational_ms, mut error_max_ns, mut settled_max_ns) = (None, 0, 0);
         for ms in 0..6_000_u32 {

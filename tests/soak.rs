@@ -14,7 +14,7 @@ use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::link::protocol::{Command, PathVertex, Status};
 use etherpen::motion::Pen;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
 use host_tools::emulator::Segment;
 use host_tools::link::session::{Event, Session};

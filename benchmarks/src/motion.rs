@@ -5,7 +5,7 @@
 
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionState, Pen, Trajectory, Vertex};
-use etherpen::robot::{Delta, JointAngles, Position};
+use etherpen::robots::{JointAngles, Kinematics, Position};
 
 /// Vertices of a load at most.
 pub const VERTICES_MAX: usize = 4096;
@@ -306,8 +306,8 @@ pub fn run(trajectory: &mut Trajectory, path: &mut Path, load: &Load, now: fn() 
 
 fn place(trajectory: &mut Trajectory, config: &Config, vertices: &[Vertex]) {
     let first = vertices.first().map(|vertex| vertex.position).unwrap_or_default();
-    let delta = Delta::new(&config.geometry).expect("the default robot");
-    let [a, b, c] = delta.inverse(&first).expect("a place that can be reached");
+    let kinematics = Kinematics::new(&config.geometry).expect("the default robot");
+    let [a, b, c] = kinematics.inverse(&first).expect("a place that can be reached");
     trajectory.reconfigure(&config.motion_settings()).expect("the default robot");
     assert!(trajectory.place(JointAngles([a, b, c, 0.0])));
 }

@@ -11,7 +11,7 @@
 //! - feedback gain Kfb = (pi / 6) / (D - 0.5 ms) / g: the loop of an integrator and a delay has a phase margin of 60
 //!   degrees there (Åström and Murray, *Feedback Systems*, 2nd ed., 10.3).
 //!
-//! The three arms share one lead and one Kfb, so that the platform's lag is along its path. Commands and responses pass
+//! The main axes share one lead and one Kfb, so that the platform's lag is along its path. Commands and responses pass
 //! identical low-pass filters before the regression, which changes neither g nor D.
 //!
 //! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
@@ -21,7 +21,7 @@ use etherpen::config::{Axis, AxisMode, Config, Orientation};
 use etherpen::control::position::{PositionController, SETPOINTS_AHEAD};
 use etherpen::link::protocol::{PathVertex, Sample};
 use etherpen::motion::Pen;
-use etherpen::robot::{ARMS, AXES};
+use etherpen::robots::{AXES, MAIN_AXES};
 use std::f64::consts::{PI, TAU};
 
 /// Radius of the test motion's circles, mm.
@@ -30,7 +30,7 @@ const RADIUS_MM: f64 = 40.0;
 const CLEARANCE_MM: f64 = 25.0;
 /// How far the circles rise and fall, mm.
 const WAVE_MM: f64 = 15.0;
-/// Rises and falls in one turn; not a whole number, so that every turn moves the arms differently.
+/// Rises and falls in one turn; not a whole number, so that every turn moves the joints differently.
 const WAVES_PER_TURN: f64 = 2.4;
 /// Turns, and vertices on each.
 const TURNS: usize = 5;
@@ -167,24 +167,24 @@ pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer
     std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
 }
 
-/// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the arms change
-/// together, to their mean and to their smallest value.
+/// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the main axes
+/// change together, to their mean and to their smallest value.
 pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) {
     let wanted = |axis: usize| only.is_none_or(|only| only == axis);
-    let arms: Vec<&Answer> = answers
+    let main: Vec<&Answer> = answers
         .iter()
-        .take(ARMS)
+        .take(MAIN_AXES)
         .filter_map(|answer| answer.as_ref().ok())
         .collect();
-    // If one arm has no estimate, no lead is shared: the platform would lag beside its path.
-    let arms_wanted = (0..ARMS).any(wanted) && arms.len() == ARMS;
-    let lead_ms = arms.iter().map(|arm| arm.lead_ms.value).sum::<f64>() / ARMS as f64;
-    let feedback = arms
+    // If one main axis has no estimate, no lead is shared: the platform would lag beside its path.
+    let main_wanted = (0..MAIN_AXES).any(wanted) && main.len() == MAIN_AXES;
+    let lead_ms = main.iter().map(|answer| answer.lead_ms.value).sum::<f64>() / MAIN_AXES as f64;
+    let feedback = main
         .iter()
-        .map(|arm| arm.feedback_gain_per_s)
+        .map(|answer| answer.feedback_gain_per_s)
         .fold(f64::INFINITY, f64::min);
     for (number, (axis, answer)) in config.axes.iter_mut().zip(answers).enumerate() {
-        if number < ARMS && arms_wanted {
+        if number < MAIN_AXES && main_wanted {
             axis.feed_forward_lead_ms = lead_ms;
             axis.feedback_gain_per_s = feedback;
         }
@@ -193,7 +193,7 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
             continue;
         }
         axis.feed_forward_gain = answer.feed_forward_gain.value;
-        if number >= ARMS {
+        if number >= MAIN_AXES {
             axis.feed_forward_lead_ms = answer.lead_ms.value;
             axis.feedback_gain_per_s = answer.feedback_gain_per_s;
         }
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn arms_share_lead_and_feedback_and_keep_their_own_gains() {
+    fn main_axes_share_lead_and_feedback_and_keep_their_own_gains() {
         let axis = Axis::default();
         let answer = |delay_ms| identify_axis(&axis, 0, &swing(&axis, 1.0, delay_ms, 0.1));
         let answers = [answer(5), answer(5), answer(6), Err(NoAnswer::Still)];
@@ -434,7 +434,7 @@ mod tests {
         let leads = config.axes.map(|axis| axis.feed_forward_lead_ms);
         assert!((leads[0] - 3.8333).abs() < 0.02, "{leads:?}");
         assert_eq!((leads[0], leads[3]), (leads[2], Axis::default().feed_forward_lead_ms));
-        assert!(config.axes[0].feedback_gain_per_s < 100.0, "the slowest arm's");
+        assert!(config.axes[0].feedback_gain_per_s < 100.0, "the slowest axis's");
         let mut one = Config::default();
         apply(&mut one, &answers, Some(3));
         assert_eq!(one, Config::default());
@@ -453,7 +453,7 @@ mod tests {
         for (index, vertex) in (0..).zip(&path) {
             let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
             let vertex = etherpen::motion::Vertex {
-                position: etherpen::robot::Position { x_mm, y_mm, z_mm },
+                position: etherpen::robots::Position { x_mm, y_mm, z_mm },
                 pen: vertex.pen,
                 stroke: vertex.stroke,
             };

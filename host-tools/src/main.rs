@@ -16,7 +16,7 @@ const EXIT_CODES: &str = "Exit codes: 0 done; 1 the work failed; 2 wrong usage; 
     4 a tool is missing; 5 no connection to the machine or the emulator; 6 the firmware speaks another protocol version; \
     7 the machine stopped with a fault; 8 the path ended and a part of the drawing is missing; 130 interrupted.";
 
-/// Robot drawing machine: vectorises photographs and draws them with an EtherCAT delta robot.
+/// Robot drawing machine: vectorises photographs and draws them with an EtherCAT robot.
 #[derive(Parser)]
 #[command(name = "etherpen", version, max_term_width = 100)]
 struct Arguments {
@@ -69,7 +69,7 @@ enum Subcommand {
     Export(recorded::ExportArguments),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
-    /// Turn positions into arm angles and back.
+    /// Turn positions into joint angles and back.
     Kinematics(kinematics::Arguments),
     /// Inspect and change the slaves on the bus.
     Bus(bus::Arguments),

@@ -12,7 +12,7 @@
 
 mod search;
 
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 pub use search::{Search, SearchLimits, SearchProgress};
 
 /// How far back along the line positions may go on after a break, mm: a pen that is set down again touches a little

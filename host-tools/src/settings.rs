@@ -9,7 +9,7 @@
 use crate::error::{ProgramError, code};
 use etherpen::application::homing::resolver_angle_rad;
 use etherpen::config::{Config, ConfigError};
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use std::io;
 use std::path::Path;
 use toml_edit::{DocumentMut, Item, TomlError, Value};

@@ -3,7 +3,7 @@
 //! Plain data. Invariant: no code here takes a decision.
 
 use crate::motion::MotionCommand;
-use crate::robot::JointAngles;
+use crate::robots::JointAngles;
 
 /// Power state that the drives are asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

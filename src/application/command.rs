@@ -2,7 +2,7 @@
 
 use super::{Fault, Mode};
 use crate::motion::{self, Pen};
-use crate::robot::{JointAngles, Position};
+use crate::robots::{JointAngles, Position};
 use serde::{Deserialize, Serialize};
 
 /// A command of the operator.

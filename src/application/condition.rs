@@ -4,7 +4,7 @@
 
 use super::Fault;
 use crate::board::Interlock;
-use crate::robot::{AXES, JointAngles};
+use crate::robots::{AXES, JointAngles};
 
 /// What the critical tasks report about a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]

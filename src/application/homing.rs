@@ -1,6 +1,6 @@
 //! Homing: the joint angles that resolvers show, and the check of a pose before it is taken.
 //!
-//! A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. A pose read from
+//! A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. A pose read from
 //! marks or measured selects the turn. Two things can be checked: within its turn the resolver has to show the pose's
 //! angle, and if the platform's position was measured too, forward kinematics of the pose has to give that position. A
 //! pose that is wrong by whole turns passes the first check and fails the second.
@@ -9,13 +9,13 @@
 
 use super::Refusal;
 use crate::config::{Axis, Config};
-use crate::robot::{ARMS, AXES, Delta, JointAngles, Position};
+use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
 use core::f64::consts::TAU;
 
-/// Largest difference between a pose and the resolver angles, rad: a tenth of the turn after which an arm repeats.
+/// Largest difference between a pose and the resolver angles, rad: a tenth of the turn after which a joint repeats.
 pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
-/// Largest distance between a measured position and forward kinematics of the pose, mm; one motor turn of one arm moves the
-/// platform by more than 50 mm.
+/// Largest distance between a measured position and forward kinematics of the pose, mm; a motor turn of a joint moves
+/// the platform by more than 50 mm.
 pub const POSITION_DIFFERENCE_MAX_MM: f64 = 20.0;
 
 /// Wraps a difference of less than 2^33 increments to the nearest within half of a revolution of at most 2^24.
@@ -55,7 +55,7 @@ pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal>
 #[derive(Clone, Copy, Debug)]
 pub struct HomingCheck {
     axes: [Axis; AXES],
-    delta: Option<Delta>,
+    kinematics: Option<Kinematics>,
 }
 
 impl HomingCheck {
@@ -63,7 +63,7 @@ impl HomingCheck {
     pub fn new(config: &Config) -> Self {
         Self {
             axes: config.axes,
-            delta: Delta::new(&config.geometry).ok(),
+            kinematics: Kinematics::new(&config.geometry).ok(),
         }
     }
 
@@ -102,15 +102,15 @@ impl HomingCheck {
                 });
             }
         }
-        match (&self.delta, position) {
-            (Some(delta), Some(position)) => check_position(delta, pose, position),
+        match (&self.kinematics, position) {
+            (Some(kinematics), Some(position)) => check_position(kinematics, pose, position),
             _ => Ok(()),
         }
     }
 }
 
-fn check_position(delta: &Delta, pose: &JointAngles, position: &Position) -> Result<(), Refusal> {
-    let distance_mm = delta.forward(pose).map_or(f64::INFINITY, |there| {
+fn check_position(kinematics: &Kinematics, pose: &JointAngles, position: &Position) -> Result<(), Refusal> {
+    let distance_mm = kinematics.forward(pose).map_or(f64::INFINITY, |there| {
         let (x, y, z) = (
             there.x_mm - position.x_mm,
             there.y_mm - position.y_mm,
@@ -121,8 +121,8 @@ fn check_position(delta: &Delta, pose: &JointAngles, position: &Position) -> Res
     if distance_mm <= POSITION_DIFFERENCE_MAX_MM {
         return Ok(());
     }
-    // The arm whose angle is farthest from the angle that the position requires.
-    let wanted = delta.inverse(position).unwrap_or([f64::NAN; ARMS]);
+    // The joint whose angle is farthest from the angle that the position requires.
+    let wanted = kinematics.inverse(position).unwrap_or([f64::NAN; MAIN_AXES]);
     let differences = (0u8..).zip(pose.0.iter().zip(wanted).map(|(angle, wanted)| angle - wanted));
     let worst = differences.max_by(|(_, a), (_, b)| a.abs().total_cmp(&b.abs()));
     let (axis, difference_rad) = worst.unwrap_or_default();
@@ -201,16 +201,16 @@ mod tests {
     fn a_wrong_multiple_of_30_degrees_disagrees_with_the_measured_position() {
         let config = calibrated();
         let check = HomingCheck::new(&config);
-        let delta = Delta::new(&config.geometry).unwrap();
+        let kinematics = Kinematics::new(&config.geometry).unwrap();
         let pose = JointAngles([0.31, 0.42, 0.36, 0.0]);
-        let mut position = delta.forward(&pose).unwrap();
+        let mut position = kinematics.forward(&pose).unwrap();
         position.x_mm += 5.0;
         let increments = shown(&pose, &config);
         assert_eq!(check.check(&increments, &pose, Some(&position)), Ok(()));
-        for arm in 0..ARMS {
+        for joint in 0..MAIN_AXES {
             for turns in [-1.0, 1.0, 2.0] {
                 let mut wrong = pose;
-                wrong.0[arm] += turns * TURN_RAD;
+                wrong.0[joint] += turns * TURN_RAD;
                 assert_eq!(
                     check.check(&increments, &wrong, None),
                     Ok(()),
@@ -219,8 +219,8 @@ mod tests {
                 let refusal = check.check(&increments, &wrong, Some(&position));
                 assert!(
                     matches!(refusal, Err(Refusal::PosePosition { axis, distance_mm, .. })
-                        if usize::from(axis) == arm && distance_mm > 50.0),
-                    "arm {arm}, {turns} turns: {refusal:?}"
+                        if usize::from(axis) == joint && distance_mm > 50.0),
+                    "joint {joint}, {turns} turns: {refusal:?}"
                 );
             }
         }

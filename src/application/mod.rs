@@ -24,7 +24,7 @@ pub use fault::{Fault, StopSource};
 pub use mode::Mode;
 
 use crate::motion::MotionCommand;
-use crate::robot::JointAngles;
+use crate::robots::JointAngles;
 use heapless::Vec;
 
 /// Time for the brakes to close before the power is taken from the drives, ms.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::motion::Pen;
-use crate::robot::Position;
+use crate::robots::Position;
 
 /// Drives that take and lose their power after 20 ms and stop within 30 ms.
 struct Plant {

@@ -3,7 +3,7 @@
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
 use super::{Axis, Bus, Config, Transport};
-use crate::robot::AXES;
+use crate::robots::AXES;
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
 use serde::{Deserialize, Serialize};

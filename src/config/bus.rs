@@ -2,7 +2,7 @@
 
 use crate::ethercat::cyclic::ExchangeKind;
 use crate::network::NetworkSettings;
-use crate::robot::AXES;
+use crate::robots::AXES;
 use core::fmt::{self, Write};
 use core::net::Ipv4Addr;
 use heapless::String;

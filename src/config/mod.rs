@@ -13,8 +13,8 @@ pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
-use crate::robot::AXES;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
+use crate::robots::AXES;
 use etherpen_motion::Settings;
 use serde::{Deserialize, Serialize};
 
@@ -30,22 +30,22 @@ pub struct Config {
     pub paper: Paper,
     /// Limits of motion.
     pub motion: MotionLimits,
-    /// The axes: three arms, then the fourth axis.
+    /// The axes: the main axes, then the fourth axis.
     pub axes: [Axis; AXES],
     /// The bus.
     pub bus: Bus,
 }
 
-/// Arm angle at the synchronisation marks of the default configuration, radians: at these angles the platform is in the
-/// upper part of the work area. The mark in public descriptions, -0.78191 rad, lies outside the arm range that they
+/// Joint angle at the synchronisation marks of the default configuration, radians: there the platform is in the
+/// upper part of the work area. The mark in public descriptions, -0.78191 rad, lies outside the joint range that they
 /// give.
-const ARM_SYNC_ANGLE_RAD: f64 = 0.3;
+const SYNC_ANGLE_RAD: f64 = 0.3;
 
 impl Default for Config {
     /// The IRB 340 with four AX2006 drives.
     fn default() -> Self {
-        let arm = Axis {
-            sync_angle_rad: ARM_SYNC_ANGLE_RAD,
+        let main = Axis {
+            sync_angle_rad: SYNC_ANGLE_RAD,
             ..Axis::default()
         };
         let fourth = Axis {
@@ -58,7 +58,7 @@ impl Default for Config {
             work_area: WorkCylinder::default(),
             paper: Paper::default(),
             motion: MotionLimits::default(),
-            axes: [arm, arm, arm, fourth],
+            axes: [main, main, main, fourth],
             bus: Bus::default(),
         }
     }

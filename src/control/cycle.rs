@@ -11,7 +11,7 @@ use crate::board::Interlock;
 use crate::config::{Axis, Bus};
 use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Setpoint;
-use crate::robot::{AXES, JointAngles};
+use crate::robots::{AXES, JointAngles};
 
 /// A setpoint for the sampler, with the start that it belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

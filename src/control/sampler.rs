@@ -32,9 +32,9 @@ use crate::ethercat::frame_port::{FramePort, Sending};
 use crate::ethercat::queue;
 use crate::ethercat_robot::EtherCatRobot;
 use crate::network::NetworkEnd;
-use crate::robot::AXES;
 pub use crate::robot_bus::PERIOD_NS;
 use crate::robot_bus::RobotExchange;
+use crate::robots::AXES;
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
 

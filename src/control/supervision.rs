@@ -6,7 +6,7 @@
 use crate::application::Fault;
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
-use crate::robot::AXES;
+use crate::robots::AXES;
 
 /// Consecutive cycles with a clamped output that cause a fault.
 pub const CLAMPED_CYCLES_MAX: u8 = 5;

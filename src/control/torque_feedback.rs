@@ -1,6 +1,6 @@
 //! Whether the position feedback of an axis in torque mode can be true: torque and setpoints against the motion shown.
 //!
-//! In torque mode the firmware closes the velocity loop, so that a wrong feedback makes an arm run away with the square of
+//! In torque mode the firmware closes the velocity loop, so a wrong feedback makes a joint run away with the square of
 //! time and faster. Four comparisons, each quick where the others are slow:
 //!
 //! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
@@ -17,7 +17,7 @@
 //!   moment at which the position came to where it stands, and that one was in doubt as well: both doubts count.
 //!
 //! Where the figures come from: what a constant's comment derives, from the axis's inertia, gains, delays and 0.3 N m of dry
-//! friction, and from the mass matrix and the weight of the virtual cell's arms over a paper of 320 mm; the other shares by
+//! friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other shares by
 //! trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to 7 of
 //! `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen, reversed and
 //! exchanged feedback, and 0 to 4 of `feedback_soak.rs`.

@@ -6,7 +6,7 @@
 use super::sampler::Queued;
 use crate::ethercat::queue;
 use crate::motion::Setpoint;
-use crate::robot::AXES;
+use crate::robots::AXES;
 use heapless::spsc::Consumer;
 
 /// Number of setpoints of the look-ahead, for the velocity feed-forward.

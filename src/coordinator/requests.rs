@@ -10,7 +10,7 @@ use crate::ethercat::event::BusCommand;
 use crate::link::protocol::{ConfigRefusal, PathVertex};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::{self, Admission, Vertex};
-use crate::robot::{AXES, Position};
+use crate::robots::{AXES, Position};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem};
 
 /// Queue entries for the trajectory and the sampler that commands leave free: reserved for a stop and for orders that

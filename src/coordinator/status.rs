@@ -7,7 +7,7 @@ use crate::control::sampler::CycleReport;
 use crate::drives::cia402::{DriveState, StatusWord};
 use crate::link::protocol::{Sample, Status};
 use crate::motion::Pen;
-use crate::robot::{AXES, JointAngles};
+use crate::robots::{AXES, JointAngles};
 
 /// Longest time between two status messages, ms.
 pub const STATUS_PERIOD_MS: u32 = 500;

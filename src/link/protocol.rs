@@ -11,7 +11,7 @@ use crate::config::{Config, ConfigError};
 use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::Pen;
-use crate::robot::{AXES, GeometryError};
+use crate::robots::{AXES, GeometryError};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
@@ -197,7 +197,7 @@ pub struct Status {
     pub port: PortState,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
-    /// Whether the joint angles were referenced since start-up and no longer are: the arms may be anywhere.
+    /// Whether the joint angles were referenced since start-up and no longer are: the robot may be anywhere.
     pub reference_lost: bool,
     /// Resolver position of each axis within its motor turn, increments; `None` where no position arrives.
     pub increments: [Option<u32>; AXES],
@@ -237,7 +237,7 @@ pub enum ConfigRefusal {
     Bounds(ConfigError),
     /// The mode does not allow another configuration.
     NotInMode(Mode),
-    /// The dimensions do not form a valid delta robot.
+    /// The dimensions do not form a valid robot.
     Geometry(GeometryError),
 }
 

@@ -6,7 +6,7 @@ use etherpen::drives::io::{AxisCommand, Demand};
 use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::cell::Fault;
 
 #[test]
@@ -21,7 +21,7 @@ fn four_drives_do_the_same_when_inputs_and_outputs_are_exchanged_together() {
 
 fn turn_as_told(exchange: ExchangeKind) {
     let mut rig = idle_rig("");
-    rig.setup.bus.exchange = exchange;
+    rig.setup.exchange = exchange;
     rig.start();
     let took_ms = rig.operational();
     println!(

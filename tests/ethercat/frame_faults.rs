@@ -7,7 +7,7 @@ use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::register;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::cell::{self, Fault};
 
 /// An object that keeps whatever is written to it.

@@ -11,10 +11,10 @@ use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::drives::io::{AxisCommand, AxisInput, Demand};
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, ServiceResult};
-use etherpen::ethercat::supervisor::{BusCommand, BusEvent, BusSetup, Supervisor};
+use etherpen::ethercat::supervisor::{BusCommand, BusEvent, Supervisor};
 use etherpen::ethercat_robot::EtherCatRobot;
-use etherpen::robot::AXES;
-use etherpen::robot_bus::{RobotBusQueues, RobotExchange};
+use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues, RobotBusSetup, RobotExchange};
+use etherpen::robots::AXES;
 use heapless::spsc::{Consumer, Producer};
 use host_tools::cell::{Cell, CellOptions, Fault};
 
@@ -26,11 +26,11 @@ pub(crate) struct Rig<'a> {
     pub(crate) cell: Cell,
     pub(crate) exchange: RobotExchange<'a>,
     pub(crate) supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
-    pub(crate) commands: Producer<'a, BusCommand>,
+    pub(crate) commands: Producer<'a, RobotBusCommand>,
     pub(crate) events: Consumer<'a, BusEvent>,
     pub(crate) services: Producer<'a, ServiceRequest>,
     pub(crate) answers: Consumer<'a, ServiceResult>,
-    pub(crate) setup: BusSetup,
+    pub(crate) setup: RobotBusSetup,
     pub(crate) robot: EtherCatRobot,
     pub(crate) inputs: [Option<AxisInput>; AXES],
     pub(crate) command: AxisCommand,

@@ -7,7 +7,7 @@ use etherpen::ethercat::state::{AlReport, AlState};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::register;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::cell::{self, Fault};
 
 /// Device name, a visible string.
@@ -60,7 +60,7 @@ fn without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured()
         assert_eq!(info.identity.serial, u32::from(slave) + 1);
         assert_eq!(info.driver, "AX2000-B110");
         assert!(info.name.starts_with("AX2000"), "{}", info.name);
-        assert_eq!((info.axis, info.report), (None, in_state(AlState::Init)));
+        assert_eq!((info.member, info.report), (None, in_state(AlState::Init)));
         let before = slave.checked_sub(1);
         let behind = (slave < 3).then_some(slave + 1);
         assert_eq!(info.ports.map(|port| port.partner), [before, behind, None, None]);
@@ -108,7 +108,7 @@ fn an_sdo_in_operation_disturbs_no_cyclic_data() {
         assert!(matches!(answer, Ok(ServiceReply::Piece { total: 2, .. })), "{answer:?}");
     }
     let info = info(&mut rig, 3);
-    assert_eq!((info.axis, info.report), (Some(3), in_state(AlState::Operational)));
+    assert_eq!((info.member, info.report), (Some(3), in_state(AlState::Operational)));
     assert!(info.status_word.is_some());
     assert_eq!((info.output_bytes, info.input_bytes), (6, 6));
 }

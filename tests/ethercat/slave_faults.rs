@@ -5,7 +5,7 @@ use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::cell::{self, CellOptions, Fault, MailFault, MailStep, Product, SiiFault, SlaveKind};
 
 /// Device name, longer than an expedited transfer takes.

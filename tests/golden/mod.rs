@@ -8,7 +8,7 @@
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::Sample;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use host_tools::drawing::preparation::prepare::{Prepared, prepare};
 use host_tools::report::output::conclude;
 use host_tools::report::{Report, rows};

@@ -6,7 +6,7 @@ use crate::robot::Robot;
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command;
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// Seeds that are always tried.
 const SEEDS: std::ops::Range<u64> = 0..10;

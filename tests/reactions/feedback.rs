@@ -8,7 +8,7 @@ use super::robot::{Robot, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::Command;
-use etherpen::robot::{ARMS, Position};
+use etherpen::robots::{MAIN_AXES, Position};
 use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
 use host_tools::random::Random;
 
@@ -84,7 +84,7 @@ impl Kind {
             Self::Jumped if milliseconds > 0 => CellFault::Jump(drive, 40_000),
             Self::Jumped => resolver(ResolverFault::Stuck),
             Self::Reversed => resolver(ResolverFault::Reversed),
-            Self::Exchanged => CellFault::Exchange(drive, (axis + 1) % ARMS + 1, milliseconds),
+            Self::Exchanged => CellFault::Exchange(drive, (axis + 1) % MAIN_AXES + 1, milliseconds),
             Self::Noisy => resolver(ResolverFault::Noise(8_000)),
         }
     }
@@ -117,7 +117,7 @@ pub(crate) fn case(kind: Option<Kind>, speed_mm_s: f64, seed: u64) -> Case {
     let mut random = Random::new(seed ^ (speed_mm_s.to_bits() << 1));
     let mut pick = |count: usize| (random.bits() % count as u64) as usize;
     let start_mm = POSES_MM[pick(POSES_MM.len())];
-    let axis = pick(ARMS);
+    let axis = pick(MAIN_AXES);
     let moving = pick(2) == 1;
     let azimuth = f64::from(pick(3600) as u16) * std::f64::consts::TAU / 3600.0;
     // Up from below, down from above: there is room.
@@ -175,7 +175,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     robot.run(20);
     robot.wait_for(Mode::Idle);
     robot.run(100);
-    let start = robot.cell().platform.expect("the arms hold a platform");
+    let start = robot.cell().platform.expect("the robot holds a platform");
     if let (Some(kind), false) = (case.kind, case.moving) {
         robot.inject(kind.injected(case.axis, LONG_MS));
     }
@@ -226,7 +226,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     outcome
 }
 
-/// The fault is mended, acknowledged, and the reference taken where the arms truly stand.
+/// The fault is mended, acknowledged, and the reference taken where the joints truly stand.
 pub(crate) fn recover(robot: &mut Robot, case: &Case) {
     if let Some(kind) = case.kind {
         robot.inject(kind.injected(case.axis, 0));

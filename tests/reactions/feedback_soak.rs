@@ -10,7 +10,7 @@ use etherpen::config::AxisMode;
 use etherpen::control::feedback::COMPARISONS;
 use etherpen::link::protocol::{Command, PathVertex};
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use host_tools::cell::CellOptions;
 use host_tools::random::Random;
 

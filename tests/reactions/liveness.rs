@@ -58,7 +58,7 @@ fn insist(robot: &mut Robot, command: Command) {
 /// From rest without a fault: reference and power. False when a fault comes on the way.
 fn gets_up(robot: &mut Robot) -> bool {
     if !robot.status.as_ref().is_some_and(|status| status.referenced) {
-        // The arms are not at the marks: the operator measures the pose.
+        // The joints are not at the marks: the operator measures the pose.
         let pose = robot.cell().joints;
         insist(robot, Command::HomeAt { pose, position: None });
         robot.run(100);

@@ -19,7 +19,7 @@ use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, ConfigRefusal, PathVertex};
 use etherpen::motion::{Pen, RefusalReason};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use host_tools::cell::{AlState, DriveState, Fault as CellFault, ResolverFault};
 use robot::{Robot, path};
 
@@ -226,7 +226,7 @@ fn nothing_moves_before_the_reference_and_a_known_pose_gives_it() {
     robot.wait_for(Mode::DrivesOff);
     robot.command(Command::Enable).unwrap();
     robot.wait_for(Mode::Unreferenced);
-    let position = robot.cell().platform.expect("the arms hold a platform");
+    let position = robot.cell().platform.expect("the robot holds a platform");
     for command in [
         Command::Draw { job: 1 },
         Command::Jog {
@@ -283,7 +283,7 @@ fn a_frozen_resolver_is_a_deviation_of_the_feedback_with_axis_and_limit() {
     );
     assert!(
         !robot.status.as_ref().unwrap().referenced,
-        "where the arm stands is not known"
+        "where the joint stands is not known"
     );
 }
 

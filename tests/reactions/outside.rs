@@ -8,7 +8,7 @@ use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::link::protocol::Command;
 use etherpen::motion::{Pen, RefusalReason};
-use etherpen::robot::{Outside, Position};
+use etherpen::robots::{Outside, Position};
 
 /// Radius of the work area that the robot finds itself outside of, mm.
 const RADIUS_MM: f64 = 145.0;
@@ -22,7 +22,7 @@ const SIGN_OF_LIFE_MS: u32 = 40;
 const BESIDE_MM: f64 = 0.1;
 
 fn radius_mm(robot: &Robot) -> f64 {
-    let platform = robot.cell().platform.expect("the arms hold a platform");
+    let platform = robot.cell().platform.expect("the robot holds a platform");
     platform.x_mm.hypot(platform.y_mm)
 }
 
@@ -125,7 +125,7 @@ fn a_move_brings_the_robot_in_from_outside_the_work_area() {
     robot.command(Command::Move { position }).unwrap();
     robot.run(20);
     robot.wait_for(Mode::Idle);
-    let platform = robot.cell().platform.expect("the arms hold a platform");
+    let platform = robot.cell().platform.expect("the robot holds a platform");
     let away_mm = (platform.x_mm - position.x_mm).hypot(platform.y_mm - position.y_mm);
     assert!(away_mm < BESIDE_MM, "{away_mm} mm from its target");
     come_back(&mut robot, 0);

@@ -1,5 +1,5 @@
 //! Feedback that cannot be true while the robot has power and no reference, in both modes of the drives. The truth is the
-//! cell's: how far an arm has turned.
+//! cell's: how far a joint has turned.
 
 use crate::STILL_RAD_S;
 use crate::robot::Robot;
@@ -39,7 +39,7 @@ fn feedback_that_cannot_be_true_is_a_fault_without_a_reference_too() {
             println!("{mode:?}, {what}: {:?}, turned by {turned_rad:.4} rad", robot.fault());
             assert!(turned_rad < 0.02, "{mode:?}, {what}: {turned_rad} rad");
             let is_standing = robot.speed_rad_s() < STILL_RAD_S && !matches!(robot.mode(), Mode::Unreferenced);
-            // A reversed position of an arm that holds still is the same position.
+            // A reversed position of a joint that holds still is the same position.
             assert!(
                 is_standing || what == "reversed",
                 "{mode:?}, {what}: {:?}",

@@ -11,7 +11,7 @@ use copp::constraints::Constraints;
 use copp::solver::topp2_ra::{ReachSet2OptionsBuilder, Topp2ProblemBuilder, s_to_t_topp2, topp2_ra};
 use etherpen::config::Config;
 use etherpen::motion::{MotionCommand, MotionState, Outline, Pen, Section, Station, Trajectory, Vertex};
-use etherpen::robot::{ARMS, AXES, Delta, JointAngles};
+use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 use nalgebra::DMatrix;
 use std::error::Error;
 use std::io::Read;
@@ -179,12 +179,12 @@ fn solve_part(config: &Config, grid: &[Place], directions: u32) -> Outcome<f64> 
         .collect();
     let rows_of = |station: &Station| {
         let mut rows: Vec<(f64, f64, f64)> = Vec::new();
-        for arm in 0..ARMS {
+        for axis in 0..MAIN_AXES {
             let (slope, bend) = (
-                station.joints.slope[arm] * UNIT_MM,
-                station.joints.bend[arm] * UNIT_MM.powi(2),
+                station.joints.slope[axis] * UNIT_MM,
+                station.joints.bend[axis] * UNIT_MM.powi(2),
             );
-            let limit = motion.joint_acceleration_rad_s2[arm];
+            let limit = motion.joint_acceleration_rad_s2[axis];
             rows.push((bend / limit, slope / limit, 1.0));
             rows.push((-bend / limit, -slope / limit, 1.0));
         }
@@ -196,7 +196,7 @@ fn solve_part(config: &Config, grid: &[Place], directions: u32) -> Outcome<f64> 
         }
         rows
     };
-    let height = 2 * (ARMS * 2 + polygon.len() * 2);
+    let height = 2 * (MAIN_AXES * 2 + polygon.len() * 2);
     let (mut a, mut b) = (DMatrix::zeros(height, count), DMatrix::zeros(height, count));
     let mut most = DMatrix::from_element(height, count, 1.0);
     for (column, place) in grid.iter().enumerate() {
@@ -204,7 +204,7 @@ fn solve_part(config: &Config, grid: &[Place], directions: u32) -> Outcome<f64> 
             (a[(row, column)], b[(row, column)], most[(row, column)]) = (of_a, of_b, limit);
         }
     }
-    let mut constraints = Constraints::with_capacity(ARMS, count);
+    let mut constraints = Constraints::with_capacity(MAIN_AXES, count);
     let speeds = DMatrix::from_row_slice(1, count, &speeds);
     constraints
         .with_s(s.as_slice())?
@@ -222,16 +222,18 @@ fn speed_squared(config: &Config, place: &Place) -> f64 {
         most.min(config.motion.acceleration_mm_s2 / curvature)
     });
     slopes
-        .zip(config.motion.joint_speed_rad_s.iter().take(ARMS).cycle())
+        .zip(config.motion.joint_speed_rad_s.iter().take(MAIN_AXES).cycle())
         .fold(most, |most, (slope, speed)| most.min((speed / slope).powi(2)))
 }
 
 /// The planner's whole work for a path.
 fn plan(config: &Config, path: &[Vertex]) -> Outcome<()> {
     let mut trajectory = Box::new(Trajectory::new(&config.motion_settings()).map_err(|cause| format!("{cause:?}"))?);
-    let delta = Delta::new(&config.geometry).map_err(|cause| format!("{cause:?}"))?;
+    let kinematics = Kinematics::new(&config.geometry).map_err(|cause| format!("{cause:?}"))?;
     let first = path.first().ok_or("no vertices")?;
-    let [a, b, c] = delta.inverse(&first.position).map_err(|cause| format!("{cause:?}"))?;
+    let [a, b, c] = kinematics
+        .inverse(&first.position)
+        .map_err(|cause| format!("{cause:?}"))?;
     trajectory.place(JointAngles([a, b, c, 0.0]));
     let (mut rest, mut started) = (path.iter(), false);
     loop {

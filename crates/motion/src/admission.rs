@@ -7,19 +7,19 @@
 //! refuses a vertex whose leg would turn the axis out of its range.
 //!
 //! The shaped path is inside too. It stays in the hull of its vertices, which is enough for cylinder and planes. It
-//! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the arms.
+//! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the joints.
 
 use super::heading::Winding;
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
-use crate::robot::vector::{Vector, add_scaled, length, subtract};
-use crate::robot::{GeometryError, JointAngles, Outside, Position, WorkArea};
+use crate::robots::vector::{Vector, add_scaled, length, subtract};
+use crate::robots::{GeometryError, JointAngles, Outside, Position, WorkArea};
 use crate::settings::{Orientation, Settings};
 
 /// Distance between checked points on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
 /// Shortest leg, mm: half of the wire's resolution.
 pub const LEG_MIN_MM: f64 = 0.0005;
-/// Margin kept from the limits of the arms beside the tolerance, mm: between two checked points of a leg the limits can
+/// Margin kept from the joints' limits beside the tolerance, mm: between two checked points of a leg the limits can
 /// be nearer than at both.
 const LEG_ROOM_MM: f64 = 0.05;
 /// Most points checked on one leg; more than any leg inside a work area needs.
@@ -45,7 +45,7 @@ impl Admission {
     /// Makes the admission for the limits of a configuration, before the first vertex of a path.
     ///
     /// # Errors
-    /// The dimensions do not form a valid delta robot.
+    /// The dimensions do not form a valid robot.
     pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
         Ok(Self {
             area: WorkArea::new(settings)?,
@@ -80,7 +80,7 @@ impl Admission {
     /// may only lead inwards.
     pub fn restart_at(&mut self, pose: &JointAngles) {
         self.previous = None;
-        let position = self.area.delta().forward(pose).ok();
+        let position = self.area.kinematics().forward(pose).ok();
         let [_, _, _, fourth_rad] = pose.0;
         self.wind_from(position, fourth_rad);
         self.start = position;
@@ -142,7 +142,7 @@ impl Admission {
 
     /// Position of the platform at a pose.
     fn standing(&self, pose: &JointAngles) -> Result<Position, Outside> {
-        self.area.delta().forward(pose).map_err(Outside::Kinematics)
+        self.area.kinematics().forward(pose).map_err(Outside::Kinematics)
     }
 
     /// State of the fourth axis after the leg to a position.
@@ -228,7 +228,7 @@ pub(crate) fn check_way_in(area: &WorkArea, from: &Position, to: &Position) -> R
 mod tests {
     use super::*;
     use crate::Pen;
-    use crate::robot::Delta;
+    use crate::robots::Kinematics;
 
     fn vertex(x_mm: f64, y_mm: f64, z_mm: f64) -> Vertex {
         Vertex {
@@ -280,7 +280,7 @@ mod tests {
         assert_eq!(refusal(&mut admission, true), wound(8, 7.0));
         admission.restart();
         assert_eq!(refusal(&mut admission, false), wound(6, -5.0));
-        let [a, b, c] = Delta::new(&settings.geometry)
+        let [a, b, c] = Kinematics::new(&settings.geometry)
             .unwrap()
             .inverse(&Position {
                 x_mm: -5.0,
@@ -304,7 +304,7 @@ mod tests {
     #[test]
     fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
         let mut settings = Settings::default();
-        // Below the lowest elbow hangs a sphere of the forearm's length that the platform cannot enter.
+        // Below the lowest elbow hangs a sphere that the platform cannot enter.
         settings.geometry.arm_range_rad[0] = 0.0;
         settings.geometry.arm_margin_rad = 0.2;
         settings.paper.pressing_depth_mm = 10.0;

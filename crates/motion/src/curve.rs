@@ -3,7 +3,7 @@
 //! A curve's parameter runs from 0 to 1. All three kinds are polynomials of degree five at most, so the grid, the scan
 //! and the interpolator need one form only. Curvature is zero at both ends of a line and of a blend.
 
-use crate::robot::vector::{Vector, add_scaled, dot, length, root, scale, subtract};
+use crate::robots::vector::{Vector, add_scaled, dot, length, root, scale, subtract};
 
 /// Coefficients of a curve.
 const COEFFICIENTS: usize = 6;

@@ -10,7 +10,7 @@
 
 use super::limits::Limits;
 use super::shaping::{Change, Piece};
-use crate::robot::vector::{Vector, length, root, scale};
+use crate::robots::vector::{Vector, length, root, scale};
 use core::f64::consts::{PI, TAU};
 
 /// Smallest horizontal part of a unit tangent that has a direction in plan view.

@@ -9,8 +9,8 @@ use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
 use super::scan::Row;
 use super::shaping::Label;
-use crate::robot::vector::{Vector, add_scaled, length, scale, subtract};
-use crate::robot::{Outside, WorkArea};
+use crate::robots::vector::{Vector, add_scaled, length, scale, subtract};
+use crate::robots::{Outside, WorkArea};
 
 /// Fastest jog, mm/s.
 const SPEED_MAX_MM_S: f64 = 250.0;
@@ -124,7 +124,7 @@ impl Jog {
         for axis in 0..3 {
             let mut direction = [0.0; 3];
             direction[axis] = 1.0;
-            let rows = area.delta().rows(&self.point, &direction, &[0.0; 3]);
+            let rows = area.kinematics().rows(&self.point, &direction, &[0.0; 3]);
             let row = Row {
                 joints: rows,
                 ..Row::NONE
@@ -140,7 +140,7 @@ impl Jog {
                 }
             }
         }
-        (crate::robot::vector::root(speed), acceleration)
+        (crate::robots::vector::root(speed), acceleration)
     }
 }
 

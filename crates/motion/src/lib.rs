@@ -19,7 +19,7 @@ mod outline;
 mod plan;
 mod progress;
 mod ring;
-pub mod robot;
+pub mod robots;
 mod scan;
 pub mod settings;
 mod shaping;
@@ -32,7 +32,7 @@ pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
 
-use crate::robot::{AXES, Outside, Position};
+use crate::robots::{AXES, Outside, Position};
 use serde::{Deserialize, Serialize};
 
 /// Period of the trajectory stage, ms: the number of setpoints from one step.

@@ -5,7 +5,7 @@
 //! and in the middle of its curved intervals.
 
 use super::scan::Row;
-use crate::robot::ARMS;
+use crate::robots::MAIN_AXES;
 use crate::settings::MotionLimits;
 
 /// Part of the acceleration limits that the scan uses.
@@ -19,9 +19,9 @@ const PEN_PART: f64 = 0.985;
 /// Limits of the scan.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
-    joint_speed_squared: [f64; ARMS],
+    joint_speed_squared: [f64; MAIN_AXES],
     /// Acceleration of the joints, rad/s2.
-    pub(crate) joint_acceleration: [f64; ARMS],
+    pub(crate) joint_acceleration: [f64; MAIN_AXES],
     /// Acceleration of the platform, mm/s2.
     pub(crate) acceleration: f64,
     drawing_squared: f64,
@@ -38,8 +38,8 @@ pub(crate) struct Limits {
 impl Limits {
     /// Limits that allow no motion.
     pub(crate) const NONE: Self = Self {
-        joint_speed_squared: [0.0; ARMS],
-        joint_acceleration: [0.0; ARMS],
+        joint_speed_squared: [0.0; MAIN_AXES],
+        joint_acceleration: [0.0; MAIN_AXES],
         acceleration: 0.0,
         drawing_squared: 0.0,
         travel_squared: 0.0,
@@ -77,7 +77,7 @@ impl Limits {
         }
     }
 
-    /// Largest squared path speed that the arms' speeds and centripetal acceleration allow at a point, mm2/s2.
+    /// Largest squared path speed that the joints' speeds and centripetal acceleration allow at a point, mm2/s2.
     pub(crate) fn cap(&self, row: &Row) -> f64 {
         let (joints, curvature) = (&row.joints, row.curvature);
         let mut cap = f64::MAX;

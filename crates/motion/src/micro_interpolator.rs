@@ -1,7 +1,7 @@
 //! The micro-interpolator: from path speeds to twelve joint setpoints a period.
 //!
 //! Every millisecond the interpolator advances along the path (in stretches of constant path acceleration between the
-//! speeds at the grid's points), converts the point into arm angles, and averages over a whole number of milliseconds,
+//! speeds at the grid's points), turns the point into joint angles, and averages over a whole number of milliseconds,
 //! which bounds the jerk. The moving average keeps every bound on speed and acceleration, because an average of values
 //! inside a convex limit is inside it.
 //!
@@ -10,8 +10,8 @@
 
 use super::shaping::Label;
 use super::{PERIOD_MS, Setpoint};
-use crate::robot::vector::{Vector, root};
-use crate::robot::{ARMS, AXES, Delta, JointAngles};
+use crate::robots::vector::{Vector, root};
+use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 
 /// Longest moving average, ms; the bound of `motion.jerk_window_ms`.
 pub(crate) const WINDOW_MAX: usize = 32;
@@ -159,7 +159,7 @@ pub(crate) trait Profile {
 /// Averages a window of joint angles and turns them into setpoints.
 #[derive(Clone, Debug)]
 pub(crate) struct MicroInterpolator {
-    delta: Delta,
+    kinematics: Kinematics,
     window: [([i64; AXES], Label); WINDOW_MAX],
     /// Number of averaged angles beside the newest.
     beside: usize,
@@ -173,7 +173,7 @@ impl MicroInterpolator {
     /// An interpolator without a moving average or a robot; see [`MicroInterpolator::configure`].
     pub(crate) const fn new() -> Self {
         Self {
-            delta: Delta::NONE,
+            kinematics: Kinematics::NONE,
             window: [([0; AXES], Label::NONE); WINDOW_MAX],
             beside: 0,
             newest: 0,
@@ -183,8 +183,8 @@ impl MicroInterpolator {
     }
 
     /// Sets the robot and a moving average over `window_ms`; 0 and 1 switch the average off. At rest until placed.
-    pub(crate) fn configure(&mut self, delta: Delta, window_ms: u16) {
-        self.delta = delta;
+    pub(crate) fn configure(&mut self, kinematics: Kinematics, window_ms: u16) {
+        self.kinematics = kinematics;
         self.beside = usize::from(window_ms).clamp(1, WINDOW_MAX) - 1;
         self.settling_ms = 0;
     }
@@ -234,9 +234,9 @@ impl MicroInterpolator {
 
     fn setpoint(&mut self, sample: &PathSample) -> Setpoint {
         let mut angles = [sample.heading; AXES];
-        let arms: [f64; ARMS] = self.delta.angles(&sample.point);
-        for (angle, arm) in angles.iter_mut().zip(arms) {
-            *angle = arm;
+        let main: [f64; MAIN_AXES] = self.kinematics.angles(&sample.point);
+        for (angle, main) in angles.iter_mut().zip(main) {
+            *angle = main;
         }
         self.average(angles.map(to_parts), sample.label)
     }
@@ -304,10 +304,10 @@ mod tests {
     }
 
     fn run(window_ms: u16) -> (MicroInterpolator, [[Setpoint; PERIOD_MS]; 12]) {
-        let delta = Delta::new(&Geometry::default()).unwrap();
+        let kinematics = Kinematics::new(&Geometry::default()).unwrap();
         let mut interpolator = MicroInterpolator::new();
-        interpolator.configure(delta, window_ms);
-        let [a, b, c] = delta.angles(&[0.0, 0.0, -850.0]);
+        interpolator.configure(kinematics, window_ms);
+        let [a, b, c] = kinematics.angles(&[0.0, 0.0, -850.0]);
         interpolator.place(&JointAngles([a, b, c, 0.25]));
         let mut there = There {
             stretches: [
@@ -338,7 +338,7 @@ mod tests {
         for window_ms in [0, 1, 5, 32] {
             let (interpolator, periods) = run(window_ms);
             let last = periods.as_flattened()[143];
-            let expected = interpolator.delta.angles(&[16.0, 0.0, -850.0]);
+            let expected = interpolator.kinematics.angles(&[16.0, 0.0, -850.0]);
             assert!(interpolator.settled());
             for (actual, expected) in last.position_rad.iter().zip(expected) {
                 assert!((actual - expected).abs() < 1.0e-11);

@@ -7,15 +7,15 @@ use super::averaging::tolerances;
 use super::ring::Ring;
 use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
 use super::{Pen, Vertex};
-use crate::robot::vector::{Vector, length};
-use crate::robot::{Delta, GeometryError, JointRows};
+use crate::robots::vector::{Vector, length};
+use crate::robots::{GeometryError, JointRows, Kinematics};
 use crate::settings::Settings;
 use heapless::Vec;
 
 /// Shapes a path and returns its sections.
 #[derive(Clone, Debug)]
 pub struct Outline {
-    delta: Delta,
+    kinematics: Kinematics,
     shaper: Shaper,
     queue: Ring<Node, QUEUE>,
     pushed: u32,
@@ -25,7 +25,7 @@ pub struct Outline {
 /// A smooth section of the shaped path, over a parameter from 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Section {
-    delta: Delta,
+    kinematics: Kinematics,
     piece: Piece,
 }
 
@@ -34,7 +34,7 @@ pub struct Section {
 pub struct Station {
     /// Position, mm.
     pub point: Vector,
-    /// Derivatives of the arm angles with respect to arc length.
+    /// Derivatives of the main axes' angles with respect to arc length.
     pub joints: JointRows,
     /// Curvature, 1/mm.
     pub curvature: f64,
@@ -44,12 +44,12 @@ impl Outline {
     /// Starts shaping within the tolerances of a configuration, from a vertex at rest.
     ///
     /// # Errors
-    /// The dimensions do not form a valid delta robot.
+    /// The dimensions do not form a valid robot.
     pub fn new(settings: &Settings, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
         shaper.configure(tolerances(settings), &settings.motion);
         let mut outline = Self {
-            delta: Delta::new(&settings.geometry)?,
+            kinematics: Kinematics::new(&settings.geometry)?,
             shaper,
             queue: Ring::new(Node::NONE),
             pushed: 0,
@@ -80,7 +80,7 @@ impl Outline {
     pub fn next_leg(&mut self) -> Option<Vec<Section, PIECES_PER_LEG>> {
         let pieces = self.shaper.next_leg(&mut self.queue, self.finished)?;
         let section = |piece| Section {
-            delta: self.delta,
+            kinematics: self.kinematics,
             piece,
         };
         Some(pieces.into_iter().map(section).collect())
@@ -118,7 +118,7 @@ impl Section {
         let frame = self.piece.curve.frame(parameter);
         Station {
             point: frame.point,
-            joints: self.delta.rows(&frame.point, &frame.tangent, &frame.bend),
+            joints: self.kinematics.rows(&frame.point, &frame.tangent, &frame.bend),
             curvature: length(&frame.bend),
         }
     }
@@ -157,14 +157,14 @@ mod tests {
         while let Some(sections) = outline.next_leg() {
             for section in sections {
                 let start = section.station(0.0).point;
-                assert!(length(&crate::robot::vector::subtract(&start, &end)) < 1.0e-9);
+                assert!(length(&crate::robots::vector::subtract(&start, &end)) < 1.0e-9);
                 end = section.station(1.0).point;
                 arc_mm += section.arc_mm(0.0, 1.0);
                 stops += u32::from(section.stops());
                 assert!(section.is_drawn() && section.intervals() > 0);
             }
         }
-        assert!(length(&crate::robot::vector::subtract(&end, &[20.0, 15.3, -800.0])) < 1.0e-9);
+        assert!(length(&crate::robots::vector::subtract(&end, &[20.0, 15.3, -800.0])) < 1.0e-9);
         assert!(arc_mm > 38.5 && arc_mm < 39.1, "{arc_mm}");
         assert_eq!(stops, 2, "the reversal and the end");
     }

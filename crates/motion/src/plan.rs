@@ -19,8 +19,8 @@ use super::ring::Ring;
 use super::scan::{Middle, Row};
 use super::shaping::{PIECES_PER_LEG, Piece};
 use super::stretches::{STRETCH_MAX_S, braking, going, over_the_middle};
-use crate::robot::Delta;
-use crate::robot::vector::length;
+use crate::robots::Kinematics;
+use crate::robots::vector::length;
 use crate::settings::{MotionLimits, Orientation};
 
 /// Points of the grid: the look-ahead.
@@ -64,7 +64,7 @@ pub(crate) enum Pace {
 /// The plan and the present position on it.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
-    delta: Delta,
+    kinematics: Kinematics,
     limits: Limits,
     pieces: Ring<Piece, PIECES>,
     points: Ring<GridPoint, POINTS>,
@@ -95,7 +95,7 @@ impl Plan {
     /// An empty plan; it allows no motion before [`Plan::reconfigure`].
     pub(crate) const fn new() -> Self {
         Self {
-            delta: Delta::NONE,
+            kinematics: Kinematics::NONE,
             limits: Limits::NONE,
             pieces: Ring::new(Piece::NONE),
             points: Ring::new(GridPoint::NONE),
@@ -118,8 +118,8 @@ impl Plan {
     }
 
     /// Sets robot and limits, resets the speed to that of the path, and discards what was pushed.
-    pub(crate) fn reconfigure(&mut self, delta: Delta, limits: Limits, motion: &MotionLimits) {
-        self.delta = delta;
+    pub(crate) fn reconfigure(&mut self, kinematics: Kinematics, limits: Limits, motion: &MotionLimits) {
+        self.kinematics = kinematics;
         self.limits = limits;
         self.course.follows = motion.orientation == Orientation::Path;
         self.dwell_s = f64::from(motion.pen_dwell_ms) * 1.0e-3;
@@ -301,7 +301,7 @@ impl Plan {
 
     fn row_at(&self, piece: &Piece, parameter: f64) -> Row {
         let frame = piece.curve.frame(parameter);
-        let joints = self.delta.rows(&frame.point, &frame.tangent, &frame.bend);
+        let joints = self.kinematics.rows(&frame.point, &frame.tangent, &frame.bend);
         Row {
             joints,
             curvature: length(&frame.bend),

@@ -6,7 +6,7 @@
 
 use super::PERIOD_MS;
 use super::micro_interpolator::PathSample;
-use crate::robot::vector::{length, subtract};
+use crate::robots::vector::{length, subtract};
 
 /// Longest time without progress, ms.
 pub(super) const STALL_MS: u32 = 2_000;

@@ -11,8 +11,8 @@
 //! Invariant: x = 0, u = 0 obeys every row; so below every allowed x of a point all smaller x are allowed too.
 
 use super::limits::Limits;
-use crate::robot::vector::root;
-use crate::robot::{ARMS, JointRows};
+use crate::robots::vector::root;
+use crate::robots::{JointRows, MAIN_AXES};
 
 /// Most Newton steps. More are not needed; if they were, the result would still be a safe bound.
 const NEWTON_STEPS: usize = 16;
@@ -184,13 +184,13 @@ impl Interval<'_> {
             high_slope: -inverse,
         };
         let limits = self.limits;
-        for arm in 0..ARMS {
-            let limit = limits.joint_acceleration[arm];
-            let (a, b) = (self.start.joints.slope[arm], self.start.joints.bend[arm]);
+        for axis in 0..MAIN_AXES {
+            let limit = limits.joint_acceleration[axis];
+            let (a, b) = (self.start.joints.slope[axis], self.start.joints.bend[axis]);
             range.restrict_both(a, b, limit, x);
-            let b = self.end.joints.bend[arm];
+            let b = self.end.joints.bend[axis];
             // At the end the speed is x + 2 l u.
-            range.restrict_both(self.end.joints.slope[arm] + b * double, b, limit, x);
+            range.restrict_both(self.end.joints.slope[axis] + b * double, b, limit, x);
         }
         if self.turns() {
             let (b, limit) = (self.turn_change, limits.turn_acceleration);
@@ -208,10 +208,10 @@ impl Interval<'_> {
         if let Some((middle, ahead_mm)) = &self.middle {
             let double = 2.0 * ahead_mm;
             range.restrict(double, 1.0, middle.cap, x);
-            for arm in 0..ARMS {
-                let b = middle.joints.bend[arm];
-                let a = middle.joints.slope[arm] + b * double;
-                range.restrict_both(a, b, limits.joint_acceleration[arm], x);
+            for axis in 0..MAIN_AXES {
+                let b = middle.joints.bend[axis];
+                let a = middle.joints.slope[axis] + b * double;
+                range.restrict_both(a, b, limits.joint_acceleration[axis], x);
             }
             if self.lifts {
                 let b = middle.rise_change;
@@ -263,13 +263,13 @@ impl Interval<'_> {
         let curvature = self
             .middle
             .map_or(curvature, |(middle, _)| curvature.max(middle.curvature));
-        for arm in 0..ARMS {
-            let limit = limits.joint_acceleration[arm];
+        for axis in 0..MAIN_AXES {
+            let limit = limits.joint_acceleration[axis];
             for joints in [Some(&self.start.joints), Some(&self.end.joints), middle]
                 .into_iter()
                 .flatten()
             {
-                let (a, b) = (joints.slope[arm], joints.bend[arm]);
+                let (a, b) = (joints.slope[axis], joints.bend[axis]);
                 range.restrict_both(a, b, limit, x);
                 range.restrict_both(a, b, limit, 0.0);
             }
@@ -312,8 +312,8 @@ mod tests {
             let mut number = numbers(seed);
             let mut row = || Row {
                 joints: JointRows {
-                    slope: [(); ARMS].map(|()| 0.004 * number()),
-                    bend: [(); ARMS].map(|()| 2.0e-3 * number()),
+                    slope: [(); MAIN_AXES].map(|()| 0.004 * number()),
+                    bend: [(); MAIN_AXES].map(|()| 2.0e-3 * number()),
                 },
                 curvature: 0.2 * number().abs(),
                 turn: 0.5 * number(),

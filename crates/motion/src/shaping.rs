@@ -11,7 +11,7 @@ use super::Pen;
 use super::curve::{BlendShape, Curve};
 use super::heading;
 use super::ring::Ring;
-use crate::robot::vector::{Vector, add, dot, length, scale, subtract};
+use crate::robots::vector::{Vector, add, dot, length, scale, subtract};
 use crate::settings::MotionLimits;
 use heapless::Vec;
 
@@ -291,7 +291,7 @@ impl Shaper {
             return Passage::Stop;
         }
         let difference = length(&subtract(&unit_out, &unit_in));
-        let sine = difference * crate::robot::vector::root(1.0 - 0.25 * difference * difference);
+        let sine = difference * crate::robots::vector::root(1.0 - 0.25 * difference * difference);
         let drawn = node.pen == Pen::Down || after.pen == Pen::Down;
         let tolerance = if drawn {
             self.tolerances.drawing_mm

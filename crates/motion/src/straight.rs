@@ -9,8 +9,8 @@ use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
 use super::scan::Row;
 use super::shaping::Label;
-use crate::robot::Delta;
-use crate::robot::vector::{Vector, add_scaled, length, root, scale, subtract};
+use crate::robots::Kinematics;
+use crate::robots::vector::{Vector, add_scaled, length, root, scale, subtract};
 
 /// Points of the line at which the limits are evaluated.
 const CHECKS: u32 = 33;
@@ -37,7 +37,7 @@ pub(crate) struct Straight {
 
 impl Straight {
     /// A move from the present position to `to`; the fourth axis keeps its angle.
-    pub(crate) fn new(delta: &Delta, limits: &Limits, here: &PathSample, to: &Vector, label: Label) -> Self {
+    pub(crate) fn new(kinematics: &Kinematics, limits: &Limits, here: &PathSample, to: &Vector, label: Label) -> Self {
         let from = &here.point;
         let line = subtract(to, from);
         let length_mm = length(&line);
@@ -63,7 +63,7 @@ impl Straight {
         }
         for check in 0..CHECKS {
             let place = length_mm * f64::from(check) / f64::from(CHECKS - 1);
-            let rows = delta.rows(&add_scaled(from, &direction, place), &direction, &[0.0; 3]);
+            let rows = kinematics.rows(&add_scaled(from, &direction, place), &direction, &[0.0; 3]);
             row.joints = rows;
             speed_squared = speed_squared.min(limits.cap(&row));
             let joints = rows.slope.iter().zip(&rows.bend).zip(&limits.joint_acceleration);

@@ -18,8 +18,8 @@ use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper};
 use super::straight::Straight;
 use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Refusal, RefusalReason, Setpoint, Vertex};
-use crate::robot::vector::{Vector, length, subtract};
-use crate::robot::{GeometryError, JointAngles, Position, WorkArea};
+use crate::robots::vector::{Vector, length, subtract};
+use crate::robots::{GeometryError, JointAngles, Position, WorkArea};
 use crate::settings::Settings;
 
 /// Most vertices queued for shaping.
@@ -120,7 +120,7 @@ impl Trajectory {
     /// an [`Trajectory::unconfigured`] stage in a static instead.
     ///
     /// # Errors
-    /// The dimensions do not form a valid delta robot.
+    /// The dimensions do not form a valid robot.
     pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
         let mut trajectory = Self::unconfigured();
         trajectory.reconfigure(settings)?;
@@ -130,7 +130,7 @@ impl Trajectory {
     /// Takes a configuration in place. Discards the path, and the pose until the stage is placed again.
     ///
     /// # Errors
-    /// The dimensions do not form a valid delta robot; nothing has changed.
+    /// The dimensions do not form a valid robot; nothing has changed.
     pub fn reconfigure(&mut self, settings: &Settings) -> Result<(), GeometryError> {
         let area = WorkArea::new(settings)?;
         let limits = Limits::new(&settings.motion);
@@ -143,14 +143,14 @@ impl Trajectory {
         motion.starve_dwell_ms = usize::from(settings.motion.starve_dwell_ms);
         motion.dead_man_ms = settings.dead_man_ms;
         motion.shaper.configure(tolerances(settings), &settings.motion);
-        motion.plan.reconfigure(*area.delta(), limits, &settings.motion);
+        motion.plan.reconfigure(*area.kinematics(), limits, &settings.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;
         motion.begun = false;
         motion.underruns = 0;
         motion.work = 0;
         motion.drop_path();
-        self.interpolator.configure(*area.delta(), window_ms);
+        self.interpolator.configure(*area.kinematics(), window_ms);
         self.pose = None;
         Ok(())
     }
@@ -167,7 +167,7 @@ impl Trajectory {
             return false;
         }
         self.interpolator.place(&pose);
-        let Ok(position) = self.motion.area.delta().forward(&pose) else {
+        let Ok(position) = self.motion.area.kinematics().forward(&pose) else {
             return false;
         };
         self.motion.here = PathSample {
@@ -439,7 +439,7 @@ impl Motion {
     }
 
     fn straight(&self, to: &Vector, label: Label) -> Straight {
-        Straight::new(self.area.delta(), &self.limits, &self.here, to, label)
+        Straight::new(self.area.kinematics(), &self.limits, &self.here, to, label)
     }
 
     /// Ends the present motion; `None` where there is nothing to end.

@@ -166,14 +166,14 @@ function studio(link) {
 function goOn(link, drawing) {
   const words = element("small");
   const button = element("button", { type: "button", className: "continue", on: { click: () => link.send({ type: "continue", job: drawing }) } }, "Continue");
-  const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the arms since", on: { click: () => link.command({ do: "reference_here" }) } }, "They stand where they stopped");
+  const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the joints since", on: { click: () => link.command({ do: "reference_here" }) } }, "They stand where they stopped");
   const wants = (status, all) => {
     if (all.active || !status) return "";
     if (!link.controls) return ": take control first";
     if (status.mode === "Fault") return ": acknowledge the fault first";
     if (!["DrivesOff", "Unreferenced", "Idle"].includes(status.mode)) return ": wait until the robot is at rest";
     if (status.referenced) return "";
-    const marks = ": the controller does not know where the arms stand. Bring them to their marks and press Reference";
+    const marks = ": the controller does not know where the robot stands. Bring its joints to their marks and press Reference";
     if (!status.seen_mm) return marks;
     const [x, y] = status.seen_mm.map((mm) => number(mm, 0));
     return `${marks}, or, if nobody has moved them (pen at x ${x}, y ${y} mm):`;

@@ -10,7 +10,7 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::{SAMPLES_PER_MESSAGE, Sample};
 use etherpen::motion::Pen;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use std::io::{self, BufReader, PipeWriter};
 
 /// Number of samples before the first measurement of memory: a minute.

@@ -181,8 +181,8 @@ fn drives_of_any_kind_are_the_axes_in_their_order() {
     assert!(state.platform.is_some());
 }
 
-/// All four drives enabled in digital current mode, with this torque demand of the arms from then on.
-fn arms_with_torque(digits: i16, milliseconds: u32) -> CellState {
+/// All four drives enabled in digital current mode, with this torque demand of the main axes from then on.
+fn main_axes_with_torque(digits: i16, milliseconds: u32) -> CellState {
     let mut rig = segment("ax2000*4");
     rig.mailboxes();
     rig.request(2);
@@ -203,8 +203,8 @@ fn arms_with_torque(digits: i16, milliseconds: u32) -> CellState {
     rig.request(4);
     let cycle = |rig: &mut Rig, torque: i16, control: u8| {
         let [low, high] = torque.to_le_bytes();
-        let arm = [low, high, control, 0];
-        let outputs: Vec<u8> = [arm, arm, arm, [0, 0, control, 0]].concat();
+        let main = [low, high, control, 0];
+        let outputs: Vec<u8> = [main, main, main, [0, 0, control, 0]].concat();
         assert_eq!(rig.ask(LWR, 0, 1, &outputs).1, 4);
     };
     cycle(&mut rig, 0, 0);
@@ -221,10 +221,10 @@ fn arms_with_torque(digits: i16, milliseconds: u32) -> CellState {
 }
 
 #[test]
-fn arms_fall_without_torque_and_rise_with_more_than_their_weight() {
-    let fallen = arms_with_torque(0, 60);
+fn main_axes_fall_without_torque_and_rise_with_more_than_their_weight() {
+    let fallen = main_axes_with_torque(0, 60);
     assert!(fallen.velocities.0[..3].iter().all(|rad_s| *rad_s > 0.5), "{fallen:?}");
     assert!(fallen.velocities.0[3].abs() < 0.01);
-    let risen = arms_with_torque(-800, 20);
+    let risen = main_axes_with_torque(-800, 20);
     assert!(risen.velocities.0[..3].iter().all(|rad_s| *rad_s < -0.5), "{risen:?}");
 }

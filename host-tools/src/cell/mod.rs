@@ -1,9 +1,9 @@
-//! The virtual cell: an EtherCAT segment with drives, motors, the delta robot and its pen.
+//! The virtual cell: an EtherCAT segment with drives, motors, the robot and its pen.
 //!
 //! It stands for the hardware, for any master: Ethernet frames go in at a time of the caller's clock, replies come
 //! out, and what the motors did is on the sheet of paper. Bus and drives are written from the slave's side and share
 //! names and layouts of registers and of the SII with the master, none of its logic. The robot's geometry is the
-//! controller's own ([`etherpen::robot::Delta`]): an error in the kinematics would not show in the ink, so the
+//! controller's own ([`etherpen::robots::Kinematics`]): an error in the kinematics would not show in the ink, so the
 //! kinematics have tests of their own.
 //!
 //! Time: the first call sets the start. Drives, watchdogs, robot and paper advance once a millisecond, at boundaries
@@ -36,6 +36,7 @@ mod generic_drive;
 mod image_device;
 mod kind;
 mod live_objects;
+mod mechanism;
 mod motor;
 mod objects;
 mod paper;
@@ -67,7 +68,7 @@ use controller::Nature;
 use drive::Drive;
 use dynamics::Dynamics;
 use etherpen::config::Config;
-use etherpen::robot::{AXES, JointAngles, JointVelocities, Position};
+use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
 use faults::Schedule;
 use paper::Sheet;
 use robot::Robot;
@@ -202,7 +203,7 @@ pub struct CellState {
     pub joints: JointAngles,
     /// True joint speeds, rad/s.
     pub velocities: JointVelocities,
-    /// The platform; nothing where the arms cannot hold one.
+    /// The platform; nothing where the joints cannot hold one.
     pub platform: Option<Position>,
     /// Whether the pen touches.
     pub pen_touches: bool,
@@ -210,7 +211,7 @@ pub struct CellState {
     pub contacts_outside: u64,
     /// Milliseconds without a possible platform position.
     pub unreachable_ms: u64,
-    /// Milliseconds in which an end stop held an arm.
+    /// Milliseconds in which an end stop held a joint.
     pub end_stop_ms: u64,
     /// EtherCAT frames that came from the master.
     pub frames: u64,
@@ -399,8 +400,8 @@ impl Cell {
         }
         self.segment.step(now_ns);
         self.dynamics.step(self.segment.drives_mut());
-        for (arm, drive) in self.segment.drives_mut().enumerate() {
-            self.robot.limit(arm, drive);
+        for (axis, drive) in self.segment.drives_mut().enumerate() {
+            self.robot.limit(axis, drive);
         }
         self.segment.sample();
         if let Some(platform) = self.robot.step(&joints(&self.segment)) {

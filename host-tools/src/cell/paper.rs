@@ -4,7 +4,7 @@
 //! to the right, y downwards, the origin in the top left corner.
 
 use etherpen::config::Paper;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// Height above its drawing height up to which the spring-loaded pen touches, mm.
 pub const PEN_SPRING_MM: f64 = 0.3;

@@ -1,17 +1,14 @@
-//! The delta robot between motors and pen: joint angles to platform, and the mechanical end stops of the arms.
+//! The robot between motors and pen: joint angles to platform, and the mechanical end stops of the joints.
 
 use super::drive::Drive;
+use super::mechanism::Mechanism;
 use etherpen::config::Geometry;
-use etherpen::robot::{ARMS, Delta, JointAngles, Position};
+use etherpen::robots::{JointAngles, Position};
 
-/// Distance of the mechanical end stops behind the ends of the arm range, radians.
-const END_STOP_RAD: f64 = 0.05;
-
-/// The mechanism; without a valid geometry it has no platform.
+/// The robot; without a valid geometry it has no platform.
 #[derive(Clone, Debug)]
 pub(super) struct Robot {
-    delta: Option<Delta>,
-    arm_range_rad: [f64; 2],
+    mechanism: Mechanism,
     platform: Option<Position>,
     unreachable_ms: u64,
     end_stop_ms: u64,
@@ -20,15 +17,14 @@ pub(super) struct Robot {
 impl Robot {
     pub(super) fn new(geometry: &Geometry) -> Self {
         Self {
-            delta: Delta::new(geometry).ok(),
-            arm_range_rad: geometry.arm_range_rad,
+            mechanism: Mechanism::new(geometry),
             platform: None,
             unreachable_ms: 0,
             end_stop_ms: 0,
         }
     }
 
-    /// Position of the platform; `None` while the arms are in positions that no platform can connect.
+    /// Position of the platform; `None` while the joints are where no platform can connect them.
     pub(super) fn platform(&self) -> Option<Position> {
         self.platform
     }
@@ -38,17 +34,19 @@ impl Robot {
         self.unreachable_ms
     }
 
-    /// Milliseconds in which an end stop held an arm.
+    /// Milliseconds in which an end stop held a joint.
     pub(super) fn end_stop_ms(&self) -> u64 {
         self.end_stop_ms
     }
 
-    /// Holds an arm at its end stop when it has reached it.
-    pub(super) fn limit(&mut self, arm: usize, drive: &mut Drive) {
-        let [low_rad, high_rad] = self.arm_range_rad;
+    /// Holds a joint at its end stop when it has reached it.
+    pub(super) fn limit(&mut self, axis: usize, drive: &mut Drive) {
+        let Some([low_rad, high_rad]) = self.mechanism.end_stops_rad().get(axis).copied() else {
+            return;
+        };
         let joint_rad = drive.joint_rad();
-        let inside_rad = joint_rad.max(low_rad - END_STOP_RAD).min(high_rad + END_STOP_RAD);
-        if arm < ARMS && inside_rad != joint_rad {
+        let inside_rad = joint_rad.max(low_rad).min(high_rad);
+        if inside_rad != joint_rad {
             drive.block_at(inside_rad);
             self.end_stop_ms += 1;
         }
@@ -56,7 +54,7 @@ impl Robot {
 
     /// Moves the platform to the position for these joint angles.
     pub(super) fn step(&mut self, joints: &JointAngles) -> Option<Position> {
-        self.platform = self.delta.as_ref().and_then(|delta| delta.forward(joints).ok());
+        self.platform = self.mechanism.tool(joints);
         self.unreachable_ms += u64::from(self.platform.is_none());
         self.platform
     }
@@ -69,7 +67,7 @@ mod tests {
     use etherpen::config::Axis;
 
     #[test]
-    fn an_arm_is_held_at_its_end_stop() {
+    fn a_joint_is_held_at_its_end_stop() {
         let mut robot = Robot::new(&Geometry::default());
         let mut drive = Drive::new(Axis::default(), 1.5, 100.0);
         drive.mode = MODE_DIGITAL_SPEED;
@@ -84,13 +82,14 @@ mod tests {
             robot.limit(0, &mut drive);
         }
         assert_eq!(drive.state(), DriveState::OperationEnabled);
-        let stop_rad = Geometry::default().arm_range_rad[1] + END_STOP_RAD;
+        let stop_rad = robot.mechanism.end_stops_rad()[0][1];
+        assert!(stop_rad > Geometry::default().ranges_rad()[0][1]);
         assert!((drive.joint_rad() - stop_rad).abs() < 1e-9, "{}", drive.joint_rad());
         assert!(robot.end_stop_ms() > 200);
     }
 
     #[test]
-    fn arms_that_no_platform_connects_are_counted() {
+    fn joints_that_no_platform_connects_are_counted() {
         let mut robot = Robot::new(&Geometry::default());
         assert!(robot.step(&JointAngles([0.3; 4])).is_some());
         let geometry = Geometry {

@@ -5,7 +5,7 @@ use super::*;
 use crate::random::Random;
 use etherpen::config::Axis;
 use etherpen::control::position::PositionController;
-use etherpen::robot::Delta;
+use etherpen::robots::Kinematics;
 
 #[test]
 fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
@@ -368,7 +368,7 @@ fn no_registers_mailboxes_or_frames_break_the_cell() {
     assert_eq!(rig.ask(BRD, 0, 0x0130, &[0, 0]).1, 4);
 }
 
-/// Drives the arms down and around, with the pen on the paper for a part of it.
+/// Drives the joints down and around, with the pen on the paper for a part of it.
 fn draw(mut rig: Rig) -> (Vec<InkStroke>, CellState) {
     rig.bring_up();
     for cycle in 0..1500i32 {
@@ -460,7 +460,7 @@ fn a_clock_that_jumps_or_runs_back_is_survived() {
 
 /// References of a circle of 40 mm radius at up to 400 mm/s: from a joint pose to its start, down, and twice around.
 fn circle_references(from: [f64; AXES], config: &Config) -> Vec<[f64; AXES]> {
-    let delta = Delta::new(&config.geometry).expect("the default geometry");
+    let kinematics = Kinematics::new(&config.geometry).expect("the default geometry");
     let ease = |share: f64| share.powi(3) * (10.0 - 15.0 * share + 6.0 * share * share);
     let joints = |angle: f64, lift_mm: f64| {
         let position = Position {
@@ -468,7 +468,7 @@ fn circle_references(from: [f64; AXES], config: &Config) -> Vec<[f64; AXES]> {
             y_mm: 40.0 * angle.sin(),
             z_mm: config.paper.pen_down_z_mm + lift_mm,
         };
-        let [a, b, c] = delta.inverse(&position).expect("within reach");
+        let [a, b, c] = kinematics.inverse(&position).expect("within reach");
         [a, b, c, from[3]]
     };
     let above = joints(0.0, 3.0);

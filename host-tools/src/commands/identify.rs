@@ -20,7 +20,7 @@ use crate::run::{self, RunTask};
 use crate::settings::Settings;
 use crate::terminal::counted;
 use etherpen::config::Config;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -32,7 +32,7 @@ pub struct Arguments {
     simulate: bool,
     #[command(flatten)]
     port: OptionalPort,
-    /// Change this axis alone, from 1; the arms share their lead and feedback gain all the same.
+    /// Change this axis alone, from 1; the main axes share their lead and feedback gain all the same.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=AXES as i64))]
     axis: Option<u8>,
     /// Store the values in this file; everything else in it stays.
@@ -149,11 +149,11 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
     arguments.output.clone().or_else(|| arguments.store.then(in_use))
 }
 
-/// Fails if a needed axis has no estimate: the requested axis, or any arm if no axis was requested. The arms always
+/// Fails if a needed axis has no estimate: the requested axis, or any main axis without a request. The main axes always
 /// move.
 fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), ProgramError> {
     for (axis, answer) in answers.iter().enumerate() {
-        let needed = only.map_or(axis < etherpen::robot::ARMS, |only| only == axis);
+        let needed = only.map_or(axis < etherpen::robots::MAIN_AXES, |only| only == axis);
         if let (true, Err(cause)) = (needed, answer) {
             return Err(ProgramError::new(code::FAILED, format!("axis {}: {cause}", axis + 1)));
         }

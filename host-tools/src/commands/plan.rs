@@ -14,7 +14,7 @@ use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::link::protocol::ConfigRefusal;
 use etherpen::motion::{Admission, RefusalReason, Vertex};
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -13,7 +13,7 @@ use crate::settings::store_reference;
 use crate::simulation;
 use crate::terminal::counted;
 use etherpen::config::Config;
-use etherpen::robot::{AXES, Delta, JointAngles, Outside, Position};
+use etherpen::robots::{AXES, JointAngles, Kinematics, Outside, Position, Words};
 use serde::Serialize;
 use std::io::Write;
 use std::path::PathBuf;
@@ -23,8 +23,8 @@ const SIMULATED_MAX_MS: u32 = 300_000;
 
 /// Options of `etherpen reference`.
 ///
-/// A resolver is absolute within one motor turn; at a gear of 1:12 an arm repeats every 30 degrees. Without --pose and
-/// --position the arms stand within half a motor turn (15 degrees) of their synchronisation marks. The robot may stand
+/// A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. Without --pose and
+/// --position the joints are within half a motor turn (15 degrees) of their synchronisation marks. The robot may stand
 /// with or without power; it is not moved. Where another program has the port, the reference is taken through it.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
@@ -37,12 +37,12 @@ pub struct Arguments {
     /// too few is found with --position only.
     #[arg(long, value_name = "Q1,Q2,Q3,Q4", allow_hyphen_values = true, value_parser = numbers::<AXES>)]
     pose: Option<Numbers<AXES>>,
-    /// Where the platform stands, mm, within about 20. Alone it gives the arms' angles, axis 4 is taken on the motor turn
-    /// nearest to 0; beside --pose it is what that pose is checked against.
+    /// Where the platform stands, mm, within about 20. Alone it gives the joint angles; axis 4 is then on the motor
+    /// turn nearest to 0; beside --pose it is what that pose is checked against.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = numbers::<3>)]
     position: Option<Numbers<3>>,
     /// The resolvers' offsets are not known yet (another motor, drive or resolver): the pose sets them and is checked
-    /// against --position only. Without --pose and --position the arms stand exactly at their marks.
+    /// against --position only. Without --pose and --position the joints stand exactly at their marks.
     #[arg(long)]
     calibrate: bool,
     /// Store this pose as the synchronisation marks, in the configuration file that is in use, `etherpen.toml` where
@@ -85,7 +85,7 @@ struct AxisResult {
 #[derive(Clone, Debug, Serialize)]
 struct Answer {
     axes: Vec<AxisResult>,
-    /// The platform by forward kinematics; absent where no platform joins the forearms.
+    /// The platform by forward kinematics; absent where the links do not meet.
     position_mm: Option<[f64; 3]>,
     stored: Option<String>,
 }
@@ -97,13 +97,13 @@ struct Answer {
 /// errors of the file.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
-    let delta = Delta::new(&config.geometry).map_err(|cause| {
+    let kinematics = Kinematics::new(&config.geometry).map_err(|cause| {
         let text = text::config_refusal(&cause.into());
         ProgramError::new(code::USAGE, text)
     })?;
-    let wanted = wanted(arguments, &delta)?;
+    let wanted = wanted(arguments, &kinematics)?;
     let found = take(arguments, &config, wanted)?;
-    let position = delta.forward(&found.pose).ok();
+    let position = kinematics.forward(&found.pose).ok();
     let mut answer = Answer {
         axes: (1..)
             .zip(found.pose.0.iter().zip(found.increments))
@@ -133,11 +133,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
 }
 
-fn wanted(arguments: &Arguments, delta: &Delta) -> Result<Wanted, ProgramError> {
+fn wanted(arguments: &Arguments, kinematics: &Kinematics) -> Result<Wanted, ProgramError> {
     let position = arguments.position.map(|Numbers(position)| Position::from(position));
     let pose = match (arguments.pose, &position) {
         (Some(Numbers(pose)), _) => Pose::Joints(JointAngles(pose)),
-        (None, Some(position)) => Pose::Arms(delta.inverse(position).map_err(|cause| {
+        (None, Some(position)) => Pose::MainAxes(kinematics.inverse(position).map_err(|cause| {
             let why = text::outside(&Outside::Kinematics(cause));
             ProgramError::new(code::USAGE, format!("the platform cannot stand at --position: {why}"))
         })?),
@@ -192,7 +192,10 @@ fn print(answer: &Answer) -> Result<(), ProgramError> {
     }
     match answer.position_mm {
         Some([x, y, z]) => shown.push_str(&format!("platform  {x:.2} {y:.2} {z:.2} mm\n")),
-        None => shown.push_str("platform  with these angles the forearms do not meet: a wrong motor turn?\n"),
+        None => shown.push_str(&format!(
+            "platform  with these angles the {} do not meet: a wrong motor turn?\n",
+            Words::default().last_links
+        )),
     }
     std::io::stdout()
         .write_all(shown.as_bytes())

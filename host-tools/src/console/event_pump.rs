@@ -12,7 +12,7 @@ use crate::link::text;
 use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ const SETTLED: Duration = Duration::from_millis(500);
 const PREPARED_AGAIN: Duration = Duration::from_secs(2);
 /// Text for a drawing whose firmware was restarted.
 const RESTARTED: &str = "the controller started anew while it was drawing, and the robot stopped where it was; it knows \
-                         neither the drawing nor where the arms stand any more";
+                         neither the drawing nor where the robot stands any more";
 /// Most orders with pending answers.
 const EXPECTED_MAX: usize = 256;
 
@@ -253,7 +253,7 @@ impl Console {
     pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
         let unfinished = self.change(|hub| {
             if hub.status().is_none_or(|status| !status.referenced) {
-                return Err("the controller does not know where the arms stand; take the reference, then go on");
+                return Err("the controller does not know where the robot stands; take the reference, then go on");
             }
             let unfinished = hub.jobs.go_on(number, &self.config);
             hub.say_jobs();
@@ -278,7 +278,7 @@ impl Console {
         *lock(&self.event_pump.drawing) = Some((activation, answer));
     }
 
-    /// The reference at the last pose in which the arms were referenced; the firmware checks it against its resolvers
+    /// The reference at the last pose in which the joints were referenced; the firmware checks it against its resolvers
     /// and against the last position of the platform.
     pub(super) fn reference_here(&self) -> Option<Command> {
         let hub = self.hub();

@@ -176,7 +176,7 @@ pub struct Hub {
     /// Frozen snapshots of the viewers, the oldest first.
     kept: VecDeque<(ViewerId, HistorySnapshot)>,
     stop_wanted: bool,
-    /// Last position of arms and platform while the arms were referenced.
+    /// Last position of joints and platform while the joints were referenced.
     known: Option<Known>,
     /// Viewers, and whether each has shown the token.
     viewers: BTreeMap<ViewerId, bool>,
@@ -292,7 +292,7 @@ impl Hub {
         self.status.as_ref()
     }
 
-    /// The last position in which the arms were referenced.
+    /// The last position in which the joints were referenced.
     pub fn known(&self) -> Option<Known> {
         self.known
     }

@@ -50,7 +50,7 @@ fn reals<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 3], D::Error> {
 pub enum Action {
     /// Take the reference at the marks.
     Reference,
-    /// Take the reference at the last pose in which the arms were referenced.
+    /// Take the reference at the last pose in which the joints were referenced.
     ReferenceHere,
     /// Switch the drives' power on.
     Enable,

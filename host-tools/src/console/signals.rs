@@ -8,7 +8,7 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::Sample;
 use etherpen::motion::Pen;
-use etherpen::robot::{AXES, Delta, JointAngles, Position};
+use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 
 /// Signals of one axis.
 const PER_AXIS: usize = 5;
@@ -118,7 +118,7 @@ impl SignalRow {
 
 /// Converts samples into rows.
 pub struct Rows {
-    delta: Option<Delta>,
+    kinematics: Option<Kinematics>,
     /// Offset of the console's time to the firmware's time.
     offset_ms: u64,
     last: Option<Last>,
@@ -156,7 +156,7 @@ impl Rows {
     /// A converter for a robot with this configuration.
     pub fn new(config: &Config) -> Self {
         Self {
-            delta: Delta::new(&config.geometry).ok(),
+            kinematics: Kinematics::new(&config.geometry).ok(),
             offset_ms: 0,
             last: None,
         }
@@ -208,8 +208,8 @@ impl Rows {
     }
 
     fn platform_mm(&self, joints_rad: &[f32; AXES]) -> [f32; 3] {
-        let forward = |delta: &Delta| delta.forward(&JointAngles(joints_rad.map(f64::from))).ok();
-        match self.delta.as_ref().and_then(forward) {
+        let forward = |kinematics: &Kinematics| kinematics.forward(&JointAngles(joints_rad.map(f64::from))).ok();
+        match self.kinematics.as_ref().and_then(forward) {
             Some(Position { x_mm, y_mm, z_mm }) => [x_mm, y_mm, z_mm].map(|mm| mm as f32),
             None => [f32::NAN; 3],
         }

@@ -19,7 +19,7 @@ pub struct StatusView {
     /// Whether the robot is stopped because of a requested stop.
     stopped: bool,
     referenced: bool,
-    /// Last position of the platform while the arms were referenced, mm; only while they are not referenced.
+    /// Last position of the platform while the joints were referenced, mm; only while they are not referenced.
     seen_mm: Option<[f32; 3]>,
     configured: bool,
     override_percent: u8,
@@ -138,7 +138,7 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
 }
 
 impl StatusView {
-    /// Adds the platform's last position from the time when the arms were referenced, if they no longer are.
+    /// Adds the platform's last position from the time when the joints were referenced, if they no longer are.
     pub fn seen_at(self, seen_mm: Option<[f32; 3]>) -> Self {
         let seen_mm = seen_mm.filter(|_| !self.referenced);
         Self { seen_mm, ..self }

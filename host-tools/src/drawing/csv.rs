@@ -6,7 +6,7 @@
 use super::plot::PLACE_MAX_MM;
 use super::{Drawing, DrawingError, FilePlace, Stroke};
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// Heading of strokes on a sheet.
 const SHEET_HEADING: [&str; 3] = ["x_mm", "y_mm", "pen"];

@@ -6,7 +6,7 @@
 use super::{Drawing, Stroke};
 use etherpen::config::Paper;
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// The drawing in the robot's frame: for each stroke a travel move to above its start, down, along the stroke, up.
 #[must_use]

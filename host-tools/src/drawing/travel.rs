@@ -2,14 +2,14 @@
 //!
 //! The planner is run for a few travel moves over the middle of the paper, from the end of one line to the beginning of
 //! another; other lengths are interpolated, since the duration grows with the square root of a short distance and
-//! linearly with a long one. Differences by direction and position, which are small for a delta robot, are ignored.
+//! linearly with a long one. Differences by direction and position, which are small, are ignored.
 //!
 //! Invariant: a longer travel move never takes less time.
 
 use crate::planning;
 use etherpen::config::{Config, Paper};
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use std::sync::OnceLock;
 
 /// Entries of the table, at equal steps of the distance's square root.

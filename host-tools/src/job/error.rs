@@ -228,7 +228,7 @@ impl fmt::Display for JobError {
                 text::mode(*mode)
             ),
             Self::NotReferenced => f.write_str(
-                "the joint angles are not referenced any more, and the arms may stand anywhere; bring them to a known \
+                "the joint angles are not referenced any more, and the robot may stand anywhere; bring them to a known \
                  pose and take the reference (etherpen reference), then go on: with draw --resume where a drawing broke \
                  off",
             ),

@@ -231,7 +231,7 @@ impl Job {
         }
     }
 
-    /// Takes the arms to be at their marks, unless they may be anywhere.
+    /// Takes the joints to be at their marks, unless they may be anywhere.
     fn reference(&mut self) {
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);

@@ -13,7 +13,7 @@ use etherpen::application::homing::resolver_angle_rad;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Command, Sample, Status};
-use etherpen::robot::{ARMS, AXES, JointAngles, Position};
+use etherpen::robots::{AXES, JointAngles, MAIN_AXES, Position};
 
 /// Longest wait for the firmware's answer to the greeting, ms.
 const GREETING_MAX_MS: u64 = 5_000;
@@ -33,8 +33,8 @@ pub enum Pose {
     Marks,
     /// Near these joint angles.
     Joints(JointAngles),
-    /// With these arm angles, rad, and axis 4 on the motor turn nearest to 0.
-    Arms([f64; ARMS]),
+    /// With these angles of the main axes, rad, and axis 4 on the motor turn nearest to 0.
+    MainAxes([f64; MAIN_AXES]),
     /// On the motor turns nearest to these joint angles, rad: the last measured angles of a robot that was referenced.
     Seen([f64; AXES]),
 }
@@ -71,8 +71,8 @@ impl Wanted {
             Pose::Marks => None,
             Pose::Joints(pose) => Some(pose),
             Pose::Seen(seen_rad) => Some(angles(config, increments, seen_rad.map(Some))),
-            Pose::Arms([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
-            Pose::Arms([first, second, third]) => {
+            Pose::MainAxes([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
+            Pose::MainAxes([first, second, third]) => {
                 let JointAngles([.., fourth]) = angles(config, increments, [Some(0.0); AXES]);
                 Some(JointAngles([first, second, third, fourth]))
             }

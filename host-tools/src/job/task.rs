@@ -13,7 +13,7 @@ use etherpen::ethercat::diagnostics::ServiceResult;
 use etherpen::link::protocol::{Command, PathVertex, Sample, Status, Welcome};
 use etherpen::measurement::MeasurementAnswer;
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

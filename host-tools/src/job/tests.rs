@@ -462,7 +462,7 @@ fn a_look_and_a_refused_command_change_nothing() {
 
 #[test]
 fn a_motion_leaves_the_power_as_it_was_found() {
-    let position = etherpen::robot::Position::default();
+    let position = etherpen::robots::Position::default();
     let mut rig = Rig::new(1, 0);
     let mut first = with_task(Task::Motion(Motion::Move(position)), 1);
     let mut now_ms = go_on(&mut rig, &mut first, 0);

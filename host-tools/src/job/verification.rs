@@ -21,7 +21,7 @@ use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::{PathVertex, Sample};
 use etherpen::motion::Pen;
-use etherpen::robot::{Delta, JointAngles, Position};
+use etherpen::robots::{JointAngles, Kinematics, Position};
 use parts::Parts;
 use std::collections::{HashMap, VecDeque};
 
@@ -190,7 +190,7 @@ pub struct Verifier {
     lines: Vec<Polyline>,
     /// The first line of each stroke.
     numbers: HashMap<u32, usize>,
-    delta: Option<Delta>,
+    kinematics: Option<Kinematics>,
     age_ms: u32,
     near_mm: f64,
     speed_mm_s: f64,
@@ -227,7 +227,7 @@ impl Verifier {
             result: Verification::default(),
             lines: Vec::new(),
             numbers: HashMap::new(),
-            delta: Delta::new(&config.geometry).ok(),
+            kinematics: Kinematics::new(&config.geometry).ok(),
             age_ms: config.axes[0].measurement_age_ms.round().max(0.0) as u32,
             near_mm: if is_torque { FOLLOWED_BY_TORQUE_MM } else { FOLLOWED_MM },
             speed_mm_s: SPEED_SHARE * config.motion.speed_mm_s,
@@ -366,8 +366,8 @@ impl Verifier {
         if cause.pen == Pen::Up {
             return;
         }
-        let Some(delta) = &self.delta else { return };
-        let place = |angles_rad: [f32; 4]| delta.forward(&JointAngles(angles_rad.map(f64::from))).ok();
+        let Some(kinematics) = &self.kinematics else { return };
+        let place = |angles_rad: [f32; 4]| kinematics.forward(&JointAngles(angles_rad.map(f64::from))).ok();
         let (Some(reference), Some(measured)) = (place(cause.setpoint_rad), place(sample.measured_rad)) else {
             return;
         };

@@ -11,7 +11,7 @@ use etherpen::link::ports::LinkPort;
 use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::measurement::Measurements;
 use etherpen::motion::Pen;
-use etherpen::robot::{AXES, Delta, Position};
+use etherpen::robots::{AXES, Kinematics, Position};
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -77,7 +77,7 @@ pub(crate) struct Rig {
     pub(crate) vertices: Vec<PathVertex>,
     pub(crate) executed: u32,
     pub(crate) lines: [FaultyLine; 2],
-    delta: Delta,
+    kinematics: Kinematics,
     /// References that have not been measured yet.
     following: VecDeque<[f32; AXES]>,
     age_ms: usize,
@@ -116,7 +116,7 @@ impl Rig {
                 FaultyLine::new(seed, faults_per_million),
                 FaultyLine::new(seed + 1, faults_per_million),
             ],
-            delta: Delta::new(&Config::default().geometry).expect("the built-in geometry"),
+            kinematics: Kinematics::new(&Config::default().geometry).expect("the built-in geometry"),
             following: VecDeque::new(),
             age_ms: Config::default().axes[0].measurement_age_ms.round() as usize,
             complete: false,
@@ -313,7 +313,7 @@ impl Rig {
         let vertex = self.vertices.get((self.executed as usize).wrapping_sub(1));
         let setpoint_rad = vertex.map_or([0.0; AXES], |vertex| {
             let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
-            let pose = self.delta.inverse(&Position { x_mm, y_mm, z_mm });
+            let pose = self.kinematics.inverse(&Position { x_mm, y_mm, z_mm });
             let [a, b, c] = pose.unwrap_or_default().map(|rad| rad as f32);
             [a, b, c, 0.0]
         });

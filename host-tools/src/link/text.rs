@@ -10,7 +10,7 @@ use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::link::protocol::{Command, ConfigRefusal, Status};
 use etherpen::motion::RefusalReason;
-use etherpen::robot::{KinematicsError, Outside};
+use etherpen::robots::{KinematicsError, Outside, Words};
 
 /// An operating mode in a few words.
 pub fn mode(mode: Mode) -> &'static str {
@@ -129,6 +129,8 @@ const MOVE_OR_SCALE: &str = "move or scale the drawing so that it lies within th
 
 /// Why a position is outside the work area.
 pub fn outside(outside: &Outside) -> String {
+    let words = Words::default();
+    let noun = words.joint;
     match *outside {
         Outside::Radius { radius_mm, limit_mm } => {
             format!("it is {radius_mm:.1} mm from the robot's axis (limit {limit_mm:.1} mm)")
@@ -136,30 +138,30 @@ pub fn outside(outside: &Outside) -> String {
         Outside::Height { z_mm, low_mm, high_mm } => {
             format!("its height is {z_mm:.1} mm (allowed {low_mm:.1} to {high_mm:.1} mm)")
         }
-        Outside::Kinematics(KinematicsError::Apart) => "the forearms do not meet there".into(),
+        Outside::Kinematics(KinematicsError::Apart) => format!("the {} do not meet there", words.last_links),
         Outside::Kinematics(KinematicsError::NotFinite) => "a coordinate is not a finite number".into(),
-        Outside::Kinematics(KinematicsError::Unreachable { arm, .. }) => {
-            format!("arm {} does not reach it", one(arm))
+        Outside::Kinematics(KinematicsError::Unreachable { joint, .. }) => {
+            format!("{noun} {} does not reach it", one(joint))
         }
-        Outside::Kinematics(KinematicsError::Singular { arm, .. }) | Outside::Stretched { arm, .. } => {
-            format!("arm {} would be stretched out", one(arm))
+        Outside::Kinematics(KinematicsError::Singular { joint, .. }) | Outside::Stretched { joint, .. } => {
+            format!("{noun} {} would be stretched out", one(joint))
         }
         Outside::Kinematics(KinematicsError::Range {
-            arm,
+            joint,
             angle_rad,
             low_rad,
             high_rad,
         })
         | Outside::Margin {
-            arm,
+            joint,
             angle_rad,
             low_rad,
             high_rad,
         } => format!(
-            "arm {} would stand at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
-            one(arm)
+            "{noun} {} would stand at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
+            one(joint)
         ),
-        Outside::Flat { .. } => "the forearms would lie in a plane".into(),
+        Outside::Flat { .. } => format!("the {} would lie in a plane", words.last_links),
         Outside::Paper { z_mm, low_mm } => {
             format!("at {z_mm:.1} mm the pen would press too deep into the paper (allowed down to {low_mm:.1} mm)")
         }
@@ -171,7 +173,9 @@ pub fn config_refusal(refusal: &ConfigRefusal) -> String {
     match refusal {
         ConfigRefusal::Bounds(error) => config_error(error),
         ConfigRefusal::Geometry(cause) => {
-            format!("the configured geometry is no delta robot ({cause:?}); correct [geometry] in etherpen.toml")
+            format!(
+                "the configured dimensions do not form a valid robot ({cause}); correct [geometry] in etherpen.toml"
+            )
         }
         ConfigRefusal::NotInMode(now) => format!(
             "another configuration cannot be taken now: {}; disable the drives first",
@@ -249,7 +253,7 @@ pub fn fault(fault: &Fault) -> String {
         ),
         Fault::ReferenceLost { axis } => format!(
             "positions of axis {} were missing for so long that its motor's turn is no longer known; acknowledge, bring \
-             the arms to the marks and take the reference again",
+             the robot to the marks and take the reference again",
             one(axis)
         ),
         Fault::CyclesLate { late, limit } => {
@@ -449,7 +453,7 @@ fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
 mod tests {
     use super::*;
     use etherpen::config::Config;
-    use etherpen::robot::Position;
+    use etherpen::robots::Position;
 
     #[test]
     fn axes_and_slaves_are_counted_from_one() {
@@ -524,13 +528,13 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("(limit 565.0 mm); move or scale"), "{text}");
-        let arm = Outside::Margin {
-            arm: 0,
+        let margin = Outside::Margin {
+            joint: 0,
             angle_rad: -0.7,
             low_rad: -0.6,
             high_rad: 1.7,
         };
-        assert!(outside(&arm).contains("arm 1 would stand at -0.700 rad"));
+        assert!(outside(&margin).contains("arm 1 would stand at -0.700 rad"));
     }
 
     #[test]

@@ -292,7 +292,7 @@ fn line_of(id: u64, motion: Motion) -> String {
     format!("{}\n", serde_json::json!({"id": id, "ask": {"order": order}}))
 }
 
-const MOVE: Motion = Motion::Move(etherpen::robot::Position {
+const MOVE: Motion = Motion::Move(etherpen::robots::Position {
     x_mm: 0.0,
     y_mm: 10.0,
     z_mm: -830.0,

@@ -8,7 +8,7 @@
 //! does not depend on how the looks are divided among calls; no more than twice the limit of parts is kept.
 
 use super::{BACK_MM, Match, PRECISION_MM, Polyline, Step, distance, nearest_part, within};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// Smallest distance tried first, mm.
 const FIRST_MM: f64 = 0.02;

@@ -6,8 +6,8 @@ use super::track::Track;
 use super::{PlannedSample, Run};
 use etherpen::config::{Config, MotionLimits};
 use etherpen::motion::{PERIOD_MS, Pen, Vertex};
-use etherpen::robot::AXES;
-use etherpen::robot::vector::{Vector, length, subtract};
+use etherpen::robots::AXES;
+use etherpen::robots::vector::{Vector, length, subtract};
 use serde::Serialize;
 
 /// Relative excess over a limit that is tolerated.

@@ -14,8 +14,8 @@ pub use table::Table;
 
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Setpoint, Trajectory, Vertex};
-use etherpen::robot::vector::{Vector, length, subtract};
-use etherpen::robot::{ARMS, Delta, GeometryError, JointAngles, KinematicsError};
+use etherpen::robots::vector::{Vector, length, subtract};
+use etherpen::robots::{GeometryError, JointAngles, Kinematics, KinematicsError, MAIN_AXES};
 
 /// Longest motion, ms: a day.
 const DURATION_MAX_MS: u64 = 86_400_000;
@@ -49,7 +49,7 @@ pub struct Run {
 /// Why a path was not planned.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlanningError {
-    /// The configured dimensions do not form a valid delta robot.
+    /// The configured dimensions do not form a valid robot.
     Geometry(GeometryError),
     /// The path has fewer than two vertices.
     TooShort {
@@ -86,7 +86,7 @@ pub enum PlanningError {
 impl std::fmt::Display for PlanningError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Geometry(cause) => write!(f, "the configured geometry is no delta robot ({cause:?})"),
+            Self::Geometry(cause) => write!(f, "the configured dimensions do not form a valid robot ({cause})"),
             Self::TooShort { vertices } => write!(f, "a path needs two different vertices, here is {vertices}"),
             Self::Start(cause) => write!(f, "the robot cannot stand at the first vertex ({cause:?})"),
             Self::Vertex { index, refusal } => write!(f, "vertex {index}: the planner refuses it ({refusal:?})"),
@@ -119,9 +119,9 @@ pub fn plan(
     let [first, _, ..] = path else {
         return Err(PlanningError::TooShort { vertices: path.len() });
     };
-    let delta = Delta::new(&config.geometry).map_err(PlanningError::Geometry)?;
+    let kinematics = Kinematics::new(&config.geometry).map_err(PlanningError::Geometry)?;
     let mut trajectory = Box::new(Trajectory::new(&config.motion_settings()).map_err(PlanningError::Geometry)?);
-    let [a, b, c] = delta.inverse(&first.position).map_err(PlanningError::Start)?;
+    let [a, b, c] = kinematics.inverse(&first.position).map_err(PlanningError::Start)?;
     let pose = JointAngles([a, b, c, first_angle(config, path)]);
     trajectory.place(pose);
     let mut sample = PlannedSample {
@@ -154,8 +154,8 @@ pub fn plan(
         for setpoint in trajectory.step() {
             let [a, b, c, _] = setpoint.position_rad;
             let t_ms = sample.t_ms + 1;
-            if setpoint.position_rad[..ARMS] != sample.setpoint.position_rad[..ARMS] {
-                let position = delta
+            if setpoint.position_rad[..MAIN_AXES] != sample.setpoint.position_rad[..MAIN_AXES] {
+                let position = kinematics
                     .forward(&JointAngles([a, b, c, 0.0]))
                     .map_err(|cause| PlanningError::Reference { t_ms, cause })?;
                 sample.point = position.into();
@@ -223,7 +223,7 @@ pub fn planned_s(config: &Config, path: &[Vertex]) -> f64 {
 mod tests {
     use super::*;
     use etherpen::motion::Pen;
-    use etherpen::robot::Position;
+    use etherpen::robots::Position;
 
     pub(super) fn vertices(points: &[[f64; 3]]) -> Vec<Vertex> {
         let vertex = |point: &[f64; 3]| Vertex {

@@ -2,7 +2,7 @@
 
 use super::PlannedSample;
 use etherpen::motion::Pen;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use std::io::{self, Write};
 
 /// The references as a table; those at rest at the end are left out.

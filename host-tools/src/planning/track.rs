@@ -5,7 +5,7 @@
 //! motion is taken as straight, which is wrong by at most a t^2 / 8.
 
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::vector::{Vector, add_scaled, dot, length, subtract};
+use etherpen::robots::vector::{Vector, add_scaled, dot, length, subtract};
 
 /// Least length of path considered on both sides of a reference, mm.
 const REACH_MIN_MM: f64 = 3.0;

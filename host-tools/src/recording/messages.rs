@@ -11,7 +11,7 @@ use super::mcap::Topic;
 use etherpen::application::Mode;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::Pen;
-use etherpen::robot::{AXES, Position};
+use etherpen::robots::{AXES, Position};
 
 /// One millisecond; its stroke and pen are those of the reference to which the measured position belongs.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -12,7 +12,7 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
 use etherpen::link::protocol::{Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
-use etherpen::robot::{Delta, JointAngles};
+use etherpen::robots::{JointAngles, Kinematics};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, BufWriter, PipeWriter, Seek, SeekFrom, Write};
@@ -93,7 +93,7 @@ pub struct Written {
 /// Writes one recording.
 pub struct Recorder<S> {
     writer: Writer<S>,
-    delta: Option<Delta>,
+    kinematics: Option<Kinematics>,
     /// Age of a measurement when it is compared with its reference, samples.
     age: usize,
     /// Stroke and pen of the last references, the oldest first.
@@ -134,7 +134,7 @@ impl<S: Storage> Recorder<S> {
         writer.attach("etherpen.toml", "application/toml", text.as_bytes(), about.begin_ns)?;
         Ok(Self {
             writer,
-            delta: Delta::new(&config.geometry).ok(),
+            kinematics: Kinematics::new(&config.geometry).ok(),
             age: config
                 .axes
                 .first()
@@ -188,7 +188,10 @@ impl<S: Storage> Recorder<S> {
         }
         let (stroke, pen) = self.causes.front().copied().unwrap_or((sample.stroke, sample.pen));
         let joints = JointAngles(sample.measured_rad.map(f64::from));
-        let position = self.delta.as_ref().and_then(|delta| delta.forward(&joints).ok());
+        let position = self
+            .kinematics
+            .as_ref()
+            .and_then(|kinematics| kinematics.forward(&joints).ok());
         let moment = Moment {
             sample: Sample { stroke, pen, ..*sample },
             position: position.unwrap_or_default(),

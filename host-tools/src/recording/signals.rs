@@ -8,7 +8,7 @@ use super::messages::{Moment, axes};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::motion::Pen;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use std::collections::VecDeque;
 
 /// Difference between the firmware's speed and that of the positions above which the position counts as jumped, rad/s.

@@ -9,7 +9,7 @@ use super::signals::{Evaluator, Signal, columns, errors};
 use super::{Playback, RecordingEntry};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use serde::Serialize;
 use std::io;
 

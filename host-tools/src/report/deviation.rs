@@ -11,7 +11,7 @@
 //! are exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
 
 use crate::matching::{Match, Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use std::collections::HashMap;
 
 /// Distance within which there has to be ink, mm; otherwise the intended ink counts as missing.

@@ -25,7 +25,7 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::{AXES, Delta, JointAngles, Position};
+use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use platform::platform_limits;
 use serde::Serialize;
 
@@ -198,11 +198,11 @@ pub struct Row {
 /// Converts the measured positions into the robot's frame. The controller compares a measurement with the reference of
 /// its age, and reads the feed-forward ahead so that the two agree; stroke and pen are those of that reference.
 pub fn rows(config: &Config, samples: &[Sample]) -> Vec<Row> {
-    let Ok(delta) = Delta::new(&config.geometry) else {
+    let Ok(kinematics) = Kinematics::new(&config.geometry) else {
         return Vec::new();
     };
     let platform = |angles_rad: [f32; AXES]| {
-        delta
+        kinematics
             .forward(&JointAngles(angles_rad.map(f64::from)))
             .unwrap_or_default()
     };

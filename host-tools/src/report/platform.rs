@@ -9,8 +9,8 @@
 use super::PlatformLimits;
 use etherpen::config::Config;
 use etherpen::link::protocol::Sample;
-use etherpen::robot::vector::{Vector, length, subtract};
-use etherpen::robot::{AXES, Delta, JointAngles};
+use etherpen::robots::vector::{Vector, length, subtract};
+use etherpen::robots::{AXES, JointAngles, Kinematics};
 
 /// One millisecond, s.
 const TICK_S: f64 = 1.0e-3;
@@ -18,9 +18,9 @@ const TICK_S: f64 = 1.0e-3;
 /// The largest values with their limits.
 pub(super) fn platform_limits(config: &Config, samples: &[Sample]) -> PlatformLimits {
     let (mut speed, mut acceleration) = (0.0_f64, 0.0_f64);
-    if let Ok(delta) = Delta::new(&config.geometry) {
+    if let Ok(kinematics) = Kinematics::new(&config.geometry) {
         for pair in samples.windows(2) {
-            if let Some((speed_here, change)) = motion(&delta, pair) {
+            if let Some((speed_here, change)) = motion(&kinematics, pair) {
                 speed = speed.max(length(&speed_here));
                 acceleration = acceleration.max(length(&change));
             }
@@ -36,7 +36,7 @@ pub(super) fn platform_limits(config: &Config, samples: &[Sample]) -> PlatformLi
 }
 
 /// Speed after a reference, mm/s, and its change, mm/s2; `None` across a gap in the telemetry.
-fn motion(delta: &Delta, pair: &[Sample]) -> Option<(Vector, Vector)> {
+fn motion(kinematics: &Kinematics, pair: &[Sample]) -> Option<(Vector, Vector)> {
     let [here, next] = pair else { return None };
     if next.t_ms != here.t_ms.wrapping_add(1) {
         return None;
@@ -44,7 +44,7 @@ fn motion(delta: &Delta, pair: &[Sample]) -> Option<(Vector, Vector)> {
     let place = |speeds: [f32; AXES], ticks: f64| -> Option<Vector> {
         let joints: [f64; AXES] =
             std::array::from_fn(|axis| f64::from(here.setpoint_rad[axis]) + ticks * f64::from(speeds[axis]));
-        Some(delta.forward(&JointAngles(joints)).ok()?.into())
+        Some(kinematics.forward(&JointAngles(joints)).ok()?.into())
     };
     let before = place(here.setpoint_rad_s, -TICK_S)?;
     let at = place([0.0; AXES], 0.0)?;
@@ -105,11 +105,11 @@ mod tests {
         let config = Config::default();
         let (samples, exact) = telemetry(&config);
         let found = platform_limits(&config, &samples).acceleration_mm_s2;
-        let delta = Delta::new(&config.geometry).unwrap();
+        let kinematics = Kinematics::new(&config.geometry).unwrap();
         let rounded: Vec<Vector> = samples
             .iter()
             .map(|sample| {
-                delta
+                kinematics
                     .forward(&JointAngles(sample.setpoint_rad.map(f64::from)))
                     .unwrap()
                     .into()

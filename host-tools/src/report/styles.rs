@@ -13,7 +13,7 @@ use clap::Parser;
 use etherpen::config::{AxisMode, Config};
 use etherpen::link::protocol::Sample;
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// Resolution of the brute-force search along the stroke, mm.
 const FINE_MM: f64 = 0.02;

@@ -4,7 +4,7 @@
 
 use super::{Row, strokes};
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::{AXES, Position};
+use etherpen::robots::{AXES, Position};
 use std::io::{self, Write};
 
 /// Writes `telemetry.csv`.

@@ -10,7 +10,7 @@ use super::drawn_part;
 use crate::plot_scale::{marks, number};
 use etherpen::config::Config;
 use etherpen::link::protocol::Sample;
-use etherpen::robot::AXES;
+use etherpen::robots::{AXES, Words};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
@@ -90,7 +90,7 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
         let name = if axis + 1 == AXES {
             "axis 4".to_owned()
         } else {
-            format!("arm {}", axis + 1)
+            format!("{} {}", Words::default().joint, axis + 1)
         };
         panel(
             &mut svg,

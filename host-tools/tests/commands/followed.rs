@@ -38,7 +38,7 @@ fn svg() -> String {
     text + "</svg>"
 }
 
-/// Controllers that let the arms lag and see nothing wrong in it.
+/// Controllers that let the joints lag and see nothing wrong in it.
 fn weak() -> Config {
     let mut config = Config::default();
     for axis in &mut config.axes {
@@ -104,7 +104,7 @@ fn a_drawing_that_was_not_followed_ends_with_code_8_and_goes_on_by_the_jobs_name
     assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
     assert!(stderr.contains("another configuration"), "{stderr}");
     assert!(stderr.contains("etherpen reference"), "{stderr}");
-    let platform = cell.view().state().platform.expect("the arms hold a platform");
+    let platform = cell.view().state().platform.expect("the robot holds a platform");
     let position = format!("{:.0},{:.0},{:.0}", platform.x_mm, platform.y_mm, platform.z_mm);
     let port = cell.port().to_string();
     let (status, _, stderr) = run(etherpen(&folder).args(["reference", "--position", &position, "--port", &port]));

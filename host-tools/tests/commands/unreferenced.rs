@@ -1,5 +1,5 @@
 //! A robot that has lost its reference is not taken to stand at its marks: nothing is drawn until somebody says where the
-//! arms are. The truth is the cell's motors.
+//! joints are. The truth is the cell's motors.
 
 use crate::program::{Folder, etherpen, run, strokes};
 use etherpen::config::Config;
@@ -8,14 +8,14 @@ use host_tools::console::virtual_cell::{CellView, Firmware, VirtualCell};
 use host_tools::error::code;
 use std::path::Path;
 
-/// Farthest that an arm may turn while nothing moves, rad.
+/// Farthest that a joint may turn while nothing moves, rad.
 const STILL_RAD: f64 = 1.0e-4;
 
 fn joints(view: &CellView) -> [f64; 4] {
     view.state().joints.0
 }
 
-/// Runs a command that has to be refused for want of a reference, and looks that no arm moves.
+/// Runs a command that has to be refused for want of a reference, and looks that no joint moves.
 fn assert_refused(folder: &Folder, cell: &VirtualCell, words: &[&str]) {
     let before = joints(&cell.view());
     let (status, _, stderr) = tell(folder, cell, words);
@@ -63,7 +63,7 @@ fn a_reference_that_another_configuration_has_cost_is_not_guessed() {
     }
     assert_eq!(cell.ink().len(), drawn, "ink without a reference");
     // Somebody measures where the platform stands.
-    let platform = cell.view().state().platform.expect("the arms hold a platform");
+    let platform = cell.view().state().platform.expect("the robot holds a platform");
     let position = format!("{:.0},{:.0},{:.0}", platform.x_mm, platform.y_mm, platform.z_mm);
     let (status, _, stderr) = tell(&folder, &cell, &["reference", "--position", &position]);
     assert_eq!(status, Some(0), "{stderr}");

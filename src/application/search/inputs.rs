@@ -2,7 +2,7 @@
 
 use super::super::*;
 use crate::motion::Pen;
-use crate::robot::Position;
+use crate::robots::Position;
 
 pub(super) const BLIND: Fault = Fault::Blind {
     blind_ms: 6,

@@ -142,7 +142,7 @@ mod real {
     use crate::config::Config;
     use crate::control::sampler::Queued;
     use crate::motion::{PERIOD_MS, Pen, Trajectory, Vertex};
-    use crate::robot::{Delta, JointAngles, Position};
+    use crate::robots::{JointAngles, Kinematics, Position};
     use crate::trajectory_task::{MotionReport, PathItem, TrajectoryTask};
     use heapless::spsc::{Consumer, Producer, Queue};
     use std::boxed::Box;
@@ -216,8 +216,8 @@ mod real {
     };
 
     fn pose(config: &Config) -> JointAngles {
-        let delta = Delta::new(&config.geometry).expect("a robot");
-        let [first, second, third] = delta.inverse(&ABOVE).expect("it is reached");
+        let kinematics = Kinematics::new(&config.geometry).expect("a robot");
+        let [first, second, third] = kinematics.inverse(&ABOVE).expect("it is reached");
         JointAngles([first, second, third, 0.0])
     }
 

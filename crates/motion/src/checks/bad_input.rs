@@ -2,7 +2,7 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::robot::WorkArea;
+use crate::robots::WorkArea;
 use crate::settings::Orientation;
 
 fn down(x_mm: f64, y_mm: f64) -> Vertex {
@@ -171,7 +171,7 @@ fn vertices_on_the_border_of_the_work_area_are_taken_or_refused_and_never_left()
         let run = Run::new(&settings, &path).whole();
         run.check_limits("border");
         for setpoint in &run.setpoints {
-            let at = area.delta().forward(&JointAngles(setpoint.position_rad)).unwrap();
+            let at = area.kinematics().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let near = Position {
                 x_mm: at.x_mm * (1.0 - 1.0e-9),
                 y_mm: at.y_mm * (1.0 - 1.0e-9),

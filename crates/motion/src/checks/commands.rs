@@ -180,7 +180,7 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
             run.command(MotionCommand::Jog(direction));
             run.step();
         }
-        let area = crate::robot::WorkArea::new(&settings).unwrap();
+        let area = crate::robots::WorkArea::new(&settings).unwrap();
         assert!(area.check(&run.end().into()).is_ok(), "{direction:?} leads outside");
         run.command(MotionCommand::JogStop);
         run.until(MotionState::Idle);
@@ -277,14 +277,17 @@ fn a_reconfigured_stage_is_as_good_as_new() {
         used.step();
     }
     used.reconfigure(&second).unwrap();
-    let [a, b, c] = Delta::new(&second.geometry).unwrap().inverse(&start.into()).unwrap();
+    let [a, b, c] = Kinematics::new(&second.geometry)
+        .unwrap()
+        .inverse(&start.into())
+        .unwrap();
     assert!(used.place(JointAngles([a, b, c, 0.0])));
     let (used, new) = (setpoints(used), setpoints(placed(&second, start)));
     assert_eq!(used, new);
     assert_ne!(new[0], new[199], "the path moved");
 }
 
-/// Places outside the default work area, and the way in: beside it, above it, under the paper, an arm beyond its range.
+/// Places outside the default work area, and the way in: beside it, above it, under the paper, a joint out of range.
 const OUTSIDE: [([f64; 3], [f64; 3]); 5] = [
     ([570.0, 0.0, -800.0], [-30.0, 0.0, 0.0]),
     ([-420.0, 400.0, -800.0], [30.0, -30.0, 0.0]),
@@ -296,7 +299,7 @@ const OUTSIDE: [([f64; 3], [f64; 3]); 5] = [
 #[test]
 fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
     let settings = Settings::default();
-    let area = crate::robot::WorkArea::new(&settings).unwrap();
+    let area = crate::robots::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
         let start = [vertex(outside, Pen::Up, 0)];
         let mut run = Run {
@@ -306,7 +309,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
         run.path = start.to_vec();
         run.pushed = 1;
         run.setpoints.clear();
-        let [a, b, c] = area.delta().angles(&outside);
+        let [a, b, c] = area.kinematics().angles(&outside);
         let pose = JointAngles([a, b, c, 0.0]);
         assert!(area.check(&outside.into()).is_err(), "{outside:?} is inside");
         assert!(run.trajectory.place(pose));
@@ -356,11 +359,11 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
 #[test]
 fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
     let settings = Settings::default();
-    let area = crate::robot::WorkArea::new(&settings).unwrap();
+    let area = crate::robots::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
         let mut trajectory = Trajectory::new(&settings).unwrap();
         let mut admission = Admission::new(&settings).unwrap();
-        let [a, b, c] = area.delta().angles(&outside);
+        let [a, b, c] = area.kinematics().angles(&outside);
         let pose = JointAngles([a, b, c, 0.0]);
         assert!(trajectory.place(pose));
         let beyond = Position::from(add_scaled(&outside, &inwards, -0.2));
@@ -379,7 +382,7 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
         let away = length(&subtract(&trajectory.position().into(), &inside.into()));
         assert!(away < 1.0e-6, "{outside:?}: it stands {away} mm away");
     }
-    let beside = area.delta().angles(&[570.0, 0.0, -800.0]);
+    let beside = area.kinematics().angles(&[570.0, 0.0, -800.0]);
     let pose = JointAngles([beside[0], beside[1], beside[2], 0.0]);
     let refusal = Admission::new(&settings)
         .unwrap()
@@ -388,7 +391,7 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
     assert!(
         matches!(
             refusal.reason,
-            RefusalReason::Outside(crate::robot::Outside::Radius { .. })
+            RefusalReason::Outside(crate::robots::Outside::Radius { .. })
         ),
         "{refusal:?}"
     );

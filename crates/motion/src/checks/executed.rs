@@ -15,10 +15,10 @@ fn unaveraged() -> Settings {
 
 /// Largest way that is left to a vertex where it is first counted, along the line from the vertex before to the one after.
 fn earliest_mm(run: &Run) -> f64 {
-    let delta = Delta::new(&run.settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let mut worst = f64::MIN;
     for pair in run.setpoints.windows(2) {
-        let at = Vector::from(delta.forward(&JointAngles(pair[1].position_rad)).unwrap());
+        let at = Vector::from(kinematics.forward(&JointAngles(pair[1].position_rad)).unwrap());
         for index in pair[0].vertex as usize..pair[1].vertex as usize {
             let point = |index: usize| Vector::from(run.path[index].position);
             let after = (index + 1).min(run.path.len() - 1);

@@ -18,8 +18,8 @@ extern crate std;
 
 use super::micro_interpolator::TICK_S;
 use super::*;
-use crate::robot::vector::{Vector, add_scaled, dot, length, subtract};
-use crate::robot::{Delta, JointAngles};
+use crate::robots::vector::{Vector, add_scaled, dot, length, subtract};
+use crate::robots::{JointAngles, Kinematics};
 use crate::settings::Settings;
 use core::f64::consts::{PI, TAU};
 use std::vec::Vec;
@@ -67,7 +67,10 @@ fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
 
 fn placed(settings: &Settings, point: Vector) -> Trajectory {
     let mut trajectory = Trajectory::new(settings).unwrap();
-    let [a, b, c] = Delta::new(&settings.geometry).unwrap().inverse(&point.into()).unwrap();
+    let [a, b, c] = Kinematics::new(&settings.geometry)
+        .unwrap()
+        .inverse(&point.into())
+        .unwrap();
     assert!(trajectory.place(JointAngles([a, b, c, 0.0])));
     trajectory
 }
@@ -158,8 +161,8 @@ impl Run {
     /// Speeds and accelerations of every sample, and rest at the end; with what is worst, as parts of the limits.
     fn check_limits(&self, name: &str) -> [f64; KINDS] {
         let motion = &self.settings.motion;
-        let delta = Delta::new(&self.settings.geometry).unwrap();
-        let point = |r: &Setpoint| Vector::from(delta.forward(&JointAngles(r.position_rad)).unwrap());
+        let kinematics = Kinematics::new(&self.settings.geometry).unwrap();
+        let point = |r: &Setpoint| Vector::from(kinematics.forward(&JointAngles(r.position_rad)).unwrap());
         let mut worst = [0.0_f64; KINDS];
         let mut note = |kind: usize, value: f64, limit: f64, at: usize| {
             worst[kind] = worst[kind].max(value / limit);
@@ -212,10 +215,10 @@ impl Run {
 
     /// Largest distance of the setpoints from the path, near the vertices that they report.
     fn deviation(&self) -> (f64, f64) {
-        let delta = Delta::new(&self.settings.geometry).unwrap();
+        let kinematics = Kinematics::new(&self.settings.geometry).unwrap();
         let mut worst = (0.0_f64, 0.0_f64);
         for setpoint in &self.setpoints {
-            let at = Vector::from(delta.forward(&JointAngles(setpoint.position_rad)).unwrap());
+            let at = Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
             let near = setpoint.vertex as usize;
             let from = near.saturating_sub(8);
             let to = (near + 9).min(self.path.len());
@@ -249,8 +252,8 @@ impl Run {
     }
 
     fn end(&self) -> Vector {
-        let delta = Delta::new(&self.settings.geometry).unwrap();
-        delta
+        let kinematics = Kinematics::new(&self.settings.geometry).unwrap();
+        kinematics
             .forward(&JointAngles(self.setpoints.last().unwrap().position_rad))
             .unwrap()
             .into()

@@ -89,7 +89,7 @@ pub(super) fn walk(random: &mut Random) -> Vec<Vertex> {
 
 /// How long a path takes that rests at each vertex, with half of what the joints allow, s.
 pub(super) fn duration_with_rests_s(settings: &Settings, path: &[Vertex]) -> f64 {
-    let delta = Delta::new(&settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&settings.geometry).unwrap();
     let motion = &settings.motion;
     let [_, _, _, turn_acceleration] = motion.joint_acceleration_rad_s2;
     let turn_s = match motion.orientation {
@@ -100,7 +100,7 @@ pub(super) fn duration_with_rests_s(settings: &Settings, path: &[Vertex]) -> f64
         let from = Vector::from(leg[0].position);
         let way = subtract(&leg[1].position.into(), &from);
         let whole = length(&way);
-        let rows = delta.rows(&from, &way.map(|part| part / whole.max(f64::MIN_POSITIVE)), &[0.0; 3]);
+        let rows = kinematics.rows(&from, &way.map(|part| part / whole.max(f64::MIN_POSITIVE)), &[0.0; 3]);
         let steepest = rows.slope.iter().fold(1.0e-6_f64, |most, slope| most.max(slope.abs()));
         let acceleration = motion
             .acceleration_mm_s2
@@ -278,10 +278,10 @@ fn slow_line() -> Run {
 fn a_hold_a_cancel_and_an_override_cut_a_long_stretch() {
     let speed = |run: &Run| {
         let mut ends = [run.setpoints.len() - 2, run.setpoints.len() - 1].into_iter();
-        let delta = Delta::new(&run.settings.geometry).unwrap();
+        let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
         let mut point = || {
             Vector::from(
-                delta
+                kinematics
                     .forward(&JointAngles(run.setpoints[ends.next().unwrap()].position_rad))
                     .unwrap(),
             )

@@ -13,11 +13,11 @@ fn following() -> Settings {
 /// Largest difference between the fourth axis and the direction of the drawn leg in the middle of long legs, rad, and
 /// over how many setpoints.
 fn misalignment(run: &Run) -> (f64, usize) {
-    let delta = Delta::new(&run.settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let (mut worst, mut samples) = (0.0_f64, 0);
     let drawn = |setpoint: &&Setpoint| setpoint.pen == Pen::Down && setpoint.velocity_rad_s[..3] != [0.0; 3];
     for setpoint in run.setpoints.iter().filter(drawn) {
-        let at = Vector::from(delta.forward(&JointAngles(setpoint.position_rad)).unwrap());
+        let at = Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
         let near = setpoint.vertex as usize;
         // Legs may cross.
         let (mut off, mut on_long_leg) = (f64::INFINITY, false);

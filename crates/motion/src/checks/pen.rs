@@ -4,11 +4,11 @@ use super::*;
 
 /// Largest vertical speed and acceleration of the setpoints.
 fn vertical(run: &Run) -> (f64, f64) {
-    let delta = Delta::new(&run.settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let heights: Vec<f64> = run
         .setpoints
         .iter()
-        .map(|setpoint| delta.forward(&JointAngles(setpoint.position_rad)).unwrap().z_mm)
+        .map(|setpoint| kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap().z_mm)
         .collect();
     heights.windows(3).fold((0.0_f64, 0.0_f64), |(speed, acceleration), z| {
         let (first, second) = ((z[1] - z[0]) / TICK_S, (z[2] - z[1]) / TICK_S);

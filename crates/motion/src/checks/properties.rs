@@ -2,7 +2,7 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::robot::WorkArea;
+use crate::robots::WorkArea;
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
@@ -163,7 +163,7 @@ fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
         let run = Run::new(&settings, &path).whole();
         run.check_limits(&format!("seed {seed}"));
         for setpoint in &run.setpoints {
-            let at = area.delta().forward(&JointAngles(setpoint.position_rad)).unwrap();
+            let at = area.kinematics().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let inside = area.check(&at);
             assert!(inside.is_ok(), "seed {seed}: {at:?} {inside:?}");
             samples += 1;

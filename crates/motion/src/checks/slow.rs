@@ -4,11 +4,11 @@ use super::*;
 
 /// The platform's largest acceleration as a part of its limit, and when, ms.
 fn peak(run: &Run) -> (f64, usize) {
-    let delta = Delta::new(&run.settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let points: Vec<Vector> = run
         .setpoints
         .iter()
-        .map(|r| delta.forward(&JointAngles(r.position_rad)).unwrap().into())
+        .map(|r| kinematics.forward(&JointAngles(r.position_rad)).unwrap().into())
         .collect();
     let acceleration = |three: &[Vector]| {
         let second: Vector = core::array::from_fn(|axis| three[0][axis] - 2.0 * three[1][axis] + three[2][axis]);

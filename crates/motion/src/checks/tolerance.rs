@@ -44,14 +44,14 @@ fn places(vertices: &[[f64; 3]]) -> Vec<usize> {
 
 /// Largest distances with the pen down: of a setpoint from its legs, and of a vertex from the setpoints around it.
 fn distances(run: &Run) -> (f64, f64) {
-    let delta = Delta::new(&run.settings.geometry).unwrap();
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let vertices: Vec<[f64; 3]> = run.path.iter().map(|vertex| vertex.position.into()).collect();
     let places = places(&vertices);
     let mut off_legs = 0.0_f64;
     let mut nearest = std::vec![f64::INFINITY; vertices.len()];
     let mut before: Option<[f64; 3]> = None;
     for (number, setpoint) in run.setpoints.iter().enumerate() {
-        let at: [f64; 3] = delta.forward(&JointAngles(setpoint.position_rad)).unwrap().into();
+        let at: [f64; 3] = kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap().into();
         // A millisecond may pass many vertices, and an average lies between those of its neighbours.
         let executed = |number: usize| run.setpoints[number.min(run.setpoints.len() - 1)].vertex as usize;
         let (first, last) = (executed(number.saturating_sub(1)), executed(number + 1));

@@ -3,6 +3,7 @@
 //! A bound that depends on another value expresses a relation between the two.
 
 use super::Settings;
+use crate::robots::Geometry;
 
 /// A value and its bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,51 +47,14 @@ pub fn first_violation(rows: &[Bound]) -> Result<(), Violation> {
 
 impl Settings {
     /// Number of rows in [`Settings::bounds`].
-    pub const BOUNDS: usize = 36;
+    pub const BOUNDS: usize = Geometry::BOUNDS + 24;
 
     /// Hard bounds of every value but the dead man's time, which the bus's settings bound.
     #[must_use]
     pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
         let (geometry, area, paper, motion) = (&self.geometry, &self.work_area, &self.paper, &self.motion);
-        let reach = geometry.upper_arm_mm + geometry.forearm_mm;
-        [
-            bound("geometry.base_radius_mm", geometry.base_radius_mm, 10.0, 2000.0),
-            bound("geometry.upper_arm_mm", geometry.upper_arm_mm, 10.0, 2000.0),
-            bound(
-                "geometry.forearm_mm",
-                geometry.forearm_mm,
-                geometry.upper_arm_mm,
-                4000.0,
-            ),
-            bound(
-                "geometry.platform_radius_mm",
-                geometry.platform_radius_mm,
-                0.0,
-                geometry.base_radius_mm,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[0]",
-                geometry.arm_azimuths_deg[0],
-                -360.0,
-                360.0,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[1]",
-                geometry.arm_azimuths_deg[1],
-                -360.0,
-                360.0,
-            ),
-            bound(
-                "geometry.arm_azimuths_deg[2]",
-                geometry.arm_azimuths_deg[2],
-                -360.0,
-                360.0,
-            ),
-            bound("geometry.arm_range_rad[0]", geometry.arm_range_rad[0], -1.6, 0.0),
-            bound("geometry.arm_range_rad[1]", geometry.arm_range_rad[1], 0.1, 1.8),
-            bound("geometry.arm_margin_rad", geometry.arm_margin_rad, 0.0, 0.2),
-            bound("geometry.turn_range_rad[0]", geometry.turn_range_rad[0], -6300.0, 0.0),
-            bound("geometry.turn_range_rad[1]", geometry.turn_range_rad[1], 0.0, 6300.0),
+        let reach = geometry.reach_mm();
+        let rows: [Bound; Self::BOUNDS - Geometry::BOUNDS] = [
             bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
             bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
             bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
@@ -175,7 +139,12 @@ impl Settings {
                 0.0,
                 60_000.0,
             ),
-        ]
+        ];
+        let mut all = [bound("", 0.0, 0.0, 0.0); Self::BOUNDS];
+        let (dimensions, others) = all.split_at_mut(Geometry::BOUNDS);
+        dimensions.copy_from_slice(&geometry.bounds());
+        others.copy_from_slice(&rows);
+        all
     }
 
     /// Checks every value against its hard bounds.

@@ -2,49 +2,11 @@
 
 mod bounds;
 
+pub use crate::robots::Geometry;
 pub use bounds::{Bound, Violation, bound, first_violation};
 
-use crate::robot::AXES;
+use crate::robots::AXES;
 use serde::{Deserialize, Serialize};
-
-/// Geometry of a delta robot with three equal arms.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Geometry {
-    /// Centre of the base to the shoulder axes, mm.
-    pub base_radius_mm: f64,
-    /// Length of an upper arm, mm.
-    pub upper_arm_mm: f64,
-    /// Length of a forearm, mm.
-    pub forearm_mm: f64,
-    /// Centre of the platform to the forearms' joints, mm.
-    pub platform_radius_mm: f64,
-    /// Azimuths of the arms, degrees.
-    pub arm_azimuths_deg: [f64; 3],
-    /// Lowest and highest angle of an arm, radians.
-    pub arm_range_rad: [f64; 2],
-    /// Margin kept from both ends of the arm range, radians.
-    pub arm_margin_rad: f64,
-    /// Lowest and highest angle of the fourth axis, radians. The axis has no end stop; its cables and its turn counter
-    /// limit it.
-    pub turn_range_rad: [f64; 2],
-}
-
-impl Default for Geometry {
-    /// The IRB 340, from public descriptions of the robot. They differ from each other by 2 %: measure your own robot.
-    fn default() -> Self {
-        Self {
-            base_radius_mm: 200.0,
-            upper_arm_mm: 350.0,
-            forearm_mm: 800.0,
-            platform_radius_mm: 45.0,
-            arm_azimuths_deg: [0.0, 120.0, 240.0],
-            arm_range_rad: [-0.7034, 1.7453],
-            arm_margin_rad: 0.01745,
-            turn_range_rad: [-6_283.0, 6_283.0],
-        }
-    }
-}
 
 /// The space the platform may use: an upright cylinder around the robot's axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

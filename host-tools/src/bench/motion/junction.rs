@@ -10,8 +10,8 @@
 //! planner's own references are checked.
 
 use etherpen::config::Config;
-use etherpen::robot::vector::{Vector, add_scaled, dot, length, scale, subtract};
-use etherpen::robot::{ARMS, Delta};
+use etherpen::robots::vector::{Vector, add_scaled, dot, length, scale, subtract};
+use etherpen::robots::{Kinematics, MAIN_AXES};
 
 /// Look-ahead of grbl, legs.
 const GRBL_LEGS: usize = 16;
@@ -91,17 +91,17 @@ pub(super) struct Result {
 /// A path for the peers, with the limits to keep.
 pub(super) struct Task<'a> {
     config: &'a Config,
-    delta: &'a Delta,
+    kinematics: &'a Kinematics,
     points: &'a [Vector],
     tops: (f64, f64),
 }
 
 impl<'a> Task<'a> {
     /// A task for a path of at least two different points.
-    pub(super) fn new(config: &'a Config, delta: &'a Delta, points: &'a [Vector]) -> Self {
+    pub(super) fn new(config: &'a Config, kinematics: &'a Kinematics, points: &'a [Vector]) -> Self {
         let mut task = Self {
             config,
-            delta,
+            kinematics,
             points,
             tops: (0.0, 0.0),
         };
@@ -121,11 +121,11 @@ impl<'a> Task<'a> {
             let steps = (leg_mm / SLOPE_STEP_MM).ceil().max(1.0) as u32;
             for step in 0..=steps {
                 let point = add_scaled(from, &leg, f64::from(step) / f64::from(steps));
-                let rows = self.delta.rows(&point, &scale(&leg, 1.0 / leg_mm), &[0.0; 3]);
-                for arm in 0..ARMS {
-                    let slope = rows.slope[arm].abs();
-                    speed = speed.min(motion.joint_speed_rad_s[arm] / slope);
-                    acceleration = acceleration.min(motion.joint_acceleration_rad_s2[arm] / slope);
+                let rows = self.kinematics.rows(&point, &scale(&leg, 1.0 / leg_mm), &[0.0; 3]);
+                for axis in 0..MAIN_AXES {
+                    let slope = rows.slope[axis].abs();
+                    speed = speed.min(motion.joint_speed_rad_s[axis] / slope);
+                    acceleration = acceleration.min(motion.joint_acceleration_rad_s2[axis] / slope);
                 }
             }
         }
@@ -197,19 +197,20 @@ impl<'a> Task<'a> {
     fn peak_ratio(&self, profile: &Profile) -> f64 {
         let motion = &self.config.motion;
         let mut worst = 0.0_f64;
-        let mut before: Option<([f64; ARMS], Vector)> = None;
-        let mut rates: Option<([f64; ARMS], Vector)> = None;
+        let mut before: Option<([f64; MAIN_AXES], Vector)> = None;
+        let mut rates: Option<([f64; MAIN_AXES], Vector)> = None;
         profile.sample(|point| {
-            let joints = self.delta.angles(point);
+            let joints = self.kinematics.angles(point);
             if let Some((last_joints, last_point)) = before {
-                let velocity: [f64; ARMS] = std::array::from_fn(|arm| (joints[arm] - last_joints[arm]) / TICK_S);
+                let velocity: [f64; MAIN_AXES] =
+                    std::array::from_fn(|axis| (joints[axis] - last_joints[axis]) / TICK_S);
                 let speed = subtract(point, &last_point).map(|way| way / TICK_S);
                 let (last_velocity, last_speed) = rates.unwrap_or_default();
-                for arm in 0..ARMS {
-                    let change = (velocity[arm] - last_velocity[arm]).abs() / TICK_S;
+                for axis in 0..MAIN_AXES {
+                    let change = (velocity[axis] - last_velocity[axis]).abs() / TICK_S;
                     worst = worst
-                        .max(velocity[arm].abs() / motion.joint_speed_rad_s[arm])
-                        .max(change / motion.joint_acceleration_rad_s2[arm]);
+                        .max(velocity[axis].abs() / motion.joint_speed_rad_s[axis])
+                        .max(change / motion.joint_acceleration_rad_s2[axis]);
                 }
                 let change = length(&subtract(&speed, &last_speed)) / TICK_S;
                 worst = worst
@@ -412,8 +413,8 @@ mod tests {
     #[test]
     fn tuning_makes_a_profile_legal_and_slower() {
         let config = Config::default();
-        let delta = Delta::new(&config.geometry).unwrap();
-        let task = Task::new(&config, &delta, &CORNER);
+        let kinematics = Kinematics::new(&config.geometry).unwrap();
+        let task = Task::new(&config, &kinematics, &CORNER);
         for rule in Rule::ALL {
             let (raw, tuned) = (task.raw(rule), task.tuned(rule).unwrap());
             assert!(raw.peak_ratio > 1.2, "{raw:?}");

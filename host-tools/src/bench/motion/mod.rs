@@ -14,8 +14,8 @@ use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::planning::{Analysis, Findings, plan};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robot::Delta;
-use etherpen::robot::vector::{Vector, length, subtract};
+use etherpen::robots::Kinematics;
+use etherpen::robots::vector::{Vector, length, subtract};
 use junction::{Rule, Task};
 use paths::Named;
 use std::fmt::Write;
@@ -134,9 +134,9 @@ fn compare(name: &str, path: &Named, config: &Config, with_optimum: bool) -> Res
     } else {
         None
     };
-    let delta = Delta::new(&config.geometry).map_err(|cause| failed(name, format!("{cause:?}")))?;
+    let kinematics = Kinematics::new(&config.geometry).map_err(|cause| failed(name, format!("{cause:?}")))?;
     let points: Vec<Vector> = path.vertices.iter().map(|vertex| vertex.position.into()).collect();
-    let task = Task::new(config, &delta, &points);
+    let task = Task::new(config, &kinematics, &points);
     let peers = Rule::ALL.map(|rule| (rule, task.raw(rule), task.tuned(rule)));
     let best = peers
         .iter()

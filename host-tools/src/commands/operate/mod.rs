@@ -20,7 +20,7 @@ use ending::{END_MAX, Ending, state_text};
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command as Told;
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;

@@ -13,7 +13,7 @@ use etherpen::config::Config;
 use etherpen::drives::cia402::StatusWord;
 use etherpen::link::protocol::{Counters, Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
-use etherpen::robot::{AXES, Delta, JointAngles};
+use etherpen::robots::{AXES, JointAngles, Kinematics};
 use serde::Serialize;
 
 /// One drive.
@@ -78,7 +78,12 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
     // Without a reference the angles are those within some motor turn.
     let sample = snapshot.sample.as_ref().filter(|_| referenced);
     let joints = sample.map(|sample: &Sample| sample.measured_rad.map(f64::from));
-    let position = joints.and_then(|joints| Delta::new(&config.geometry).ok()?.forward(&JointAngles(joints)).ok());
+    let position = joints.and_then(|joints| {
+        Kinematics::new(&config.geometry)
+            .ok()?
+            .forward(&JointAngles(joints))
+            .ok()
+    });
     Answer {
         connected: snapshot.welcome.is_some(),
         lost: snapshot.lost.as_ref().map(|lost| lost.text.clone()),

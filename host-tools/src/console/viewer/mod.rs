@@ -19,7 +19,7 @@ use crate::machine::{OVERTAKEN, Order, Ticket};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use etherpen::link::protocol::Command;
 use etherpen::motion::Pen;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
 use inbox::Inbox;
@@ -457,7 +457,7 @@ impl Viewer {
             Action::Reference => ("the reference", Order::Tell(Command::Home)),
             Action::ReferenceHere => match self.console.reference_here() {
                 Some(command) => ("the reference", Order::Tell(command)),
-                None => return self.refuse("nobody knows where the arms were; take the reference at the marks"),
+                None => return self.refuse("nobody knows where the robot was; take the reference at the marks"),
             },
             Action::Enable => ("enabling the drives", Order::Tell(Command::Enable)),
             Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),

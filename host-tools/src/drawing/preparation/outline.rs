@@ -5,7 +5,7 @@ use super::wire::to_wire;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::{Admission, Pen, Vertex};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// A path around everything that `path` draws, pen up, at the height of travel, back to its beginning. It follows the
 /// axis-aligned rectangle, or the convex hull if the robot cannot reach a corner of the rectangle. Also returns the

@@ -11,7 +11,7 @@ use crate::link::text;
 use etherpen::config::Config;
 use etherpen::link::protocol::ConfigRefusal;
 use etherpen::motion::{Admission, Vertex};
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 use image::RgbImage;
 use std::path::Path;
 
@@ -75,7 +75,7 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
 /// The strokes that leave the sheet or what the robot may use, each with its first place.
 ///
 /// # Errors
-/// The configured dimensions do not form a valid delta robot.
+/// The configured dimensions do not form a valid robot.
 pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<RefusedStroke>, ProgramError> {
     let mut result: Vec<RefusedStroke> = Vec::new();
     let mut admission = Admission::new(&config.motion_settings())

@@ -2,7 +2,7 @@
 
 use etherpen::link::protocol::PathVertex;
 use etherpen::motion::Vertex;
-use etherpen::robot::Position;
+use etherpen::robots::Position;
 
 /// A vertex in the wire format: micrometres.
 pub fn to_wire(vertex: &Vertex) -> PathVertex {

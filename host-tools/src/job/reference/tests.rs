@@ -5,7 +5,7 @@ use crate::cell::{Cell, CellOptions};
 use crate::link::rig::Rig;
 use crate::simulation;
 use etherpen::application::{Fault, StopSource};
-use etherpen::robot::Delta;
+use etherpen::robots::Kinematics;
 use std::f64::consts::TAU;
 
 const LIMIT_MS: u32 = 120_000;
@@ -53,14 +53,14 @@ fn marks_pose_and_position_give_the_same_true_angles() {
     let (config, cell) = robot();
     let truth = cell.state();
     let [first, second, third, _] = truth.joints.0;
-    let arms = Wanted {
-        pose: Pose::Arms([first, second, third]),
+    let main = Wanted {
+        pose: Pose::MainAxes([first, second, third]),
         position: truth.platform,
         calibrate: false,
     };
     let mut beside = truth.joints;
     beside.0.iter_mut().for_each(|angle| *angle += 0.03);
-    for wanted in [MARKS, at(beside, None), at(truth.joints, truth.platform), arms] {
+    for wanted in [MARKS, at(beside, None), at(truth.joints, truth.platform), main] {
         let (_, mut cell) = robot();
         let found = take(&mut cell, &config, wanted).unwrap();
         assert_same(&found.pose, &truth.joints);
@@ -71,7 +71,7 @@ fn marks_pose_and_position_give_the_same_true_angles() {
 fn a_pose_wrong_by_30_degrees_is_refused_with_its_axis() {
     let (config, cell) = robot();
     let truth = cell.state();
-    for axis in 0..ARMS {
+    for axis in 0..MAIN_AXES {
         let (_, mut cell) = robot();
         let mut wrong = truth.joints;
         wrong.0[axis] += TAU / config.axes[axis].gear;
@@ -118,7 +118,7 @@ fn unknown_offsets_are_set_from_a_pose_and_marks_stored_there_give_the_same_angl
     let refused = take(&mut cell, &unknown, wrong).unwrap_err();
     let checked = matches!(*refused, JobError::Refused(_, Refusal::PosePosition { axis: 0, .. }));
     assert!(checked, "{refused}");
-    assert!(Delta::new(&unknown.geometry).unwrap().forward(&found.pose).is_ok());
+    assert!(Kinematics::new(&unknown.geometry).unwrap().forward(&found.pose).is_ok());
 }
 
 fn on_bench(rig: &mut Rig, acknowledge: bool) -> JobError {

@@ -132,8 +132,8 @@ fn lost_samples_are_not_verified_and_never_missing() {
 #[test]
 fn an_axis_that_stands_still_is_noticed_with_the_length_that_it_takes() {
     let config = Config::default();
-    let delta = Delta::new(&config.geometry).expect("the built-in geometry");
-    let place = |rad: [f32; 4]| delta.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
+    let kinematics = Kinematics::new(&config.geometry).expect("the built-in geometry");
+    let place = |rad: [f32; 4]| kinematics.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
     let mut noticed = 0;
     for seed in 1..=24 {
         let mut random = Lcg::new(seed);

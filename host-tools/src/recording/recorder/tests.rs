@@ -4,7 +4,7 @@ use super::*;
 use crate::random::Lcg;
 use crate::recording::signals::columns;
 use crate::report::{rows, write_telemetry};
-use etherpen::robot::AXES;
+use etherpen::robots::AXES;
 use std::sync::{Arc, Mutex};
 
 fn sample(t_ms: u32) -> Sample {

@@ -1,33 +1,26 @@
 //! The work area: the space that a robot may use, and the reasons why a position is outside it.
 //!
-//! A position is inside when it lies in the cylinder and not too far below the plane of the paper, every arm keeps its
-//! margin from the ends of its range, and the robot is far enough from both kinds of singularity. Each check needs one
-//! inverse kinematics. The cylinder ends at the table, which is a plane too.
+//! A position is inside when it lies in the cylinder and not too far below the plane of the paper, every main axis
+//! keeps its margin from the ends of its range, and the robot is far enough from both kinds of singularity. Each check
+//! needs one inverse kinematics. The cylinder ends at the table, which is a plane too.
 //!
-//! Cylinder and planes are convex; the limits of the arms are not. Checked points therefore keep a margin to the arms'
-//! limits: the largest change that a displacement of that length can cause. This keeps a curve near checked points
-//! inside too.
+//! Cylinder and planes are convex; the limits of the joints are not. Checked points therefore keep a margin to the
+//! joints' limits: the largest change that a displacement of that length can cause. This keeps a curve near checked
+//! points inside too.
 
-use super::kinematics::{AngleRange, Conditioning, Delta, GeometryError, KinematicsError};
+use super::angle_range::AngleRange;
 use super::vector::Vector;
-use super::{ARMS, Position};
+use super::{Conditioning, GeometryError, Kinematics, KinematicsError, MAIN_AXES, Position};
 use crate::settings::{Settings, WorkCylinder as Cylinder};
 use serde::{Deserialize, Serialize};
-
-/// Smallest D/A: sine of the angle between an arm's plane projection of the forearm and the upper arm, in effect.
-pub const RATIO_MIN: f64 = 0.35;
-/// Smallest absolute determinant of the forearms' unit vectors.
-pub const DETERMINANT_MIN: f64 = 0.2;
 
 /// Factor on the bounds of a change, because these bounds grow along the displacement.
 const ROOM_FACTOR: f64 = 1.1;
 
-/// Borders of the work area: radius, two heights, paper, both ends of each arm's range, two singularities.
-const BORDERS: usize = 4 + 2 * ARMS + 2;
+/// Borders of the work area: radius, two heights, paper, both ends of each main axis's range, two singularities.
+const BORDERS: usize = 4 + 2 * MAIN_AXES + 2;
 /// Change of a distance to a border that counts as none, mm or rad.
 const CHANGE_NONE: f64 = 1.0e-9;
-
-const _: () = assert!(RATIO_MIN > super::kinematics::RATIO_SINGULAR);
 
 /// Why a position is outside the work area.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -48,12 +41,12 @@ pub enum Outside {
         /// Highest, mm.
         high_mm: f64,
     },
-    /// The position has no pose, or a pose outside the arm range.
+    /// The position has no pose, or a pose outside the range of a joint.
     Kinematics(KinematicsError),
-    /// An arm is nearer to the end of its range than the margin.
+    /// A joint is nearer to the end of its range than the margin.
     Margin {
-        /// Arm, from 0.
-        arm: u8,
+        /// Joint, from 0.
+        joint: u8,
         /// Its angle, rad.
         angle_rad: f64,
         /// Lowest angle with margin, rad.
@@ -61,18 +54,18 @@ pub enum Outside {
         /// Highest angle with margin, rad.
         high_rad: f64,
     },
-    /// An arm is too close to being in line with its forearm.
+    /// The links of a joint are too close to being in line.
     Stretched {
-        /// Arm, from 0.
-        arm: u8,
-        /// D/A.
+        /// Joint, from 0.
+        joint: u8,
+        /// The joint's [`Conditioning::ratio`].
         ratio: f64,
         /// The limit.
         limit: f64,
     },
-    /// The forearms are too close to lying in one plane.
+    /// The joints are too close to a pose in which they do not hold the tool in one direction.
     Flat {
-        /// Absolute determinant of their unit vectors.
+        /// The [`Conditioning::determinant`].
         determinant: f64,
         /// The limit.
         limit: f64,
@@ -86,54 +79,53 @@ pub enum Outside {
     },
 }
 
-/// The space that the platform may use, with the robot that it belongs to.
+/// The space that the tool may use, with the robot that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkArea {
-    delta: Delta,
+    kinematics: Kinematics,
     cylinder: Cylinder,
     paper_low_mm: f64,
-    range_rad: [f64; 2],
-    range: AngleRange,
+    /// Ranges of the main axes with the margin taken off.
+    ranges_rad: [[f64; 2]; MAIN_AXES],
+    ranges: [AngleRange; MAIN_AXES],
 }
 
 impl WorkArea {
     /// Placeholder for a work area that is not configured yet; contains no position.
     pub(crate) const NONE: Self = Self {
-        delta: Delta::NONE,
+        kinematics: Kinematics::NONE,
         cylinder: Cylinder {
             radius_mm: 0.0,
             z_low_mm: 0.0,
             z_high_mm: 0.0,
         },
         paper_low_mm: 0.0,
-        range_rad: [0.0; 2],
-        range: AngleRange::NONE,
+        ranges_rad: [[0.0; 2]; MAIN_AXES],
+        ranges: [AngleRange::NONE; MAIN_AXES],
     };
 
     /// The work area of a configuration.
     ///
     /// # Errors
-    /// The dimensions do not form a valid delta robot, or the margins leave no range.
+    /// The dimensions do not form a valid robot, or the margins leave no range.
     pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
-        let [low, high] = settings.geometry.arm_range_rad;
-        let margin = settings.geometry.arm_margin_rad;
-        let (low_rad, high_rad) = (low + margin, high - margin);
-        let delta = Delta::new(&settings.geometry)?;
-        if (low_rad..high_rad).is_empty() {
+        let kinematics = Kinematics::new(&settings.geometry)?;
+        let ranges_rad = settings.geometry.ranges_with_margin_rad();
+        if let Some([low_rad, high_rad]) = ranges_rad.into_iter().find(|[low, high]| (low..high).is_empty()) {
             return Err(GeometryError::Range { low_rad, high_rad });
         }
         Ok(Self {
-            delta,
+            kinematics,
             cylinder: settings.work_area,
             paper_low_mm: settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm,
-            range_rad: [low_rad, high_rad],
-            range: AngleRange::new([low_rad, high_rad]),
+            ranges_rad,
+            ranges: ranges_rad.map(AngleRange::new),
         })
     }
 
     /// The robot.
-    pub fn delta(&self) -> &Delta {
-        &self.delta
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
     }
 
     /// Whether a position is inside; [`WorkArea::check`] gives the reason if not.
@@ -147,16 +139,14 @@ impl WorkArea {
         x_mm * x_mm + y_mm * y_mm <= radius_mm * radius_mm
             && z_mm >= z_low_mm.max(self.paper_low_mm)
             && z_mm <= z_high_mm
-            && self
-                .delta
-                .clears(&Vector::from(*position), &self.range, RATIO_MIN, DETERMINANT_MIN)
+            && self.kinematics.clears(&Vector::from(*position), &self.ranges)
     }
 
-    /// Checks a position and returns its arm angles, rad.
+    /// Checks a position and returns the angles of its main axes, rad.
     ///
     /// # Errors
     /// The first reason why the position is outside.
-    pub fn check(&self, position: &Position) -> Result<[f64; ARMS], Outside> {
+    pub fn check(&self, position: &Position) -> Result<[f64; MAIN_AXES], Outside> {
         self.check_around(position, 0.0)
     }
 
@@ -167,22 +157,23 @@ impl WorkArea {
             ratio: (_, ratio),
             determinant,
             ..
-        } = self.delta.conditioning(position);
-        let [a, b, c] = self.delta.angles(&Vector::from(*position));
-        let [low, high] = self.range_rad;
+        } = self.kinematics.conditioning(position);
+        let min = self.kinematics.conditioning_min();
+        let [a, b, c] = self.kinematics.angles(&Vector::from(*position));
+        let [[low_a, high_a], [low_b, high_b], [low_c, high_c]] = self.ranges_rad;
         [
             super::vector::root(x_mm * x_mm + y_mm * y_mm) - self.cylinder.radius_mm,
             z_mm - self.cylinder.z_high_mm,
             self.cylinder.z_low_mm - z_mm,
             self.paper_low_mm - z_mm,
-            a - high,
-            b - high,
-            c - high,
-            low - a,
-            low - b,
-            low - c,
-            RATIO_MIN - ratio,
-            DETERMINANT_MIN - determinant,
+            a - high_a,
+            b - high_b,
+            c - high_c,
+            low_a - a,
+            low_b - b,
+            low_c - c,
+            min.ratio - ratio,
+            min.determinant - determinant,
         ]
     }
 
@@ -205,12 +196,12 @@ impl WorkArea {
         if enters && stays_within { Ok(()) } else { Err(outside) }
     }
 
-    /// Checks a position like [`Self::check`], with a margin of `room_mm` to the limits of the arms; meant for a few
+    /// Checks a position like [`Self::check`], with a margin of `room_mm` to the limits of the joints; meant for a few
     /// millimetres at most.
     ///
     /// # Errors
     /// The first reason why the position is outside; the reported limits have the margin taken off.
-    pub fn check_around(&self, position: &Position, room_mm: f64) -> Result<[f64; ARMS], Outside> {
+    pub fn check_around(&self, position: &Position, room_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
         let Cylinder {
             radius_mm: limit_mm,
             z_low_mm: low_mm,
@@ -233,32 +224,31 @@ impl WorkArea {
                 low_mm: self.paper_low_mm,
             });
         }
-        let angles = self.delta.inverse(position).map_err(Outside::Kinematics)?;
+        let angles = self.kinematics.inverse(position).map_err(Outside::Kinematics)?;
         let Conditioning {
-            ratio: (arm, ratio),
+            ratio: (joint, ratio),
             determinant,
             change,
-        } = self.delta.conditioning(position);
+        } = self.kinematics.conditioning(position);
+        let min = self.kinematics.conditioning_min();
         let room = room_mm * ROOM_FACTOR;
-        let (low_rad, high_rad) = (
-            self.range_rad[0] + room * change.angle,
-            self.range_rad[1] - room * change.angle,
-        );
-        let limit = RATIO_MIN + room * change.ratio;
+        let limit = min.ratio + room * change.ratio;
         if ratio < limit {
-            return Err(Outside::Stretched { arm, ratio, limit });
+            return Err(Outside::Stretched { joint, ratio, limit });
         }
-        for (arm, angle_rad) in (0u8..).zip(angles) {
+        let angle_room = room * change.angle;
+        for (joint, (angle_rad, [low_rad, high_rad])) in (0u8..).zip(angles.into_iter().zip(self.ranges_rad)) {
+            let (low_rad, high_rad) = (low_rad + angle_room, high_rad - angle_room);
             if !(angle_rad >= low_rad && angle_rad <= high_rad) {
                 return Err(Outside::Margin {
-                    arm,
+                    joint,
                     angle_rad,
                     low_rad,
                     high_rad,
                 });
             }
         }
-        let limit = DETERMINANT_MIN + room * change.determinant;
+        let limit = min.determinant + room * change.determinant;
         if determinant < limit {
             return Err(Outside::Flat { determinant, limit });
         }
@@ -270,7 +260,7 @@ impl WorkArea {
 mod tests {
     use super::*;
 
-    fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; ARMS], Outside> {
+    fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
         WorkArea::new(&Settings::default())
             .unwrap()
             .check(&Position { x_mm, y_mm, z_mm })
@@ -314,13 +304,13 @@ mod tests {
                 continue;
             }
             let step = [number(), number(), number()];
-            let length = crate::robot::vector::length(&step);
-            let near = crate::robot::vector::add_scaled(&at, &step, room_mm / length);
-            let arms_allow = !matches!(
+            let length = crate::robots::vector::length(&step);
+            let near = crate::robots::vector::add_scaled(&at, &step, room_mm / length);
+            let joints_allow = !matches!(
                 area.check(&near.into()),
                 Err(Outside::Kinematics(_) | Outside::Margin { .. } | Outside::Stretched { .. } | Outside::Flat { .. })
             );
-            assert!(arms_allow, "{at:?} has no room towards {near:?}");
+            assert!(joints_allow, "{at:?} has no room towards {near:?}");
         }
         assert!(borders > 100, "only {borders} positions were near a border");
     }
@@ -329,13 +319,7 @@ mod tests {
     fn what_contains_says_is_what_check_says() {
         let mut settings = Settings::default();
         settings.paper.pressing_depth_mm = 110.0;
-        let geometries = [
-            settings.geometry,
-            crate::settings::Geometry {
-                arm_range_rad: [-0.2, 0.6],
-                ..settings.geometry
-            },
-        ];
+        let geometries = [settings.geometry, settings.geometry.with_range([-0.2, 0.6])];
         let (mut inside, mut outside) = (0, 0);
         for geometry in geometries {
             settings.geometry = geometry;

@@ -7,116 +7,34 @@
 //!
 //! Invariant: a result is finite or an error; no input panics.
 
-use super::vector::{Vector, add_scaled, cross, dot, length, root, scale, subtract};
-use super::{ARMS, JointAngles, Position};
-use crate::settings::Geometry;
-use serde::{Deserialize, Serialize};
+mod geometry;
 
-/// Smallest D/A that inverse kinematics accepts: below it the derivatives are undefined.
-pub const RATIO_SINGULAR: f64 = 1.0e-6;
+pub use geometry::{Geometry, GeometryError, Measured, MeasuredError};
+
+use super::angle_range::AngleRange;
+use super::vector::{Vector, add_scaled, cross, dot, length, root, scale, subtract};
+use super::{
+    Change, Conditioning, ConditioningMin, JointAngles, JointRows, KinematicsError, Position, RATIO_SINGULAR, Words,
+};
+
+/// Number of parallel arms, which are the main axes.
+const ARMS: usize = super::MAIN_AXES;
+/// Nouns for messages.
+pub(super) const WORDS: Words = Words {
+    joint: "arm",
+    links: "upper arm and forearm",
+    last_links: "forearms",
+};
+/// Smallest distance from the singularities in the work area. The ratio D/A is in effect the sine of the angle between
+/// an upper arm and its forearm's projection into the arm's plane; the determinant is the forearms' unit vectors'.
+pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
+    ratio: 0.35,
+    determinant: 0.2,
+};
 /// Smallest sine of the angle between the azimuths of two arms.
 const AZIMUTH_SINE_MIN: f64 = 0.1;
 
-/// Why dimensions do not form a valid delta robot.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum GeometryError {
-    /// A value is not a finite number.
-    NotFinite,
-    /// An arm's length is not positive, or the forearm is not longer than the upper arm.
-    Lengths {
-        /// Upper arm, mm.
-        upper_arm_mm: f64,
-        /// Forearm, mm.
-        forearm_mm: f64,
-    },
-    /// The azimuths of two arms are equal or opposite.
-    Azimuths {
-        /// The first of the two, degrees.
-        first_deg: f64,
-        /// The second, degrees.
-        second_deg: f64,
-    },
-    /// The arm range is empty.
-    Range {
-        /// Lower end, rad.
-        low_rad: f64,
-        /// Upper end, rad.
-        high_rad: f64,
-    },
-}
-
-/// Why a position or pose has no solution.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum KinematicsError {
-    /// An input is not a finite number.
-    NotFinite,
-    /// The arm does not reach the position.
-    Unreachable {
-        /// Arm, from 0.
-        arm: u8,
-        /// D squared over A squared; negative, and more negative the farther the position.
-        ratio_squared: f64,
-    },
-    /// Upper arm and forearm are in line: the angle's derivative is undefined.
-    Singular {
-        /// Arm, from 0.
-        arm: u8,
-        /// D/A, below [`RATIO_SINGULAR`].
-        ratio: f64,
-    },
-    /// The arm's angle is outside its range.
-    Range {
-        /// Arm, from 0.
-        arm: u8,
-        /// The angle, rad.
-        angle_rad: f64,
-        /// Lowest angle, rad.
-        low_rad: f64,
-        /// Highest angle, rad.
-        high_rad: f64,
-    },
-    /// Forward kinematics: with these angles the forearms do not meet in one platform.
-    Apart,
-}
-
-/// Derivatives of the arm angles along a path.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct JointRows {
-    /// dq/ds, rad/mm.
-    pub slope: [f64; ARMS],
-    /// d2q/ds2, rad/mm2.
-    pub bend: [f64; ARMS],
-}
-
-impl JointRows {
-    /// Rows of joints at rest.
-    pub(crate) const NONE: Self = Self {
-        slope: [0.0; ARMS],
-        bend: [0.0; ARMS],
-    };
-}
-
-/// Distance of a position from the singularities.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Conditioning {
-    /// Smallest D/A of the arms and which arm has it.
-    pub ratio: (u8, f64),
-    /// Absolute determinant of the forearms' unit vectors.
-    pub determinant: f64,
-    /// Largest change of the angles, ratio and determinant by a displacement of one millimetre here.
-    pub change: Change,
-}
-
-/// Upper bounds of the changes caused by a displacement of one millimetre, for displacements small against the arms.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Change {
-    /// Of any arm's angle, rad/mm.
-    pub angle: f64,
-    /// Of any arm's D/A, 1/mm.
-    pub ratio: f64,
-    /// Of the determinant, 1/mm.
-    pub determinant: f64,
-}
+const _: () = assert!(CONDITIONING_MIN.ratio > RATIO_SINGULAR);
 
 /// A delta robot of known geometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,36 +44,6 @@ pub struct Delta {
     upper_arm_mm: f64,
     forearm_mm: f64,
     range_rad: [f64; 2],
-}
-
-/// A range of angles less than a full turn, for comparisons without trigonometry: an angle is inside if it is within
-/// half the width of the middle.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct AngleRange {
-    /// Cosine and sine of the middle.
-    middle: (f64, f64),
-    cosine_half: f64,
-}
-
-impl AngleRange {
-    /// Placeholder for a range that is not known yet.
-    pub(super) const NONE: Self = Self {
-        middle: (0.0, 0.0),
-        cosine_half: 0.0,
-    };
-
-    /// The range from `low_rad` to `high_rad`.
-    pub(super) fn new([low_rad, high_rad]: [f64; 2]) -> Self {
-        let middle = 0.5 * (low_rad + high_rad);
-        Self {
-            middle: (libm::cos(middle), libm::sin(middle)),
-            cosine_half: libm::cos(0.5 * (high_rad - low_rad)),
-        }
-    }
-
-    fn contains(&self, cosine: f64, sine: f64) -> bool {
-        cosine * self.middle.0 + sine * self.middle.1 >= self.cosine_half
-    }
 }
 
 /// Solution of one arm for a position, in the arm's plane.
@@ -171,7 +59,7 @@ struct ArmPose {
 
 impl Delta {
     /// Placeholder for a robot that is not configured yet.
-    pub(crate) const NONE: Self = Self {
+    pub(super) const NONE: Self = Self {
         azimuths: [(0.0, 0.0); ARMS],
         offset_mm: 0.0,
         upper_arm_mm: 0.0,
@@ -183,7 +71,7 @@ impl Delta {
     ///
     /// # Errors
     /// Why the dimensions do not form a valid delta robot, see [`GeometryError`].
-    pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
+    pub(super) fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
         let lengths = [
             geometry.base_radius_mm,
             geometry.upper_arm_mm,
@@ -248,7 +136,7 @@ impl Delta {
     ///
     /// # Errors
     /// The first arm that cannot reach the position, with the reason.
-    pub fn inverse(&self, position: &Position) -> Result<[f64; ARMS], KinematicsError> {
+    pub(super) fn inverse(&self, position: &Position) -> Result<[f64; ARMS], KinematicsError> {
         let point = Vector::from(*position);
         if !point.iter().all(|value| value.is_finite()) {
             return Err(KinematicsError::NotFinite);
@@ -259,16 +147,19 @@ impl Delta {
             let pose = self.arm_pose(*azimuth, &point);
             let ratio_squared = pose.ratio_squared;
             if ratio_squared.is_nan() || ratio_squared < 0.0 {
-                return Err(KinematicsError::Unreachable { arm, ratio_squared });
+                return Err(KinematicsError::Unreachable {
+                    joint: arm,
+                    ratio_squared,
+                });
             }
             if ratio_squared < RATIO_SINGULAR * RATIO_SINGULAR {
                 let ratio = root(ratio_squared);
-                return Err(KinematicsError::Singular { arm, ratio });
+                return Err(KinematicsError::Singular { joint: arm, ratio });
             }
             let angle_rad = libm::atan2(pose.sine, pose.cosine);
             if !(angle_rad >= low_rad && angle_rad <= high_rad) {
                 return Err(KinematicsError::Range {
-                    arm,
+                    joint: arm,
                     angle_rad,
                     low_rad,
                     high_rad,
@@ -280,7 +171,7 @@ impl Delta {
     }
 
     /// Arm angles without checks, for admitted points; the nearest real pose if there is no solution.
-    pub fn angles(&self, point: &Vector) -> [f64; ARMS] {
+    pub(super) fn angles(&self, point: &Vector) -> [f64; ARMS] {
         self.azimuths.map(|azimuth| {
             let pose = self.arm_pose(azimuth, point);
             libm::atan2(pose.sine, pose.cosine)
@@ -289,7 +180,7 @@ impl Delta {
 
     /// Derivatives of the arm angles along a path through `point` with the unit tangent `tangent` and the curvature
     /// vector `bend` (1/mm). Finite wherever [`Delta::inverse`] has a solution.
-    pub fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
+    pub(super) fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
         let mut rows = JointRows::default();
         for ((azimuth, slope), second) in self.azimuths.iter().zip(&mut rows.slope).zip(&mut rows.bend) {
             let ArmPose {
@@ -310,7 +201,7 @@ impl Delta {
     }
 
     /// Distance from the singularities at a position; the ratio is negative where an arm does not reach the position.
-    pub fn conditioning(&self, position: &Position) -> Conditioning {
+    pub(super) fn conditioning(&self, position: &Position) -> Conditioning {
         let point = Vector::from(*position);
         let poses = self.azimuths.map(|azimuth| self.arm_pose(azimuth, &point));
         let mut ratio = (0, f64::INFINITY);
@@ -343,13 +234,14 @@ impl Delta {
         }
     }
 
-    /// Whether every arm's angle is in a range and the singularities are at least the required distance away. Costs a
+    /// Whether every arm's angle is in its range and the singularities are at least [`CONDITIONING_MIN`] away. Costs a
     /// fifth of [`Delta::inverse`] and [`Delta::conditioning`], which also give the reason.
-    pub(super) fn clears(&self, point: &Vector, range: &AngleRange, ratio_min: f64, determinant_min: f64) -> bool {
+    pub(super) fn clears(&self, point: &Vector, ranges: &[AngleRange; ARMS]) -> bool {
+        let ConditioningMin { ratio, determinant } = CONDITIONING_MIN;
         let mut forearms = [[0.0; 3]; ARMS];
-        for ((cosine, sine), forearm) in self.azimuths.iter().zip(&mut forearms) {
+        for (((cosine, sine), range), forearm) in self.azimuths.iter().zip(ranges).zip(&mut forearms) {
             let pose = self.arm_pose((*cosine, *sine), point);
-            let clear = pose.ratio_squared >= ratio_min * ratio_min && range.contains(pose.cosine, pose.sine);
+            let clear = pose.ratio_squared >= ratio * ratio && range.contains(pose.cosine, pose.sine);
             if !clear {
                 return false;
             }
@@ -358,7 +250,7 @@ impl Delta {
         }
         let [first, second, third] = &forearms;
         let volume = self.forearm_mm * self.forearm_mm * self.forearm_mm;
-        dot(first, &cross(second, third)).abs() >= determinant_min * volume
+        dot(first, &cross(second, third)).abs() >= determinant * volume
     }
 
     /// An arm's bounds. The angle's gradient is f / g with |f| the forearm's length and g = La D; the ratio is the sine
@@ -389,7 +281,7 @@ impl Delta {
     ///
     /// # Errors
     /// [`KinematicsError::NotFinite`], or [`KinematicsError::Apart`] where the forearms do not meet.
-    pub fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
+    pub(super) fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
         let [first, second, third, fourth] = joints.0;
         if ![first, second, third, fourth].iter().all(|angle| angle.is_finite()) {
             return Err(KinematicsError::NotFinite);
@@ -450,7 +342,7 @@ fn into_plane((cosine, sine): (f64, f64), vector: &Vector) -> Vector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::AXES;
+    use crate::robots::AXES;
 
     fn robot() -> Delta {
         Delta::new(&Geometry::default()).unwrap()
@@ -543,11 +435,11 @@ mod tests {
         assert_eq!(at(f64::NAN, 0.0, -800.0), Err(KinematicsError::NotFinite));
         assert!(matches!(
             at(-1500.0, 0.0, -800.0),
-            Err(KinematicsError::Unreachable { arm: 0, .. })
+            Err(KinematicsError::Unreachable { joint: 0, .. })
         ));
         assert!(matches!(
             at(0.0, 0.0, -430.0),
-            Err(KinematicsError::Range { arm: 0, .. })
+            Err(KinematicsError::Range { joint: 0, .. })
         ));
         assert_eq!(
             robot.forward(&JointAngles([f64::INFINITY; AXES])),
@@ -556,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn a_geometry_that_is_no_delta_robot_is_refused() {
+    fn dimensions_that_do_not_form_a_robot_are_refused() {
         let refuse = |change: fn(&mut Geometry)| {
             let mut geometry = Geometry::default();
             change(&mut geometry);

@@ -1,0 +1,273 @@
+//! Dimensions of a delta robot, their bounds, and why they may not form a robot.
+
+use crate::robots::MAIN_AXES;
+use crate::settings::{Bound, bound};
+use core::fmt;
+use serde::{Deserialize, Serialize};
+
+/// cos 30 degrees.
+const HALF_ROOT_OF_THREE: f64 = 0.866_025_403_784_438_6;
+
+/// Geometry of a delta robot with three equal arms.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Geometry {
+    /// Centre of the base to the shoulder axes, mm.
+    pub base_radius_mm: f64,
+    /// Length of an upper arm, mm.
+    pub upper_arm_mm: f64,
+    /// Length of a forearm, mm.
+    pub forearm_mm: f64,
+    /// Centre of the platform to the forearms' joints, mm.
+    pub platform_radius_mm: f64,
+    /// Azimuths of the arms, degrees.
+    pub arm_azimuths_deg: [f64; 3],
+    /// Lowest and highest angle of an arm, radians.
+    pub arm_range_rad: [f64; 2],
+    /// Margin kept from both ends of the arm range, radians.
+    pub arm_margin_rad: f64,
+    /// Lowest and highest angle of the fourth axis, radians. The axis has no end stop; its cables and its turn counter
+    /// limit it.
+    pub turn_range_rad: [f64; 2],
+}
+
+impl Default for Geometry {
+    /// The IRB 340, from public descriptions of the robot. They differ from each other by 2 %: measure your own robot.
+    fn default() -> Self {
+        Self {
+            base_radius_mm: 200.0,
+            upper_arm_mm: 350.0,
+            forearm_mm: 800.0,
+            platform_radius_mm: 45.0,
+            arm_azimuths_deg: [0.0, 120.0, 240.0],
+            arm_range_rad: [-0.7034, 1.7453],
+            arm_margin_rad: 0.01745,
+            turn_range_rad: [-6_283.0, 6_283.0],
+        }
+    }
+}
+
+impl Geometry {
+    /// Number of rows in [`Geometry::bounds`].
+    pub const BOUNDS: usize = 12;
+
+    /// Hard bounds of the dimensions, named as configuration files write them.
+    #[must_use]
+    pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
+        let [first_deg, second_deg, third_deg] = self.arm_azimuths_deg;
+        let [low_rad, high_rad] = self.arm_range_rad;
+        let [turn_low_rad, turn_high_rad] = self.turn_range_rad;
+        [
+            bound("geometry.base_radius_mm", self.base_radius_mm, 10.0, 2000.0),
+            bound("geometry.upper_arm_mm", self.upper_arm_mm, 10.0, 2000.0),
+            bound("geometry.forearm_mm", self.forearm_mm, self.upper_arm_mm, 4000.0),
+            bound(
+                "geometry.platform_radius_mm",
+                self.platform_radius_mm,
+                0.0,
+                self.base_radius_mm,
+            ),
+            bound("geometry.arm_azimuths_deg[0]", first_deg, -360.0, 360.0),
+            bound("geometry.arm_azimuths_deg[1]", second_deg, -360.0, 360.0),
+            bound("geometry.arm_azimuths_deg[2]", third_deg, -360.0, 360.0),
+            bound("geometry.arm_range_rad[0]", low_rad, -1.6, 0.0),
+            bound("geometry.arm_range_rad[1]", high_rad, 0.1, 1.8),
+            bound("geometry.arm_margin_rad", self.arm_margin_rad, 0.0, 0.2),
+            bound("geometry.turn_range_rad[0]", turn_low_rad, -6300.0, 0.0),
+            bound("geometry.turn_range_rad[1]", turn_high_rad, 0.0, 6300.0),
+        ]
+    }
+
+    /// Largest distance of the tool from the base that the links' lengths allow, mm.
+    #[must_use]
+    pub fn reach_mm(&self) -> f64 {
+        self.upper_arm_mm + self.forearm_mm
+    }
+
+    /// Lowest and highest angle of each main axis, rad.
+    #[must_use]
+    pub fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+        [self.arm_range_rad; MAIN_AXES]
+    }
+
+    /// Lowest and highest angle of each main axis, rad, with the configured margin taken off both ends.
+    #[must_use]
+    pub fn ranges_with_margin_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+        let margin = self.arm_margin_rad;
+        self.ranges_rad().map(|[low, high]| [low + margin, high - margin])
+    }
+
+    /// This geometry with another range of all main axes, rad.
+    #[must_use]
+    pub fn with_range(self, arm_range_rad: [f64; 2]) -> Self {
+        Self { arm_range_rad, ..self }
+    }
+}
+
+/// Why dimensions do not form a valid delta robot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum GeometryError {
+    /// A value is not a finite number.
+    NotFinite,
+    /// An arm's length is not positive, or the forearm is not longer than the upper arm.
+    Lengths {
+        /// Upper arm, mm.
+        upper_arm_mm: f64,
+        /// Forearm, mm.
+        forearm_mm: f64,
+    },
+    /// The azimuths of two arms are equal or opposite.
+    Azimuths {
+        /// The first of the two, degrees.
+        first_deg: f64,
+        /// The second, degrees.
+        second_deg: f64,
+    },
+    /// The arm range is empty.
+    Range {
+        /// Lower end, rad.
+        low_rad: f64,
+        /// Upper end, rad.
+        high_rad: f64,
+    },
+}
+
+impl fmt::Display for GeometryError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFinite => f.write_str("a value is no finite number"),
+            Self::Lengths {
+                upper_arm_mm,
+                forearm_mm,
+            } => write!(
+                f,
+                "upper arms of {upper_arm_mm} mm and forearms of {forearm_mm} mm; both have to be longer than 0, and \
+                 the forearm the longer one"
+            ),
+            Self::Azimuths { first_deg, second_deg } => {
+                write!(f, "arms at {first_deg} and {second_deg} degrees move in the same plane")
+            }
+            Self::Range { low_rad, high_rad } => {
+                write!(f, "the range of the arms from {low_rad} to {high_rad} rad is empty")
+            }
+        }
+    }
+}
+
+impl core::error::Error for GeometryError {}
+
+/// Dimensions as a file of measurements gives them: radii, or sides of the equilateral triangles of base and platform.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measured {
+    base_radius_mm: Option<f64>,
+    base_side_mm: Option<f64>,
+    upper_arm_mm: f64,
+    forearm_mm: f64,
+    platform_radius_mm: Option<f64>,
+    platform_side_mm: Option<f64>,
+    arm_azimuths_deg: Option<[f64; 3]>,
+    arm_range_rad: Option<[f64; 2]>,
+}
+
+/// Why measurements do not give a geometry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeasuredError {
+    /// The file gives both the radius and the side of this part.
+    Twice(&'static str),
+    /// The file gives neither the radius nor the side of this part.
+    Missing(&'static str),
+    /// This part has a negative size.
+    Negative(&'static str),
+}
+
+impl fmt::Display for MeasuredError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Twice(part) => write!(
+                f,
+                "{part}_radius_mm and {part}_side_mm say the same; leave one of them out"
+            ),
+            Self::Missing(part) => write!(f, "{part}_radius_mm or {part}_side_mm is missing"),
+            Self::Negative(part) => write!(f, "the {part} has a negative size"),
+        }
+    }
+}
+
+impl core::error::Error for MeasuredError {}
+
+impl Measured {
+    /// Help text: the keys of the file.
+    pub const KEYS: &str = "base_radius_mm, upper_arm_mm, forearm_mm, platform_radius_mm and arm_azimuths_deg, or with \
+        base_side_mm and platform_side_mm of equilateral triangles instead of the radii; arm_range_rad = [low, high] \
+        if the arms' range is to be checked";
+
+    /// Lowest and highest angle of all main axes, rad, if the file gives them.
+    #[must_use]
+    pub fn range_rad(&self) -> Option<[f64; 2]> {
+        self.arm_range_rad
+    }
+
+    /// The geometry; what the file does not give is the default's.
+    ///
+    /// # Errors
+    /// A size is missing, given twice or negative.
+    pub fn geometry(&self) -> Result<Geometry, MeasuredError> {
+        // From the centre of the base's triangle to a side, of the platform's to a corner.
+        let (to_side, to_corner) = (HALF_ROOT_OF_THREE / 3.0, 2.0 * HALF_ROOT_OF_THREE / 3.0);
+        let base_radius_mm = radius("base", self.base_radius_mm, self.base_side_mm, to_side)?;
+        let platform_radius_mm = radius("platform", self.platform_radius_mm, self.platform_side_mm, to_corner)?;
+        for (part, radius_mm) in [("base", base_radius_mm), ("platform", platform_radius_mm)] {
+            if radius_mm < 0.0 {
+                return Err(MeasuredError::Negative(part));
+            }
+        }
+        let defaults = Geometry::default();
+        Ok(Geometry {
+            base_radius_mm,
+            platform_radius_mm,
+            upper_arm_mm: self.upper_arm_mm,
+            forearm_mm: self.forearm_mm,
+            arm_azimuths_deg: self.arm_azimuths_deg.unwrap_or(defaults.arm_azimuths_deg),
+            arm_range_rad: self.arm_range_rad.unwrap_or(defaults.arm_range_rad),
+            ..defaults
+        })
+    }
+}
+
+fn radius(
+    part: &'static str,
+    radius_mm: Option<f64>,
+    side_mm: Option<f64>,
+    radius_of_side: f64,
+) -> Result<f64, MeasuredError> {
+    match (radius_mm, side_mm) {
+        (Some(_), Some(_)) => Err(MeasuredError::Twice(part)),
+        (None, None) => Err(MeasuredError::Missing(part)),
+        (Some(radius_mm), None) => Ok(radius_mm),
+        (None, Some(side_mm)) => Ok(side_mm * radius_of_side),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangles_give_the_radii() {
+        let measured = Measured {
+            base_radius_mm: None,
+            base_side_mm: Some(692.820_323_027_550_9),
+            upper_arm_mm: 350.0,
+            forearm_mm: 800.0,
+            platform_radius_mm: None,
+            platform_side_mm: Some(77.942_286_340_599_48),
+            arm_azimuths_deg: None,
+            arm_range_rad: None,
+        };
+        let geometry = measured.geometry().unwrap();
+        assert!((geometry.base_radius_mm - 200.0).abs() < 1.0e-9);
+        assert!((geometry.platform_radius_mm - 45.0).abs() < 1.0e-9);
+        assert_eq!(geometry.arm_azimuths_deg, [0.0, 120.0, 240.0]);
+    }
+}

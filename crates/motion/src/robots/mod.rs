@@ -1,0 +1,249 @@
+//! Robots: kinematics, joints and work area.
+//!
+//! [`Kinematics`] is the seam between a kind of robot and everything that moves one. Every kind is a file or folder
+//! of its own here; planner, controller and host programs ask [`Kinematics`] alone and know no kind.
+//!
+//! Lengths are millimetres, angles radians. The frame's origin is the centre of the base, and z points up.
+//!
+//! A new kind needs four things: its file here with dimensions and mathematics, a variant of [`Kinematics`], a
+//! mechanism in the virtual cell, and a drawing on the console's page.
+
+mod angle_range;
+mod delta;
+pub mod vector;
+mod work_area;
+
+pub use delta::{Geometry, GeometryError, Measured, MeasuredError};
+pub use work_area::{Outside, WorkArea};
+
+use angle_range::AngleRange;
+use delta::Delta;
+use serde::{Deserialize, Serialize};
+use vector::Vector;
+
+/// Number of axes: the main axes and the rotating fourth axis.
+pub const AXES: usize = 4;
+/// Number of main axes: the axes that place the tool. They are the first of the axes.
+pub const MAIN_AXES: usize = 3;
+
+/// Smallest [`Conditioning::ratio`] at which inverse kinematics has a solution: below it the derivatives are undefined.
+pub const RATIO_SINGULAR: f64 = 1.0e-6;
+
+/// Position of the tool in the robot's frame, millimetres.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Position {
+    /// Towards azimuth 0, mm.
+    pub x_mm: f64,
+    /// Completes the right-handed frame, mm.
+    pub y_mm: f64,
+    /// Upwards from the base, mm; negative below it.
+    pub z_mm: f64,
+}
+
+/// Angles of the four joints, radians: the main axes, then the fourth axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct JointAngles(pub [f64; AXES]);
+
+/// Velocities of the four joints, radians per second.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct JointVelocities(pub [f64; AXES]);
+
+/// Why a position or pose has no solution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum KinematicsError {
+    /// An input is not a finite number.
+    NotFinite,
+    /// A joint does not reach the position.
+    Unreachable {
+        /// Joint, from 0.
+        joint: u8,
+        /// Square of [`Conditioning::ratio`] with its sign: negative, and more negative the farther the position.
+        ratio_squared: f64,
+    },
+    /// The links of a joint are in line: the angle's derivative is undefined.
+    Singular {
+        /// Joint, from 0.
+        joint: u8,
+        /// The joint's [`Conditioning::ratio`], below [`RATIO_SINGULAR`].
+        ratio: f64,
+    },
+    /// The joint's angle is outside its range.
+    Range {
+        /// Joint, from 0.
+        joint: u8,
+        /// The angle, rad.
+        angle_rad: f64,
+        /// Lowest angle, rad.
+        low_rad: f64,
+        /// Highest angle, rad.
+        high_rad: f64,
+    },
+    /// Forward kinematics: with these angles the links do not meet at the tool.
+    Apart,
+}
+
+/// Derivatives of the main axes' angles along a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointRows {
+    /// dq/ds, rad/mm.
+    pub slope: [f64; MAIN_AXES],
+    /// d2q/ds2, rad/mm2.
+    pub bend: [f64; MAIN_AXES],
+}
+
+impl JointRows {
+    /// Rows of joints at rest.
+    pub(crate) const NONE: Self = Self {
+        slope: [0.0; MAIN_AXES],
+        bend: [0.0; MAIN_AXES],
+    };
+}
+
+/// Distance of a position from the singularities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conditioning {
+    /// Smallest ratio of the joints and which joint, from 0, has it. A ratio is 0 where the joint's links are in line
+    /// and at most 1; it is negative where the joint does not reach the position.
+    pub ratio: (u8, f64),
+    /// Absolute determinant of the directions in which the joints hold the tool: 1 where they hold it best, 0 where one
+    /// direction is not held at all.
+    pub determinant: f64,
+    /// Largest change of the angles, ratio and determinant by a displacement of one millimetre here.
+    pub change: Change,
+}
+
+/// Upper bounds of the changes caused by a displacement of one millimetre, for displacements small against the links.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Change {
+    /// Of any joint's angle, rad/mm.
+    pub angle: f64,
+    /// Of any joint's ratio, 1/mm.
+    pub ratio: f64,
+    /// Of the determinant, 1/mm.
+    pub determinant: f64,
+}
+
+/// Smallest values of [`Conditioning`] inside a work area.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConditioningMin {
+    /// Ratio of every joint.
+    pub ratio: f64,
+    /// Determinant.
+    pub determinant: f64,
+}
+
+/// Nouns for messages about a kind of robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Words {
+    /// A main axis with its first link.
+    pub joint: &'static str,
+    /// The two links of a joint that can be in line.
+    pub links: &'static str,
+    /// The links that meet at the tool.
+    pub last_links: &'static str,
+}
+
+impl Default for Words {
+    /// The words of the default geometry's kind.
+    fn default() -> Self {
+        delta::WORDS
+    }
+}
+
+/// Kinematics of a robot of known dimensions.
+///
+/// Invariant: a result is finite or an error; no input panics.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Kinematics {
+    /// A delta robot.
+    Delta(Delta),
+}
+
+impl Kinematics {
+    /// Placeholder for a robot that is not configured yet.
+    pub(crate) const NONE: Self = Self::Delta(Delta::NONE);
+
+    /// Makes a robot from its dimensions.
+    ///
+    /// # Errors
+    /// Why the dimensions do not form a valid robot, see [`GeometryError`].
+    pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
+        Delta::new(geometry).map(Self::Delta)
+    }
+
+    /// Nouns for messages about this robot.
+    #[must_use]
+    pub fn words(&self) -> Words {
+        match self {
+            Self::Delta(_) => delta::WORDS,
+        }
+    }
+
+    /// Angles of the main axes for a position, rad.
+    ///
+    /// # Errors
+    /// The first joint that cannot reach the position, with the reason.
+    #[inline]
+    pub fn inverse(&self, position: &Position) -> Result<[f64; MAIN_AXES], KinematicsError> {
+        match self {
+            Self::Delta(delta) => delta.inverse(position),
+        }
+    }
+
+    /// Angles of the main axes without checks, rad, for admitted points; the nearest real pose if there is no solution.
+    #[inline]
+    #[must_use]
+    pub fn angles(&self, point: &Vector) -> [f64; MAIN_AXES] {
+        match self {
+            Self::Delta(delta) => delta.angles(point),
+        }
+    }
+
+    /// Derivatives of the main axes' angles along a path through `point` with the unit tangent `tangent` and the
+    /// curvature vector `bend` (1/mm). Finite wherever [`Kinematics::inverse`] has a solution.
+    #[inline]
+    #[must_use]
+    pub fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
+        match self {
+            Self::Delta(delta) => delta.rows(point, tangent, bend),
+        }
+    }
+
+    /// Distance from the singularities at a position.
+    #[inline]
+    #[must_use]
+    pub fn conditioning(&self, position: &Position) -> Conditioning {
+        match self {
+            Self::Delta(delta) => delta.conditioning(position),
+        }
+    }
+
+    /// Smallest distance from the singularities inside the work area.
+    #[inline]
+    pub(crate) fn conditioning_min(&self) -> ConditioningMin {
+        match self {
+            Self::Delta(_) => delta::CONDITIONING_MIN,
+        }
+    }
+
+    /// Whether every main axis's angle is in its range and the singularities are farther away than
+    /// [`Kinematics::conditioning_min`]. Costs a fraction of [`Kinematics::inverse`] and [`Kinematics::conditioning`],
+    /// which also give the reason.
+    #[inline]
+    pub(crate) fn clears(&self, point: &Vector, ranges: &[AngleRange; MAIN_AXES]) -> bool {
+        match self {
+            Self::Delta(delta) => delta.clears(point, ranges),
+        }
+    }
+
+    /// Position of the tool for joint angles. Any angles are accepted; the fourth axis does not affect the position.
+    ///
+    /// # Errors
+    /// [`KinematicsError::NotFinite`], or [`KinematicsError::Apart`] where the links do not meet at the tool.
+    #[inline]
+    pub fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
+        match self {
+            Self::Delta(delta) => delta.forward(joints),
+        }
+    }
+}

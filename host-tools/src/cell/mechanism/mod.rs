@@ -1,0 +1,68 @@
+//! The robot's mechanism: where its joints hold the tool, where they are stopped, and what they weigh.
+//!
+//! [`Mechanism`] is the seam between a kind of robot and the rest of the cell. Every kind is one file here.
+
+mod delta;
+
+use delta::Delta;
+use etherpen::config::Geometry;
+use etherpen::robots::{JointAngles, MAIN_AXES, Position};
+
+/// A value of each main axis.
+pub(super) type MainAxes = [f64; MAIN_AXES];
+
+/// Equation of motion at one pose: inertia * acceleration = torque + weight - carried, without friction.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Equation {
+    /// Inertia matrix, kg m2.
+    pub(super) inertia: [MainAxes; MAIN_AXES],
+    /// Torque of gravity, Nm.
+    pub(super) weight_nm: MainAxes,
+    /// Torque that the present speeds need to stay constant, Nm.
+    pub(super) carried_nm: MainAxes,
+}
+
+/// A mechanism; without valid dimensions it holds no tool.
+#[derive(Clone, Debug)]
+pub(super) enum Mechanism {
+    /// A delta robot.
+    Delta(Delta),
+}
+
+impl Mechanism {
+    /// The mechanism of these dimensions.
+    pub(super) fn new(geometry: &Geometry) -> Self {
+        Self::Delta(Delta::new(geometry))
+    }
+
+    /// Position of the tool; `None` where the links do not meet.
+    pub(super) fn tool(&self, joints: &JointAngles) -> Option<Position> {
+        match self {
+            Self::Delta(delta) => delta.platform(joints),
+        }
+    }
+
+    /// Lowest and highest angle that the mechanical end stops of each main axis allow, rad.
+    pub(super) fn end_stops_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+        match self {
+            Self::Delta(delta) => delta.end_stops_rad(),
+        }
+    }
+
+    /// The equation of motion; `rotor` is the inertia of each motor at its joint, kg m2.
+    pub(super) fn equation(&self, angles: MainAxes, speeds: MainAxes, rotor: MainAxes) -> Equation {
+        match self {
+            Self::Delta(delta) => delta.equation(angles, speeds, rotor),
+        }
+    }
+}
+
+/// Combines two arrays, entry by entry.
+pub(super) fn combine<const N: usize>(a: [f64; N], b: [f64; N], with: impl Fn(f64, f64) -> f64) -> [f64; N] {
+    let mut result = a;
+    result
+        .iter_mut()
+        .zip(b)
+        .for_each(|(left, right)| *left = with(*left, right));
+    result
+}

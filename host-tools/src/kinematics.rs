@@ -1,0 +1,245 @@
+//! Positions to joint angles and back, for the robot or for another geometry, with the reason where there is no answer.
+//!
+//! Only reach and singularity are checked; `plan` and `draw` check the work area. The joints' range is checked if the
+//! geometry's file gives one.
+
+use crate::error::{ProgramError, code};
+use etherpen::robots::{
+    Conditioning, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
+};
+use serde::Serialize;
+use std::f64::consts::PI;
+
+/// Determinant of [`Conditioning`] below which a pose is singular.
+const DETERMINANT_SINGULAR: f64 = 1.0e-9;
+
+/// The answer of either direction.
+#[derive(Debug, Serialize)]
+pub struct Answer {
+    /// Angles of the main axes, rad.
+    pub joints_rad: [f64; MAIN_AXES],
+    /// Position of the tool, mm.
+    pub position_mm: [f64; 3],
+}
+
+/// A robot that answers.
+#[derive(Debug)]
+pub struct Robot {
+    kinematics: Kinematics,
+    /// Range of the joints where the geometry's file gives one, rad.
+    range_rad: Option<[f64; 2]>,
+}
+
+impl Robot {
+    /// The robot of a file's text, see [`Measured::KEYS`].
+    ///
+    /// # Errors
+    /// Why the text does not describe a robot.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let measured: Measured = toml::from_str(text).map_err(|cause| cause.to_string())?;
+        let geometry = measured.geometry().map_err(|cause| cause.to_string())?;
+        Self::new(geometry, measured.range_rad())
+    }
+
+    /// A robot of a geometry; its own range of the joints is not checked, but `range_rad` is.
+    ///
+    /// # Errors
+    /// Why the dimensions do not form a valid robot.
+    pub fn new(geometry: Geometry, range_rad: Option<[f64; 2]>) -> Result<Self, String> {
+        let every_angle = [-PI, PI];
+        let kinematics = Kinematics::new(&geometry.with_range(range_rad.unwrap_or(every_angle)))
+            .map_err(|cause| format!("the dimensions do not form a valid robot: {cause}"))?;
+        Ok(Self { kinematics, range_rad })
+    }
+
+    /// Noun for a main axis of the robot.
+    #[must_use]
+    pub fn joint(&self) -> &'static str {
+        self.kinematics.words().joint
+    }
+
+    /// Joint angles for a position, mm.
+    ///
+    /// # Errors
+    /// The position is not finite, or has no pose: which joint and why.
+    pub fn inverse(&self, position_mm: [f64; 3]) -> Result<Answer, ProgramError> {
+        if let Some((name, value)) = ["x", "y", "z"]
+            .iter()
+            .zip(position_mm)
+            .find(|(_, value)| !value.is_finite())
+        {
+            return Err(ProgramError::new(
+                code::USAGE,
+                format!(
+                    "{name} is {value}, which is no finite number: no {} has an angle for it",
+                    self.joint()
+                ),
+            ));
+        }
+        let position = Position::from(position_mm);
+        let joints_rad = self
+            .kinematics
+            .inverse(&position)
+            .map_err(|cause| self.no_answer(&cause))?;
+        self.check_regular(&position)?;
+        Ok(Answer {
+            joints_rad,
+            position_mm,
+        })
+    }
+
+    /// Position for joint angles, rad.
+    ///
+    /// # Errors
+    /// An angle is not finite or outside the range that was given, or the angles have no position: why.
+    pub fn forward(&self, joints_rad: [f64; MAIN_AXES]) -> Result<Answer, ProgramError> {
+        for (joint, angle_rad) in (0u8..).zip(joints_rad) {
+            if !angle_rad.is_finite() {
+                let message = format!(
+                    "{} {} is {angle_rad}, which is no finite number",
+                    self.joint(),
+                    joint + 1
+                );
+                return Err(ProgramError::new(code::USAGE, message));
+            }
+            if let Some([low_rad, high_rad]) = self.range_rad
+                && !(angle_rad >= low_rad && angle_rad <= high_rad)
+            {
+                return Err(self.no_answer(&KinematicsError::Range {
+                    joint,
+                    angle_rad,
+                    low_rad,
+                    high_rad,
+                }));
+            }
+        }
+        let [first, second, third] = joints_rad;
+        let pose = JointAngles([first, second, third, 0.0]);
+        let position = self.kinematics.forward(&pose).map_err(|cause| self.no_answer(&cause))?;
+        self.check_regular(&position)?;
+        Ok(Answer {
+            joints_rad,
+            position_mm: position.into(),
+        })
+    }
+
+    /// Refuses poses in which the joints do not hold the tool.
+    fn check_regular(&self, position: &Position) -> Result<(), ProgramError> {
+        let Conditioning { ratio, determinant, .. } = self.kinematics.conditioning(position);
+        let (joint, ratio) = ratio;
+        if ratio.is_nan() || ratio < RATIO_SINGULAR {
+            return Err(self.no_answer(&KinematicsError::Singular { joint, ratio }));
+        }
+        if determinant.is_nan() || determinant < DETERMINANT_SINGULAR {
+            let words = self.kinematics.words();
+            return Err(ProgramError::new(
+                code::FAILED,
+                format!(
+                    "singular: the {} of {}s 1, 2 and 3 lie in one plane and do not hold the platform across it",
+                    words.last_links, words.joint
+                ),
+            ));
+        }
+        Ok(())
+    }
+
+    fn no_answer(&self, cause: &KinematicsError) -> ProgramError {
+        let words = self.kinematics.words();
+        let noun = words.joint;
+        let why = match *cause {
+            KinematicsError::NotFinite => "a value is no finite number".into(),
+            KinematicsError::Unreachable { joint, .. } => {
+                format!("unreachable: {noun} {} does not reach it", joint + 1)
+            }
+            KinematicsError::Singular { joint, ratio } => format!(
+                "singular: {} of {noun} {} are in line (D/A = {ratio:.1e})",
+                words.links,
+                joint + 1
+            ),
+            KinematicsError::Range {
+                joint,
+                angle_rad,
+                low_rad,
+                high_rad,
+            } => format!(
+                "out of range: {noun} {} at {angle_rad} rad, the geometry gives it {low_rad} to {high_rad} rad",
+                joint + 1
+            ),
+            KinematicsError::Apart => format!(
+                "unreachable: with these angles the {} of {noun}s 1, 2 and 3 do not meet in one platform",
+                words.last_links
+            ),
+        };
+        ProgramError::new(code::FAILED, why)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IRB: &str = "base_radius_mm = 200\nupper_arm_mm = 350.0\nforearm_mm = 800.0\nplatform_radius_mm = 45.0\n\
+        arm_azimuths_deg = [0.0, 120.0, 240.0]\n";
+
+    #[test]
+    fn positions_come_back_through_the_angles() {
+        let robot = Robot::new(Geometry::default(), None).unwrap();
+        for position_mm in [[-10.0, 0.0, -800.0], [300.5, -200.25, -850.125], [0.0, 0.0, -750.0]] {
+            let joints = robot.inverse(position_mm).unwrap().joints_rad;
+            let back = robot.forward(joints).unwrap().position_mm;
+            for (value, expected) in back.iter().zip(position_mm) {
+                assert!((value - expected).abs() < 1.0e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn only_a_range_that_the_file_gives_is_checked() {
+        let high = [0.0, 0.0, -470.0];
+        assert!(Robot::parse(IRB).unwrap().inverse(high).is_ok());
+        let limited = Robot::parse(&format!("{IRB}arm_range_rad = [-0.5, 1.7]\n")).unwrap();
+        let error = limited.inverse(high).unwrap_err();
+        assert!(error.message.starts_with("out of range: arm 1"), "{}", error.message);
+        let error = limited.forward([0.1, 1.8, 0.1]).unwrap_err();
+        assert!(error.message.starts_with("out of range: arm 2"), "{}", error.message);
+    }
+
+    #[test]
+    fn a_position_without_an_answer_names_the_joint_and_the_reason() {
+        let robot = Robot::new(Geometry::default(), None).unwrap();
+        let message = |position_mm| robot.inverse(position_mm).unwrap_err().message;
+        assert_eq!(message([-1500.0, 0.0, -800.0]), "unreachable: arm 1 does not reach it");
+        assert!(message([0.0, f64::NAN, -800.0]).starts_with("y is NaN"));
+        // Straight down from shoulders that stand over the platform's joints.
+        let straight = Robot::parse(&IRB.replace("45.0", "200.0")).unwrap();
+        let error = straight.inverse([0.0, 0.0, -1150.0]).unwrap_err();
+        assert!(
+            error.message.starts_with("singular: upper arm and forearm of arm 1"),
+            "{}",
+            error.message
+        );
+        let message = |joints| robot.forward(joints).unwrap_err().message;
+        assert!(message([0.1, f64::INFINITY, 0.1]).starts_with("arm 2 is inf"));
+    }
+
+    #[test]
+    fn a_file_that_is_no_geometry_is_refused_with_the_reason() {
+        for (text, reason) in [
+            ("", "missing field"),
+            ("base_radius_mm = \"wide\"", "invalid type"),
+            ("this is no TOML", "TOML"),
+            (
+                &IRB.replace("base_radius_mm = 200\n", ""),
+                "base_radius_mm or base_side_mm is missing",
+            ),
+            (&format!("{IRB}base_side_mm = 1.0\n"), "say the same"),
+            (&IRB.replace("800.0", "300.0"), "do not form a valid robot"),
+            (&IRB.replace("800.0", "nan"), "no finite number"),
+            (&IRB.replace("45.0", "-45.0"), "negative"),
+            (&format!("{IRB}arms = 4\n"), "unknown field"),
+        ] {
+            let error = Robot::parse(text).map(|_| ()).unwrap_err();
+            assert!(error.contains(reason), "{text}: {error}");
+        }
+    }
+}

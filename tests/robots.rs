@@ -1,0 +1,208 @@
+//! The seam between a kind of robot and everything else: only a kind's own files name its parts.
+//!
+//! A second kind of robot then is one file in `motion`, one in the cell and one in the page. Checked are all Rust,
+//! JavaScript and HTML files of the repository, names and comments alike.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Words of the delta robot, as whole words or parts of names, in lower case.
+const WORDS: [&str; 6] = ["delta", "deltas", "arm", "arms", "forearm", "forearms"];
+
+/// A delta robot's own files, or folders of them: mathematics and dimensions, mechanism in the cell, drawing on the
+/// page. The last is this check.
+const OWN: [&str; 4] = [
+    "crates/motion/src/robots/delta/",
+    "host-tools/src/cell/mechanism/delta.rs",
+    "host-tools/assets/console/robot_delta.js",
+    "tests/robots.rs",
+];
+
+/// Files that choose a kind, and may name it: "delta", but none of its parts.
+const SEAMS: [&str; 4] = [
+    "crates/motion/src/robots/mod.rs",
+    "host-tools/src/cell/mechanism/mod.rs",
+    "host-tools/assets/console/robot.js",
+    "host-tools/src/console/assets.rs",
+];
+
+/// Phrases in which a word has another meaning.
+const OTHER_MEANINGS: [(&str, &[&str]); 3] = [
+    (
+        "the processor's architecture",
+        &[
+            "qemu-system-arm",
+            "EM_ARM",
+            "SHT_ARM_ATTRIBUTES",
+            "an Arm has",
+            "ARM ELF",
+            "the Arm Architecture",
+            "(Arm)",
+        ],
+    ),
+    (
+        "to arm a trigger",
+        &[
+            "Request::Arm ",
+            "    Arm {",
+            "Arm a capture",
+            "Arms a trigger",
+            "Arms a viewer's trigger",
+            "fn arm(",
+            "hub.arm(",
+            "hub().arm(",
+            "type: \"arm\"",
+            "\"type\":\"arm\"",
+            "trigger-arm",
+            "\"Give up\" : \"Arm\"",
+            ">Arm<",
+        ],
+    ),
+    ("the turn of a mouse's wheel", &["event.deltaY"]),
+];
+
+/// Keys of the configuration that tests write.
+const KEYS: [&str; 5] = [
+    "upper_arm_mm",
+    "forearm_mm",
+    "arm_azimuths_deg",
+    "arm_range_rad",
+    "arm_margin_rad",
+];
+
+#[test]
+fn only_a_robots_own_files_name_its_parts() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut files = Vec::new();
+    collect(root, "", &mut files).expect("the repository can be read");
+    assert!(files.len() > 300, "{} files", files.len());
+    let found: Vec<String> = files.iter().flat_map(|(path, text)| findings(path, text)).collect();
+    assert!(found.is_empty(), "{}", found.join("\n"));
+    for file in OWN.iter().chain(&SEAMS) {
+        assert!(files.iter().any(|(path, _)| path.starts_with(file)), "no file {file}");
+    }
+    for phrase in OTHER_MEANINGS.iter().flat_map(|(_, phrases)| *phrases) {
+        let stands = files.iter().any(|(path, text)| !is_own(path) && text.contains(phrase));
+        assert!(stands, "the phrase {phrase} stands nowhere");
+    }
+}
+
+#[test]
+fn a_part_is_found_in_names_comments_and_texts() {
+    for line in [
+        "let delta = 1;",
+        "struct DeltaArm;",
+        "const ARM_LENGTH: f64 = 1.0;",
+        "// The forearms meet.",
+        "say(\"arm 1\");",
+        "settings.upper_arm_mm",
+        "event.deltaY - arm",
+    ] {
+        assert_eq!(findings("host-tools/src/x.rs", line).len(), 1, "{line}");
+    }
+    for line in [
+        "// An alarm warms the army.",
+        "qemu-system-arm",
+        "hub.arm(7)",
+        "harmless",
+    ] {
+        assert_eq!(findings("host-tools/src/x.rs", line), [""; 0], "{line}");
+    }
+    let seam = findings(SEAMS[0], "Self::Delta(delta) => delta.arms,");
+    assert_eq!(
+        seam,
+        [format!("{}:1: arms: Self::Delta(delta) => delta.arms,", SEAMS[0])]
+    );
+    assert_eq!(findings("crates/motion/src/robots/delta/mod.rs", "arm"), [""; 0]);
+}
+
+#[test]
+fn tests_may_quote_what_users_read_and_write() {
+    let text =
+        "let arm = 1;\n#[cfg(test)]\nmod tests {\nsay(\"arm 1\"); // \"x\"\ngeometry.arm_range_rad;\nlet arm = 1;\n";
+    let lines: Vec<String> = findings("src/x.rs", text);
+    assert_eq!(lines.len(), 2, "{lines:?}");
+    assert_eq!(findings("tests/x.rs", "say(\"arm \\\" 1\");"), [""; 0]);
+    assert_eq!(findings("tests/x.rs", "say(\"\"); // an arm").len(), 1);
+}
+
+/// Reads the sources of a folder, each with its path inside the repository.
+fn collect(folder: &Path, prefix: &str, files: &mut Vec<(String, String)>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let path = format!("{prefix}{name}");
+        if entry.file_type()?.is_dir() {
+            if name != "target" && !name.starts_with('.') {
+                collect(&entry.path(), &format!("{path}/"), files)?;
+            }
+        } else if [".rs", ".js", ".html"].iter().any(|end| name.ends_with(end)) {
+            files.push((path, fs::read_to_string(entry.path())?));
+        }
+    }
+    Ok(())
+}
+
+fn is_own(path: &str) -> bool {
+    OWN.iter().any(|own| path.starts_with(own))
+}
+
+/// Lines of a file with a robot's words, each with place and words.
+fn findings(path: &str, text: &str) -> Vec<String> {
+    if is_own(path) {
+        return Vec::new();
+    }
+    let is_seam = SEAMS.contains(&path);
+    let is_test_file = path.starts_with("tests/") || path.contains("/tests/") || path.contains("/checks/");
+    let mut is_test = is_test_file || path.ends_with("tests.rs");
+    let mut before = "";
+    let mut found = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        is_test |= before == "#[cfg(test)]" && line.starts_with("mod ");
+        before = line;
+        // Every word has one of these in it; most lines end here.
+        if !["delta", "arm", "Delta", "Arm", "DELTA", "ARM"]
+            .iter()
+            .any(|part| line.contains(part))
+        {
+            continue;
+        }
+        let words: Vec<String> = robot_words(&meant(line, is_test))
+            .filter(|word| !(is_seam && word == "delta"))
+            .collect();
+        if !words.is_empty() {
+            found.push(format!("{path}:{number}: {}: {}", words.join(", "), line.trim()));
+        }
+    }
+    found
+}
+
+/// A line without the phrases of other meanings; in tests also without keys of the configuration and texts.
+fn meant(line: &str, is_test: bool) -> String {
+    let phrases = OTHER_MEANINGS.iter().flat_map(|(_, phrases)| *phrases);
+    let mut line = phrases.fold(line.to_owned(), |line, phrase| line.replace(phrase, " "));
+    if is_test {
+        line = KEYS.iter().fold(line, |line, key| line.replace(key, " "));
+        // Escaped quotation marks do not end a text.
+        let line = line.replace("\\\"", " ");
+        return line.split('"').step_by(2).collect::<Vec<_>>().join(" ");
+    }
+    line
+}
+
+/// The robot's words among the words and the parts of names of a line, in lower case.
+fn robot_words(line: &str) -> impl Iterator<Item = String> {
+    let mut parts = vec![String::new()];
+    let mut was_lower = false;
+    for letter in line.chars() {
+        if !letter.is_alphabetic() || (letter.is_uppercase() && was_lower) {
+            parts.push(String::new());
+        }
+        was_lower = letter.is_lowercase();
+        if let (true, Some(part)) = (letter.is_alphabetic(), parts.last_mut()) {
+            part.extend(letter.to_lowercase());
+        }
+    }
+    parts.into_iter().filter(|part| WORDS.contains(&part.as_str()))
+}
