@@ -15,7 +15,7 @@ use crate::link_task::{LinkTask, PortEnds, Ports, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
 use crate::network::{NetworkQueues, NetworkTask};
-use crate::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
+use crate::robot_bus::{RobotBusQueues, RobotExchange, RobotGroup, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
@@ -125,9 +125,9 @@ impl Channels {
         let (usb_received_in, usb_received_out) = self.usb_received.split();
         let (usb_sent_in, usb_sent_out) = self.usb_sent.split();
         let measurements = &self.measurements;
-        let exchange = RobotExchange::new(exchange_end, MASTER_ADDRESS);
+        let group = RobotGroup::new(RobotExchange::new(exchange_end, MASTER_ADDRESS));
         Parts {
-            sampler: Sampler::new(exchange, network_end, sampler_commands_out, setpoints_out, reports_in),
+            sampler: Sampler::new(group, network_end, sampler_commands_out, setpoints_out, reports_in),
             trajectory: TrajectoryTask::new(
                 &mut self.trajectory,
                 orders_out,

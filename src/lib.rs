@@ -32,7 +32,7 @@
 //!    along the path that keeps every joint within its limits and still ends at rest ([`motion`]), and puts one
 //!    setpoint a millisecond into the ring.
 //! 4. The sampler takes one setpoint a millisecond, compares it with the position that the drives have just reported
-//!    ([`ethercat::cyclic`], [`ethercat_robot`]), and sends each drive a velocity ([`control::position`]).
+//!    ([`ethercat::cyclic`], [`control::robot_axes`]), and sends each drive a velocity ([`control::position`]).
 //! 5. The drive turns the motor. Its measurements come back a millisecond later and also go to the host as telemetry.
 //!
 //! # Invariants
@@ -57,7 +57,6 @@ pub mod config;
 pub mod control;
 pub mod controller;
 pub mod coordinator;
-pub mod ethercat_robot;
 pub mod ethernet;
 pub mod link;
 pub mod link_task;

@@ -1,8 +1,7 @@
 //! The master with the robot's drivers and sizes.
 
-use crate::drives::ServoDrives;
-use crate::ethercat::cyclic::{CyclicSlave, Exchange};
-use crate::ethercat::driver::Role;
+use crate::drives::{EtherCatGroup, ServoDrives};
+use crate::ethercat::cyclic::Exchange;
 use crate::ethercat::event::{BusCommand, BusSetup};
 use crate::ethercat::supervisor::Supervisor;
 use crate::ethercat::{ApplicationEnd, BusQueues};
@@ -22,13 +21,11 @@ pub type RobotBusSetup = BusSetup<RobotDrives>;
 pub type RobotBusCommand = BusCommand<RobotDrives>;
 /// The ends of the queues to the robot's bus.
 pub type RobotBusEnd<'a> = ApplicationEnd<'a, RobotDrives>;
-/// The drive of an axis, as the plan names it.
-pub type DriveRole = Role<RobotDrives>;
-/// A slave's share of the plan.
-pub type DriveShare = CyclicSlave<RobotDrives>;
 /// The queues of the robot's bus.
 pub type RobotBusQueues = BusQueues<RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 /// The exchange of the robot's bus.
 pub type RobotExchange<'a> = Exchange<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 /// The supervisor of the robot's bus.
 pub type RobotSupervisor<'a> = Supervisor<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The robot's drives as a group.
+pub type RobotGroup<'a> = EtherCatGroup<'a, AXES, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;

@@ -7,8 +7,8 @@
 //! all.
 
 use crate::error::{ProgramError, code};
-use etherpen::application::homing::resolver_angle_rad;
 use etherpen::config::{Config, ConfigError};
+use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::robots::AXES;
 use std::io;
 use std::path::Path;

@@ -9,36 +9,14 @@
 
 use super::Refusal;
 use crate::config::{Axis, Config};
+use crate::control::robot_axes::resolver_angle_rad;
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
-use core::f64::consts::TAU;
 
 /// Largest difference between a pose and the resolver angles, rad: a tenth of the turn after which a joint repeats.
 pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
 /// Largest distance between a measured position and forward kinematics of the pose, mm; a motor turn of a joint moves
 /// the platform by more than 50 mm.
 pub const POSITION_DIFFERENCE_MAX_MM: f64 = 20.0;
-
-/// Wraps a difference of less than 2^33 increments to the nearest within half of a revolution of at most 2^24.
-///
-/// In floating point, which divides without a loop: both numbers and the whole part of their quotient are exact.
-pub(crate) fn nearest_turn(difference: i64, revolution: i64) -> i64 {
-    let turns = libm::floor((difference + revolution / 2) as f64 / revolution as f64);
-    difference - turns as i64 * revolution
-}
-
-/// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`, or nearest
-/// to the synchronisation mark if `near_rad` is `None`.
-pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
-    let revolution = i64::from(axis.increments_per_revolution.max(1));
-    let off_mark = increments - i64::from(axis.sync_increments);
-    let off_mark = nearest_turn(off_mark, revolution);
-    let turn_rad = TAU / axis.gear;
-    let at_mark_rad = axis.sync_angle_rad + turn_rad * (off_mark as f64 / revolution as f64);
-    match near_rad {
-        Some(near_rad) => at_mark_rad + turn_rad * libm::round((near_rad - at_mark_rad) / turn_rad),
-        None => at_mark_rad,
-    }
-}
 
 /// Checks that a position of every axis arrives.
 ///
@@ -137,7 +115,7 @@ fn check_position(kinematics: &Kinematics, pose: &JointAngles, position: &Positi
 mod tests {
     use super::*;
 
-    const TURN_RAD: f64 = TAU / 12.0;
+    const TURN_RAD: f64 = core::f64::consts::TAU / 12.0;
 
     fn shown(pose: &JointAngles, config: &Config) -> [Option<i64>; AXES] {
         core::array::from_fn(|k| {

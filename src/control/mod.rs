@@ -3,6 +3,7 @@
 mod cycle;
 pub mod feedback;
 pub mod position;
+pub mod robot_axes;
 pub mod sampler;
 pub mod supervision;
 pub mod torque_feedback;

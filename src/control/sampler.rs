@@ -19,21 +19,21 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::feedback::COMPARISONS;
 use crate::control::limited;
 use crate::control::position::PositionController;
+use crate::control::robot_axes::{AxisCommand, Demand, RobotAxes};
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
 use crate::control::window::Window;
 use crate::drives::cia402::{DriveState, DriveTarget};
-use crate::drives::io::{AxisCommand, Demand};
+use crate::drives::io::{IoGroup, IoTrigger};
 use crate::ethercat::clock::steering::{ClockReading, ClockSteering};
 use crate::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::encapsulation::Encapsulation;
 use crate::ethercat::frame_port::{FramePort, Sending};
 use crate::ethercat::queue;
-use crate::ethercat_robot::EtherCatRobot;
 use crate::network::NetworkEnd;
 pub use crate::robot_bus::PERIOD_NS;
-use crate::robot_bus::RobotExchange;
+use crate::robot_bus::RobotGroup;
 use crate::robots::AXES;
 use embassy_net_driver::Driver;
 use heapless::spsc::{Consumer, Producer};
@@ -58,12 +58,12 @@ enum Phase {
 }
 
 /// The critical tasks' state.
-pub struct Sampler<'a> {
-    exchange: RobotExchange<'a>,
+pub struct Sampler<'a, G = RobotGroup<'a>> {
+    group: G,
     network: NetworkEnd<'a>,
     /// Whether the addresses of EtherCAT in UDP are known.
     has_path: bool,
-    robot: EtherCatRobot,
+    robot: RobotAxes,
     axes: [Axis; AXES],
     bus: Bus,
     controllers: [PositionController; AXES],
@@ -97,10 +97,10 @@ pub struct Sampler<'a> {
     counters: SamplerCounters,
 }
 
-impl<'a> Sampler<'a> {
+impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// A sampler that has no configuration yet and keeps the drives without power.
     pub fn new(
-        exchange: RobotExchange<'a>,
+        group: G,
         network: NetworkEnd<'a>,
         commands: Consumer<'a, SamplerCommand>,
         setpoints: Consumer<'a, Queued>,
@@ -108,10 +108,10 @@ impl<'a> Sampler<'a> {
     ) -> Self {
         let axes = [Axis::default(); AXES];
         Self {
-            exchange,
+            group,
             network,
             has_path: false,
-            robot: EtherCatRobot::new(&axes),
+            robot: RobotAxes::new(&axes),
             axes,
             bus: Bus::default(),
             controllers: axes.map(|axis| PositionController::new(&axis)),
@@ -165,7 +165,7 @@ impl<'a> Sampler<'a> {
         if self.network.has_path_news() {
             self.take_path();
         }
-        let telegram = self.exchange.input_telegram();
+        let telegram = self.group.trigger_input();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
             false => Sending::Nothing,
@@ -183,7 +183,7 @@ impl<'a> Sampler<'a> {
             let over_ip = self.bus.transport == Transport::Udp;
             let Some(arrival) = transport.receive(|frame| {
                 let passed_on = over_ip && self.network.offer(frame);
-                (!passed_on).then(|| self.exchange.receive(frame))
+                (!passed_on).then(|| self.group.arrived(frame))
             }) else {
                 return false;
             };
@@ -217,17 +217,17 @@ impl<'a> Sampler<'a> {
     }
 
     /// The firmware ends: one last telegram tells drives that have power to stop, velocities zero. Nothing may follow.
-    pub fn say_last_word<D: Driver>(&mut self, transport: &mut FramePort<D>) {
+    pub fn send_final_telegram<D: Driver>(&mut self, transport: &mut FramePort<D>) {
         let target = match self.power {
             Power::On | Power::QuickStop => DriveTarget::QuickStop,
             Power::Off | Power::FaultReset => DriveTarget::Off,
         };
         let demand = Demand::Velocity(0.0);
         self.robot
-            .write(&mut self.exchange, &[AxisCommand { target, demand }; AXES]);
-        let telegram = match self.exchange.plan().exchange {
-            ExchangeKind::Split => self.exchange.output_telegram(),
-            ExchangeKind::Combined => self.exchange.input_telegram(),
+            .write(&mut self.group, &[AxisCommand { target, demand }; AXES]);
+        let telegram = match self.group.exchange_kind() {
+            ExchangeKind::Split => self.group.trigger_output(),
+            ExchangeKind::Combined => self.group.trigger_input(),
         };
         if may_send(&self.bus, self.has_path) {
             // A port without room has frames to send that are as good as this one.
@@ -237,7 +237,7 @@ impl<'a> Sampler<'a> {
 
     /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
     pub fn bus_counters(&self) -> BusCounters {
-        self.exchange.counters()
+        self.group.counters()
     }
 
     /// What the comparisons of the feedback have used of their limits in this millisecond, in the order of [`COMPARISONS`].
@@ -254,7 +254,7 @@ impl<'a> Sampler<'a> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        let telegram = self.exchange.output_telegram();
+        let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
             false => Sending::Nothing,
@@ -263,7 +263,7 @@ impl<'a> Sampler<'a> {
             // A frame that the port does not take is lost, as on any network.
             let _ = transport.send(frame);
         });
-        let late = match self.exchange.plan().exchange {
+        let late = match self.group.exchange_kind() {
             ExchangeKind::Split => elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy,
             // The outputs before these went with the input telegram; these are in time for the next one.
             ExchangeKind::Combined => self.first_late || elapsed_ns >= PERIOD_NS,
@@ -279,7 +279,7 @@ impl<'a> Sampler<'a> {
     fn take_path(&mut self) {
         while let Some(path) = self.network.next_path() {
             self.has_path = path.is_some();
-            self.exchange
+            self.group
                 .set_encapsulation(path.map_or(Encapsulation::Raw, Encapsulation::Udp));
         }
     }
@@ -293,15 +293,15 @@ impl<'a> Sampler<'a> {
 
     /// Takes this cycle's time of the bus clock. A plan with another reference begins anew.
     fn steer(&mut self) {
-        let clock = self.exchange.plan().clock.map(|clock| clock.station);
+        let state = self.group.bus_state();
+        let clock = state.reference_clock;
         if clock != self.clock {
             self.clock = clock;
             self.steering = ClockSteering::new(PERIOD_NS);
         }
         if self.clock.is_some() {
             self.timer_correction_ns = self.steering.step(ClockReading {
-                // The low half is enough for a phase, and all that narrow clocks have.
-                reference_ns: self.exchange.clock_ns().map(|time_ns| time_ns as u32),
+                reference_ns: state.clock_ns,
                 elapsed_ns: self.released_late_ns,
             });
         }
@@ -349,7 +349,7 @@ impl<'a> Sampler<'a> {
     /// Takes the inputs as joint angles and velocities. Counts how long all axes stand still.
     #[inline(never)]
     fn measure(&mut self) {
-        self.robot.follow_plan(&self.exchange);
+        self.robot.renew(&mut self.group);
         // Written out: with its place known, an axis costs a third less.
         let still = [
             self.measure_axis::<0>(),
@@ -366,7 +366,7 @@ impl<'a> Sampler<'a> {
     /// Takes an axis's input; a missing one is predicted from the last velocity. Whether the axis stands still.
     #[inline(always)]
     fn measure_axis<const AXIS: usize>(&mut self) -> bool {
-        let reading = self.robot.read_axis::<AXIS>(&self.exchange);
+        let reading = self.robot.read_axis::<AXIS>(&self.group);
         let now = &mut self.now;
         let before_rad = now.measured_rad[AXIS];
         now.valid[AXIS] = reading.is_some();
@@ -457,7 +457,7 @@ impl<'a> Sampler<'a> {
             status_word: self.now.status_word,
             drive_fault: [false; AXES],
             reference_lost: self.reference_lost,
-            al_status: self.exchange.al_status().map(|al| al.status as u8),
+            al_status: self.group.bus_state().al_status,
             clock: self
                 .steering
                 .fault(u32::from(self.bus.clock_error_max_us) * 1_000)
@@ -534,7 +534,7 @@ impl<'a> Sampler<'a> {
             AxisMode::Torque => Demand::Torque(self.torque_nm(AXIS, velocity_rad_s, target, moving)),
         };
         let command = AxisCommand { target, demand };
-        self.robot.write_axis::<AXIS>(&mut self.exchange, &command);
+        self.robot.write_axis::<AXIS>(&mut self.group, &command);
     }
 
     /// Tells the axes what the setpoints demand of them and of the others.
@@ -586,7 +586,7 @@ impl<'a> Sampler<'a> {
         now.fault = self.supervision.fault();
         now.interlock = self.interlock;
         now.counters = self.counters;
-        now.bus = self.exchange.counters();
+        now.bus = self.group.counters();
         if !queue::put_copy(&mut self.reports, now) {
             self.counters.reports_dropped = self.counters.reports_dropped.wrapping_add(1);
         }
@@ -602,3 +602,6 @@ fn may_send(bus: &Bus, has_path: bool) -> bool {
 const CYCLES_PER_S: f64 = 1.0e9 / PERIOD_NS as f64;
 
 const _: () = assert!(OUTPUT_LATE_NS < PERIOD_NS);
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,8 @@
 //! Bring-up, motion, faults on the wire, lost slaves and their repair.
 
 use crate::rig::{idle_rig, rig};
+use etherpen::control::robot_axes::{AxisCommand, Demand};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
-use etherpen::drives::io::{AxisCommand, Demand};
 use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;

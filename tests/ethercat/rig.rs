@@ -7,13 +7,13 @@ use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
+use etherpen::control::robot_axes::{AxisCommand, AxisInput, Demand, RobotAxes};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
-use etherpen::drives::io::{AxisCommand, AxisInput, Demand};
+use etherpen::drives::io::IoTrigger;
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, ServiceResult};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, Supervisor};
-use etherpen::ethercat_robot::EtherCatRobot;
-use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues, RobotBusSetup, RobotExchange};
+use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues, RobotBusSetup, RobotExchange, RobotGroup};
 use etherpen::robots::AXES;
 use heapless::spsc::{Consumer, Producer};
 use host_tools::cell::{Cell, CellOptions, Fault};
@@ -24,14 +24,14 @@ const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
 /// A master, a cell, and a clock.
 pub(crate) struct Rig<'a> {
     pub(crate) cell: Cell,
-    pub(crate) exchange: RobotExchange<'a>,
+    pub(crate) group: RobotGroup<'a>,
     pub(crate) supervisor: Pin<Box<dyn Future<Output = ()> + 'a>>,
     pub(crate) commands: Producer<'a, RobotBusCommand>,
     pub(crate) events: Consumer<'a, BusEvent>,
     pub(crate) services: Producer<'a, ServiceRequest>,
     pub(crate) answers: Consumer<'a, ServiceResult>,
     pub(crate) setup: RobotBusSetup,
-    pub(crate) robot: EtherCatRobot,
+    pub(crate) robot: RobotAxes,
     pub(crate) inputs: [Option<AxisInput>; AXES],
     pub(crate) command: AxisCommand,
     /// Happens to the next output telegram.
@@ -63,7 +63,7 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
     let setup = config.bus_setup();
     Rig {
         cell: Cell::new(&config, options),
-        exchange: RobotExchange::new(exchange_end, MAC),
+        group: RobotGroup::new(RobotExchange::new(exchange_end, MAC)),
         supervisor: Box::pin(async move {
             let mut supervisor = Supervisor::new(supervisor_end);
             supervisor.run().await
@@ -73,7 +73,7 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
         services: application.services,
         answers: application.answers,
         setup,
-        robot: EtherCatRobot::new(&config.axes),
+        robot: RobotAxes::new(&config.axes),
         inputs: NO_INPUTS,
         command: AxisCommand::default(),
         output_fault: None,
@@ -127,7 +127,7 @@ impl Rig<'_> {
     pub(crate) fn transfer(&mut self, frame: &[u8], time_us: u64) {
         if !frame.is_empty() {
             for reply in self.cell.frame(time_us, frame) {
-                self.exchange.receive(&reply);
+                self.group.arrived(&reply);
             }
         }
     }
@@ -135,12 +135,12 @@ impl Rig<'_> {
     /// One millisecond; gives the events that came.
     pub(crate) fn millisecond(&mut self) -> &[BusEvent] {
         let time_us = self.now_ms * 1000;
-        let frame = self.exchange.input_telegram().to_vec();
+        let frame = self.group.trigger_input().to_vec();
         self.transfer(&frame, time_us);
-        self.robot.read(&self.exchange);
+        self.robot.read(&mut self.group);
         self.inputs = self.robot.inputs();
-        self.robot.write(&mut self.exchange, &[self.command; AXES]);
-        let frame = self.exchange.output_telegram().to_vec();
+        self.robot.write(&mut self.group, &[self.command; AXES]);
+        let frame = self.group.trigger_output().to_vec();
         if let Some(fault) = self.output_fault.take() {
             self.cell.inject(fault);
         }
@@ -202,7 +202,7 @@ impl Rig<'_> {
     }
 
     pub(crate) fn counters(&self) -> BusCounters {
-        self.exchange.counters()
+        self.group.exchange().counters()
     }
 
     /// Off for a moment, then fault reset, as the application does.

@@ -1,54 +1,26 @@
-//! Interfaces between control and hardware: triggers, groups, and velocity or torque outputs.
+//! Interfaces between control and drives: triggers, groups, and axes commanded by velocity or by torque.
 //!
 //! The names are those of the paper: an [`IoTrigger`] moves all values between memory and wire at one moment, an
-//! [`IoGroup`] holds inputs and outputs that belong together, and an axis is a [`VelocityIo`] or a [`TorqueIo`].
-//! Control code written against these traits runs over any bus, or without a bus.
+//! [`IoGroup`] holds the inputs and outputs of drives that belong together, and an axis is a [`VelocityIo`] or a
+//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT ([`EtherCatGroup`](crate::EtherCatGroup)),
+//! and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
 //!
-//! Invariant: reading and writing values only accesses memory; only a trigger accesses the wire.
+//! Invariant: reading and writing values only accesses memory; only a trigger moves them to and from the wire.
 
-use crate::cia402::{DriveTarget, StatusWord};
-use etherpen_ethercat::cyclic::{Arrival, Exchange};
-use etherpen_ethercat::driver::SlaveFactory;
+use crate::cia402::DriveTarget;
+use crate::{AxisMode, DriveInput, DriveKind, DriveOutput};
+use etherpen_ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
+use etherpen_ethercat::encapsulation::Encapsulation;
 
-/// A motor position in encoder increments, unwrapped: it never jumps at the end of the encoder's range.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct Increments(pub i64);
-
-/// What an axis reports in one cycle.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AxisInput {
-    /// Motor position.
-    pub position: Increments,
-    /// Joint angle, rad; `None` until the axis is referenced.
-    pub angle_rad: Option<f64>,
-    /// The drive's status word.
-    pub status: StatusWord,
-}
-
-/// Demand for an axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Demand {
-    /// Velocity at the joint, rad/s.
-    Velocity(f64),
-    /// Torque at the joint, N m.
-    Torque(f64),
-}
-
-impl Default for Demand {
-    /// A velocity of 0.
-    fn default() -> Self {
-        Self::Velocity(0.0)
-    }
-}
-
-/// Command to an axis for one cycle.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct AxisCommand {
-    /// Target state of the drive.
-    pub target: DriveTarget,
-    /// Demand; used while the drive is in operation and its target is operation, if its mode takes this kind of demand.
-    pub demand: Demand,
+/// What the bus tells in a cycle, beside the drives' inputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusState {
+    /// AL states of the slaves in use OR-ed together, with the error flag; `None` when the broadcast did not return.
+    pub al_status: Option<u8>,
+    /// Station of the reference clock; `None` without distributed clocks.
+    pub reference_clock: Option<u16>,
+    /// The reference clock's time, ns, low 32 bits; `None` when it did not come in this cycle.
+    pub clock_ns: Option<u32>,
 }
 
 /// Moves all values between memory and wire at one moment.
@@ -62,55 +34,59 @@ pub trait IoTrigger {
 
     /// Takes a frame from the wire.
     fn arrived(&mut self, frame: &[u8]) -> Arrival;
+
+    /// When inputs are read and outputs are written.
+    fn exchange_kind(&self) -> ExchangeKind;
+
+    /// What the bus told in this cycle.
+    fn bus_state(&self) -> BusState;
+
+    /// What was counted since start-up.
+    fn counters(&self) -> BusCounters;
+
+    /// Sends the following frames in another encapsulation; frames in flight are lost.
+    fn set_encapsulation(&mut self, encapsulation: Encapsulation);
 }
 
-impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> IoTrigger for Exchange<'_, F, SLAVES, MESSAGE> {
-    fn trigger_input(&mut self) -> &[u8] {
-        self.input_telegram()
-    }
-
-    fn trigger_output(&mut self) -> &[u8] {
-        self.output_telegram()
-    }
-
-    fn arrived(&mut self, frame: &[u8]) -> Arrival {
-        self.receive(frame)
-    }
+/// A drive of a group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GroupDrive {
+    /// Its type.
+    pub kind: DriveKind,
+    /// What it is commanded by.
+    pub mode: AxisMode,
+    /// Whether it may be enabled: it is in OP and was not seen elsewhere since.
+    pub operational: bool,
+    /// Number of its last configuration, wrapping: a new number means that it may have been switched off in between.
+    pub generation: u8,
 }
 
-/// Inputs and outputs that are read and written together.
+/// Drives that are read and written together. Members are numbered from 0.
 pub trait IoGroup {
-    /// One member.
-    type Io<'a>
-    where
-        Self: 'a;
+    /// Takes over the bus's present configuration; true when a member's drive may be another one than before. To be
+    /// called once a cycle, before the first [`Self::read`].
+    fn renew(&mut self) -> bool;
 
-    /// Number of members.
-    fn len(&self) -> usize;
+    /// The drive of a member; `None` while it has none.
+    fn drive(&self, member: usize) -> Option<GroupDrive>;
 
-    /// Whether it has no members.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
+    /// This cycle's input of a member; `None` when none came.
+    fn read(&self, member: usize) -> Option<DriveInput>;
 
-    /// The member with an index; `None` beyond the last one.
-    fn io(&mut self, member: usize) -> Option<Self::Io<'_>>;
+    /// Sets the output of a member for the next trigger; does nothing while the member has no drive.
+    fn write(&mut self, member: usize, output: &DriveOutput);
 }
 
-/// An axis that is commanded by velocity.
+/// An axis that is commanded by a velocity.
 pub trait VelocityIo {
-    /// This cycle's input; `None` when none arrived.
-    fn input(&self) -> Option<AxisInput>;
-
-    /// Sets the target state of the drive and the velocity at the joint, rad/s.
-    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64);
+    /// The output that brings the drive nearer to a state and, once it is there, lets it run at a velocity at the joint,
+    /// rad/s.
+    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) -> DriveOutput;
 }
 
-/// An axis that is commanded by torque.
+/// An axis that is commanded by a torque.
 pub trait TorqueIo {
-    /// This cycle's input; `None` when none arrived.
-    fn input(&self) -> Option<AxisInput>;
-
-    /// Sets the target state of the drive and the torque at the joint, N m.
-    fn set_torque(&mut self, target: DriveTarget, torque_nm: f64);
+    /// The output that brings the drive nearer to a state and, once it is there, lets it exert a torque at the joint,
+    /// N m.
+    fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) -> DriveOutput;
 }

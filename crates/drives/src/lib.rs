@@ -9,12 +9,18 @@ pub mod akd;
 pub mod ax2000;
 pub mod cia402;
 mod configuration;
+mod ethercat_group;
 mod factory;
 pub mod generic;
 pub mod io;
 pub mod layout;
+mod memory_group;
+mod servo_axis;
 
+pub use ethercat_group::EtherCatGroup;
 pub use factory::{DRIVES, ServoDrives, drive_kind, drive_kind_by_type};
+pub use memory_group::MemoryGroup;
+pub use servo_axis::{AxisLimits, ServoAxis};
 
 use cia402::{ControlWord, StatusWord};
 use core::f64::consts::TAU;

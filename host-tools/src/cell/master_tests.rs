@@ -1,13 +1,13 @@
 //! The project's own master on the cell: both were written from the same tables, neither from the other.
 
 use super::*;
+use etherpen::control::robot_axes::{AxisCommand, AxisInput, Demand, RobotAxes};
 use etherpen::drives::cia402::DriveTarget;
-use etherpen::drives::io::{AxisCommand, AxisInput, Demand};
+use etherpen::drives::io::IoTrigger;
 use etherpen::ethercat::cyclic::Exchange;
 use etherpen::ethercat::event::{BusCommand, BusEvent};
 use etherpen::ethercat::supervisor::Supervisor;
-use etherpen::ethercat_robot::EtherCatRobot;
-use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues};
+use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues, RobotGroup};
 use std::pin::pin;
 use std::task::{Context, Waker};
 
@@ -18,7 +18,7 @@ const TEST_MS_MAX: u64 = 20_000;
 struct Millisecond<'a> {
     now_ms: u64,
     cell: &'a mut Cell,
-    robot: &'a mut EtherCatRobot,
+    robot: &'a mut RobotAxes,
     inputs: [Option<AxisInput>; AXES],
     events: Vec<BusEvent>,
     commands: &'a mut [AxisCommand; AXES],
@@ -38,11 +38,11 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
     let mut cell = Cell::new(&config, options);
     let mut queues = Box::new(RobotBusQueues::new());
     let (exchange_end, supervisor_end, mut application) = queues.split();
-    let mut exchange = Exchange::new(exchange_end, [0x10, 0, 0, 0, 0, 1]);
+    let mut group = RobotGroup::new(Exchange::new(exchange_end, [0x10, 0, 0, 0, 0, 1]));
     let mut supervisor = Supervisor::new(supervisor_end);
     let mut supervision = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
-    let mut robot = EtherCatRobot::new(&config.axes);
+    let mut robot = RobotAxes::new(&config.axes);
     let mut commands = [AxisCommand::default(); AXES];
     let setup = config.bus_setup();
     let mut orders = vec![BusCommand::Start(setup)];
@@ -50,13 +50,13 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
         for order in orders.drain(..) {
             assert!(application.commands.enqueue(order).is_ok());
         }
-        let frame = exchange.input_telegram().to_vec();
+        let frame = group.trigger_input().to_vec();
         for reply in cell.frame(now_ms * 1000, &frame) {
-            exchange.receive(&reply);
+            group.arrived(&reply);
         }
-        robot.read(&exchange);
+        robot.read(&mut group);
         let inputs = robot.inputs();
-        let counters = exchange.counters();
+        let counters = group.counters();
         let mut millisecond = Millisecond {
             now_ms,
             cell: &mut cell,
@@ -72,10 +72,10 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
             return;
         }
         orders = millisecond.orders;
-        robot.write(&mut exchange, &commands);
-        let frame = exchange.output_telegram().to_vec();
+        robot.write(&mut group, &commands);
+        let frame = group.trigger_output().to_vec();
         for reply in cell.frame(now_ms * 1000 + 100, &frame) {
-            exchange.receive(&reply);
+            group.arrived(&reply);
         }
         assert!(supervision.as_mut().poll(&mut context).is_pending());
     }

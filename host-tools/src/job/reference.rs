@@ -9,9 +9,9 @@ use super::error::{JobError, Phase};
 use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use crate::link::session::{Event, Session};
 use crate::simulation::Host;
-use etherpen::application::homing::resolver_angle_rad;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
+use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::link::protocol::{Command, Sample, Status};
 use etherpen::robots::{AXES, JointAngles, MAIN_AXES, Position};
 

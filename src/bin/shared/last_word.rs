@@ -40,6 +40,6 @@ pub(crate) unsafe fn say<I: InterruptNumber>(critical: &[I], before: impl FnOnce
         return false;
     };
     before(transport.driver_mut());
-    sampler.say_last_word(transport);
+    sampler.send_final_telegram(transport);
     true
 }

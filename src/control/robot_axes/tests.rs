@@ -1,8 +1,9 @@
 //! Requirements on the robot on the bus: scaling, turns, sharing of slaves, and what a lost drive does.
 
 use super::*;
-use crate::drives::layout::LayoutBuilder;
-use crate::drives::{akd, ax2000, generic};
+use crate::drives::cia402::ControlWord;
+use crate::drives::io::IoTrigger;
+use crate::drives::{DriveKind, MemoryGroup, akd, ax2000, generic};
 
 const TURN: i32 = 1 << 20;
 
@@ -23,30 +24,13 @@ fn at(position: i32) -> Option<DriveInput> {
     })
 }
 
-/// A slave in OP that drives axis 0.
-fn share(kind: DriveKind, mode: AxisMode) -> DriveShare {
-    let description = kind.mode(mode).unwrap();
-    let mut builder = LayoutBuilder::new(mode, description);
-    for (outputs, inputs) in description.outputs.entries.iter().zip(description.inputs.entries) {
-        builder.output(*outputs).unwrap();
-        builder.input(*inputs).unwrap();
-    }
-    for entry in description
-        .inputs
-        .entries
-        .iter()
-        .skip(description.outputs.entries.len())
-    {
-        builder.input(*entry).unwrap();
-    }
-    DriveShare {
-        watched: true,
-        role: Some(DriveRole {
-            member: 0,
-            device: kind,
-            layout: builder.finish().unwrap(),
-        }),
-        ..DriveShare::default()
+/// A drive in OP.
+fn drive(kind: DriveKind, mode: AxisMode) -> GroupDrive {
+    GroupDrive {
+        kind,
+        mode,
+        operational: true,
+        generation: 0,
     }
 }
 
@@ -57,8 +41,8 @@ fn enabled(demand: Demand) -> AxisCommand {
     }
 }
 
-fn robot(positions: [i32; AXES]) -> EtherCatRobot {
-    let mut robot = EtherCatRobot::new(
+fn robot(positions: [i32; AXES]) -> RobotAxes {
+    let mut robot = RobotAxes::new(
         &[Axis {
             sync_increments: 1000,
             ..Axis::default()
@@ -156,7 +140,7 @@ fn a_drive_that_was_configured_anew_is_not_referenced() {
 fn velocities_are_scaled_clamped_and_zero_unless_in_operation() {
     let mut axis = axis();
     let velocity = |rad_s| enabled(Demand::Velocity(rad_s));
-    axis.adopt(Some(&share(&ax2000::AX2000, AxisMode::Velocity)));
+    axis.adopt(Some(&drive(&ax2000::AX2000, AxisMode::Velocity)));
     assert_eq!(axis.output(&velocity(1.0)).demand_digits, 0);
     axis.step(at(0), 0);
     // 1 rad/s at the joint is 12 rad/s, 114.59 rpm, at the motor.
@@ -172,10 +156,7 @@ fn velocities_are_scaled_clamped_and_zero_unless_in_operation() {
         ..velocity(1.0)
     };
     let output = axis.output(&stop);
-    assert_eq!(
-        (output.demand_digits, output.control),
-        (0, cia402::ControlWord::QUICK_STOP)
-    );
+    assert_eq!((output.demand_digits, output.control), (0, ControlWord::QUICK_STOP));
 }
 
 #[test]
@@ -187,7 +168,7 @@ fn torques_are_scaled_by_current_or_rated_torque_and_clamped() {
         (&generic::GENERIC, 357, 2_976),
     ] {
         let mut axis = axis();
-        axis.adopt(Some(&share(kind, AxisMode::Torque)));
+        axis.adopt(Some(&drive(kind, AxisMode::Torque)));
         axis.step(at(0), 0);
         assert_eq!(axis.output(&torque(12.0)).demand_digits, digits);
         assert_eq!(axis.output(&torque(-12.0)).demand_digits, -digits);
@@ -200,21 +181,21 @@ fn torques_are_scaled_by_current_or_rated_torque_and_clamped() {
 #[test]
 fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
     let mut axis = axis();
-    let drive = share(&akd::AKD, AxisMode::Velocity);
+    let akd = drive(&akd::AKD, AxisMode::Velocity);
     let quick_stop = DriveOutput {
-        control: cia402::ControlWord::QUICK_STOP,
+        control: ControlWord::QUICK_STOP,
         ..DriveOutput::default()
     };
     axis.step(at(0), 0);
-    let left = DriveShare {
-        watched: false,
-        ..drive
+    let left = GroupDrive {
+        operational: false,
+        ..akd
     };
-    for share in [None, Some(&left)] {
-        axis.adopt(share);
+    for drive in [None, Some(&left)] {
+        axis.adopt(drive);
         assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), quick_stop);
     }
-    axis.adopt(Some(&drive));
+    axis.adopt(Some(&akd));
     assert_ne!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
     let mut other_mode = at(0).unwrap();
     other_mode.mode_in_effect = false;
@@ -223,13 +204,13 @@ fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
     other_mode.status = StatusWord(0x0250);
     axis.step(Some(other_mode), 0);
     let output = axis.output(&enabled(Demand::Velocity(1.0)));
-    assert_eq!(output.control, cia402::ControlWord::DISABLE_VOLTAGE);
+    assert_eq!(output.control, ControlWord::DISABLE_VOLTAGE);
 }
 
 #[test]
 fn while_a_drive_is_not_in_operation_its_set_points_are_where_it_is() {
     let mut axis = axis();
-    axis.adopt(Some(&share(&generic::GENERIC, AxisMode::Velocity)));
+    axis.adopt(Some(&drive(&generic::GENERIC, AxisMode::Velocity)));
     for status in [0x0250, 0x0231, 0x0233] {
         let input = DriveInput {
             status: StatusWord(status),
@@ -253,7 +234,7 @@ fn a_motor_that_turns_the_other_way_is_turned_back() {
         (AxisMode::Velocity, Demand::Velocity(1.0)),
         (AxisMode::Torque, Demand::Torque(10.0)),
     ] {
-        axis.adopt(Some(&share(&ax2000::AX2000, mode)));
+        axis.adopt(Some(&drive(&ax2000::AX2000, mode)));
         assert!(axis.output(&enabled(demand)).demand_digits < 0);
     }
     axis.step(at(-1000), 0);
@@ -261,13 +242,25 @@ fn a_motor_that_turns_the_other_way_is_turned_back() {
 }
 
 #[test]
-fn an_axis_takes_commands_through_velocity_io_and_torque_io() {
-    let mut robot = robot([0; AXES]);
-    let mut io = robot.io(2).unwrap();
-    assert!(VelocityIo::input(&io).is_some());
-    io.set_velocity(DriveTarget::Enabled, 0.5);
-    io.set_torque(DriveTarget::Enabled, 7.0);
-    assert_eq!(robot.commands[2], enabled(Demand::Torque(7.0)));
-    assert_eq!(robot.commands[1], AxisCommand::default());
-    assert!(robot.io(AXES).is_none());
+fn the_axes_of_a_group_in_memory_are_read_and_commanded_as_on_a_bus() {
+    let mut robot = RobotAxes::new(&[Axis::default(); AXES]);
+    let velocity = drive(&ax2000::AX2000, AxisMode::Velocity);
+    let mut group = MemoryGroup::new([Some(velocity); AXES]);
+    group.inputs = [at(7); AXES];
+    robot.read(&mut group);
+    assert_eq!(robot.inputs(), [None; AXES], "no trigger has fetched anything");
+    group.trigger_input();
+    group.arrived(&MemoryGroup::<AXES>::ARRIVED);
+    robot.read(&mut group);
+    assert!(robot.inputs().iter().all(|input| input.unwrap().position == 7));
+    robot.write(&mut group, &[enabled(Demand::Velocity(0.5)); AXES]);
+    assert!(group.outputs.iter().all(|output| output.demand_digits == 8_011));
+    // A member that loses its drive keeps its last output and takes no other.
+    group.drives[1] = None;
+    robot.read(&mut group);
+    robot.write(&mut group, &[enabled(Demand::Velocity(-0.5)); AXES]);
+    assert_eq!(
+        group.outputs.map(|output| output.demand_digits),
+        [-8_011, 8_011, -8_011, -8_011]
+    );
 }

@@ -1,31 +1,26 @@
-//! Four drives on the bus as the four axes of a robot.
+//! The drives of a group as the axes of a robot.
 //!
-//! Positions of single-turn resolvers are unwrapped into 64 bits and, once referenced, given as joint angles; commands
-//! are turned from rad/s or N m at the joint into the drives' digits.
+//! Positions of single-turn resolvers are unwrapped into 64 bits and, once referenced, given as joint angles; what an
+//! axis is told goes to its drive ([`ServoAxis`]), and what the drive then reports is compared with it
+//! ([`FeedbackMonitor`]).
 //!
-//! Invariants: a position is only given in the cycle it came in; a velocity or torque never exceeds the axis's clamp and
-//! is 0 unless the drive is in operation, meant to stay there, and takes this kind of demand; a drive that is not in OP,
-//! or not in the mode that was set, is not enabled, so that it goes through the whole sequence afterwards; an axis whose
-//! turns may have been miscounted, whose feedback cannot be true, or whose drive was configured anew, is not referenced.
+//! Invariants: a position is only given in the cycle it came in; an axis whose turns may have been miscounted, whose
+//! feedback cannot be true, or whose drive was configured anew, is not referenced.
 
 mod encoder;
 mod findings;
 
 pub use findings::{Reading, ReferenceError};
 
-use crate::application::homing::resolver_angle_rad;
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
-use crate::control::limited;
 use crate::control::torque_feedback::Demanded;
-use crate::drives::cia402::{self, DriveState, DriveTarget, StatusWord};
-use crate::drives::io::{AxisCommand, AxisInput, Demand, Increments, IoGroup, TorqueIo, VelocityIo};
-use crate::drives::layout::ProcessLayout;
-use crate::drives::{DriveInput, DriveKind, DriveOutput};
-use crate::ethercat::cyclic::OutputPlace;
-use crate::robot_bus::{DriveRole, DriveShare, RobotExchange};
+use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
+use crate::drives::io::{GroupDrive, IoGroup, TorqueIo, VelocityIo};
+use crate::drives::{AxisLimits, DriveInput, DriveOutput, ServoAxis};
 use crate::robots::{AXES, JointAngles};
 use core::f64::consts::TAU;
+pub use encoder::resolver_angle_rad;
 use encoder::{float, turned};
 
 /// Longest gap of positions in motion after which the turns still count as known, ms: half a motor turn takes 10 ms at
@@ -41,51 +36,49 @@ const JUMP_SPEED: f64 = 1.5;
 /// Motor speed below which an axis is at rest, revolutions a second.
 const REST_REVOLUTIONS_S: f64 = 0.05;
 
-/// What a drive's digits are worth on an axis.
-#[derive(Clone, Copy, Debug)]
-struct Scale {
-    kind: DriveKind,
-    mode: AxisMode,
-    /// Digits for 1 rad/s or 1 N m at the joint.
-    digits_per_unit: f64,
-    /// Largest demand, rad/s or N m at the joint.
-    limit: f64,
+/// What an axis reported in one cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisInput {
+    /// Motor position, unwrapped: it never jumps at the end of the encoder's range.
+    pub position: i64,
+    /// Joint angle, rad; `None` until the axis is referenced.
+    pub angle_rad: Option<f64>,
+    /// The drive's status word.
+    pub status: StatusWord,
 }
 
-impl Scale {
-    fn new(axis: &Axis, role: &DriveRole) -> Option<Self> {
-        let mode = role.layout.mode;
-        let at_motor = role.device.mode(mode)?.digits.per_unit(&axis.drive());
-        let (digits_per_unit, limit) = match mode {
-            AxisMode::Velocity => (at_motor * axis.gear, axis.output_max_rad_s.abs()),
-            AxisMode::Torque => (at_motor / axis.gear, axis.torque_max_nm.abs()),
-        };
-        Some(Self {
-            kind: role.device,
-            mode,
-            digits_per_unit,
-            limit,
-        })
+/// Demand for an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Demand {
+    /// Velocity at the joint, rad/s.
+    Velocity(f64),
+    /// Torque at the joint, N m.
+    Torque(f64),
+}
+
+impl Default for Demand {
+    /// A velocity of 0.
+    fn default() -> Self {
+        Self::Velocity(0.0)
     }
 }
 
-/// Where an axis's values are.
-#[derive(Clone, Copy, Debug)]
-struct DrivePlace {
-    slave: usize,
-    layout: ProcessLayout,
-    outputs: OutputPlace,
+/// Command to an axis for one cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AxisCommand {
+    /// Target state of the drive.
+    pub target: DriveTarget,
+    /// Demand; used while the drive is in operation and its target is operation, if its mode takes this kind of demand.
+    pub demand: Demand,
 }
 
-/// One axis: scaling, unwrapped position, reference.
+/// One axis: its drive, its unwrapped position, and where its joint stands.
 #[derive(Clone, Copy, Debug)]
 struct AxisState {
     config: Axis,
     increments_per_rad: f64,
     increments_per_revolution: i32,
-    /// Where the drive is on the bus and in its process data, by the present plan.
-    place: Option<DrivePlace>,
-    drive: Option<Scale>,
+    drive: ServoAxis,
     raw: i32,
     position: i64,
     known: bool,
@@ -94,11 +87,8 @@ struct AxisState {
     /// Whether a position came in this cycle.
     valid: bool,
     status: StatusWord,
-    state: DriveState,
-    mode_in_effect: bool,
-    operational: bool,
-    /// Of the present plan, and of the last input.
-    plan_generation: u8,
+    /// Of the present drive, and of the last input.
+    drive_generation: u8,
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
@@ -123,8 +113,7 @@ impl AxisState {
             config: *axis,
             increments_per_rad: axis.gear * f64::from(increments) / TAU,
             increments_per_revolution: increments,
-            place: None,
-            drive: None,
+            drive: ServoAxis::new(),
             raw: 0,
             position: 0,
             known: false,
@@ -132,10 +121,7 @@ impl AxisState {
             step: 0,
             valid: false,
             status: StatusWord(0),
-            state: StatusWord(0).state(),
-            mode_in_effect: false,
-            operational: false,
-            plan_generation: 0,
+            drive_generation: 0,
             generation: 0,
             zero: None,
             reference_lost: false,
@@ -160,14 +146,6 @@ impl AxisState {
     fn is_moving(&self) -> bool {
         let rest = (REST_REVOLUTIONS_S * f64::from(self.increments_per_revolution) / 1000.0).max(1.0);
         f64::from(self.step.unsigned_abs()) > rest
-    }
-
-    /// Takes this cycle's input from the exchange.
-    #[inline(always)]
-    fn read(&mut self, exchange: &RobotExchange<'_>) {
-        let place = self.place.as_ref();
-        let input = place.and_then(|place| place.layout.decode(exchange.image(place.slave)?));
-        self.step(input, self.plan_generation);
     }
 
     /// Takes this cycle's input, or the lack of one.
@@ -200,8 +178,7 @@ impl AxisState {
         self.raw = input.position;
         self.gap_ms = 0;
         self.status = input.status;
-        self.state = input.status.state();
-        self.mode_in_effect = input.mode_in_effect;
+        self.drive.take(&input);
         self.valid = true;
     }
 
@@ -244,11 +221,9 @@ impl AxisState {
     /// The drive follows no command: it brakes for a moment, then it stands by itself.
     #[cold]
     fn follow_ramp(&mut self) {
-        let brakes = matches!(self.state, DriveState::OperationEnabled | DriveState::QuickStopActive);
-        let ramps = self
-            .drive
-            .as_ref()
-            .is_some_and(|drive| drive.mode == AxisMode::Velocity);
+        let state = self.drive.state();
+        let brakes = matches!(state, DriveState::OperationEnabled | DriveState::QuickStopActive);
+        let ramps = matches!(self.drive.demand_scale(), Some((AxisMode::Velocity, _)));
         let left = self.sent.saturating_abs().saturating_sub(self.ramp_digits);
         if self.compared_ms <= 1 || !brakes || !ramps || left <= 0 {
             return self.end_comparison();
@@ -265,109 +240,62 @@ impl AxisState {
     #[inline]
     fn axis_input(&self) -> Option<AxisInput> {
         self.valid.then(|| AxisInput {
-            position: Increments(self.position),
+            position: self.position,
             angle_rad: self.angle_rad(self.position),
             status: self.status,
         })
     }
 
-    /// The drive of this cycle's plan; without one the axis takes no demand.
-    fn adopt(&mut self, share: Option<&DriveShare>) {
-        // The slave is watched from when it has reached OP until it is seen elsewhere.
-        self.operational = share.is_some_and(|share| share.watched);
-        if let Some(share) = share {
-            self.plan_generation = share.generation;
+    /// Takes over the axis's drive in the group; without one the axis takes no demand.
+    fn adopt(&mut self, drive: Option<&GroupDrive>) {
+        if let Some(drive) = drive {
+            self.drive_generation = drive.generation;
         }
-        let role = share.and_then(|share| share.role);
-        let same = match (&self.drive, &role) {
-            (Some(scale), Some(role)) => core::ptr::eq(scale.kind, role.device) && scale.mode == role.layout.mode,
-            (None, None) => true,
-            _ => false,
+        let limits = AxisLimits {
+            velocity_rad_s: self.config.output_max_rad_s,
+            torque_nm: self.config.torque_max_nm,
         };
-        if !same {
-            self.drive = role.and_then(|role| Scale::new(&self.config, &role));
+        if self.drive.adopt(drive, &self.config.drive(), &limits) {
             self.end_comparison();
-            if let Some(drive) = &self.drive {
-                self.feedback = FeedbackMonitor::new(&self.config, drive.mode, drive.digits_per_unit);
+            if let Some((mode, digits_per_unit)) = self.drive.demand_scale() {
+                self.feedback = FeedbackMonitor::new(&self.config, mode, digits_per_unit);
                 let ramp_rad_s2 = self.config.quick_stop_rad_s2.abs();
-                self.ramp_digits = (ramp_rad_s2 * drive.digits_per_unit.abs() / 1_000.0) as i32;
+                self.ramp_digits = (ramp_rad_s2 * digits_per_unit.abs() / 1_000.0) as i32;
             }
         }
     }
 
-    /// The demand in digits, if the drive takes it, else 0.
-    #[inline(always)]
-    fn digits(&self, demand: Demand) -> i32 {
-        let wanted = match (demand, &self.drive) {
-            (Demand::Velocity(rad_s), Some(scale)) if scale.mode == AxisMode::Velocity => Some((rad_s, scale)),
-            (Demand::Torque(nm), Some(scale)) if scale.mode == AxisMode::Torque => Some((nm, scale)),
-            _ => None,
-        };
-        let Some((value, scale)) = wanted else { return 0 };
-        let value = if value.abs() <= scale.limit {
-            value
-        } else if value.is_finite() {
-            limited(value, scale.limit)
-        } else {
-            0.0
-        };
-        // To the nearest whole number; the conversion cuts off and saturates.
-        let digits = value * scale.digits_per_unit;
-        (digits + if digits < 0.0 { -0.5 } else { 0.5 }) as i32
-    }
-
-    /// Writes a command to the exchange's outputs.
-    #[inline(always)]
-    fn write(&mut self, exchange: &mut RobotExchange<'_>, command: &AxisCommand) {
-        let output = self.output(command);
-        if let Some(place) = &self.place {
-            place.layout.encode(&output, exchange.output_at(place.outputs));
-        }
-    }
-
+    /// What the drive is told, which the feedback of the next cycles is compared with.
     #[inline(always)]
     fn output(&mut self, command: &AxisCommand) -> DriveOutput {
-        let may_run = self.operational && self.mode_in_effect;
-        let target = match command.target {
-            // A drive that still moves brakes, any other one stays without power.
-            DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
-            target => target,
+        let output = match command.demand {
+            Demand::Velocity(rad_s) => self.drive.set_velocity(command.target, rad_s),
+            Demand::Torque(nm) => self.drive.set_torque(command.target, nm),
         };
-        let running = self.state == DriveState::OperationEnabled && target == DriveTarget::Enabled;
-        let demand_digits = if running { self.digits(command.demand) } else { 0 };
-        self.commanded = demand_digits != 0;
-        if running {
-            (self.sent, self.compared_ms) = (demand_digits, RAMP_COMPARED_MS);
+        self.commanded = output.demand_digits != 0;
+        if self.drive.runs(&output) {
+            (self.sent, self.compared_ms) = (output.demand_digits, RAMP_COMPARED_MS);
         } else if self.compared_ms > 0 {
             self.follow_ramp();
         }
-        DriveOutput {
-            demand_digits,
-            position: self.raw,
-            control: match running {
-                true => cia402::ControlWord::ENABLE_OPERATION,
-                false => cia402::step_from(self.state, target),
-            },
-        }
+        output
     }
 }
 
-/// The robot's axes on the bus.
+/// The robot's axes.
 #[derive(Clone, Debug)]
-pub struct EtherCatRobot {
+pub struct RobotAxes {
     axes: [AxisState; AXES],
-    commands: [AxisCommand; AXES],
-    /// Number of the plan to which the axes belong.
-    plan: Option<u32>,
+    /// Whether the axes have still to take over their drives, whatever the group reports.
+    is_new: bool,
 }
 
-impl EtherCatRobot {
+impl RobotAxes {
     /// A robot with the scaling of the configuration; not referenced.
     pub fn new(axes: &[Axis; AXES]) -> Self {
         Self {
             axes: axes.each_ref().map(AxisState::new),
-            commands: [AxisCommand::default(); AXES],
-            plan: None,
+            is_new: true,
         }
     }
 
@@ -376,57 +304,45 @@ impl EtherCatRobot {
         for (state, axis) in self.axes.iter_mut().zip(axes) {
             *state = AxisState::new(axis);
         }
-        self.commands = [AxisCommand::default(); AXES];
-        self.plan = None;
+        self.is_new = true;
     }
 
     /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
-    pub fn read(&mut self, exchange: &RobotExchange<'_>) {
-        self.follow_plan(exchange);
-        for axis in &mut self.axes {
-            axis.read(exchange);
+    pub fn read(&mut self, group: &mut impl IoGroup) {
+        self.renew(group);
+        for (member, axis) in self.axes.iter_mut().enumerate() {
+            axis.step(group.read(member), axis.drive_generation);
         }
     }
 
-    /// Looks whether the exchange has another plan; comes before [`Self::read_axis`].
+    /// Takes over the group's drives if they have changed; comes before [`Self::read_axis`].
     #[inline]
-    pub fn follow_plan(&mut self, exchange: &RobotExchange<'_>) {
-        if self.plan != Some(exchange.plan_number()) {
-            self.adopt(exchange);
+    pub fn renew(&mut self, group: &mut impl IoGroup) {
+        if group.renew() || self.is_new {
+            self.adopt(group);
+        }
+    }
+
+    #[cold]
+    fn adopt(&mut self, group: &impl IoGroup) {
+        self.is_new = false;
+        for (member, axis) in self.axes.iter_mut().enumerate() {
+            axis.adopt(group.drive(member).as_ref());
         }
     }
 
     /// Takes this cycle's input of one axis, as [`Self::read`] does of all; `None` when nothing came.
     #[inline(always)]
-    pub fn read_axis<const AXIS: usize>(&mut self, exchange: &RobotExchange<'_>) -> Option<Reading> {
+    pub fn read_axis<const AXIS: usize>(&mut self, group: &impl IoGroup) -> Option<Reading> {
         const { assert!(AXIS < AXES) };
         let axis = &mut self.axes[AXIS];
-        axis.read(exchange);
+        axis.step(group.read(AXIS), axis.drive_generation);
         axis.valid.then(|| Reading {
             increments: axis.position,
             angle_rad: (float(axis.position) - axis.zero.unwrap_or(0.0)) / axis.increments_per_rad,
             referenced: axis.zero.is_some(),
             status: axis.status,
         })
-    }
-
-    /// The drives of another plan.
-    #[cold]
-    fn adopt(&mut self, exchange: &RobotExchange<'_>) {
-        self.plan = Some(exchange.plan_number());
-        for (number, axis) in self.axes.iter_mut().enumerate() {
-            let slave = exchange.member(number);
-            let share = slave.and_then(|slave| exchange.plan().slaves.get(slave));
-            axis.adopt(share);
-            let role = share.and_then(|share| share.role);
-            let length = share.map_or(0, |share| share.input_length);
-            let whole = role.filter(|role| u16::from(role.layout.input_length) <= length);
-            axis.place = slave.zip(whole).map(|(slave, role)| DrivePlace {
-                slave,
-                layout: role.layout,
-                outputs: exchange.output_place(slave),
-            });
-        }
     }
 
     /// What the axes reported in this cycle.
@@ -437,7 +353,9 @@ impl EtherCatRobot {
     /// Whether all drives were in operation when they last reported.
     #[inline]
     pub fn is_in_operation(&self) -> bool {
-        self.axes.iter().all(|axis| axis.state == DriveState::OperationEnabled)
+        self.axes
+            .iter()
+            .all(|axis| axis.drive.state() == DriveState::OperationEnabled)
     }
 
     /// State of an axis's drive when it last reported.
@@ -445,7 +363,7 @@ impl EtherCatRobot {
     pub fn state(&self, axis: usize) -> DriveState {
         self.axes
             .get(axis)
-            .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.state)
+            .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
     /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of
@@ -511,68 +429,20 @@ impl EtherCatRobot {
         }
     }
 
-    /// Writes the axes' commands to the outputs of the next output telegram.
-    pub fn write(&mut self, exchange: &mut RobotExchange<'_>, commands: &[AxisCommand; AXES]) {
-        for (axis, command) in self.axes.iter_mut().zip(commands) {
-            axis.write(exchange, command);
+    /// Writes the axes' commands to the group's outputs.
+    pub fn write(&mut self, group: &mut impl IoGroup, commands: &[AxisCommand; AXES]) {
+        for (member, (axis, command)) in self.axes.iter_mut().zip(commands).enumerate() {
+            let output = axis.output(command);
+            group.write(member, &output);
         }
     }
 
     /// Writes the command of one axis, as [`Self::write`] does those of all.
     #[inline(always)]
-    pub fn write_axis<const AXIS: usize>(&mut self, exchange: &mut RobotExchange<'_>, command: &AxisCommand) {
+    pub fn write_axis<const AXIS: usize>(&mut self, group: &mut impl IoGroup, command: &AxisCommand) {
         const { assert!(AXIS < AXES) };
-        self.axes[AXIS].write(exchange, command);
-    }
-
-    /// Writes the commands that were set through [`IoGroup::io`].
-    pub fn write_group(&mut self, exchange: &mut RobotExchange<'_>) {
-        let commands = self.commands;
-        self.write(exchange, &commands);
-    }
-}
-
-/// One axis of the group.
-#[derive(Debug)]
-pub struct AxisIo<'a> {
-    axis: &'a AxisState,
-    command: &'a mut AxisCommand,
-}
-
-impl VelocityIo for AxisIo<'_> {
-    fn input(&self) -> Option<AxisInput> {
-        self.axis.axis_input()
-    }
-
-    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) {
-        let demand = Demand::Velocity(velocity_rad_s);
-        *self.command = AxisCommand { target, demand };
-    }
-}
-
-impl TorqueIo for AxisIo<'_> {
-    fn input(&self) -> Option<AxisInput> {
-        self.axis.axis_input()
-    }
-
-    fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) {
-        let demand = Demand::Torque(torque_nm);
-        *self.command = AxisCommand { target, demand };
-    }
-}
-
-impl IoGroup for EtherCatRobot {
-    type Io<'a> = AxisIo<'a>;
-
-    fn len(&self) -> usize {
-        AXES
-    }
-
-    fn io(&mut self, member: usize) -> Option<AxisIo<'_>> {
-        Some(AxisIo {
-            axis: self.axes.get(member)?,
-            command: self.commands.get_mut(member)?,
-        })
+        let output = self.axes[AXIS].output(command);
+        group.write(AXIS, &output);
     }
 }
 

@@ -1,0 +1,150 @@
+//! A group of drives on an EtherCAT bus.
+//!
+//! Invariant: a member's input is only given in the cycle it came in.
+
+use crate::factory::ServoDrives;
+use crate::io::{BusState, GroupDrive, IoGroup, IoTrigger};
+use crate::layout::ProcessLayout;
+use crate::{DriveInput, DriveOutput, DriveSettings};
+use etherpen_ethercat::cyclic::{Arrival, BusCounters, Exchange, ExchangeKind, OutputPlace};
+use etherpen_ethercat::encapsulation::Encapsulation;
+
+/// Where a member's values are.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    slave: usize,
+    layout: ProcessLayout,
+    outputs: OutputPlace,
+}
+
+/// The drives of a bus, over the cyclic exchange with it.
+pub struct EtherCatGroup<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize>
+where
+    [DriveSettings; MEMBERS]: Default,
+{
+    exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE>,
+    places: [Option<Place>; MEMBERS],
+    /// Number of the plan to which the places belong.
+    plan: Option<u32>,
+}
+
+impl<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> EtherCatGroup<'a, MEMBERS, SLAVES, MESSAGE>
+where
+    [DriveSettings; MEMBERS]: Default,
+{
+    /// The drives that `exchange` reaches.
+    pub fn new(exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE>) -> Self {
+        Self {
+            exchange,
+            places: [None; MEMBERS],
+            plan: None,
+        }
+    }
+
+    /// The exchange with the bus.
+    pub fn exchange(&self) -> &Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE> {
+        &self.exchange
+    }
+
+    #[cold]
+    fn adopt(&mut self) {
+        self.plan = Some(self.exchange.plan_number());
+        for (number, place) in self.places.iter_mut().enumerate() {
+            let slave = self.exchange.member(number);
+            let share = slave.and_then(|slave| self.exchange.plan().slaves.get(slave));
+            let length = share.map_or(0, |share| share.input_length);
+            let role = share.and_then(|share| share.role);
+            let whole = role.filter(|role| u16::from(role.layout.input_length) <= length);
+            *place = slave.zip(whole).map(|(slave, role)| Place {
+                slave,
+                layout: role.layout,
+                outputs: self.exchange.output_place(slave),
+            });
+        }
+    }
+}
+
+impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> IoGroup
+    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE>
+where
+    [DriveSettings; MEMBERS]: Default,
+{
+    #[inline]
+    fn renew(&mut self) -> bool {
+        let changed = self.plan != Some(self.exchange.plan_number());
+        if changed {
+            self.adopt();
+        }
+        changed
+    }
+
+    fn drive(&self, member: usize) -> Option<GroupDrive> {
+        let share = self.exchange.plan().slaves.get(self.exchange.member(member)?)?;
+        let role = share.role?;
+        Some(GroupDrive {
+            kind: role.device,
+            mode: role.layout.mode,
+            // The slave is watched from when it has reached OP until it is seen elsewhere.
+            operational: share.watched,
+            generation: share.generation,
+        })
+    }
+
+    #[inline(always)]
+    fn read(&self, member: usize) -> Option<DriveInput> {
+        let place = self.places.get(member)?.as_ref()?;
+        place.layout.decode(self.exchange.image(place.slave)?)
+    }
+
+    #[inline(always)]
+    fn write(&mut self, member: usize, output: &DriveOutput) {
+        if let Some(Some(place)) = self.places.get(member) {
+            place.layout.encode(output, self.exchange.output_at(place.outputs));
+        }
+    }
+}
+
+impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> IoTrigger
+    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE>
+where
+    [DriveSettings; MEMBERS]: Default,
+{
+    #[inline]
+    fn trigger_input(&mut self) -> &[u8] {
+        self.exchange.input_telegram()
+    }
+
+    #[inline]
+    fn trigger_output(&mut self) -> &[u8] {
+        self.exchange.output_telegram()
+    }
+
+    #[inline]
+    fn arrived(&mut self, frame: &[u8]) -> Arrival {
+        self.exchange.receive(frame)
+    }
+
+    #[inline]
+    fn exchange_kind(&self) -> ExchangeKind {
+        self.exchange.plan().exchange
+    }
+
+    #[inline]
+    fn bus_state(&self) -> BusState {
+        BusState {
+            al_status: self.exchange.al_status().map(|al| al.status as u8),
+            reference_clock: self.exchange.plan().clock.map(|clock| clock.station),
+            // The low half is enough for a phase, and all that narrow clocks have.
+            clock_ns: self.exchange.clock_ns().map(|time_ns| time_ns as u32),
+        }
+    }
+
+    #[inline]
+    fn counters(&self) -> BusCounters {
+        self.exchange.counters()
+    }
+
+    fn set_encapsulation(&mut self, encapsulation: Encapsulation) {
+        self.exchange.set_encapsulation(encapsulation);
+    }
+}

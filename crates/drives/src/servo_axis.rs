@@ -1,0 +1,165 @@
+//! A servo drive as an axis: scales demands to the drive's digits and leads the drive through the states of CiA 402.
+//!
+//! Invariants: a demand never exceeds the axis's limit; it is 0 unless the drive is in operation, meant to stay there,
+//! and takes this kind of demand; a drive that is not operational, or not in the mode that was set, is not enabled, so
+//! that it goes through the whole sequence afterwards.
+
+use crate::cia402::{self, ControlWord, DriveState, DriveTarget, StatusWord};
+use crate::io::{GroupDrive, TorqueIo, VelocityIo};
+use crate::{AxisMode, DriveInput, DriveKind, DriveOutput, DriveSettings};
+
+/// What is asked of an axis beside the settings of its drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits {
+    /// Largest velocity, rad/s at the joint.
+    pub velocity_rad_s: f64,
+    /// Largest torque, N m at the joint.
+    pub torque_nm: f64,
+}
+
+/// What a drive's digits are worth on an axis.
+#[derive(Clone, Copy, Debug)]
+struct Scale {
+    kind: DriveKind,
+    mode: AxisMode,
+    /// Digits for 1 rad/s or 1 N m at the joint.
+    digits_per_unit: f64,
+    /// Largest demand, rad/s or N m at the joint.
+    limit: f64,
+}
+
+impl Scale {
+    fn new(settings: &DriveSettings, limits: &AxisLimits, drive: &GroupDrive) -> Option<Self> {
+        let at_motor = drive.kind.mode(drive.mode)?.digits.per_unit(settings);
+        let (digits_per_unit, limit) = match drive.mode {
+            AxisMode::Velocity => (at_motor * settings.gear, limits.velocity_rad_s.abs()),
+            AxisMode::Torque => (at_motor / settings.gear, limits.torque_nm.abs()),
+        };
+        Some(Self {
+            kind: drive.kind,
+            mode: drive.mode,
+            digits_per_unit,
+            limit,
+        })
+    }
+}
+
+/// One axis and its drive.
+#[derive(Clone, Copy, Debug)]
+pub struct ServoAxis {
+    scale: Option<Scale>,
+    operational: bool,
+    position: i32,
+    state: DriveState,
+    mode_in_effect: bool,
+}
+
+impl Default for ServoAxis {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl ServoAxis {
+    /// An axis without a drive.
+    pub const fn new() -> Self {
+        Self {
+            scale: None,
+            operational: false,
+            position: 0,
+            state: StatusWord(0).state(),
+            mode_in_effect: false,
+        }
+    }
+
+    /// Takes over the axis's drive in the group; without one the axis takes no demand. True when it is another drive, or
+    /// another mode, than before.
+    pub fn adopt(&mut self, drive: Option<&GroupDrive>, settings: &DriveSettings, limits: &AxisLimits) -> bool {
+        self.operational = drive.is_some_and(|drive| drive.operational);
+        let same = match (&self.scale, drive) {
+            (Some(scale), Some(drive)) => core::ptr::eq(scale.kind, drive.kind) && scale.mode == drive.mode,
+            (None, None) => true,
+            _ => false,
+        };
+        if !same {
+            self.scale = drive.and_then(|drive| Scale::new(settings, limits, drive));
+        }
+        !same
+    }
+
+    /// Takes what the drive reported.
+    #[inline(always)]
+    pub fn take(&mut self, input: &DriveInput) {
+        self.position = input.position;
+        self.state = input.status.state();
+        self.mode_in_effect = input.mode_in_effect;
+    }
+
+    /// State of the drive when it last reported.
+    #[inline]
+    pub fn state(&self) -> DriveState {
+        self.state
+    }
+
+    /// What the drive takes, and its digits for 1 rad/s or 1 N m at the joint; `None` without a drive.
+    pub fn demand_scale(&self) -> Option<(AxisMode, f64)> {
+        self.scale.as_ref().map(|scale| (scale.mode, scale.digits_per_unit))
+    }
+
+    /// Whether an output lets the drive run: its demand is in effect.
+    #[inline]
+    pub fn runs(&self, output: &DriveOutput) -> bool {
+        self.state == DriveState::OperationEnabled && output.control == ControlWord::ENABLE_OPERATION
+    }
+
+    /// A demand in digits, if the drive takes this kind of demand, else 0.
+    #[inline(always)]
+    fn digits(&self, mode: AxisMode, wanted: f64) -> i32 {
+        let Some(scale) = self.scale.as_ref().filter(|scale| scale.mode == mode) else {
+            return 0;
+        };
+        let value = if wanted.abs() <= scale.limit {
+            wanted
+        } else if wanted.is_finite() {
+            scale.limit.copysign(wanted)
+        } else {
+            0.0
+        };
+        // To the nearest whole number; the conversion cuts off and saturates.
+        let digits = value * scale.digits_per_unit;
+        (digits + if digits < 0.0 { -0.5 } else { 0.5 }) as i32
+    }
+
+    #[inline(always)]
+    fn output(&mut self, target: DriveTarget, mode: AxisMode, wanted: f64) -> DriveOutput {
+        let may_run = self.operational && self.mode_in_effect;
+        let target = match target {
+            // A drive that still moves brakes, any other one stays without power.
+            DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
+            target => target,
+        };
+        let running = self.state == DriveState::OperationEnabled && target == DriveTarget::Enabled;
+        DriveOutput {
+            demand_digits: if running { self.digits(mode, wanted) } else { 0 },
+            position: self.position,
+            control: match running {
+                true => ControlWord::ENABLE_OPERATION,
+                false => cia402::step_from(self.state, target),
+            },
+        }
+    }
+}
+
+impl VelocityIo for ServoAxis {
+    #[inline(always)]
+    fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) -> DriveOutput {
+        self.output(target, AxisMode::Velocity, velocity_rad_s)
+    }
+}
+
+impl TorqueIo for ServoAxis {
+    #[inline(always)]
+    fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) -> DriveOutput {
+        self.output(target, AxisMode::Torque, torque_nm)
+    }
+}
