@@ -15,7 +15,7 @@ use crate::link_task::{LinkTask, PortEnds, Ports, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
 use crate::network::{NetworkQueues, NetworkTask};
-use crate::robot_bus::{RobotBusQueues, RobotExchange, RobotGroup, RobotSupervisor};
+use crate::robot_bus::{MASTER_ADDRESS, RobotBusQueues, RobotExchange, RobotGroup, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
@@ -34,8 +34,6 @@ pub const SENT_BYTES: usize = 4_097;
 pub const USB_RECEIVED_BYTES: usize = 1_025;
 /// Bytes queued for the host on USB.
 pub const USB_SENT_BYTES: usize = 257;
-/// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
-pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 
 const _: () = assert!(SETPOINTS > 3 * crate::motion::PERIOD_MS);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);

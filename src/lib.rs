@@ -22,6 +22,31 @@
 //! | [`ethercat::supervisor::Supervisor`] | every millisecond | 1 | brings the bus up, watches and repairs it |
 //! | [`network::NetworkTask`] | every millisecond | 1 | the IP stack that finds the addresses for EtherCAT in UDP |
 //!
+//! # Layers
+//!
+//! The crates below know nothing of this one: [`motion`] plans, [`drives`] knows servo drives, [`ethercat`] is the
+//! master. In here a module imports modules of lower layers only; `tests/layers.rs` reads this list and the sources.
+//!
+//! 1. `robot_bus`, `ethernet`: the master with the robot's sizes; the logic of Ethernet controllers
+//! 2. `config`: every number that the controller needs, and its bounds
+//! 3. `network`, `control::limit`, `control::position`: the IP stack for EtherCAT in UDP; position controller
+//! 4. `control::velocity`, `control::torque_feedback`: velocity controller; monitor of one axis in torque mode
+//! 5. `control::feedback`: monitor of one axis
+//! 6. `control::robot_axes`, `application::fault`, `application::mode`: the drives as the robot's axes; what can go wrong,
+//!    and the operating modes
+//! 7. `board`: inputs, port, lamps and supervision of a board
+//! 8. `application::command`, `application::condition`, `application::action`: what the operating modes take and give
+//! 9. `control`: the sampler and its supervision
+//! 10. `application`, `trajectory_task`, `measurement`: operating modes; the 12 ms task; timing of the tasks
+//! 11. `link`: frames and messages between host and firmware
+//! 12. `coordinator`: decides what the robot does with requests and reports
+//! 13. `link_task`: moves the messages
+//! 14. `controller`: all task bodies and the queues between them
+//!
+//! Logic of Ethernet controllers (`ethernet`) and the IP stack (`network`) are here and not in the master's crate: the
+//! master takes any driver and knows no addresses. `board` is here because boards report faults and show modes; the
+//! queues' operations are in [`ethercat::queue`], where both sides of the master and the tasks above reach them.
+//!
 //! # One vertex, from the photograph to the motor
 //!
 //! 1. The host vectorises a photograph into strokes, orders them, expands them with their lifts into a path in the

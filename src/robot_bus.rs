@@ -9,6 +9,8 @@ use crate::robots::AXES;
 
 /// Length of the sample period, ns.
 pub const PERIOD_NS: u32 = 1_000_000;
+/// The master's Ethernet address on its own cable. Bit 1 of the first byte is clear: slaves set it in their replies.
+pub const MASTER_ADDRESS: [u8; 6] = [0x10, 0x00, 0x00, 0x00, 0x00, 0x01];
 /// Most slaves on the robot's bus.
 pub const BUS_SLAVES_MAX: usize = 16;
 /// Longest mailbox window on the robot's bus, bytes: that of a Kollmorgen AKD.

@@ -6,7 +6,7 @@ use core::future::Future;
 use core::hint::black_box;
 use core::pin::pin;
 use core::task::{Context, Waker};
-use etherpen::controller::MASTER_ADDRESS;
+use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave, ExchangeKind, ReferenceClock};
 use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::wire::FRAME_LEN_MAX;

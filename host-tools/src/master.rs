@@ -8,7 +8,6 @@
 //! Invariant: the thread ends with its owner, with the transport, or after a failed bring-up.
 
 use crate::transport::Transport;
-use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
 use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
@@ -16,6 +15,7 @@ use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::{BusCommand, BusEvent, Step};
 use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::robot_bus::{BUS_MESSAGE_BYTES, RobotBusSetup, RobotDrives};
 use std::io;
 use std::pin::pin;

@@ -2,9 +2,9 @@
 //!
 //! Invariant: a fault alone says which axis or slave is concerned and by how much a limit was exceeded.
 
-use crate::board::PortState;
 use crate::control::feedback::Implausible;
 use crate::ethercat::clock::steering::ClockFault;
+use crate::ethercat::port_state::PortState;
 use serde::{Deserialize, Serialize};
 
 /// AL state OP without the error flag.

@@ -1,7 +1,6 @@
 //! Configuration of the bus: the expected drives, time limits, and the transport of EtherCAT.
 
 use crate::ethercat::cyclic::ExchangeKind;
-use crate::network::NetworkSettings;
 use crate::robots::AXES;
 use core::fmt::{self, Write};
 use core::net::Ipv4Addr;
@@ -77,6 +76,17 @@ impl From<HostAddress> for String<ADDRESS_TEXT_MAX> {
         };
         text
     }
+}
+
+/// Settings of the IP stack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NetworkSettings {
+    /// The controller's own address.
+    pub address: HostAddress,
+    /// Gateway for a fixed address, if any; DHCP provides its own.
+    pub gateway: Option<Ipv4Addr>,
+    /// The segment's address.
+    pub segment: Ipv4Addr,
 }
 
 /// Configuration of the bus: expected drives and time limits.

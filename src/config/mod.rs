@@ -10,7 +10,7 @@ mod bus;
 
 pub use axis::{Axis, AxisMode};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
-pub use bus::{AddressError, Bus, HostAddress, Transport};
+pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};

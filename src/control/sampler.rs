@@ -17,7 +17,7 @@ use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
 pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCounters};
 use crate::control::feedback::COMPARISONS;
-use crate::control::limited;
+use crate::control::limit::limited;
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, RobotAxes};
 use crate::control::supervision::{Observation, Supervision};

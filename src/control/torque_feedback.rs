@@ -29,7 +29,7 @@
 //! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the axis's
 //! own feedback.
 
-use super::limited;
+use super::limit::limited;
 use crate::config::Axis;
 
 /// Poles of the observer, 1/s and per millisecond.

@@ -9,7 +9,7 @@
 
 use super::position::{Place, interpolate};
 use crate::config::Axis;
-use crate::control::limited;
+use crate::control::limit::limited;
 
 /// Length of a step, ms and s.
 const STEP_MS: f64 = 1.0;

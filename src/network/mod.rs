@@ -18,10 +18,9 @@ mod task;
 
 pub use task::{NetworkTask, PATH_LIFE_MS, PROBE_PERIOD_MS};
 
-use crate::config::HostAddress;
+use crate::config::NetworkSettings;
 use crate::ethercat::queue;
 use crate::ethercat::wire::{UDP_PORT, UdpRepr, read_u8};
-use core::net::Ipv4Addr;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer, Queue};
 
@@ -36,17 +35,6 @@ const SENT_PLACES: usize = 3;
 
 /// A frame without check sequence.
 pub type Frame = Vec<u8, FRAME_BYTES_MAX>;
-
-/// Settings of the IP stack.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NetworkSettings {
-    /// The controller's own address.
-    pub address: HostAddress,
-    /// Gateway for a fixed address, if any; DHCP provides its own.
-    pub gateway: Option<Ipv4Addr>,
-    /// The segment's address.
-    pub segment: Ipv4Addr,
-}
 
 /// All rings between critical side, stack and link; in static memory.
 #[derive(Debug, Default)]

@@ -5,11 +5,12 @@
 //! Invariant: the critical side has a path only while the stack has an address and has resolved the next hop within the
 //! last [`PATH_LIFE_MS`].
 
+use super::Frame;
 use super::port::StackPort;
-use super::{Frame, NetworkSettings};
 use crate::config::HostAddress;
-use crate::controller::MASTER_ADDRESS;
+use crate::config::NetworkSettings;
 use crate::ethercat::wire::{MacAddress, UDP_PORT, UdpRepr};
+use crate::robot_bus::MASTER_ADDRESS;
 use core::cell::Cell;
 use core::future::{Future, poll_fn};
 use core::pin::pin;

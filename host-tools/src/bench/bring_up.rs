@@ -8,8 +8,8 @@
 use super::{BenchError, programs};
 use crate::cell::{AlState, Cell, CellOptions};
 use etherpen::config::Config;
-use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethercat::event::{BusCommand, BusEvent};
+use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use std::io::{ErrorKind, Read, Write};
 use std::pin::pin;

@@ -67,12 +67,13 @@ mod app {
     use etherpen::application::Mode;
     use etherpen::board::{BoardState, EmergencyStopInput, Interlock, PortState};
     use etherpen::control::sampler::Sampler;
-    use etherpen::controller::{Channels, MASTER_ADDRESS};
+    use etherpen::controller::Channels;
     use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::lan9118::Lan9118;
     use etherpen::link_task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run, disturbance};
     use etherpen::network::NetworkTask;
+    use etherpen::robot_bus::MASTER_ADDRESS;
     use etherpen::robot_bus::RobotSupervisor;
     use etherpen::trajectory_task::TrajectoryTask;
 

@@ -19,8 +19,8 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Context;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 use etherpen::board::PortState;
-use etherpen::controller::MASTER_ADDRESS;
 use etherpen::ethernet::descriptors::{DESCRIPTOR_BYTES, Descriptor, Place, ReceiveRing, Received, TransmitRing};
+use etherpen::robot_bus::MASTER_ADDRESS;
 use stm32_metapac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
 
 /// Descriptors of a ring. A cycle exchanges two frames; the rest is for foreign frames until the next interrupt.
