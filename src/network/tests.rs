@@ -3,7 +3,9 @@
 extern crate std;
 
 use super::*;
+use crate::config::HostAddress;
 use core::future::Future;
+use core::net::Ipv4Addr;
 use core::pin::pin;
 use core::task::{Context, Waker};
 use std::boxed::Box;
