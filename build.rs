@@ -1,9 +1,12 @@
 //! Chooses a board's memory and vector names for the linker.
 //!
-//! Host builds need nothing from here. A firmware build gets `board.x`, which `memory.x` includes and which names the
-//! board's regions FLASH and RAM, and copies of the linker scripts in the board's folder: the nucleo's list of what lies in
-//! ITCM; the emulated board, whose device module is part of this package, gets `device.x`, which lets every interrupt
-//! without a task end in the default handler. A real chip's device crate brings its own.
+//! Host builds need nothing from here. A firmware build gets two things in its output folder, where the linker looks:
+//!
+//! - `board.x`, which `memory.x` includes. It says which of the board's regions are FLASH and RAM, and adds the board's own
+//!   sections.
+//! - A copy of the linker script in the board's folder. Nucleo: `itcm.x`, the list of what lies in ITCM, which `board.x`
+//!   includes. Emulated: `device.x`, which lets every interrupt without a task end in the default handler; the start code
+//!   includes it. A real chip's device crate brings its own `device.x`; QEMU's machine has no such crate.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -30,11 +33,11 @@ const BOARDS: [Board; 2] = [
 ];
 
 /// Code of the critical path in ITCM; its data, and the log's memory, which a debug probe reads past the caches, in DTCM;
-/// other statics in AXI SRAM; what the Ethernet DMA touches in SRAM3, which it reaches and `src/bin/nucleo/memory.rs` makes
+/// other statics in AXI SRAM; what the Ethernet DMA touches in SRAM3, which it reaches and `src/bin/stm32h7/memory.rs` makes
 /// non-cacheable. The stack has the lower part of DTCM for itself: an overflow then leaves the memory and faults instead of
 /// overwriting.
 ///
-/// `src/bin/nucleo/coupled.rs` fills all tightly coupled sections. `src/bin/nucleo/itcm.x` lists the functions that a
+/// `src/bin/stm32h7/tightly_coupled.rs` fills all tightly coupled sections. `src/bin/nucleo/itcm.x` lists the functions that a
 /// critical task reaches; the test of the images writes and checks it. These sections come before the general ones, so
 /// that the linker asks them first.
 const NUCLEO_REGIONS: &str = "\
@@ -68,7 +71,7 @@ SECTIONS
   .dtcm (NOLOAD) : ALIGN(8)
   {
     __sdtcm = .;
-    *(.bss.*__rtic_internal_local_init_parts* .bss.*__rtic_internal_local_init_wire*);
+    *(.bss.*__rtic_internal_local_init_parts* .bss.*__rtic_internal_local_init_frame_port*);
     *(.uninit.rtic*);
     *(.uninit.defmt-rtt.BUFFER);
     . = ALIGN(8);

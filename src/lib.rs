@@ -8,7 +8,7 @@
 //! # Bird's eye view
 //!
 //! The library contains everything that does not depend on a board. [`controller::Channels`] holds the lock-free queues
-//! and splits into seven parts. A board (`src/bin/nucleo`, `src/bin/emulated`) gives each part a priority and the
+//! and splits into seven parts. A board (`src/bin/nucleo.rs`, `src/bin/emulated.rs`) gives each part a priority and the
 //! interrupts that release it; the host's simulation calls the parts in the same order in virtual time (`docs/tasks.md`
 //! lists every task of both boards):
 //!
@@ -83,6 +83,7 @@ pub mod control;
 pub mod controller;
 pub mod coordinator;
 pub mod ethernet;
+pub mod hash;
 pub mod link;
 pub mod link_task;
 pub mod measurement;

@@ -29,9 +29,9 @@ const FLASH: Range<u32> = 0x0800_0000..0x0820_0000;
 /// Parts of the names of the critical tasks' own statics.
 const CRITICAL_STATICS: [&str; 5] = [
     "local_init_parts",
-    "local_init_wire",
+    "local_init_frame_port",
     "shared_resource_sampler",
-    "shared_resource_wire",
+    "shared_resource_frame_port",
     "shared_resource_watch",
 ];
 /// Parts of the names of what a debug probe reads of the log: control block, channel's name, buffer.

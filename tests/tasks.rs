@@ -14,7 +14,7 @@ const RENEW: &str = "ETHERPEN_RENEW_TASKS";
 const HEADER: &str = "\
 # Tasks
 
-Every task of both boards, most urgent first, as its comment in `src/bin/*/main.rs` states it; a test compares
+Every task of both boards, most urgent first, as its comment in `src/bin/BOARD.rs` states it; a test compares
 (`cargo test --test tasks`). Tasks of one priority never preempt each other. Critical sections mask up to priority 14.
 ";
 
@@ -54,7 +54,7 @@ fn stated(name: &str, comment: &str) -> [String; 4] {
 }
 
 fn tasks(board: &str) -> Vec<Task> {
-    let path = root(&format!("src/bin/{board}/main.rs"));
+    let path = root(&format!("src/bin/{board}.rs"));
     let code = std::fs::read_to_string(&path).expect("the board's code");
     let (mut comment, mut tasks) = (String::new(), Vec::new());
     let mut lines = code.lines().map(str::trim);

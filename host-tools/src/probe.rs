@@ -11,7 +11,7 @@ const VENDOR: &str = "0483";
 /// Product numbers of the ST-LINKs, V2 to V3: 3744 to 375f (ST's own udev rules name them one by one).
 const PRODUCTS: std::ops::RangeInclusive<u16> = 0x3744..=0x375f;
 /// Vendor and product number of the firmware's own USB port (the first test pair of pid.codes) and its product name,
-/// because other devices use that pair too (`src/bin/nucleo/usb.rs`).
+/// because other devices use that pair too (`src/bin/stm32h7/usb.rs`).
 const FIRMWARE: (&str, u16, &str) = ("1209", 0x0001, "etherpen robot controller");
 /// Where Linux lists serial ports.
 pub const SERIAL_PORTS: &str = "/sys/class/tty";

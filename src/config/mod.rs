@@ -13,6 +13,7 @@ pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
+use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
 use crate::robots::AXES;
 use etherpen_motion::Settings;
@@ -99,9 +100,7 @@ impl Config {
     pub fn hash(&self) -> Option<u64> {
         let mut buffer = [0u8; CONFIG_BYTES_MAX];
         let bytes = postcard::to_slice(self, &mut buffer).ok()?;
-        Some(bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-            (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        }))
+        Some(fnv1a(bytes.iter().copied()))
     }
 }
 

@@ -269,6 +269,7 @@ const STEP_S: f64 = 1.0e-3;
 mod tests {
     use super::*;
     use crate::control::position::PositionController;
+    use host_tools::random::Random;
     use std::collections::VecDeque;
 
     /// Digits for a rad/s at the joint, and increments for a radian, of the default axis.
@@ -314,17 +315,10 @@ mod tests {
         FeedbackMonitor::new(&Axis::default(), AxisMode::Velocity, DIGITS)
     }
 
-    fn splitmix(state: &mut u64) -> f64 {
-        *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
     /// A velocity that wanders between the limits of speed and acceleration, rad/s.
-    fn wander(seed: &mut u64, velocity_rad_s: &mut f64, goal_rad_s: &mut f64, speed_rad_s: f64) -> f64 {
+    fn wander(random: &mut Random, velocity_rad_s: &mut f64, goal_rad_s: &mut f64, speed_rad_s: f64) -> f64 {
         if (*velocity_rad_s - *goal_rad_s).abs() < 1.0e-9 {
-            *goal_rad_s = (2.0 * splitmix(seed) - 1.0) * speed_rad_s;
+            *goal_rad_s = (2.0 * random.unit() - 1.0) * speed_rad_s;
         }
         let change = (*goal_rad_s - *velocity_rad_s).clamp(-0.25, 0.25);
         *velocity_rad_s += change;
@@ -380,23 +374,23 @@ mod tests {
         }
 
         /// One millisecond; whether the monitor believes the feedback.
-        fn step(&mut self, seed: &mut u64, speed_rad_s: f64) -> bool {
+        fn step(&mut self, random: &mut Random, speed_rad_s: f64) -> bool {
             let sent = self.sent;
-            if splitmix(seed) >= LOST {
+            if random.unit() >= LOST {
                 self.obeyed = sent;
             }
             let friction_rad_s = FRICTION_RAD_S * libm::tanh(self.drive.speed_rad_s / 0.02);
             self.made_up_rad_s += (friction_rad_s - self.made_up_rad_s) / INTEGRAL_MS;
             let wanted_rad_s = f64::from(self.obeyed) / DIGITS * SCALE - friction_rad_s + self.made_up_rad_s;
-            let noise = (2.0 * splitmix(seed) - 1.0) * NOISE_RAD;
+            let noise = (2.0 * random.unit() - 1.0) * NOISE_RAD;
             self.owed += self.drive.step((wanted_rad_s * DIGITS) as i32, |angle| angle)
                 + ((noise - self.noise) * INCREMENTS) as i32;
             self.noise = noise;
-            let next = wander(seed, &mut self.velocity_rad_s, &mut self.goal_rad_s, speed_rad_s);
+            let next = wander(random, &mut self.velocity_rad_s, &mut self.goal_rad_s, speed_rad_s);
             self.ahead.push_back(next);
             self.ahead.pop_front();
             self.setpoint_rad += self.ahead[0] * STEP_S;
-            let believed = if splitmix(seed) < LOST && self.blind_ms < 5 {
+            let believed = if random.unit() < LOST && self.blind_ms < 5 {
                 self.blind_ms += 1;
                 self.monitor.step_blind(sent);
                 true
@@ -423,9 +417,9 @@ mod tests {
         let mut worst = [0.0_f32; 2];
         for slice in 0..slices {
             let speed_rad_s = [0.001, 0.01, 0.1, 1.0, 25.0][slice as usize % 5];
-            let (mut axis, mut seed) = (Loop::new(), u64::from(slice));
+            let (mut axis, mut random) = (Loop::new(), Random::new(u64::from(slice)));
             for ms in 0..slice_ms {
-                let believed = axis.step(&mut seed, speed_rad_s);
+                let believed = axis.step(&mut random, speed_rad_s);
                 let fault = axis.monitor.implausible();
                 assert!(
                     believed,
@@ -471,10 +465,10 @@ mod tests {
     #[test]
     fn noise_that_no_motor_makes_is_told_from_the_steps_of_a_resolver() {
         let run = |amplitude_rad: f64| {
-            let (mut monitor, mut seed) = (monitor(), 7);
+            let (mut monitor, mut random) = (monitor(), Random::new(7));
             let mut before = 0;
             (0..5_000).find_map(|_| {
-                let now = ((2.0 * splitmix(&mut seed) - 1.0) * amplitude_rad * INCREMENTS) as i32;
+                let now = ((2.0 * random.unit() - 1.0) * amplitude_rad * INCREMENTS) as i32;
                 let sound = monitor.step(0, now - before);
                 before = now;
                 (!sound).then(|| monitor.implausible())

@@ -7,6 +7,7 @@ use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
 use super::configure::LOGICAL_START;
 use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignored, SILENT_CYCLES};
 use super::no_drivers::NoDrivers;
+use super::random::Random;
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};
 use std::boxed::Box;
@@ -403,13 +404,8 @@ fn requests_and_replies_cross_unharmed_when_the_two_sides_run_at_the_same_time()
 fn no_frame_whatever_its_bytes_panics_or_passes_unless_it_is_the_reply() {
     const FRAMES: u32 = if cfg!(miri) { 200 } else { 20_000 };
     let (mut exchange, _end) = exchange();
-    let mut state = 0x1234_5678_u32;
-    let mut random = || {
-        state ^= state << 13;
-        state ^= state >> 17;
-        state ^= state << 5;
-        state
-    };
+    let mut generator = Random::new(0x1234_5678);
+    let mut random = || generator.next();
     let mut inputs = 0;
     for _ in 0..FRAMES {
         let mut reply = answered(input(&mut exchange));

@@ -28,6 +28,8 @@ mod no_drivers;
 mod plan;
 pub mod port_state;
 pub mod queue;
+#[cfg(test)]
+mod random;
 pub mod slave;
 pub mod state;
 pub mod supervisor;

@@ -18,6 +18,8 @@ mod micro_interpolator;
 mod outline;
 mod plan;
 mod progress;
+#[cfg(test)]
+mod random;
 mod ring;
 pub mod robots;
 mod scan;

@@ -292,17 +292,13 @@ impl Interval<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
     use crate::settings::MotionLimits;
 
     /// A seeded sequence of numbers from -1 to 1.
     fn numbers(seed: u64) -> impl FnMut() -> f64 {
-        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-        move || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        }
+        let mut random = Random::new(seed);
+        move || random.between(-1.0, 1.0)
     }
 
     #[test]

@@ -145,6 +145,7 @@ mod real {
     use crate::robots::{JointAngles, Kinematics, Position};
     use crate::trajectory_task::{MotionReport, PathItem, TrajectoryTask};
     use heapless::spsc::{Consumer, Producer, Queue};
+    use host_tools::random::XorshiftStar;
     use std::boxed::Box;
     use std::{println, vec};
 
@@ -197,18 +198,6 @@ mod real {
         }
     }
 
-    /// xorshift64*.
-    struct Random(u64);
-
-    impl Random {
-        fn below(&mut self, bound: u64) -> u64 {
-            self.0 ^= self.0 >> 12;
-            self.0 ^= self.0 << 25;
-            self.0 ^= self.0 >> 27;
-            (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % bound
-        }
-    }
-
     const ABOVE: Position = Position {
         x_mm: 0.0,
         y_mm: 0.0,
@@ -221,7 +210,7 @@ mod real {
         JointAngles([first, second, third, 0.0])
     }
 
-    fn somewhere(random: &mut Random, z_mm: f64) -> Position {
+    fn somewhere(random: &mut XorshiftStar, z_mm: f64) -> Position {
         Position {
             x_mm: random.below(60) as f64 - 30.0,
             y_mm: random.below(60) as f64 - 30.0,
@@ -229,7 +218,7 @@ mod real {
         }
     }
 
-    fn order(random: &mut Random, pose: JointAngles, epoch: &mut u8) -> MotionOrder {
+    fn order(random: &mut XorshiftStar, pose: JointAngles, epoch: &mut u8) -> MotionOrder {
         MotionOrder::Command(match random.below(9) {
             0 => {
                 *epoch = epoch.wrapping_add(1);
@@ -260,7 +249,7 @@ mod real {
     }
 
     fn walk(seed: u64) -> (usize, usize) {
-        let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let mut random = XorshiftStar::new(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let config = Config::default();
         let pose = pose(&config);
         let mut bench = Bench::new();

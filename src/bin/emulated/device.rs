@@ -24,7 +24,8 @@ pub(crate) const RELEASES_PER_MS: u32 = if cfg!(feature = "rate-8khz") {
 };
 
 /// Entries of the interrupt vector table.
-pub(crate) const INTERRUPTS: usize = 32;
+pub(crate) const INTERRUPT_LINES: u16 = 32;
+const INTERRUPTS: usize = INTERRUPT_LINES as usize;
 
 pub(crate) use Interrupt as interrupt;
 

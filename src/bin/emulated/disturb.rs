@@ -8,7 +8,7 @@
 //!
 //! Invariant: without a requested load SysTick is off and no code here runs.
 
-use crate::wire::Wire;
+use super::wire::Wire;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use etherpen::ethercat::frame_port::FramePort;
 use etherpen::measurement::disturbance::{LOG, SERIAL};
@@ -84,11 +84,14 @@ pub(crate) fn log() {
 }
 
 /// Makes foreign frames arrive around the next release.
-pub(crate) fn foreign_frames(transport: &mut FramePort<Wire>, millisecond: u32) {
+pub(crate) fn foreign_frames(frame_port: &mut FramePort<Wire>, millisecond: u32) {
     let swept = millisecond.wrapping_mul(SWEEP_STEP) % SWEEP_COUNTS;
-    transport.driver_mut().clock.deliver_around_release(SWEEP_BEFORE, swept);
+    frame_port
+        .driver_mut()
+        .clock
+        .deliver_around_release(SWEEP_BEFORE, swept);
     // A request that finds no room in the controller is repeated a millisecond later.
-    let _ = transport.send(&FOREIGN_REQUEST);
+    let _ = frame_port.send(&FOREIGN_REQUEST);
 }
 
 /// Generates malformed messages.

@@ -1,15 +1,14 @@
 //! Health report, once a second in the log: load, missed periods, overruns.
 
-use crate::load;
-use crate::timer::PERIOD_COUNTS;
+use super::timer::PERIOD_COUNTS;
+use crate::shared::load;
+use crate::shared::overruns::TRAJECTORY_OVERRUNS;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 const REPORT_PERIOD_MS: u32 = 1000;
 const REPORT_COUNTS: u32 = PERIOD_COUNTS * REPORT_PERIOD_MS;
 const PER_MILLE: u64 = 1000;
 
-/// Releases of the trajectory task that found it still running or waiting.
-pub(crate) static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);
 /// Periods in which the sample timer did not release.
 pub(crate) static PERIODS_MISSED: AtomicU32 = AtomicU32::new(0);
 /// Frames that were damaged or not sent.

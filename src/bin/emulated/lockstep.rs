@@ -14,7 +14,7 @@
 //!
 //! Numbers are little endian, n is at most [`LINK_BYTES_MAX`].
 
-use crate::semihosting::{self, Closed, EXIT_HOST_GONE, File};
+use super::semihosting::{self, Closed, EXIT_HOST_GONE, File};
 
 /// Bytes of the serial link in a millisecond and direction: 921,600 baud with 10 bits a byte.
 pub(crate) const LINK_BYTES_MAX: usize = 92;

@@ -4,7 +4,7 @@
 //! room again. The logger never waits. Critical tasks must not log: a frame is written inside a critical section, which
 //! does not mask them.
 
-use crate::semihosting::File;
+use super::semihosting::File;
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use critical_section::RestoreState;

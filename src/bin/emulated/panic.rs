@@ -1,11 +1,11 @@
 //! End of the firmware: prints the cause on the emulator's console and ends the emulator with a failure.
 //!
-//! No logger and no queue is used, since one of them may be the cause. One last telegram stops the drives. The cyclic
+//! No logger and no queue is used, since one of them may be the cause. A final telegram stops the drives. The cyclic
 //! frames end with the emulator, and the drives' own watchdogs stop the motors.
 
-use crate::semihosting::{EXIT_PANIC, exit, say};
-use crate::wire::Wire;
-use crate::{CRITICAL, last_word};
+use super::semihosting::{EXIT_PANIC, exit, say};
+use super::wire::Wire;
+use crate::shared::final_telegram;
 use core::fmt;
 use core::panic::PanicInfo;
 use cortex_m_rt::{ExceptionFrame, exception};
@@ -15,7 +15,7 @@ fn end(cause: fmt::Arguments) -> ! {
     // First, before any further failure.
     say(cause);
     // SAFETY: interrupts are masked, and nothing returns from here.
-    unsafe { last_word::say(&CRITICAL, Wire::wait_no_more) };
+    unsafe { final_telegram::send(Wire::wait_no_more) };
     exit(EXIT_PANIC)
 }
 

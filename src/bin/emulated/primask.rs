@@ -7,7 +7,8 @@ use core::sync::atomic::{Ordering, compiler_fence};
 use cortex_m::register::primask;
 use critical_section::RawRestoreState;
 
-pub(crate) struct Everything;
+struct Everything;
+critical_section::set_impl!(Everything);
 
 // SAFETY: between `acquire` and `release` no interrupt is taken at all; `release` unmasks only if the matching `acquire`
 // found the mask clear, so an inner section does not end an outer one.

@@ -1,8 +1,8 @@
 //! The serial link to the host: the lockstep's files or UART0.
 
-use crate::disturb::Noise;
-use crate::lockstep::Link;
-use crate::uart::Uart;
+use super::disturb::Noise;
+use super::lockstep::Link;
+use super::uart::Uart;
 use etherpen::controller::HostBytes;
 
 /// Route of the link's bytes.

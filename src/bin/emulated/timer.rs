@@ -4,9 +4,9 @@
 //! period: a late task cannot shift the next release, and the alarms can be removed and restored (`pause`, `resume`)
 //! without losing a count. Virtual time can therefore stop while a reply is on its way (see `wire`).
 
-use crate::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
-use crate::disturb;
-pub(crate) use crate::lan9118::free_run;
+use super::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
+use super::disturb;
+pub(crate) use super::lan9118::free_run;
 use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
 

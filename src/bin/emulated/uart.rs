@@ -4,7 +4,7 @@
 //! therefore limited here: at most [`LINK_BYTES_MAX`] bytes are sent in a millisecond, each one when the previous one
 //! has left. In lockstep the link does not use the UART (see `lockstep`).
 
-use crate::lockstep::LINK_BYTES_MAX;
+use super::lockstep::LINK_BYTES_MAX;
 
 /// Registers of the CMSDK UART, in their order ("Cortex-M System Design Kit Technical Reference Manual", APB UART).
 #[repr(C)]

@@ -8,11 +8,11 @@
 //!
 //! All of this is owned by the tasks of the critical priority and takes no critical section.
 
-use crate::critical;
-use crate::device::Interrupt;
-use crate::lan9118::{Mmio, frames_waiting, free_run};
-use crate::lockstep::Bus;
-use crate::timer::Clock;
+use super::device::Interrupt;
+use super::lan9118::{Mmio, frames_waiting, free_run};
+use super::lockstep::Bus;
+use super::timer::Clock;
+use super::wake;
 use core::task::Context;
 use cortex_m::peripheral::NVIC;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
@@ -117,7 +117,7 @@ impl TxToken<'_> {
     /// Sleeps until `wanted` frames wait in the controller.
     fn await_replies(&mut self, wanted: u32) {
         self.clock.pause();
-        critical::woken_by(Interrupt::LAN9118, || {
+        wake::woken_by(Interrupt::LAN9118, || {
             self.clear_arrival();
             frames_waiting() >= wanted
         });

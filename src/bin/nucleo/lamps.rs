@@ -1,18 +1,18 @@
 //! The board's three lamps: LD1 green, LD2 yellow, LD3 red. `etherpen::board::Lamps` defines their meaning.
 
-use crate::pins;
+use super::pins;
+use crate::stm32h7::gpio::{self, Pin};
 use etherpen::board::Lamps;
-use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOB, GPIOE};
 
 /// Port and bit of LD1, LD2 and LD3 (UM2407, LEDs).
-const PLACES: [(Gpio, u8); 3] = [(GPIOB, 0), (GPIOE, 1), (GPIOB, 14)];
+const PLACES: [Pin; 3] = [(GPIOB, 0), (GPIOE, 1), (GPIOB, 14)];
 
 /// Makes the lamps' pins outputs; the first step of a start-up.
 pub(crate) fn start() {
     pins::clock_ports();
-    for (port, bit) in PLACES {
-        pins::output(port, bit);
+    for pin in PLACES {
+        gpio::output(pin);
     }
 }
 

@@ -8,16 +8,14 @@
 //! | PA11, PA12 | the user's USB connector CN13, D- and D+ | 10 |
 //! | PD8, PD9 | USART3 transmit and receive, wired to the ST-LINK's virtual serial port | 7 |
 //! | PG14 | emergency-stop input, D2 on the board's connector | input |
-//!
-//! A pin's function, speed and pull are set before its mode, so that it changes from open to its signal at once.
 
-use stm32_metapac::gpio::Gpio;
+use crate::stm32h7::gpio::{self, Pin};
 use stm32_metapac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, GPIOG, RCC};
 
 /// Alternate function of the Ethernet MAC on every pin used here (datasheet, alternate function tables).
 const ETHERNET_FUNCTION: u8 = 11;
-const ETHERNET: [(Gpio, u8); 9] = [
+const ETHERNET: [Pin; 9] = [
     (GPIOA, 1),
     (GPIOA, 2),
     (GPIOA, 7),
@@ -30,13 +28,13 @@ const ETHERNET: [(Gpio, u8); 9] = [
 ];
 /// Alternate function of OTG_FS on port A.
 const USB_FUNCTION: u8 = 10;
-const USB: [(Gpio, u8); 2] = [(GPIOA, 11), (GPIOA, 12)];
+const USB: [Pin; 2] = [(GPIOA, 11), (GPIOA, 12)];
 /// Alternate function of USART3 on port D.
 const SERIAL_FUNCTION: u8 = 7;
-const SERIAL_TRANSMIT: (Gpio, u8) = (GPIOD, 8);
-const SERIAL_RECEIVE: (Gpio, u8) = (GPIOD, 9);
+const SERIAL_TRANSMIT: Pin = (GPIOD, 8);
+const SERIAL_RECEIVE: Pin = (GPIOD, 9);
 /// Port and bit of the emergency-stop input.
-const EMERGENCY_STOP: (Gpio, u8) = (GPIOG, 14);
+const EMERGENCY_STOP: Pin = (GPIOG, 14);
 
 /// Clocks the ports that are used.
 pub(crate) fn clock_ports() {
@@ -55,10 +53,10 @@ pub(crate) fn clock_ports() {
 /// Assigns every pin but the lamps' to its peripheral, permanently.
 pub(crate) fn start() {
     for pin in ETHERNET {
-        assign(pin, ETHERNET_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
+        gpio::assign(pin, ETHERNET_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
     }
     for pin in USB {
-        assign(pin, USB_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
+        gpio::assign(pin, USB_FUNCTION, Ospeedr::VERY_HIGH_SPEED, Pupdr::FLOATING);
     }
     start_serial();
     let (port, bit) = EMERGENCY_STOP;
@@ -70,28 +68,13 @@ pub(crate) fn start() {
 
 /// Assigns the serial line's pins.
 pub(crate) fn start_serial() {
-    assign(SERIAL_TRANSMIT, SERIAL_FUNCTION, Ospeedr::HIGH_SPEED, Pupdr::FLOATING);
+    gpio::assign(SERIAL_TRANSMIT, SERIAL_FUNCTION, Ospeedr::HIGH_SPEED, Pupdr::FLOATING);
     // Pulled up: an open line reads idle instead of a stream of breaks.
-    assign(SERIAL_RECEIVE, SERIAL_FUNCTION, Ospeedr::LOW_SPEED, Pupdr::PULL_UP);
-}
-
-/// Makes a pin an output with the level of its port's output register.
-pub(crate) fn output(port: Gpio, bit: u8) {
-    port.moder()
-        .modify(|modes| modes.set_moder(usize::from(bit), Moder::OUTPUT));
+    gpio::assign(SERIAL_RECEIVE, SERIAL_FUNCTION, Ospeedr::LOW_SPEED, Pupdr::PULL_UP);
 }
 
 /// Whether the emergency-stop input reads open at this moment. Safe in a critical task: one register read.
 pub(crate) fn emergency_stop_shows_open() -> bool {
     let (port, bit) = EMERGENCY_STOP;
     port.idr().read().0 & 1 << bit != 0
-}
-
-fn assign((port, bit): (Gpio, u8), function: u8, speed: Ospeedr, pull: Pupdr) {
-    let pin = usize::from(bit);
-    port.afr(pin / 8)
-        .modify(|functions| functions.set_afr(pin % 8, function));
-    port.ospeedr().modify(|speeds| speeds.set_ospeedr(pin, speed));
-    port.pupdr().modify(|pulls| pulls.set_pupdr(pin, pull));
-    port.moder().modify(|modes| modes.set_moder(pin, Moder::ALTERNATE));
 }

@@ -3,7 +3,7 @@
 //! The idle task records when it goes to sleep; the first task released by an interrupt records when the sleep ended.
 //! Both are plain atomics, so a critical task may call `woke`.
 
-use crate::timer::free_run;
+use crate::board::free_run;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 static ASLEEP: AtomicBool = AtomicBool::new(false);

@@ -125,6 +125,7 @@ mod tests {
     extern crate std;
 
     use super::*;
+    use crate::random::Random;
     use std::println;
 
     fn slave(open: u8, received_ns: [u32; PORTS]) -> PortTimes {
@@ -195,14 +196,8 @@ mod tests {
 
     #[test]
     fn any_times_give_a_delay_for_every_slave() {
-        let mut state = 0x1234_5678_u32;
-        println!("seed {state:#x}");
-        let mut random = || {
-            state ^= state << 13;
-            state ^= state >> 17;
-            state ^= state << 5;
-            state
-        };
+        let mut generator = Random::new(0x1234_5678);
+        let mut random = || generator.next();
         for _ in 0..2_000 {
             let bus: Vec<PortTimes, 20> = (0..random() % 20)
                 .map(|_| PortTimes {

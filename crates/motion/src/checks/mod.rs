@@ -18,6 +18,7 @@ extern crate std;
 
 use super::micro_interpolator::TICK_S;
 use super::*;
+use crate::random::Random;
 use crate::robots::vector::{Vector, add_scaled, dot, length, subtract};
 use crate::robots::{JointAngles, Kinematics};
 use crate::settings::Settings;
@@ -31,31 +32,6 @@ const EXCESS: f64 = 1.0e-3;
 const KINDS: usize = 5;
 /// Periods after which a run counts as stuck.
 const PERIODS_MAX: usize = 60_000;
-
-/// Seeded random numbers from 0 to 1.
-struct Random(u64);
-
-impl Random {
-    fn new(seed: u64) -> Self {
-        println!("seed {seed}");
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    fn next(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.next()
-    }
-
-    fn below(&mut self, end: usize) -> usize {
-        ((self.next() * end as f64) as usize).min(end - 1)
-    }
-}
 
 fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
     Vertex {

@@ -259,6 +259,7 @@ impl WorkArea {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
         WorkArea::new(&Settings::default())
@@ -290,13 +291,8 @@ mod tests {
         let mut settings = Settings::default();
         settings.paper.pressing_depth_mm = 110.0;
         let area = WorkArea::new(&settings).unwrap();
-        let (room_mm, mut state, mut borders) = (3.0, 7u64, 0);
-        let mut number = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        };
+        let (room_mm, mut random, mut borders) = (3.0, Random::new(7), 0);
+        let mut number = || random.between(-1.0, 1.0);
         for _ in 0..20_000 {
             let at = [565.0 * number(), 565.0 * number(), -830.0 + 130.0 * number()];
             if area.check_around(&at.into(), room_mm).is_err() {

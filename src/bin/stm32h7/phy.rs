@@ -2,7 +2,7 @@
 //!
 //! The task that polls the PHY publishes the state in an atomic; the Ethernet driver reads it without waiting.
 
-use crate::clocks::BUS_HZ;
+use super::clocks::BUS_HZ;
 use core::sync::atomic::{AtomicU8, Ordering};
 use etherpen::board::PortState;
 use etherpen::ethernet::phy::Management;

@@ -1,23 +1,19 @@
 //! The controller on an STM32H743: NUCLEO-H743ZI2, RMII Ethernet, serial line to the ST-LINK, and the board's USB.
 //!
-//! This folder contains the wiring: which interrupt releases which task of the library, at which priority, and the
-//! drivers of this chip. The tasks' functions are in `etherpen::controller`; the emulated board runs these tasks at
-//! these priorities.
-//!
-//! The table of all tasks is in `docs/tasks.md`.
+//! This file contains the wiring: which interrupt releases which task of the library, and at which priority. The tasks'
+//! functions are in `etherpen::controller`; the emulated board runs these tasks at these priorities. The table of all
+//! tasks is in `docs/tasks.md`.
 //!
 //! Invariants. The three critical tasks share one priority and own the sampler and the Ethernet driver without a lock;
 //! they release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section.
-//! Critical sections mask up to priority 14 (`critical.rs`). Nothing else is at hardware priority 0 or 1:
-//! `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in
-//! DTCM (`coupled.rs`); DMA memory is in SRAM3, not cached (`memory.rs`).
+//! Critical sections mask up to priority 14 (`shared::critical`). Nothing else is at hardware priority 0 or 1:
+//! `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in DTCM
+//! (`stm32h7::tightly_coupled`); DMA memory is in SRAM3, not cached (`stm32h7::memory`).
 //!
-//! Another STM32 with Ethernet is another folder beside this one and a binary and feature of the same name in
-//! `Cargo.toml` (with its `stm32-metapac` chip feature), its regions in `memory.x` and their aliases in `build.rs`. Of
-//! this folder it changes `clocks.rs` (clock tree), `pins.rs` (RMII pins, the ports', the emergency-stop input's),
-//! `lamps.rs`, `memory.rs` (the SRAM that its Ethernet DMA reaches) and the interrupts' names below; `eth.rs` serves every
-//! chip whose MAC that crate calls `eth_v2` (STM32H5 and STM32H7), `timer.rs` needs a timer with separate update and compare
-//! vectors, `kept.rs` and `watchdog.rs` the reset flags and the watchdog of an H7. What the inputs and lamps mean is
+//! Another board is another file beside this one, with a folder, a binary and a feature of the same name in `Cargo.toml`
+//! (with its `stm32-metapac` chip feature), its regions in `memory.x` and their aliases in `build.rs`. With an STM32H7 it
+//! uses the drivers in `stm32h7` and brings a folder like `nucleo`: `board.rs` (what those drivers and `shared` ask for),
+//! `pins.rs` (RMII pins, the ports', the emergency-stop input's), `lamps.rs`. What the inputs and lamps mean is
 //! `etherpen::board`, the same for all. `tests/images.rs` gets the addresses that its memory must have, and
 //! `etherpen flash` the chip's.
 //!
@@ -25,72 +21,50 @@
 #![no_std]
 #![no_main]
 
-mod clocks;
-#[path = "../shared/copy.rs"]
-mod copy;
-mod coupled;
-mod critical;
-mod eth;
-mod health;
-mod kept;
-mod lamps;
-#[path = "../shared/last_word.rs"]
-mod last_word;
-#[path = "../shared/load.rs"]
-mod load;
-mod memory;
-#[path = "../shared/modes.rs"]
-mod modes;
-mod panic;
-mod phy;
-mod pins;
-mod release;
-mod serial;
-mod start_up;
-#[path = "../shared/time.rs"]
-mod time;
-mod timer;
-mod usb;
-mod watchdog;
+mod nucleo {
+    pub(crate) mod board;
+    pub(crate) mod lamps;
+    pub(crate) mod pins;
+}
+mod shared;
+mod stm32h7;
 
 use defmt_rtt as _;
-use stm32_metapac::Interrupt;
-
-/// Name by which the host knows the board.
-const BOARD: &str = "nucleo";
-/// The Ethernet port.
-pub(crate) type Port = eth::Ethernet;
-/// Interrupts of the critical tasks.
-const CRITICAL: [Interrupt; 3] = [Interrupt::TIM1_UP, Interrupt::TIM1_CC, Interrupt::ETH];
+use nucleo::board;
 
 #[rtic::app(device = stm32_metapac, peripherals = false, dispatchers = [LPTIM5])]
 mod app {
-    use crate::clocks::Source;
-    use crate::critical::{self, CRITICAL_PRIORITY};
-    use crate::eth::{self, Ethernet};
-    use crate::health::{self, Health, Periods};
-    use crate::modes::Modes;
-    use crate::phy::{self as link_state, Sma};
-    use crate::release::Release;
-    use crate::serial::{self, Serial};
-    use crate::start_up::{self, Waits};
-    use crate::usb::{self, Usb};
-    use crate::{BOARD, CRITICAL, clocks, kept, lamps, last_word, load, memory, panic, pins, time, timer, watchdog};
+    use crate::board::{EXTERNAL_CLOCK, NAME};
+    use crate::nucleo::{lamps, pins};
+    use crate::shared::critical::{self, CRITICAL_PRIORITY};
+    use crate::shared::mode_log::ModeLog;
+    use crate::shared::release::Release;
+    use crate::shared::{final_telegram, load, overruns, time};
+    use crate::stm32h7::clocks::{self, Source};
+    use crate::stm32h7::eth::{self, Ethernet};
+    use crate::stm32h7::health::{Health, Periods};
+    use crate::stm32h7::phy::{self as link_state, Sma};
+    use crate::stm32h7::serial::{self, Serial};
+    use crate::stm32h7::start_up::{self, Waits};
+    use crate::stm32h7::usb::{self, Usb};
+    use crate::stm32h7::{crash_record, memory, panic, timer, unique_number, watchdog};
     use core::future::poll_fn;
     use core::mem::MaybeUninit;
     use core::pin::pin;
+    use core::sync::atomic::Ordering;
     use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, Lamps, RunEnd};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
     use etherpen::ethercat::clock::steering::CountCorrection;
     use etherpen::ethercat::frame_port::FramePort;
     use etherpen::ethernet::phy::Phy;
+    use etherpen::hash::fnv1a;
     use etherpen::link_task::LinkTask;
     use etherpen::measurement::{CycleWatch, Measurements, Quantity, Run};
     use etherpen::network::NetworkTask;
     use etherpen::robot_bus::RobotSupervisor;
     use etherpen::trajectory_task::TrajectoryTask;
-    use stm32_metapac::{Interrupt, UID};
+    use stm32_metapac::Interrupt;
 
     /// What the critical tasks share: they have one priority, so no lock exists.
     #[shared]
@@ -98,7 +72,7 @@ mod app {
         #[lock_free]
         sampler: &'static mut Sampler<'static>,
         #[lock_free]
-        wire: &'static mut FramePort<Ethernet>,
+        frame_port: &'static mut FramePort<Ethernet>,
         #[lock_free]
         watch: CycleWatch<'static>,
         measurements: &'static Measurements,
@@ -118,70 +92,72 @@ mod app {
 
     /// Runs once with interrupts disabled: lamps, memory and clocks, drivers, then the check of all priorities.
     ///
-    /// The watchdog runs from the first line on, and memory keeps the step that is under way: a start that fails is told by
-    /// the next one (`start_up.rs`).
+    /// The watchdog runs from the first line on, and the crash record names the step that is under way: a start that fails
+    /// is reported by the next one (`stm32h7::start_up`).
     #[init(local = [
         channels: Channels = Channels::new(),
         parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),
-        wire: MaybeUninit<FramePort<Ethernet>> = MaybeUninit::uninit(),
+        frame_port: MaybeUninit<FramePort<Ethernet>> = MaybeUninit::uninit(),
         usb_memory: usb::Memory = usb::Memory::new()
     ])]
     fn init(mut context: init::Context) -> (Shared, Local) {
         watchdog::start();
         lamps::start();
         lamps::show(start_up::STARTING);
-        let (previous, start_failed) = kept::take();
-        kept::starting("memory");
+        let (previous, start_failed) = crash_record::take();
+        crash_record::step_begins("memory");
         let core = &mut context.core;
         memory::start(&mut core.MPU, &mut core.SCB, &mut core.CPUID);
         let mut waits = Waits::new(&mut core.SYST);
         if let (true, RunEnd::Panic(cause)) = (start_failed, &previous.end) {
-            waits.tell(cause);
+            pins::start_serial();
+            waits.report_failure(cause, lamps::show);
         }
-        kept::starting("clocks");
+        crash_record::step_begins("clocks");
         let clock_source = clocks::start(&mut waits);
-        kept::starting("pins");
+        crash_record::step_begins("pins");
         pins::start();
         defmt::info!("previous run: {}", defmt::Debug2Format(&previous));
         let init::LocalResources {
             channels,
             parts,
-            wire,
+            frame_port,
             usb_memory,
             ..
         } = context.local;
-        let parts = parts.write(channels.split(BOARD));
+        let parts = parts.write(channels.split(NAME));
         parts.link.set_previous_run(previous);
-        kept::starting("Ethernet");
+        crash_record::step_begins("Ethernet");
         let unique = unique_number();
-        let wire = wire.write(FramePort::new(Ethernet::new(hardware_address(unique))));
-        parts.network.set_hardware_address(wire.mac_address());
-        kept::starting("serial line");
+        let frame_port = frame_port.write(FramePort::new(Ethernet::new(hardware_address(unique))));
+        parts.network.set_hardware_address(frame_port.mac_address());
+        crash_record::step_begins("serial line");
         let serial = Serial::new(&mut parts.host_bytes);
-        kept::starting("USB");
+        crash_record::step_begins("USB");
         let usb = Usb::start(usb_memory, &unique, &mut parts.usb_bytes, &mut waits);
-        kept::starting("tasks");
-        critical::start_up_check(&mut core.SYST, &CRITICAL);
+        crash_record::step_begins("tasks");
+        waits.end();
+        critical::start_up_check();
         assert!(supervisor::spawn().is_ok(), "the supervisor starts once");
         assert!(network::spawn().is_ok(), "the network task starts once");
         defmt::info!(
             "{=str}: {=u32} MHz, serial line at {=u32} baud",
-            BOARD,
+            NAME,
             clocks::CORE_HZ / 1_000_000,
             serial::BAUD
         );
-        if clock_source == Source::Substitute {
-            defmt::error!("no 8 MHz from the ST-LINK: nothing will move");
+        if clock_source == Source::Internal {
+            defmt::error!("without {=str} nothing will move", EXTERNAL_CLOCK);
         }
-        last_word::prepare(&mut parts.sampler, wire);
+        final_telegram::prepare(&mut parts.sampler, frame_port);
         timer::start();
         watchdog::tighten();
-        kept::started();
+        crash_record::start_up_completed();
         parts.measurements.set_counts_per_s(clocks::TIMER_HZ);
         (
             Shared {
                 sampler: &mut parts.sampler,
-                wire,
+                frame_port,
                 watch: CycleWatch::new(parts.measurements),
                 measurements: parts.measurements,
             },
@@ -206,14 +182,14 @@ mod app {
         }
     }
 
-    /// Sends the input telegram, and releases `link` and every twelfth time `trajectory`.
+    /// Sends the input telegram, and releases `link` every millisecond and `trajectory` every twelfth.
     ///
     /// Period: 1 ms. Priority: 15, critical. Deadline: the next release. Overrun: the elapsed time handed over shows
     /// the lateness, which the sampler counts; more than the configured number in a second is a fault.
     #[task(
         binds = TIM1_UP,
         priority = 15,
-        shared = [sampler, wire, watch],
+        shared = [sampler, frame_port, watch],
         local = [
             clock_source,
             emergency_stop: EmergencyStopInput = EmergencyStopInput::new(),
@@ -228,18 +204,21 @@ mod app {
         timer::acknowledge_sample();
         let missed = context.local.periods.released();
         let resources = context.shared;
-        if board::may_feed(health::trajectories_due()) {
+        if board::may_feed(overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed)) {
             watchdog::feed();
         }
         let stopped = context.local.emergency_stop.step(pins::emergency_stop_shows_open());
-        let substitute = *context.local.clock_source == Source::Substitute;
-        resources.sampler.set_interlock(Interlock::of(stopped, substitute));
+        let internal = *context.local.clock_source == Source::Internal;
+        resources.sampler.set_interlock(Interlock::of(stopped, internal));
         let alone = resources.sampler.has_the_wire_alone();
-        resources.wire.driver_mut().keep_foreign_frames_out(alone);
+        resources.frame_port.driver_mut().keep_foreign_frames_out(alone);
         let correction_ns = resources.sampler.take_timer_correction_ns();
         timer::steer(context.local.correction, correction_ns);
-        if resources.sampler.sample(resources.wire, timer::elapsed_ns(), missed) {
-            health::trajectory_released();
+        if resources
+            .sampler
+            .sample(resources.frame_port, timer::elapsed_ns(), missed)
+        {
+            overruns::trajectory_released();
             rtic::pend(Interrupt::LPTIM2);
         }
         rtic::pend(Interrupt::LPTIM3);
@@ -260,14 +239,14 @@ mod app {
     /// Period: twice a millisecond and once for each foreign frame. Priority: 15, critical. Deadline: 500 us after the
     /// sample for the output telegram. Overrun: `bus_deadline` has sent the output of this cycle already; the late
     /// reply is counted.
-    #[task(binds = ETH, priority = 15, shared = [sampler, wire, watch])]
+    #[task(binds = ETH, priority = 15, shared = [sampler, frame_port, watch])]
     fn bus_frame(context: bus_frame::Context) {
         let began_at = timer::free_run();
         load::woke();
         let resources = context.shared;
-        resources.wire.driver_mut().acknowledge();
+        resources.frame_port.driver_mut().acknowledge();
         let waiting = resources.sampler.awaits_input();
-        if resources.sampler.bus_frame(resources.wire, timer::elapsed_ns()) {
+        if resources.sampler.bus_frame(resources.frame_port, timer::elapsed_ns()) {
             rtic::pend(Interrupt::ETH);
         }
         let served = waiting && !resources.sampler.awaits_input();
@@ -278,14 +257,16 @@ mod app {
     ///
     /// Period: 1 ms, 300 us behind `sample`. Priority: 15, critical. Deadline: 500 us after the sample. Overrun: that
     /// cycle's output is late, the sampler counts it; the drives bridge one.
-    #[task(binds = TIM1_CC, priority = 15, shared = [sampler, wire, watch])]
+    #[task(binds = TIM1_CC, priority = 15, shared = [sampler, frame_port, watch])]
     fn bus_deadline(context: bus_deadline::Context) {
         let began_at = timer::free_run();
         load::woke();
         timer::acknowledge_bus_deadline();
         let resources = context.shared;
         let waiting = resources.sampler.awaits_input();
-        resources.sampler.bus_deadline(resources.wire, timer::elapsed_ns());
+        resources
+            .sampler
+            .bus_deadline(resources.frame_port, timer::elapsed_ns());
         let served = waiting && !resources.sampler.awaits_input();
         resources.watch.bus_deadline(run(began_at), served);
     }
@@ -311,10 +292,12 @@ mod app {
         let measurements = context.shared.measurements;
         let preempting = || measurements.critical_counts().wrapping_add(load::urgent_counts());
         let (began_at, before) = (timer::free_run(), preempting());
-        health::trajectory_runs(|| context.local.trajectory.release());
+        let due = overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed);
+        context.local.trajectory.release();
         let taken = timer::free_run().wrapping_sub(began_at);
         let preempted = preempting().wrapping_sub(before);
         measurements.record(Quantity::Trajectory, taken.saturating_sub(preempted));
+        overruns::trajectory_completed(due);
     }
 
     /// Moves packets between the board's own USB and the link's queues.
@@ -330,9 +313,9 @@ mod app {
     /// Messages of the host, telemetry; then releases the ports, the supervisor and the PHY.
     ///
     /// Period: 1 ms. Priority: 3. Deadline: 1 ms. Overrun: releases merge; the host sees answers and telemetry late.
-    #[task(binds = LPTIM3, priority = 3, local = [link, modes: Modes = Modes::new(), ms: u32 = 0])]
+    #[task(binds = LPTIM3, priority = 3, local = [link, mode_log: ModeLog = ModeLog::new(), ms: u32 = 0])]
     fn link(context: link::Context) {
-        let link::LocalResources { link, modes, ms, .. } = context.local;
+        let link::LocalResources { link, mode_log, ms, .. } = context.local;
         let port = link_state::port();
         link.set_board(BoardState {
             port,
@@ -341,14 +324,14 @@ mod app {
         link.tick();
         *ms = ms.wrapping_add(1);
         lamps::show(Lamps::show(link.mode(), port, *ms));
-        if let Some(fault) = modes.watch(link.mode(), link.fault()) {
-            kept::keep_fault(&fault);
+        if let Some(fault) = mode_log.watch(link.mode(), link.fault()) {
+            crash_record::store_fault(&fault);
         }
         rtic::pend(Interrupt::USART3);
         usb::release();
         rtic::pend(Interrupt::LPTIM4);
-        SUPERVISOR.now();
-        NETWORK.now();
+        SUPERVISOR.release();
+        NETWORK.release();
     }
 
     static SUPERVISOR: Release = Release::new();
@@ -359,13 +342,7 @@ mod app {
     /// Period: 1 ms. Priority: 1. Deadline: none. Overrun: steps merge: what it decides is slow.
     #[task(priority = 1, local = [supervisor])]
     async fn supervisor(context: supervisor::Context) {
-        // It registers no waker: what it waits for are critical tasks, which may not wake.
-        let mut run = pin!(context.local.supervisor.run());
-        poll_fn(|task| {
-            SUPERVISOR.wait(task.waker());
-            run.as_mut().poll(task)
-        })
-        .await
+        SUPERVISOR.poll_each(pin!(context.local.supervisor.run())).await;
     }
 
     /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
@@ -375,12 +352,11 @@ mod app {
     #[task(priority = 1, local = [network])]
     async fn network(context: network::Context) {
         let mut run = pin!(context.local.network.run());
-        poll_fn(|task| {
-            NETWORK.wait(task.waker());
+        let run = poll_fn(|task| {
             time::tick();
             run.as_mut().poll(task)
-        })
-        .await
+        });
+        NETWORK.poll_each(pin!(run)).await;
     }
 
     /// Polls the PHY for the link's state, logs what changed and what was counted, and starts the firmware again on the
@@ -394,28 +370,15 @@ mod app {
             defmt::info!("PHY: {}", defmt::Debug2Format(&event));
         }
         context.local.health.step();
-        if clocks::exact_source_has_come() {
-            panic::end(format_args!(
-                "the 8 MHz from the ST-LINK have come: started again on them"
-            ));
+        if clocks::external_clock_has_come() {
+            panic::end(format_args!("{EXTERNAL_CLOCK} have come: started again on them"));
         }
     }
 
-    /// The chip's own number.
-    fn unique_number() -> [u8; 12] {
-        let mut bytes = [0; 12];
-        for (word, four) in bytes.chunks_exact_mut(4).enumerate() {
-            four.copy_from_slice(&UID.uid(word).read().to_le_bytes());
-        }
-        bytes
-    }
-
-    /// A locally administered address from the chip's unique number (FNV-1a), so that two boards differ.
+    /// A locally administered address from the chip's unique number, so that two boards differ.
     fn hardware_address(unique: [u8; 12]) -> [u8; 6] {
-        let folded = unique.iter().fold(0x811C_9DC5u32, |hash, byte| {
-            (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
-        });
-        let [a, b, c, d] = folded.to_le_bytes();
+        let hash = fnv1a(unique);
+        let [a, b, c, d, ..] = (hash ^ hash >> 32).to_le_bytes();
         [0x02, 0x00, a, b, c, d]
     }
 }

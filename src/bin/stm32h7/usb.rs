@@ -1,6 +1,5 @@
 //! The board's own USB connector as a second port of the link: a CDC-ACM serial port on OTG_FS.
 //!
-//! `usb-device` and `usbd-serial` are the protocol, `synopsys-usb-otg` the controller's registers; here are clock, supply,
 //! `usb-device` and `usbd-serial` implement the protocol, `synopsys-usb-otg` the controller's registers; clock, supply,
 //! names, and the transfer of bytes between packets and the link's queues are here. All of it runs at the link's
 //! priority. At most `EVENTS_PER_MS_MAX` events reported by the controller's flag registers are served in a
@@ -15,8 +14,8 @@
 //!
 //! Registers: RM0433, chapters "OTG_HS", "CRS" and "PWR".
 
-use crate::clocks::BUS_HZ;
-use crate::start_up::Waits;
+use super::clocks::BUS_HZ;
+use super::start_up::Waits;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering};
 use etherpen::controller::HostBytes;
@@ -169,7 +168,7 @@ impl Usb {
                 break;
             };
             left = fewer;
-            drop_nonsense();
+            drop_invalid_events();
             self.device.poll(&mut [&mut self.port]);
             // A packet that the control endpoint did not expect and left would block it, and all behind it.
             let _ = self.device.bus().read(CONTROL_OUT.into(), &mut [0; PACKET_BYTES]);
@@ -225,7 +224,7 @@ fn reports() -> bool {
 }
 
 /// Removes invalid states from the controller, at which the driver would panic.
-fn drop_nonsense() {
+fn drop_invalid_events() {
     let flags = USB_OTG_FS.gintsts().read();
     if flags.rxflvl() && usize::from(USB_OTG_FS.grxstsr().read().epnum()) >= Otg::ENDPOINT_COUNT {
         let _ = USB_OTG_FS.grxstsp().read();
@@ -250,7 +249,7 @@ fn start_clock_and_supply(waits: &mut Waits) {
     });
     // The board feeds VDD33USB with 3.3 V; the chip's own regulator stays off, the detector lets the PHY work.
     PWR.cr3().modify(|supply| supply.set_usb33den(true));
-    if !waits.comes(SUPPLY_WAIT_MS, || PWR.cr3().read().usb33rdy()) {
+    if !waits.wait(SUPPLY_WAIT_MS, || PWR.cr3().read().usb33rdy()) {
         defmt::error!("USB: no supply at VDD33USB");
     }
     RCC.ahb1enr().modify(|enable| enable.set_usb_otg_fsen(true));

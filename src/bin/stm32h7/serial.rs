@@ -4,8 +4,7 @@
 //! empty while bytes wait: eight times fewer interrupts than bytes. Line errors are counted, never waited for; the
 //! link's checksums detect the damage.
 
-use crate::clocks::{HSI_HZ, PERIPHERAL_HZ};
-use crate::pins;
+use super::clocks::{HSI_HZ, PERIPHERAL_HZ};
 use core::sync::atomic::{AtomicU32, Ordering};
 use etherpen::controller::HostBytes;
 use stm32_metapac::{RCC, USART3};
@@ -44,9 +43,8 @@ fn clock_and_reset() {
     RCC.apb1lrstr().modify(|reset| reset.set_usart3rst(false));
 }
 
-/// Opens the port for [`put`] while the chip runs on its reset clocks.
+/// Opens the port for [`put`] while the chip runs on its reset clocks; the pins must be assigned already.
 pub(crate) fn open_on_internal_oscillator() {
-    pins::start_serial();
     clock_and_reset();
     USART3.brr().write(|rate| rate.0 = DIVIDER_OF_HSI);
     USART3.cr1().write(|control| {

@@ -1,18 +1,19 @@
 //! Critical sections that never delay the critical tasks.
 //!
 //! The default implementation masks every interrupt. This one raises BASEPRI to the level just below the tasks of the 1
-//! kHz loop, so that logging, wakers and the HAL cannot make a frame late. The price is a rule: a critical task must
-//! not use anything that takes a critical section. `start_up_check` enforces the other half: it refuses to run if an
-//! interrupt that is not critical could preempt a critical section, which is where a HAL's defaults would put it.
+//! kHz loop, so that logging, queues, wakers and drivers of lower tasks cannot make a frame late. The price is a rule: a
+//! critical task must not use anything that takes a critical section; a test reads the machine code of the
+//! NUCLEO's image for that. `start_up_check` enforces the other half: it refuses to run if an interrupt that is not critical could preempt a
+//! critical section.
 //!
-//! The Cortex-M7 of the STM32H743 is r1p1; it does not have the erratum of r0p1, in which a write to BASEPRI takes
-//! effect late.
+//! Revision r0p1 of the Cortex-M7 has an erratum: a write to BASEPRI takes effect late. The STM32H743 has r1p1, and the
+//! emulator models no erratum.
 
+use crate::board::{CRITICAL, INTERRUPT_LINES, NVIC_PRIO_BITS};
 use core::sync::atomic::{Ordering, compiler_fence};
-use cortex_m::peripheral::{NVIC, SYST, syst::SystClkSource};
+use cortex_m::peripheral::NVIC;
 use cortex_m::register::{basepri, basepri_max};
 use critical_section::RawRestoreState;
-use stm32_metapac::{Interrupt, NVIC_PRIO_BITS};
 
 /// RTIC priority of the critical tasks; 16 is left out because BASEPRI cannot mask it in a lock of its own.
 pub(crate) const CRITICAL_PRIORITY: u8 = 15;
@@ -20,18 +21,18 @@ pub(crate) const CRITICAL_PRIORITY: u8 = 15;
 /// The most urgent hardware priority (lowest number) that a critical section masks.
 const MASKED_FROM: u8 = hardware_priority(CRITICAL_PRIORITY - 1);
 
-/// Interrupt lines of the STM32H743: positions 0 to 149 of the vector table (RM0433, table of the NVIC).
-const INTERRUPT_LINES: u16 = 150;
-
 const _: () = assert!(MASKED_FROM > hardware_priority(CRITICAL_PRIORITY));
 const _: () = assert!(hardware_priority(CRITICAL_PRIORITY) > 0);
 
 /// NVIC priority of an RTIC priority: the upper bits count, and a lower number is more urgent.
-const fn hardware_priority(logical: u8) -> u8 {
+pub(crate) const fn hardware_priority(logical: u8) -> u8 {
     ((1 << NVIC_PRIO_BITS) - logical) << (8 - NVIC_PRIO_BITS)
 }
 
+/// The variant `primask` of the emulated board has another implementation, to show the effect of this one.
+#[cfg_attr(feature = "primask", allow(dead_code))]
 struct BelowCritical;
+#[cfg(not(feature = "primask"))]
 critical_section::set_impl!(BelowCritical);
 
 // SAFETY: between `acquire` and `release` no code of priority 14 or lower runs except the caller's own, and code of
@@ -53,30 +54,37 @@ unsafe impl critical_section::Impl for BelowCritical {
     }
 }
 
-/// Panics unless every interrupt of `critical` has the critical priority, and every other enabled one can be masked.
-pub(crate) fn start_up_check(systick: &mut SYST, critical: &[Interrupt]) {
-    // SysTick keeps hardware priority 0 after reset and nothing here needs it.
-    systick.disable_interrupt();
-    systick.disable_counter();
-    systick.set_clock_source(SystClkSource::Core);
+/// Checks the priorities of all interrupts; call it in `init`, when RTIC has enabled them.
+///
+/// # Panics
+/// When an interrupt of [`CRITICAL`] is disabled or lacks the critical priority, or when another enabled interrupt cannot
+/// be masked by a critical section.
+pub(crate) fn start_up_check() {
+    assert!(
+        CRITICAL.iter().all(|interrupt| NVIC::is_enabled(*interrupt)),
+        "the check comes before the interrupts are enabled"
+    );
     for number in 0..INTERRUPT_LINES {
         let interrupt = Line(number);
+        if !NVIC::is_enabled(interrupt) {
+            continue;
+        }
         let priority = NVIC::get_priority(interrupt);
-        if critical.iter().any(|named| *named as u16 == number) {
+        if CRITICAL.iter().any(|named| *named as u16 == number) {
             assert!(
                 priority == hardware_priority(CRITICAL_PRIORITY),
-                "critical interrupt {number}: {priority}"
+                "critical interrupt {number} has priority {priority}"
             );
-        } else if NVIC::is_enabled(interrupt) {
+        } else {
             assert!(
                 priority >= MASKED_FROM,
-                "interrupt {number} preempts critical sections: {priority}"
+                "interrupt {number} has priority {priority}, critical sections mask from {MASKED_FROM} on"
             );
         }
     }
 }
 
-/// An interrupt by its position.
+/// An interrupt by its position in the vector table.
 #[derive(Clone, Copy)]
 struct Line(u16);
 

@@ -1,69 +1,56 @@
-//! The controller on QEMU's mps2-an500, a Cortex-M7: wiring and priorities.
+//! The controller on QEMU's mps2-an500, a Cortex-M7 with a LAN9118 Ethernet controller.
 //!
-//! Every task body is a function of the library; what a task is released by, how urgent it is and what an overrun means is
-//! said here. The critical tasks share one priority: they never preempt each other, so they share the Ethernet port
-//! and the sampler without a lock, and nothing below can mask them (see `critical`). They use no critical section, no
-//! `spawn` and no log.
+//! This file contains the wiring: which interrupt releases which task of the library, and at which priority. The tasks'
+//! functions are in `etherpen::controller`; the board nucleo runs these tasks at these priorities. The table of all tasks
+//! is in `docs/tasks.md`.
+//!
+//! Invariants. The critical tasks share one priority and own the sampler and the Ethernet port without a lock; they
+//! release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section. Critical
+//! sections mask up to priority 14 (`shared::critical`).
 #![no_std]
 #![no_main]
 
-#[path = "../shared/copy.rs"]
-mod copy;
-mod critical;
-mod device;
-mod disturb;
-mod health;
-mod lan9118;
-#[path = "../shared/last_word.rs"]
-mod last_word;
-#[path = "../shared/load.rs"]
-mod load;
-mod lockstep;
-mod log;
-mod metronome;
-#[path = "../shared/modes.rs"]
-mod modes;
-mod panic;
-#[cfg(feature = "primask")]
-mod primask;
-mod semihosting;
-mod serial;
-#[path = "../shared/time.rs"]
-mod time;
-mod timer;
-mod uart;
-mod wire;
+mod emulated {
+    pub(crate) mod board;
+    pub(crate) mod device;
+    pub(crate) mod disturb;
+    pub(crate) mod health;
+    pub(crate) mod lan9118;
+    pub(crate) mod lockstep;
+    pub(crate) mod log;
+    mod panic;
+    #[cfg(feature = "primask")]
+    mod primask;
+    mod semihosting;
+    pub(crate) mod serial;
+    pub(crate) mod timer;
+    pub(crate) mod uart;
+    mod wake;
+    pub(crate) mod wire;
+}
+mod shared;
 
-use device::Interrupt;
+use emulated::board;
 
-/// The Ethernet port.
-pub(crate) type Port = wire::Wire;
-/// Interrupts of the tasks that nothing may mask.
-const CRITICAL: [Interrupt; 4] = [
-    Interrupt::TIMER0,
-    Interrupt::TIMER1,
-    Interrupt::DUAL_TIMER,
-    Interrupt::LAN9118,
-];
-
-#[rtic::app(device = crate::device, peripherals = false, dispatchers = [FREE6])]
+#[rtic::app(device = crate::emulated::device, peripherals = false, dispatchers = [FREE6])]
 mod app {
-
-    use crate::device::{CLOCK_HZ, Interrupt};
-    use crate::health::{FRAMES_FAILED, Health, PERIODS_MISSED, TRAJECTORY_OVERRUNS};
-    use crate::lan9118::{Mmio, free_run};
-    use crate::lockstep::{self, Bus};
-    use crate::log::{self, Drain};
-    use crate::metronome::Metronome;
-    use crate::modes::Modes;
-    use crate::serial::{Route, Serial};
-    use crate::timer::Clock;
-    use crate::uart::Uart;
-    use crate::wire::Wire;
-    use crate::{CRITICAL, critical, disturb, last_word, load, time};
+    use crate::board::NAME;
+    use crate::emulated::device::{CLOCK_HZ, Interrupt};
+    use crate::emulated::disturb;
+    use crate::emulated::health::{FRAMES_FAILED, Health, PERIODS_MISSED};
+    use crate::emulated::lan9118::{Mmio, free_run};
+    use crate::emulated::lockstep::{self, Bus};
+    use crate::emulated::log::{self, Drain};
+    use crate::emulated::serial::{Route, Serial};
+    use crate::emulated::timer::Clock;
+    use crate::emulated::uart::Uart;
+    use crate::emulated::wire::Wire;
+    use crate::shared::mode_log::ModeLog;
+    use crate::shared::release::Release;
+    use crate::shared::{critical, final_telegram, load, overruns, time};
     use core::future::poll_fn;
     use core::pin::pin;
-    use core::sync::atomic::{AtomicU32, Ordering};
+    use core::sync::atomic::Ordering;
     use etherpen::application::Mode;
     use etherpen::board::{BoardState, EmergencyStopInput, Interlock, PortState};
     use etherpen::control::sampler::Sampler;
@@ -77,17 +64,14 @@ mod app {
     use etherpen::robot_bus::RobotSupervisor;
     use etherpen::trajectory_task::TrajectoryTask;
 
-    static SUPERVISOR: Metronome = Metronome::new();
-    static NETWORK: Metronome = Metronome::new();
-
-    /// Releases of the trajectory task that it has not yet completed.
-    static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);
+    static SUPERVISOR: Release = Release::new();
+    static NETWORK: Release = Release::new();
 
     #[shared]
     struct Shared {
         measurements: &'static Measurements,
         #[lock_free]
-        transport: FramePort<Wire>,
+        frame_port: FramePort<Wire>,
         #[lock_free]
         sampler: Sampler<'static>,
         #[lock_free]
@@ -108,9 +92,9 @@ mod app {
 
     /// Opens the host's files, starts the Ethernet controller and the clock.
     #[init(local = [channels: Channels = Channels::new()])]
-    fn init(cx: init::Context) -> (Shared, Local) {
-        critical::start_up_check(&CRITICAL);
-        let parts = cx.local.channels.split("emulated");
+    fn init(context: init::Context) -> (Shared, Local) {
+        critical::start_up_check();
+        let parts = context.local.channels.split(NAME);
         let drain = Drain::open();
         let (bus, route) = route();
         // SAFETY: `init` runs once, and it is the only caller.
@@ -126,7 +110,7 @@ mod app {
         parts.measurements.offer_disturbance();
         let shared = Shared {
             measurements: parts.measurements,
-            transport: FramePort::new(Wire::new(mac, bus, clock)),
+            frame_port: FramePort::new(Wire::new(mac, bus, clock)),
             sampler: parts.sampler,
             watch: CycleWatch::new(parts.measurements),
             serial: Serial::new(parts.host_bytes, route),
@@ -152,7 +136,7 @@ mod app {
         }
     }
 
-    /// Sleeps and lets `load` count it.
+    /// Sleeps between interrupts; the time asleep is counted.
     #[idle]
     fn idle(_: idle::Context) -> ! {
         loop {
@@ -160,40 +144,43 @@ mod app {
         }
     }
 
-    /// Sends the input telegram.
+    /// Sends the input telegram, and releases `host_bytes` every millisecond and `trajectory` every twelfth.
     ///
     /// Period: 1 ms. Priority: 15, critical. Deadline: 500 us for the output telegram that follows from it. Overrun:
     /// it shows as lateness in `elapsed_ns`, which the sampler counts; a swallowed period is counted by the clock.
     #[task(
         binds = TIMER0,
         priority = 15,
-        shared = [transport, sampler, watch, &measurements],
+        shared = [frame_port, sampler, watch, &measurements],
         local = [emergency_stop: EmergencyStopInput = EmergencyStopInput::new()]
     )]
-    fn sample(cx: sample::Context) {
+    fn sample(context: sample::Context) {
         let began_at = free_run();
         load::woke();
-        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
-        last_word::prepare(sampler, transport);
-        let wire = transport.driver_mut();
+        let (frame_port, sampler) = (context.shared.frame_port, context.shared.sampler);
+        final_telegram::prepare(sampler, frame_port);
+        let wire = frame_port.driver_mut();
         wire.clock.release(sampler.take_timer_correction_ns());
         let delay = wire.clock.counts_to(began_at);
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);
         let elapsed_ns = wire.clock.elapsed_ns();
-        let met = cx.shared.measurements.disturbance();
-        let stopped = cx.local.emergency_stop.step(met & disturbance::EMERGENCY_STOP != 0);
+        let met = context.shared.measurements.disturbance();
+        let stopped = context
+            .local
+            .emergency_stop
+            .step(met & disturbance::EMERGENCY_STOP != 0);
         sampler.set_interlock(Interlock::of(stopped, met & disturbance::CLOCK != 0));
-        if sampler.sample(transport, elapsed_ns, missed) {
-            TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
+        if sampler.sample(frame_port, elapsed_ns, missed) {
+            overruns::trajectory_released();
             rtic::pend(Interrupt::FREE15);
         }
-        if transport.driver_mut().clock.begins_millisecond() {
+        if frame_port.driver_mut().clock.begins_millisecond() {
             rtic::pend(Interrupt::FREE14);
         }
-        let run = run(began_at, transport.driver_mut());
-        cx.shared.watch.sample(run, delay, load::slept_counts());
+        let run = run(began_at, frame_port.driver_mut());
+        context.shared.watch.sample(run, delay, load::slept_counts());
     }
 
     /// A critical task's run up to here, without the lockstep's part.
@@ -205,25 +192,28 @@ mod app {
         }
     }
 
-    /// Takes received telegrams; the input reply is followed by control and the output telegram.
+    /// Takes received frames: on the input reply control and the output telegram, on the output reply the counters.
     ///
     /// Released when a reply's time on the wire is over (lockstep) or by `arrival` (free-running). Period: twice a
     /// millisecond. Priority: 15, critical. Deadline: as for `sample`. Overrun: `bus_deadline` has sent the output
     /// telegram; frames that come while it runs release it again.
-    #[task(binds = DUAL_TIMER, priority = 15, shared = [transport, sampler, watch])]
-    fn bus_frame(cx: bus_frame::Context) {
+    #[task(binds = DUAL_TIMER, priority = 15, shared = [frame_port, sampler, watch])]
+    fn bus_frame(context: bus_frame::Context) {
         let began_at = free_run();
         load::woke();
-        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
-        let wire = transport.driver_mut();
+        let (frame_port, sampler) = (context.shared.frame_port, context.shared.sampler);
+        let wire = frame_port.driver_mut();
         wire.clock.delivery.acknowledge();
         let elapsed_ns = wire.clock.elapsed_ns();
         let waiting = sampler.awaits_input();
-        if sampler.bus_frame(transport, elapsed_ns) {
+        if sampler.bus_frame(frame_port, elapsed_ns) {
             rtic::pend(Interrupt::DUAL_TIMER);
         }
         let served = waiting && !sampler.awaits_input();
-        cx.shared.watch.bus_frame(run(began_at, transport.driver_mut()), served);
+        context
+            .shared
+            .watch
+            .bus_frame(run(began_at, frame_port.driver_mut()), served);
     }
 
     /// Hands a received frame's interrupt on to `bus_frame`.
@@ -231,46 +221,46 @@ mod app {
     /// In lockstep the frames have been waited for when they come, and this task does not run (see `wire`). Period:
     /// every received frame, free-running only. Priority: 15, critical. Deadline: as for `sample`. Overrun: releases
     /// merge, `bus_frame` takes all frames.
-    #[task(binds = LAN9118, priority = 15, shared = [transport])]
-    fn arrival(cx: arrival::Context) {
+    #[task(binds = LAN9118, priority = 15, shared = [frame_port])]
+    fn arrival(context: arrival::Context) {
         load::woke();
-        cx.shared.transport.driver_mut().acknowledge();
+        context.shared.frame_port.driver_mut().acknowledge();
         rtic::pend(Interrupt::DUAL_TIMER);
     }
 
-    /// Sends the output telegram from predicted positions when no valid input has come.
+    /// Sends the output telegram on predicted positions if no valid input has come.
     ///
-    /// Period: 1 ms, 300 us behind `sample`. Priority: 15, critical. Deadline: as for `sample`. Overrun: the output
-    /// telegram is late, which the sampler counts.
-    #[task(binds = TIMER1, priority = 15, shared = [transport, sampler, watch, &measurements])]
-    fn bus_deadline(cx: bus_deadline::Context) {
+    /// Period: 1 ms, 300 us behind `sample`. Priority: 15, critical. Deadline: as for `sample`. Overrun: that cycle's
+    /// output is late, the sampler counts it; the drives bridge one.
+    #[task(binds = TIMER1, priority = 15, shared = [frame_port, sampler, watch, &measurements])]
+    fn bus_deadline(context: bus_deadline::Context) {
         let began_at = free_run();
         load::woke();
-        let (transport, sampler) = (cx.shared.transport, cx.shared.sampler);
+        let (frame_port, sampler) = (context.shared.frame_port, context.shared.sampler);
         let waiting = sampler.awaits_input();
-        let wire = transport.driver_mut();
+        let wire = frame_port.driver_mut();
         if wire.clock.deadline.acknowledge() {
             let elapsed_ns = wire.clock.elapsed_ns();
-            sampler.bus_deadline(transport, elapsed_ns);
+            sampler.bus_deadline(frame_port, elapsed_ns);
         }
-        FRAMES_FAILED.store(transport.driver_mut().failures(), Ordering::Relaxed);
+        FRAMES_FAILED.store(frame_port.driver_mut().failures(), Ordering::Relaxed);
         let served = waiting && !sampler.awaits_input();
-        let watch = cx.shared.watch;
-        watch.bus_deadline(run(began_at, transport.driver_mut()), served);
-        if cx.shared.measurements.disturbance() & disturbance::NETWORK != 0 {
+        let watch = context.shared.watch;
+        watch.bus_deadline(run(began_at, frame_port.driver_mut()), served);
+        if context.shared.measurements.disturbance() & disturbance::NETWORK != 0 {
             let began_at = free_run();
-            disturb::foreign_frames(transport, log::MILLISECONDS.load(Ordering::Relaxed));
-            watch.preempted(run(began_at, transport.driver_mut()));
+            disturb::foreign_frames(frame_port, log::MILLISECONDS.load(Ordering::Relaxed));
+            watch.preempted(run(began_at, frame_port.driver_mut()));
         }
     }
 
-    /// Exchanges the link's bytes between the static queues and the host.
+    /// Moves bytes between the host and the link's queues.
     ///
     /// Period: 1 ms, pended by `sample`. Priority: 10. Deadline: the next millisecond. Overrun: pends merge, bytes
     /// wait in the queues.
     #[task(binds = FREE14, priority = 10, shared = [serial, &measurements])]
-    fn host_bytes(cx: host_bytes::Context) {
-        let (serial, measurements) = (cx.shared.serial, cx.shared.measurements);
+    fn host_bytes(context: host_bytes::Context) {
+        let (serial, measurements) = (context.shared.serial, context.shared.measurements);
         let bits = measurements.disturbance();
         disturb::apply(bits);
         let ms = log::MILLISECONDS.load(Ordering::Relaxed);
@@ -285,9 +275,9 @@ mod app {
     ///
     /// Period: 10.84 us while it is asked for, else off. Priority: 10. Deadline: none. Overrun: ticks merge.
     #[task(binds = SysTick, priority = 10, shared = [serial, &measurements])]
-    fn tick(cx: tick::Context) {
+    fn tick(context: tick::Context) {
         load::woke();
-        let (serial, measurements) = (cx.shared.serial, cx.shared.measurements);
+        let (serial, measurements) = (context.shared.serial, context.shared.measurements);
         let bits = measurements.disturbance();
         load::urgent(
             || measurements.critical_counts(),
@@ -315,55 +305,55 @@ mod app {
     /// Period: every byte, free-running only. Priority: 10. Deadline: none. Overrun: the UART holds the next byte back
     /// until this one is taken.
     #[task(binds = UART0_RX, priority = 10, shared = [serial])]
-    fn byte_received(cx: byte_received::Context) {
+    fn byte_received(context: byte_received::Context) {
         load::woke();
-        cx.shared.serial.on_received();
+        context.shared.serial.on_received();
     }
 
     /// Gives UART0 its next byte, free-running only.
     ///
     /// Period: every byte, free-running only. Priority: 10. Deadline: none. Overrun: bytes wait in the queue.
     #[task(binds = UART0_TX, priority = 10, shared = [serial])]
-    fn byte_sent(cx: byte_sent::Context) {
+    fn byte_sent(context: byte_sent::Context) {
         load::woke();
-        cx.shared.serial.on_sent();
+        context.shared.serial.on_sent();
     }
 
-    /// Plans, then fills the next 12 setpoints of the ring.
+    /// Plans ahead and fills the ring with the next 12 setpoints.
     ///
-    /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: its next release. Overrun: a release that found the
-    /// one before not completed is counted, and the late run serves both.
+    /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before not
+    /// completed is counted; the ring holds a plan that ends at rest, so late planning slows the motion down and never
+    /// starves it.
     #[task(binds = FREE15, priority = 6, shared = [&measurements], local = [trajectory])]
-    fn trajectory(cx: trajectory::Context) {
-        let measurements = cx.shared.measurements;
+    fn trajectory(context: trajectory::Context) {
+        let measurements = context.shared.measurements;
         let preempting = || measurements.critical_counts().wrapping_add(load::urgent_counts());
         let (began_at, before) = (free_run(), preempting());
-        let due = TRAJECTORIES_DUE.load(Ordering::Relaxed);
-        cx.local.trajectory.release();
+        let due = overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed);
+        context.local.trajectory.release();
         let taken = free_run().wrapping_sub(began_at);
         let preempted = preempting().wrapping_sub(before);
         measurements.record(Quantity::Trajectory, taken.saturating_sub(preempted));
-        let before = TRAJECTORIES_DUE.fetch_sub(due, Ordering::Relaxed);
-        TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);
+        overruns::trajectory_completed(due);
     }
 
-    /// Runs the link's protocol and the operating modes, then lets the supervisor and the log have their turn.
+    /// Messages of the host, telemetry; then releases the supervisor, the IP stack and the log.
     ///
-    /// Period: 1 ms, pended by `host_bytes`. Priority: 3. Deadline: none. Overrun: pends merge while the trajectory
-    /// task runs.
-    #[task(binds = FREE16, priority = 3, local = [link, health, modes: Modes = Modes::new(), drawn_ms: u32 = 0])]
-    fn link(cx: link::Context) {
-        let link = cx.local.link;
+    /// Period: 1 ms, pended by `host_bytes`. Priority: 3. Deadline: none. Overrun: releases merge; the
+    /// host sees answers and telemetry late.
+    #[task(binds = FREE16, priority = 3, local = [link, health, mode_log: ModeLog = ModeLog::new(), drawn_ms: u32 = 0])]
+    fn link(context: link::Context) {
+        let link = context.local.link;
         link.set_board(BoardState {
             port: PortState::Unknown,
             ethernet_errors: FRAMES_FAILED.load(Ordering::Relaxed),
         });
         link.tick();
-        let _ = cx.local.modes.watch(link.mode(), link.fault());
-        panic_on_request(link, cx.local.drawn_ms);
-        cx.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
-        SUPERVISOR.tick();
-        NETWORK.tick();
+        let _ = context.local.mode_log.watch(link.mode(), link.fault());
+        panic_on_request(link, context.local.drawn_ms);
+        context.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
+        SUPERVISOR.release();
+        NETWORK.release();
         rtic::pend(Interrupt::FREE17);
     }
 
@@ -375,34 +365,33 @@ mod app {
         }
     }
 
-    /// Brings the bus up and watches it.
+    /// Brings the bus up, watches it, repairs it.
     ///
-    /// Period: polled after each `link`. Priority: 1. Deadline: none. Overrun: polls merge.
+    /// Period: 1 ms, released by `link`. Priority: 1. Deadline: none. Overrun: steps merge: what it decides is slow.
     #[task(priority = 1, local = [supervisor])]
-    async fn supervisor(cx: supervisor::Context) {
-        SUPERVISOR.every_tick(cx.local.supervisor.run()).await;
+    async fn supervisor(context: supervisor::Context) {
+        SUPERVISOR.poll_each(pin!(context.local.supervisor.run())).await;
     }
 
     /// Runs the IP stack that finds the addresses for EtherCAT in UDP.
     ///
-    /// Period: polled after each `link`. Priority: 1. Deadline: none. Overrun: frames that find its ring full are
-    /// dropped and counted.
+    /// Period: 1 ms, released by `link`. Priority: 1. Deadline: none. Overrun: steps merge; frames that find its ring
+    /// full are dropped and counted.
     #[task(priority = 1, local = [network])]
-    async fn network(cx: network::Context) {
-        let mut run = pin!(cx.local.network.run());
-        NETWORK
-            .every_tick(poll_fn(|context| {
-                time::tick();
-                run.as_mut().poll(context)
-            }))
-            .await;
+    async fn network(context: network::Context) {
+        let mut run = pin!(context.local.network.run());
+        let run = poll_fn(|task| {
+            time::tick();
+            run.as_mut().poll(task)
+        });
+        NETWORK.poll_each(pin!(run)).await;
     }
 
     /// Empties the log's ring into the host's file.
     ///
     /// Period: pended by `link`. Priority: 1. Deadline: none. Overrun: what does not fit the ring is counted.
     #[task(binds = FREE17, priority = 1, local = [drain])]
-    fn drain(cx: drain::Context) {
-        cx.local.drain.run();
+    fn drain(context: drain::Context) {
+        context.local.drain.run();
     }
 }

@@ -13,7 +13,7 @@
 //!
 //! Register layouts: RM0433, chapter "Ethernet (ETH)".
 
-use crate::phy;
+use super::phy;
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Context;

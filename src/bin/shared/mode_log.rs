@@ -3,12 +3,12 @@
 use etherpen::application::{Fault, Mode};
 
 /// State last logged.
-pub(crate) struct Modes {
+pub(crate) struct ModeLog {
     mode: Mode,
     fault: Option<Fault>,
 }
 
-impl Modes {
+impl ModeLog {
     pub(crate) const fn new() -> Self {
         Self {
             mode: Mode::Startup,

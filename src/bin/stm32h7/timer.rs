@@ -4,7 +4,7 @@
 //! release is the counter itself: one read of the clock that caused the release. TIM2 runs free on that clock and
 //! measures times longer than a period.
 
-use crate::clocks::TIMER_HZ;
+use super::clocks::TIMER_HZ;
 use etherpen::ethercat::clock::steering::{CORRECTION_MAX_NS, CountCorrection};
 use stm32_metapac::timer::regs::SrAdv;
 use stm32_metapac::timer::vals::Urs;

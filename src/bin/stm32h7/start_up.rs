@@ -2,19 +2,19 @@
 //!
 //! No step of the start-up can hang for ever. The firmware's own waits have a limit in milliseconds and panic with a
 //! name. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs from the
-//! first lines on. In both cases the chip is reset, and memory keeps which step failed (`kept.rs`). The next start-up
+//! first lines on. In both cases the chip is reset, and the crash record names the step that failed (`crash_record.rs`). The next start-up
 //! reports that before it tries again: at that moment the chip runs on its internal oscillator with everything else
 //! off, so lamps and serial line do not depend on the failed part.
 
-use crate::clocks::HSI_HZ;
-use crate::{lamps, serial, watchdog};
+use super::clocks::HSI_HZ;
+use super::{serial, watchdog};
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use etherpen::board::Lamps;
 
 /// Longest wait for parts that get ready in less than a millisecond, ms.
 const READY_MS: u32 = 100;
 /// Time for which a failed start is shown before the next one, and duration of one step of its pattern, ms.
-const TOLD_MS: u32 = 4_000;
+const REPORT_MS: u32 = 4_000;
 const PATTERN_MS: u32 = 250;
 /// Time for a byte to leave the serial line, ms.
 const BYTE_MS: u32 = 2;
@@ -39,7 +39,7 @@ const FAILED: [Lamps; 2] = [
     },
 ];
 
-/// Waits by the core's timer.
+/// Waits with a limit, by the core's timer.
 pub(crate) struct Waits<'a> {
     timer: &'a mut SYST,
 }
@@ -53,16 +53,23 @@ impl<'a> Waits<'a> {
         waits
     }
 
+    /// Stops the core's timer. Its exception has hardware priority 0 after a reset, above the critical tasks.
+    pub(crate) fn end(self) {
+        self.timer.disable_interrupt();
+        self.timer.disable_counter();
+        self.timer.set_clock_source(SystClkSource::Core);
+    }
+
     /// Sets the frequency of the core from now on, Hz.
     pub(crate) fn clocked_at(&mut self, hz: u32) {
         self.timer.set_reload(hz / 1_000 - 1);
         self.timer.clear_current();
     }
 
-    /// Whether `come` holds within `ms` milliseconds. Feeds the watchdog meanwhile.
-    pub(crate) fn comes(&mut self, ms: u32, come: impl Fn() -> bool) -> bool {
+    /// Waits until `ready` holds, at most `ms` milliseconds, and feeds the watchdog meanwhile. Returns whether it holds.
+    pub(crate) fn wait(&mut self, ms: u32, ready: impl Fn() -> bool) -> bool {
         let mut left = ms;
-        while !come() {
+        while !ready() {
             if self.timer.has_wrapped() {
                 watchdog::feed();
                 left = left.saturating_sub(1);
@@ -79,30 +86,30 @@ impl<'a> Waits<'a> {
     /// # Panics
     ///
     /// When it does not get ready in time.
-    pub(crate) fn must(&mut self, what: &str, ready: impl Fn() -> bool) {
-        assert!(self.comes(READY_MS, ready), "start-up: {what} does not come");
+    pub(crate) fn require(&mut self, what: &str, ready: impl Fn() -> bool) {
+        assert!(self.wait(READY_MS, ready), "start-up: {what} does not come");
     }
 
-    /// Shows that the last start failed, and sends the cause on the serial line, for some seconds.
+    /// Shows on the lamps that the last start failed, and sends the cause on the serial line, for four seconds.
     ///
-    /// The chip must run on its internal oscillator.
-    pub(crate) fn tell(&mut self, cause: &str) {
+    /// The chip must run on its internal oscillator, and the serial line's pins must be assigned.
+    pub(crate) fn report_failure(&mut self, cause: &str, show: impl Fn(Lamps)) {
         serial::open_on_internal_oscillator();
-        for step in 0..(TOLD_MS / PATTERN_MS) as usize {
-            lamps::show(FAILED[step % FAILED.len()]);
+        for step in 0..(REPORT_MS / PATTERN_MS) as usize {
+            show(FAILED[step % FAILED.len()]);
             if step % 4 == 0 {
                 for text in ["\r\netherpen: the start failed: ", cause, "; trying again\r\n"] {
-                    self.say(text);
+                    self.send(text);
                 }
             }
-            self.comes(PATTERN_MS, || false);
+            self.wait(PATTERN_MS, || false);
         }
-        lamps::show(STARTING);
+        show(STARTING);
     }
 
-    fn say(&mut self, text: &str) {
+    fn send(&mut self, text: &str) {
         for byte in text.bytes() {
-            if self.comes(BYTE_MS, serial::has_room) {
+            if self.wait(BYTE_MS, serial::has_room) {
                 serial::put(byte);
             }
         }

@@ -1,7 +1,7 @@
 //! Fills the tightly coupled memories before anything runs from them.
 //!
 //! The critical tasks' code is in ITCM and their own data in DTCM, where every access takes a constant time,
-//! independent of the caches and the other bus masters. `build.rs` lists the content. The code is kept in flash memory
+//! independent of the caches and the other bus masters. `build.rs` lists the content. The code is stored in flash memory
 //! and copied by the start code before Rust's memory is initialised, because the functions that copy and clear memory
 //! are part of it. The log memory that a debug probe reads is in DTCM too, because no cache is between it and the
 //! probe.

@@ -3,14 +3,12 @@
 //! All counters are plain atomics. The task that polls the PHY writes the log; while nothing changes, only the load is
 //! logged, once a second.
 
-use crate::timer::{PERIOD_COUNTS, free_run};
-use crate::{eth, load, serial};
+use super::timer::{PERIOD_COUNTS, free_run};
+use super::{eth, serial};
+use crate::shared::load;
+use crate::shared::overruns::TRAJECTORY_OVERRUNS;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Releases of the trajectory task that it has not completed.
-static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);
-/// Releases of the trajectory task that found it still running or waiting.
-static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);
 /// Periods in which no sample ran.
 static PERIODS_MISSED: AtomicU32 = AtomicU32::new(0);
 
@@ -37,24 +35,6 @@ impl Periods {
         }
         PERIODS_MISSED.load(Ordering::Relaxed)
     }
-}
-
-/// Releases of the trajectory task that it has not completed. Safe in a critical task.
-pub(crate) fn trajectories_due() -> u32 {
-    TRAJECTORIES_DUE.load(Ordering::Relaxed)
-}
-
-/// Notes a release of the trajectory task.
-pub(crate) fn trajectory_released() {
-    TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
-}
-
-/// Runs the trajectory task's body and counts the releases that came while an earlier one was due.
-pub(crate) fn trajectory_runs(body: impl FnOnce()) {
-    let due = TRAJECTORIES_DUE.load(Ordering::Relaxed);
-    body();
-    let before = TRAJECTORIES_DUE.fetch_sub(due, Ordering::Relaxed);
-    TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);
 }
 
 /// The counts in the order of the log line.

@@ -5,7 +5,7 @@
 //! access still allowed. It must be in force before the D-cache is on and before the first descriptor is written.
 //!
 //! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to go.
-//! A third one forbids the addresses of external memories, of which the board has none: the default map calls them normal
+//! A third one forbids the addresses of external memories, of which no board here has any: the default map calls them normal
 //! memory, which the core may read ahead of need, and a controller that is not set up may never answer.
 //!
 //! The Ethernet's SRAM is cleared once: its error correction makes up a word's check bits only when the word is written

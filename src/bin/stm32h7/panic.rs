@@ -1,12 +1,14 @@
-//! End of the firmware: keeps the cause in memory, stops the drives, resets the chip.
+//! End of the firmware: stores the cause in the crash record, stops the drives, resets the chip.
 //!
 //! No logger and no lock is used, because the failed code may hold any of them. The reset ends the cyclic frames, and
 //! the drives' own watchdogs stop the motors. These watchdogs are the guarantee; this code only reports the cause and
-//! stops the drives earlier. The first cause is kept until it is taken: a second one during start-up does not replace
+//! stops the drives earlier. The first cause is stored until the next start-up reads it: a second one during start-up does not replace
 //! it.
 
-use crate::clocks::CORE_HZ;
-use crate::{CRITICAL, kept, last_word};
+use super::clocks::CORE_HZ;
+use super::crash_record;
+use crate::board::EXTERNAL_CLOCK;
+use crate::shared::final_telegram;
 use core::fmt;
 use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
@@ -16,13 +18,13 @@ use stm32_metapac::RCC;
 /// Time for the last frame to leave: the longest takes 123 us at 100 Mbit/s.
 const FRAME_CYCLES: u32 = CORE_HZ / 5_000;
 
-/// Ends the firmware: keeps the cause, stops the drives, and restarts the chip.
+/// Ends the firmware: stores the cause, stops the drives, and restarts the chip.
 pub(crate) fn end(cause: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
     // SAFETY: interrupts are masked, and nothing returns from here.
     unsafe {
-        kept::keep_cause(cause);
-        if last_word::say(&CRITICAL, |_| ()) {
+        crash_record::store_cause(cause);
+        if final_telegram::send(|_| ()) {
             cortex_m::asm::delay(FRAME_CYCLES);
         }
     }
@@ -44,13 +46,13 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     ))
 }
 
-/// The clock security system: the 8 MHz have stopped, and the hardware has switched to its internal oscillator.
+/// The clock security system: the external clock has stopped, and the hardware has switched to its internal oscillator.
 #[exception]
 unsafe fn NonMaskableInt() -> ! {
     let clock_failed = RCC.cifr().read().hsecssf();
     RCC.cicr().write(|clear| clear.set_hsecssc(true));
     if clock_failed {
-        end(format_args!("clock failure: the 8 MHz from the ST-LINK stopped"))
+        end(format_args!("clock failure: {EXTERNAL_CLOCK} stopped"))
     }
     end(format_args!("non-maskable interrupt without a known cause"))
 }

@@ -5,19 +5,20 @@
 //! the junction to 105 degrees C; a hotter cabinet needs scale 1, multiplier 100 and `CORE_HZ` 400 MHz, no other
 //! change. Revision Y cannot run at scale 0 and is rejected by its identity before the clocks change.
 //!
-//! The source is the 8 MHz that the ST-LINK puts on OSC_IN (HSE in bypass): the bus master's cycle is then as precise
-//! as a crystal, unlike the internal oscillator (1 %). A board powered through E5V gets the 8 MHz late, or only when a
-//! computer is plugged in. The start-up therefore waits two seconds for them, then runs on the internal oscillator,
-//! reports that, and keeps the drives without power. When the 8 MHz appear later, the firmware restarts on them: no
-//! drive has power then, and the start-up is the only path into this clock tree, tested at every power-up. When they
-//! stop, the clock security system ends the firmware (`panic.rs`).
+//! The source is a clock that the board puts on OSC_IN (HSE in bypass), on a NUCLEO the 8 MHz of the ST-LINK: the bus
+//! master's cycle is then as precise as a crystal, unlike the internal oscillator (1 %). A NUCLEO powered through E5V gets
+//! the clock late, or only when a computer is plugged in. The start-up therefore waits two seconds for it, then runs on
+//! the internal oscillator, reports that, and keeps the drives without power. When the clock appears later, the firmware
+//! restarts on it: no drive has power then, and the start-up is the only path into this clock tree, tested at every
+//! power-up. When it stops, the clock security system ends the firmware (`panic.rs`).
 //!
 //! Every register is written before the unit that depends on it runs, and every wait is bounded (`start_up.rs`).
 //! CSI feeds the compensation cell of fast outputs, HSI48 the USB.
 //!
 //! Registers: RM0433, chapters "PWR", "RCC" and "FLASH".
 
-use crate::start_up::Waits;
+use super::start_up::Waits;
+use crate::board::HSE_HZ;
 use stm32_metapac::flash::regs::Acr;
 use stm32_metapac::pwr::vals::Vos;
 use stm32_metapac::rcc::vals::{Hpre, Plldiv, Pllm, Plln, Pllrge, Pllsrc, Pllvcosel, Ppre, Sw, Usbsel};
@@ -34,13 +35,15 @@ pub(crate) const PERIPHERAL_HZ: u32 = BUS_HZ / 2;
 /// The internal oscillator, which everything runs on after a reset, Hz.
 pub(crate) const HSI_HZ: u32 = 64_000_000;
 
-const HSE_HZ: u32 = 8_000_000;
-const PLL_MULTIPLIER: u32 = 120;
-/// Divider that makes the internal oscillator as fast as the 8 MHz.
-const HSI_DIVIDER: u32 = 8;
+/// The PLL multiplies the external clock by this number and divides by 2.
+const PLL_MULTIPLIER: u32 = 2 * CORE_HZ / HSE_HZ;
+/// Divider that makes the internal oscillator as fast as the external clock.
+const HSI_DIVIDER: u32 = HSI_HZ / HSE_HZ;
 const _: () = assert!(HSE_HZ * PLL_MULTIPLIER / 2 == CORE_HZ && HSI_HZ / HSI_DIVIDER == HSE_HZ);
+/// Input range of the PLL that `start_pll` selects.
+const _: () = assert!(HSE_HZ >= 8_000_000 && HSE_HZ <= 16_000_000);
 
-/// Longest wait for the 8 MHz, ms.
+/// Longest wait for the external clock, ms.
 const HSE_WAIT_MS: u32 = 2_000;
 /// Wait states of the flash memory at 240 MHz and voltage scale 0, and its programming delay (RM0433, FLASH_ACR).
 const FLASH_LATENCY: u8 = 4;
@@ -51,10 +54,10 @@ const REVISION_Y: u16 = 0x1003;
 /// Source of the clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
-    /// The ST-LINK's 8 MHz, as precise as a crystal.
-    Exact,
-    /// The internal oscillator.
-    Substitute,
+    /// The clock on OSC_IN, as precise as a crystal.
+    External,
+    /// The internal oscillator, within 1 %.
+    Internal,
 }
 
 /// Starts the clocks and returns their source. The chip must be in its reset state, except for the lamps.
@@ -79,15 +82,15 @@ pub(crate) fn start(waits: &mut Waits) -> Source {
     let source = start_oscillators(waits);
     start_pll(waits, source);
     switch_over(waits);
-    if source == Source::Exact {
+    if source == Source::External {
         // From here on a clock that stops is a non-maskable interrupt.
         RCC.cr().modify(|control| control.set_hsecsson(true));
     }
     source
 }
 
-/// Whether the firmware runs on the internal oscillator and the ST-LINK's clock has come since.
-pub(crate) fn exact_source_has_come() -> bool {
+/// Whether the firmware runs on the internal oscillator and the external clock has come since.
+pub(crate) fn external_clock_has_come() -> bool {
     RCC.pllckselr().read().pllsrc() == Pllsrc::HSI && RCC.cr().read().hserdy()
 }
 
@@ -99,17 +102,17 @@ fn start_voltage(waits: &mut Waits) {
         supply.set_ldoen(true);
         supply.set_bypass(false);
     });
-    waits.must("core voltage (ACTVOSRDY)", || PWR.csr1().read().actvosrdy());
+    waits.require("core voltage (ACTVOSRDY)", || PWR.csr1().read().actvosrdy());
     PWR.d3cr().modify(|voltage| voltage.set_vos(Vos::SCALE1));
-    waits.must("voltage scale 1 (VOSRDY)", || PWR.d3cr().read().vosrdy());
+    waits.require("voltage scale 1 (VOSRDY)", || PWR.d3cr().read().vosrdy());
     SYSCFG.pwrcr().modify(|overdrive| overdrive.set_oden(1));
-    waits.must("voltage scale 0 (VOSRDY)", || PWR.d3cr().read().vosrdy());
+    waits.require("voltage scale 0 (VOSRDY)", || PWR.d3cr().read().vosrdy());
 }
 
 /// Starts all oscillators and returns the source of the PLL. The HSE stays on in any case, so that its appearance is
 /// detected.
 fn start_oscillators(waits: &mut Waits) -> Source {
-    waits.must("internal oscillator (HSIRDY)", || RCC.cr().read().hsirdy());
+    waits.require("internal oscillator (HSIRDY)", || RCC.cr().read().hsirdy());
     // The bypass may be chosen only while the oscillator is off.
     RCC.cr().modify(|control| control.set_hsebyp(true));
     RCC.cr().modify(|control| {
@@ -117,19 +120,19 @@ fn start_oscillators(waits: &mut Waits) -> Source {
         control.set_csion(true);
         control.set_hsi48on(true);
     });
-    waits.must("oscillator of fast outputs (CSIRDY)", || RCC.cr().read().csirdy());
-    waits.must("oscillator of the USB (HSI48RDY)", || RCC.cr().read().hsi48rdy());
-    if waits.comes(HSE_WAIT_MS, || RCC.cr().read().hserdy()) {
-        Source::Exact
+    waits.require("oscillator of fast outputs (CSIRDY)", || RCC.cr().read().csirdy());
+    waits.require("oscillator of the USB (HSI48RDY)", || RCC.cr().read().hsi48rdy());
+    if waits.wait(HSE_WAIT_MS, || RCC.cr().read().hserdy()) {
+        Source::External
     } else {
-        Source::Substitute
+        Source::Internal
     }
 }
 
 fn start_pll(waits: &mut Waits, source: Source) {
     let (input, divider) = match source {
-        Source::Exact => (Pllsrc::HSE, Pllm::DIV1),
-        Source::Substitute => (Pllsrc::HSI, Pllm::from_bits(HSI_DIVIDER as u8)),
+        Source::External => (Pllsrc::HSE, Pllm::DIV1),
+        Source::Internal => (Pllsrc::HSI, Pllm::from_bits(HSI_DIVIDER as u8)),
     };
     RCC.pllckselr().modify(|select| {
         select.set_pllsrc(input);
@@ -148,7 +151,7 @@ fn start_pll(waits: &mut Waits, source: Source) {
         dividers.set_pllp(Plldiv::DIV2);
     });
     RCC.cr().modify(|control| control.set_pllon(0, true));
-    waits.must("PLL (PLL1RDY)", || RCC.cr().read().pllrdy(0));
+    waits.require("PLL (PLL1RDY)", || RCC.cr().read().pllrdy(0));
     // The chip ignores a new source or divider of a PLL that runs.
     let selected = RCC.pllckselr().read();
     assert!(
@@ -176,17 +179,17 @@ fn switch_over(waits: &mut Waits) {
         access
     };
     FLASH.acr().modify(|now| *now = access(*now));
-    waits.must("flash wait states (FLASH_ACR)", || {
+    waits.require("flash wait states (FLASH_ACR)", || {
         let now = FLASH.acr().read();
         now == access(now)
     });
     RCC.d2ccip2r().modify(|kernel| kernel.set_usbsel(Usbsel::HSI48));
     // Outputs keep their edges over voltage and temperature.
     SYSCFG.cccsr().modify(|cell| cell.set_en(true));
-    waits.must("compensation of fast outputs (CCCSR.READY)", || {
+    waits.require("compensation of fast outputs (CCCSR.READY)", || {
         SYSCFG.cccsr().read().rdy()
     });
     RCC.cfgr().modify(|select| select.set_sw(Sw::PLL1_P));
-    waits.must("switch to the PLL (SWS)", || RCC.cfgr().read().sws() == Sw::PLL1_P);
+    waits.require("switch to the PLL (SWS)", || RCC.cfgr().read().sws() == Sw::PLL1_P);
     waits.clocked_at(CORE_HZ);
 }

@@ -1,4 +1,4 @@
-//! Data kept in memory across a reset: the cause of the firmware's end, the last fault, and the progress of a start-up.
+//! Crash record, in memory across a reset: the cause of the firmware's end, the last fault, the progress of a start-up.
 //!
 //! Invariant: a record is either complete or absent: its mark is removed first and written last.
 
@@ -12,9 +12,9 @@ use etherpen::application::Fault;
 use etherpen::board::{CAUSE_BYTES_MAX, PreviousRun, RunEnd};
 use stm32_metapac::RCC;
 
-/// Bytes of a fault as it is kept.
+/// Bytes of a stored fault.
 const FAULT_BYTES_MAX: usize = 32;
-/// Bytes of the name of a step of the start.
+/// Bytes of the name of a step of the start-up.
 const STEP_BYTES_MAX: usize = 16;
 /// Distinguishes a written record from memory after power-on.
 const WRITTEN: u32 = 0x7061_6E63;
@@ -31,15 +31,15 @@ struct Record<const BYTES: usize> {
     flush: u32,
 }
 
-struct Kept<const BYTES: usize>(UnsafeCell<MaybeUninit<Record<BYTES>>>);
+struct Slot<const BYTES: usize>(UnsafeCell<MaybeUninit<Record<BYTES>>>);
 
-// SAFETY: `take` and the start's steps run before interrupts are enabled; after that one context at a time reaches a record:
+// SAFETY: `take`, `step_begins` and `start_up_completed` run before interrupts are enabled; after that one context at a time reaches a record:
 // the link task the last fault, and whoever has masked all interrupts for good the cause.
-unsafe impl<const BYTES: usize> Sync for Kept<BYTES> {}
+unsafe impl<const BYTES: usize> Sync for Slot<BYTES> {}
 
-impl<const BYTES: usize> Kept<BYTES> {
+impl<const BYTES: usize> Slot<BYTES> {
     const fn new() -> Self {
-        Kept(UnsafeCell::new(MaybeUninit::uninit()))
+        Slot(UnsafeCell::new(MaybeUninit::uninit()))
     }
 
     fn record(&self) -> *mut Record<BYTES> {
@@ -74,7 +74,7 @@ impl<const BYTES: usize> Kept<BYTES> {
     ///
     /// # Safety
     /// No other context may reach the record meanwhile.
-    unsafe fn keep(&self, bytes: &[u8; BYTES], length: usize) {
+    unsafe fn store(&self, bytes: &[u8; BYTES], length: usize) {
         let record = self.record();
         // SAFETY: as the caller promises.
         unsafe {
@@ -91,7 +91,7 @@ impl<const BYTES: usize> Kept<BYTES> {
     ///
     /// # Safety
     /// No other context may reach the record meanwhile.
-    unsafe fn forget(&self) {
+    unsafe fn clear(&self) {
         // SAFETY: as the caller promises.
         unsafe {
             ptr::write_volatile(&raw mut (*self.record()).written, 0);
@@ -121,12 +121,12 @@ impl<const BYTES: usize> Kept<BYTES> {
 }
 
 /// Outside .data and .bss, which a start overwrites.
-#[unsafe(link_section = ".uninit.kept_cause")]
-static CAUSE: Kept<CAUSE_BYTES_MAX> = Kept::new();
-#[unsafe(link_section = ".uninit.kept_fault")]
-static FAULT: Kept<FAULT_BYTES_MAX> = Kept::new();
-#[unsafe(link_section = ".uninit.kept_step")]
-static STEP: Kept<STEP_BYTES_MAX> = Kept::new();
+#[unsafe(link_section = ".uninit.crash_cause")]
+static CAUSE: Slot<CAUSE_BYTES_MAX> = Slot::new();
+#[unsafe(link_section = ".uninit.crash_fault")]
+static FAULT: Slot<FAULT_BYTES_MAX> = Slot::new();
+#[unsafe(link_section = ".uninit.crash_step")]
+static STEP: Slot<STEP_BYTES_MAX> = Slot::new();
 
 /// State of the previous run, and whether it ended during start-up. Call it once, before interrupts are enabled.
 pub(crate) fn take() -> (PreviousRun, bool) {
@@ -152,21 +152,21 @@ pub(crate) fn take() -> (PreviousRun, bool) {
     (PreviousRun { end, fault }, failed)
 }
 
-/// Notes that a step of the start begins; a name that is too long is cut. Call before interrupts are enabled.
-pub(crate) fn starting(step: &str) {
+/// Records that a step of the start-up begins; a name that is too long is cut. Call before interrupts are enabled.
+pub(crate) fn step_begins(step: &str) {
     let mut bytes = [0; STEP_BYTES_MAX];
     let length = step.len().min(STEP_BYTES_MAX);
-    for (kept, byte) in bytes.iter_mut().zip(step.bytes()) {
-        *kept = byte;
+    for (stored, byte) in bytes.iter_mut().zip(step.bytes()) {
+        *stored = byte;
     }
     // SAFETY: interrupts are not enabled yet, so no other context exists.
-    unsafe { STEP.keep(&bytes, length) };
+    unsafe { STEP.store(&bytes, length) };
 }
 
-/// Notes that the start has succeeded. Call before interrupts are enabled.
-pub(crate) fn started() {
+/// Records that the start-up has succeeded. Call before interrupts are enabled.
+pub(crate) fn start_up_completed() {
     // SAFETY: interrupts are not enabled yet, so no other context exists.
-    unsafe { STEP.forget() };
+    unsafe { STEP.clear() };
 }
 
 fn readable(bytes: &[u8]) -> &str {
@@ -179,29 +179,29 @@ fn readable(bytes: &[u8]) -> &str {
     }
 }
 
-/// Keeps the first cause that ends the firmware; a second one does not replace it.
+/// Stores the first cause that ends the firmware; a second one does not replace it.
 ///
 /// # Safety
 ///
 /// All interrupts are masked and stay so until the reset.
-pub(crate) unsafe fn keep_cause(cause: fmt::Arguments) {
+pub(crate) unsafe fn store_cause(cause: fmt::Arguments) {
     // SAFETY: nothing preempts this any more, and what was interrupted never goes on.
     if unsafe { CAUSE.is_written() } {
         return;
     }
     let mut text = Text::new();
-    // A text that does not fit is cut; what fits is kept.
+    // A text that does not fit is cut.
     let _ = fmt::write(&mut text, cause);
     // SAFETY: as above.
-    unsafe { CAUSE.keep(&text.bytes, text.length) };
+    unsafe { CAUSE.store(&text.bytes, text.length) };
 }
 
-/// Keeps a fault; for the link task alone.
-pub(crate) fn keep_fault(fault: &Fault) {
+/// Stores a fault; for the link task alone.
+pub(crate) fn store_fault(fault: &Fault) {
     let mut bytes = [0; FAULT_BYTES_MAX];
     let length = postcard::to_slice(fault, &mut bytes).map_or(0, |used| used.len());
     // SAFETY: the link task is one context and does not nest.
-    unsafe { FAULT.keep(&bytes, length) };
+    unsafe { FAULT.store(&bytes, length) };
 }
 
 struct Text {
