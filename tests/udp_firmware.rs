@@ -5,7 +5,7 @@
 
 use etherpen::config::{Config, Transport};
 use etherpen::ethercat::wire::{UDP_PORT, UdpRepr};
-use host_tools::cell::capture::{Capture, Direction};
+use etherpen_segment::capture::{Capture, Direction};
 use host_tools::cell::{AlState, Cell, CellOptions};
 use host_tools::emulator::free_running::FreeRunning;
 use host_tools::link::port::{Line, Port};

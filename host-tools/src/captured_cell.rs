@@ -1,8 +1,8 @@
 //! The virtual cell with packet capture: every frame in both directions goes into a capture.
 
 use crate::cell::Cell;
-use crate::cell::capture::{Capture, Direction};
 use crate::emulator::Segment;
+use etherpen_segment::capture::{Capture, Direction};
 use std::io::{self, Write};
 
 /// A cell whose frames are recorded.

@@ -5,8 +5,8 @@
 //! A module imports modules of lower layers only; the test of [`layers`] reads this list and the sources.
 //!
 //! 1. `error`, `hash`, `random`, `terminal`, `plot_scale`, `layers`: what every module may use
-//! 2. `output_file`, `setup`, `probe`, `transport`, `firmware_image`, `matching`, `kinematics`, `planning`,
-//!    `identification`: files, programs, networks and computations
+//! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`: files,
+//!    programs and computations
 //! 3. `drawing`, `link`, `cell`, `emulator`, `master`: strokes of a file; the host's end of the link to the firmware; the
 //!    virtual cell; firmware in the emulator; an EtherCAT master in this process
 //! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `simulation`: from a file to an admitted path;
@@ -48,4 +48,3 @@ pub mod settings;
 pub mod setup;
 pub mod simulation;
 pub mod terminal;
-pub mod transport;

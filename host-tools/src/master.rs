@@ -7,7 +7,6 @@
 //!
 //! Invariant: the thread ends with its owner, with the transport, or after a failed bring-up.
 
-use crate::transport::Transport;
 use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
 use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
@@ -17,6 +16,7 @@ use etherpen::ethercat::supervisor::Supervisor;
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
 use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::robot_bus::{BUS_MESSAGE_BYTES, RobotBusSetup, RobotDrives};
+use etherpen_segment::transport::Transport;
 use std::io;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,34 +1,9 @@
 //! Seeded generators of random numbers, so that every run can be repeated.
 //!
-//! [`Random`] is the generator of the virtual cell and of photographs' lines. The others are kept where a sequence
-//! decides what a drawing or a measured path looks like, and for tests.
+//! [`Random`] is the generator of the virtual segment and cell, and of photographs' lines. The others are kept where a
+//! sequence decides what a drawing or a measured path looks like, and for tests.
 
-/// SplitMix64 (Steele, Lea and Flood, 2014).
-#[derive(Clone, Debug)]
-pub struct Random {
-    state: u64,
-}
-
-impl Random {
-    /// A generator with this seed.
-    #[must_use]
-    pub fn new(seed: u64) -> Self {
-        Self { state: seed }
-    }
-
-    /// The next 64 bits.
-    pub fn bits(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (self.state ^ (self.state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^ (mixed >> 31)
-    }
-
-    /// A number from 0 (included) to 1 (excluded).
-    pub fn unit(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
+pub use etherpen_segment::random::Random;
 
 /// A linear congruential generator with 64 bits of state (Knuth, MMIX).
 #[derive(Clone, Debug)]
@@ -130,9 +105,6 @@ mod tests {
 
     #[test]
     fn sequences_are_those_of_the_definitions() {
-        let mut random = Random::new(1_234_567);
-        assert_eq!(random.bits(), 6_457_827_717_110_365_317);
-        assert_eq!(random.bits(), 3_203_168_211_198_807_973);
         let mut lcg = Lcg::new(0);
         assert_eq!(lcg.bits(), 1_442_695_040_888_963_407 >> 33);
         let mut star = XorshiftStar::new(1);
@@ -141,9 +113,8 @@ mod tests {
 
     #[test]
     fn numbers_are_within_their_bounds() {
-        let (mut random, mut lcg, mut xorshift) = (Random::new(1), Lcg::new(1), Xorshift::new(1));
+        let (mut lcg, mut xorshift) = (Lcg::new(1), Xorshift::new(1));
         for _ in 0..10_000 {
-            assert!((0.0..1.0).contains(&random.unit()));
             assert!((0.0..1.0).contains(&xorshift.unit()));
             assert!((-2.0..3.0).contains(&lcg.between(-2.0, 3.0)));
             assert!(lcg.below(7) < 7);

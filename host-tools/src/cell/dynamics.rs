@@ -6,11 +6,11 @@
 //!
 //! Invariant: joints that are not in torque mode are not moved here.
 
-use super::drive::Drive;
+use super::joint::Joint;
 use super::mechanism::{Equation, MainAxes, Mechanism, combine};
-use super::motor::STEP_S;
 use etherpen::config::Geometry;
 use etherpen::robots::MAIN_AXES;
+use etherpen_segment::STEP_S;
 
 /// Inertia of a motor's rotor, kg m2.
 const ROTOR_KG_M2: f64 = 2.0e-4;
@@ -38,52 +38,51 @@ impl Dynamics {
         }
     }
 
-    /// Moves the joints that are in torque mode over one millisecond; drives are the axes in their order.
-    pub(super) fn step<'a>(&mut self, drives: impl Iterator<Item = &'a mut Drive>) {
-        let mut drives: Vec<&mut Drive> = drives.collect();
-        let (main, others) = drives.split_at_mut_checked(MAIN_AXES).unwrap_or((&mut [], &mut []));
-        for drive in others {
-            if let Some(torque_nm) = drive.joint_torque_nm() {
-                let inertia = ALONE_KG_M2 + drive.gear().powi(2) * ROTOR_KG_M2;
-                let acceleration = (torque_nm - self.friction_nm(drive.joint_rad_s())) / inertia;
-                drive.accelerate(acceleration, STEP_S);
+    /// Moves the joints that are in torque mode over one millisecond; joints are the axes in their order.
+    pub(super) fn step(&mut self, joints: &mut [Joint<'_, '_>]) {
+        let (main, others) = joints.split_at_mut_checked(MAIN_AXES).unwrap_or((&mut [], &mut []));
+        for joint in others {
+            if let Some(torque_nm) = joint.torque_nm() {
+                let inertia = ALONE_KG_M2 + joint.inertia_kg_m2(ROTOR_KG_M2);
+                let acceleration = (torque_nm - self.friction_nm(joint.speed_rad_s())) / inertia;
+                joint.accelerate(acceleration, STEP_S);
             }
         }
-        if main.iter().any(|drive| drive.joint_torque_nm().is_some()) {
+        if main.iter().any(|joint| joint.torque_nm().is_some()) {
             self.step_main_axes(main);
         }
-        for (before, drive) in self.speeds_before.iter_mut().zip(main.iter()) {
-            *before = drive.joint_rad_s();
+        for (before, joint) in self.speeds_before.iter_mut().zip(main.iter()) {
+            *before = joint.speed_rad_s();
         }
     }
 
-    fn step_main_axes(&mut self, drives: &mut [&mut Drive]) {
-        let of = |drives: &[&mut Drive], value: fn(&Drive) -> f64| -> MainAxes {
+    fn step_main_axes(&mut self, joints: &mut [Joint<'_, '_>]) {
+        let of = |joints: &[Joint<'_, '_>], value: fn(&Joint<'_, '_>) -> f64| -> MainAxes {
             let mut values = [0.0; MAIN_AXES];
             values
                 .iter_mut()
-                .zip(drives)
-                .for_each(|(target, drive)| *target = value(drive));
+                .zip(joints)
+                .for_each(|(target, joint)| *target = value(joint));
             values
         };
         let mut torques = [None; MAIN_AXES];
         torques
             .iter_mut()
-            .zip(drives.iter())
-            .for_each(|(torque, drive)| *torque = drive.joint_torque_nm());
-        let mut imposed = of(drives, Drive::joint_rad_s);
+            .zip(joints.iter())
+            .for_each(|(torque, joint)| *torque = joint.torque_nm());
+        let mut imposed = of(joints, |joint| joint.speed_rad_s());
         for (speed, before) in imposed.iter_mut().zip(self.speeds_before) {
             *speed = (*speed - before) / STEP_S;
         }
-        let rotor = of(drives, |drive| drive.gear().powi(2) * ROTOR_KG_M2);
+        let rotor = of(joints, |joint| joint.inertia_kg_m2(ROTOR_KG_M2));
         let duration_s = STEP_S / f64::from(SUBSTEPS);
         for _ in 0..SUBSTEPS {
-            let angles = of(drives, Drive::joint_rad);
-            let speeds = of(drives, Drive::joint_rad_s);
+            let angles = of(joints, |joint| joint.angle_rad());
+            let speeds = of(joints, |joint| joint.speed_rad_s());
             let accelerations = self.accelerations(angles, speeds, torques, imposed, rotor);
-            for ((drive, torque), acceleration) in drives.iter_mut().zip(torques).zip(accelerations) {
+            for ((joint, torque), acceleration) in joints.iter_mut().zip(torques).zip(accelerations) {
                 if torque.is_some() {
-                    drive.accelerate(acceleration, duration_s);
+                    joint.accelerate(acceleration, duration_s);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! The robot between motors and pen: joint angles to platform, and the mechanical end stops of the joints.
 
-use super::drive::Drive;
+use super::joint::Joint;
 use super::mechanism::Mechanism;
 use etherpen::config::Geometry;
 use etherpen::robots::{JointAngles, Position};
@@ -40,14 +40,14 @@ impl Robot {
     }
 
     /// Holds a joint at its end stop when it has reached it.
-    pub(super) fn limit(&mut self, axis: usize, drive: &mut Drive) {
+    pub(super) fn limit(&mut self, axis: usize, joint: &mut Joint<'_, '_>) {
         let Some([low_rad, high_rad]) = self.mechanism.end_stops_rad().get(axis).copied() else {
             return;
         };
-        let joint_rad = drive.joint_rad();
-        let inside_rad = joint_rad.max(low_rad).min(high_rad);
-        if inside_rad != joint_rad {
-            drive.block_at(inside_rad);
+        let angle_rad = joint.angle_rad();
+        let inside_rad = angle_rad.max(low_rad).min(high_rad);
+        if inside_rad != angle_rad {
+            joint.block_at(inside_rad);
             self.end_stop_ms += 1;
         }
     }
@@ -63,29 +63,23 @@ impl Robot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::drive::{Demand, DriveState, MODE_DIGITAL_SPEED};
-    use etherpen::config::Axis;
+    use crate::cell::{Cell, CellOptions, DriveState};
+    use etherpen::config::Config;
+    use etherpen_segment::rig::Rig;
 
     #[test]
     fn a_joint_is_held_at_its_end_stop() {
-        let mut robot = Robot::new(&Geometry::default());
-        let mut drive = Drive::new(Axis::default(), 1.5, 100.0);
-        drive.mode = MODE_DIGITAL_SPEED;
-        for millisecond in 0..500 {
-            let control = [0x06, 0x07, 0x0F][(millisecond / 2).min(2)];
-            let velocity_digits = 200_000;
-            drive.step(Some(Demand {
-                velocity_digits,
-                control,
-                ..Demand::default()
-            }));
-            robot.limit(0, &mut drive);
+        let mut rig = Rig::new(Cell::new(&Config::default(), CellOptions::default()));
+        rig.bring_up();
+        for _ in 0..500 {
+            rig.cycle([200_000, 0, 0, 0], 0x0F);
         }
-        assert_eq!(drive.state(), DriveState::OperationEnabled);
-        let stop_rad = robot.mechanism.end_stops_rad()[0][1];
+        let state = rig.bus.state();
+        assert_eq!(state.slaves[0].drive, DriveState::OperationEnabled);
+        let stop_rad = Robot::new(&Geometry::default()).mechanism.end_stops_rad()[0][1];
         assert!(stop_rad > Geometry::default().ranges_rad()[0][1]);
-        assert!((drive.joint_rad() - stop_rad).abs() < 1e-9, "{}", drive.joint_rad());
-        assert!(robot.end_stop_ms() > 200);
+        assert!((state.joints.0[0] - stop_rad).abs() < 1e-9, "{state:?}");
+        assert!(state.end_stop_ms > 200);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Options for the address of a segment.
 
-use crate::transport::{Endpoint, udp_address};
+use etherpen_segment::transport::{Endpoint, udp_address};
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
 

@@ -6,14 +6,14 @@
 use super::emulate::read_faults;
 use super::endpoint::SegmentArguments;
 use super::{ConfigArguments, ended_by_a_signal, print_json};
-use crate::cell::capture::{Capture, Direction};
 use crate::cell::{AlState, Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, SlaveState, parse_slaves};
 use crate::error::{ProgramError, code};
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
 use crate::terminal::counted;
-use crate::transport::{self, SegmentPort};
 use etherpen::ethercat::state::al_code_text;
+use etherpen_segment::capture::{Capture, Direction};
+use etherpen_segment::transport::{self, SegmentPort};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

@@ -1,4 +1,4 @@
-//! The checks on small crates in memory, and on this crate.
+//! The checks on small crates in memory, on this crate and on the segment.
 
 use super::*;
 
@@ -42,11 +42,20 @@ fn found(texts: &[(&str, &str)]) -> Vec<String> {
 }
 
 #[test]
-fn this_crate_keeps_its_layers() {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let findings = check(&source, include_str!("../lib.rs")).expect("the sources");
-    let shown: Vec<String> = findings.iter().map(ToString::to_string).collect();
-    assert!(shown.is_empty(), "{}", shown.join("\n"));
+fn this_crate_and_the_segment_keep_their_layers() {
+    let crates = [
+        ("src", include_str!("../lib.rs")),
+        (
+            "../crates/segment/src",
+            include_str!("../../../crates/segment/src/lib.rs"),
+        ),
+    ];
+    for (source, table) in crates {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
+        let findings = check(&source, table).expect("the sources");
+        let shown: Vec<String> = findings.iter().map(ToString::to_string).collect();
+        assert!(shown.is_empty(), "{}", shown.join("\n"));
+    }
 }
 
 #[test]

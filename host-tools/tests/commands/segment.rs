@@ -3,10 +3,10 @@
 use crate::program::{Folder, Running, etherpen, run};
 use etherpen::config::Config;
 use etherpen::robot_bus::RobotBusSetup;
+use etherpen_segment::transport::{self, Endpoint, udp_address};
 use host_tools::error::code;
 use host_tools::master::Master;
 use host_tools::setup;
-use host_tools::transport::{self, Endpoint, udp_address};
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::Path;
 use std::process::Command;

@@ -8,9 +8,9 @@ use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session, session_number};
 use crate::machine::{Client, Order, Reply};
 use crate::master::Master;
-use crate::transport::{self, Endpoint};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
+use etherpen_segment::transport::{self, Endpoint};
 use std::time::{Duration, Instant};
 
 /// Longest time for which a request to a busy bus is repeated.

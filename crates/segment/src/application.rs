@@ -1,0 +1,248 @@
+//! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
+//!
+//! One step up at a time, any step down. A refusal sets the error bit and an AL status code, and upward requests wait
+//! until the master has acknowledged. States and codes: IEC 61158-6-12, AL control and AL status.
+
+/// How long a request for OP waits for outputs, ms.
+const OUTPUTS_WAIT_MS: u32 = 200;
+
+const ACKNOWLEDGE: u16 = 0x10;
+const STATE_MASK: u16 = 0x0F;
+const ERROR: u16 = 0x10;
+
+/// AL status codes.
+pub(crate) mod code {
+    /// The requested state cannot follow the present one.
+    pub(crate) const INVALID_CHANGE: u16 = 0x0011;
+    /// No such state.
+    pub(crate) const UNKNOWN_STATE: u16 = 0x0012;
+    /// Bootstrap is not supported.
+    pub(crate) const NO_BOOTSTRAP: u16 = 0x0013;
+    /// The mailbox sync managers are invalid.
+    pub(crate) const MAILBOX: u16 = 0x0016;
+    /// The process-data watchdog expired, or no outputs arrived.
+    pub(crate) const WATCHDOG: u16 = 0x001B;
+    /// The output sync manager is invalid.
+    pub(crate) const OUTPUTS: u16 = 0x001D;
+    /// The input sync manager is invalid.
+    pub(crate) const INPUTS: u16 = 0x001E;
+    /// Synchronisation was lost in OP.
+    pub(crate) const SYNC_LOST: u16 = 0x002C;
+    /// No SYNC0 pulse arrived.
+    pub(crate) const NO_SYNC: u16 = 0x002D;
+    /// The SYNC unit's registers are inconsistent.
+    pub(crate) const SYNC_INVALID: u16 = 0x0030;
+}
+
+/// State of a slave's application layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum AlState {
+    /// No communication with the application.
+    Init = 1,
+    /// Mailbox only.
+    PreOperational = 2,
+    /// Mailbox and inputs, outputs safe.
+    SafeOperational = 4,
+    /// Mailbox, inputs and outputs.
+    Operational = 8,
+}
+
+/// Conditions checked in a transition.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Readiness {
+    pub(crate) mailbox: bool,
+    pub(crate) outputs: bool,
+    pub(crate) inputs: bool,
+    pub(crate) outputs_received: bool,
+    /// Whether the SYNC unit is off, or its registers are consistent.
+    pub(crate) sync_valid: bool,
+    /// Whether the SYNC unit is off, or pulses arrive.
+    pub(crate) synchronous: bool,
+}
+
+/// State, error bit and code.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Application {
+    state: AlState,
+    error: bool,
+    code: u16,
+    waiting_ms: Option<u32>,
+}
+
+impl Default for Application {
+    fn default() -> Self {
+        Self {
+            state: AlState::Init,
+            error: false,
+            code: 0,
+            waiting_ms: None,
+        }
+    }
+}
+
+impl Application {
+    /// The present state.
+    pub(crate) fn state(&self) -> AlState {
+        self.state
+    }
+
+    /// Content of the AL status register.
+    pub(crate) fn status(&self) -> u16 {
+        self.state as u16 | if self.error { ERROR } else { 0 }
+    }
+
+    /// Content of the AL status code register.
+    pub(crate) fn code(&self) -> u16 {
+        self.code
+    }
+
+    /// Falls back to a lower state without a request, with a code.
+    pub(crate) fn retreat(&mut self, to: AlState, code: u16) {
+        self.state = self.state.min(to);
+        self.refuse(code);
+    }
+
+    /// Refuses the request if it is for this state, regardless of the checks.
+    pub(crate) fn deny(&mut self, control: u16, state: AlState, code: u16) -> bool {
+        let denied = control & STATE_MASK == state as u16;
+        if denied {
+            self.refuse(code);
+        }
+        denied
+    }
+
+    /// Advances a waiting request for OP by one millisecond.
+    pub(crate) fn step(&mut self, ready: Readiness) {
+        let Some(waited_ms) = self.waiting_ms else { return };
+        if ready.outputs_received && ready.synchronous {
+            self.waiting_ms = None;
+            self.state = AlState::Operational;
+        } else if waited_ms + 1 >= OUTPUTS_WAIT_MS {
+            let no_sync = ready.outputs_received;
+            self.refuse(if no_sync { code::NO_SYNC } else { code::WATCHDOG });
+        } else {
+            self.waiting_ms = Some(waited_ms + 1);
+        }
+    }
+
+    /// Handles a write to the AL control register.
+    pub(crate) fn request(&mut self, control: u16, ready: Readiness) {
+        if control & ACKNOWLEDGE != 0 {
+            self.error = false;
+            self.code = 0;
+        }
+        let target = match control & STATE_MASK {
+            1 => AlState::Init,
+            2 => AlState::PreOperational,
+            3 => return self.refuse(code::NO_BOOTSTRAP),
+            4 => AlState::SafeOperational,
+            8 => AlState::Operational,
+            _ => return self.refuse(code::UNKNOWN_STATE),
+        };
+        if target < self.state {
+            self.waiting_ms = None;
+            self.error = false;
+            self.code = 0;
+            self.state = target;
+        } else if target > self.state && !self.error {
+            self.waiting_ms = None;
+            self.climb(target, ready);
+        }
+    }
+
+    fn climb(&mut self, target: AlState, ready: Readiness) {
+        use AlState::{Init, Operational, PreOperational, SafeOperational};
+        match (self.state, target) {
+            (Init, PreOperational) if !ready.mailbox => self.refuse(code::MAILBOX),
+            (PreOperational, SafeOperational) if !ready.outputs => self.refuse(code::OUTPUTS),
+            (PreOperational, SafeOperational) if !ready.inputs => self.refuse(code::INPUTS),
+            (PreOperational, SafeOperational) if !ready.sync_valid => self.refuse(code::SYNC_INVALID),
+            (SafeOperational, Operational) if !(ready.outputs_received && ready.synchronous) => {
+                self.waiting_ms = Some(0);
+            }
+            (Init, PreOperational) | (PreOperational, SafeOperational) | (SafeOperational, Operational) => {
+                self.code = 0;
+                self.state = target;
+            }
+            _ => self.refuse(code::INVALID_CHANGE),
+        }
+    }
+
+    fn refuse(&mut self, code: u16) {
+        self.waiting_ms = None;
+        self.error = true;
+        self.code = code;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const READY: Readiness = Readiness {
+        mailbox: true,
+        outputs: true,
+        inputs: true,
+        outputs_received: true,
+        sync_valid: true,
+        synchronous: true,
+    };
+
+    fn after(requests: &[u16], ready: Readiness) -> (u16, u16) {
+        let mut application = Application::default();
+        for request in requests {
+            application.request(*request, ready);
+        }
+        (application.status(), application.code())
+    }
+
+    #[test]
+    fn the_way_to_op_has_no_short_cut() {
+        assert_eq!(after(&[2, 4, 8], READY), (8, 0));
+        assert_eq!(after(&[4], READY), (0x11, code::INVALID_CHANGE));
+        assert_eq!(after(&[2, 8], READY), (0x12, code::INVALID_CHANGE));
+        assert_eq!(after(&[3], READY), (0x11, code::NO_BOOTSTRAP));
+        assert_eq!(after(&[2, 7], READY), (0x12, code::UNKNOWN_STATE));
+    }
+
+    #[test]
+    fn each_step_up_checks_what_it_needs() {
+        let no_mailbox = Readiness {
+            mailbox: false,
+            ..READY
+        };
+        assert_eq!(after(&[2], no_mailbox), (0x11, code::MAILBOX));
+        let no_outputs = Readiness {
+            outputs: false,
+            ..READY
+        };
+        assert_eq!(after(&[2, 4], no_outputs), (0x12, code::OUTPUTS));
+        let no_inputs = Readiness { inputs: false, ..READY };
+        assert_eq!(after(&[2, 4], no_inputs), (0x12, code::INPUTS));
+    }
+
+    #[test]
+    fn an_error_blocks_the_way_up_until_it_is_acknowledged() {
+        assert_eq!(after(&[4, 2], READY), (0x11, code::INVALID_CHANGE));
+        assert_eq!(after(&[4, 0x11, 2], READY), (0x02, 0));
+        assert_eq!(after(&[2, 8, 1], READY), (0x01, 0), "a step down clears it");
+    }
+
+    #[test]
+    fn op_without_outputs_ends_in_the_watchdog_code() {
+        let silent = Readiness {
+            outputs_received: false,
+            ..READY
+        };
+        let mut application = Application::default();
+        for request in [2, 4, 8] {
+            application.request(request, silent);
+        }
+        for _ in 0..OUTPUTS_WAIT_MS - 1 {
+            application.step(silent);
+            assert_eq!(application.status(), 4);
+        }
+        application.step(silent);
+        assert_eq!((application.status(), application.code()), (0x14, code::WATCHDOG));
+    }
+}

@@ -1,0 +1,340 @@
+//! The chain of slaves and cables, and the passage of frames through it.
+//!
+//! A frame passes the slaves in order and comes back; the first controller marks its source address. Cables and power
+//! determine how far it gets; the script can add further faults.
+
+use crate::application::AlState;
+use crate::controller::datagram::{Datagrams, mark_processed};
+use crate::drive::Drive;
+use crate::faults::Schedule;
+use crate::faults::damage;
+use crate::faults::kinds::Fault;
+use crate::load::Shaft;
+use crate::slave::Slave;
+use std::collections::VecDeque;
+
+/// Port bits of the data-link status: towards the master, and away from it.
+const PORT_IN: u8 = 0x01;
+const PORT_OUT: u8 = 0x02;
+/// A frame with a local experimental EtherType, as another station might send it.
+const FOREIGN_FRAME: [u8; 60] = {
+    let mut frame = [0; 60];
+    let header = [
+        0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0x00, 0x00, 0x00, 0x00, 0x99, 0x88, 0xB5,
+    ];
+    let mut at = 0;
+    while at < header.len() {
+        frame[at] = header[at];
+        at += 1;
+    }
+    frame
+};
+
+/// The present time: whole steps of the segment, and the true arrival time of a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Now {
+    /// Milliseconds since the start.
+    pub(crate) ms: u64,
+    /// Nanoseconds on the caller's clock.
+    pub(crate) ns: u64,
+}
+
+/// Propagation times of a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TravelTimes {
+    /// Through one cable, ns.
+    pub(crate) cable_ns: u64,
+    /// Through one slave, in either direction, ns.
+    pub(crate) forwarding_ns: u64,
+}
+
+/// Slaves, cables and frames in flight.
+#[derive(Clone, Debug)]
+pub(crate) struct Chain {
+    slaves: Vec<Slave>,
+    /// Cable k is behind slave k; cable 0 is the master's.
+    cut: Vec<bool>,
+    removed: Vec<bool>,
+    mains_off_ms: Vec<u64>,
+    stalled_until_ms: u64,
+    /// Frames that each cable still destroys.
+    damaging: Vec<u64>,
+    travel: TravelTimes,
+    frames: u64,
+    delayed: VecDeque<(u64, Vec<u8>)>,
+    /// Drives with exchanged resolvers, from 1, and the remaining time, ms.
+    exchanges: Vec<(usize, usize, u64)>,
+}
+
+impl Chain {
+    pub(crate) fn new(slaves: Vec<Slave>, travel: TravelTimes) -> Self {
+        let count = slaves.len();
+        let mut segment = Self {
+            slaves,
+            cut: vec![false; count + 1],
+            removed: vec![false; count],
+            mains_off_ms: vec![0; count],
+            stalled_until_ms: 0,
+            damaging: vec![0; count + 1],
+            travel,
+            frames: 0,
+            delayed: VecDeque::new(),
+            exchanges: Vec::new(),
+        };
+        segment.show_links();
+        segment
+    }
+
+    /// The slaves in the order of the chain.
+    pub(crate) fn slaves(&self) -> &[Slave] {
+        &self.slaves
+    }
+
+    /// Number of EtherCAT frames from the master.
+    pub(crate) fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Advances by one millisecond, to a true time.
+    pub(crate) fn step(&mut self, now_ns: u64) {
+        for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
+            if *off_ms > 0 {
+                *off_ms -= 1;
+                let on = *off_ms == 0;
+                slave.drive_mut().into_iter().for_each(|drive| drive.set_mains(on));
+            }
+            slave.step(now_ns);
+        }
+        self.show_links();
+    }
+
+    /// Samples the inputs of this millisecond, after every motor has moved.
+    pub(crate) fn sample(&mut self) {
+        for (one, other, left_ms) in core::mem::take(&mut self.exchanges) {
+            let shaft = |slave: usize| {
+                let slave = slave.checked_sub(1).and_then(|index| self.slaves.get(index));
+                slave.and_then(Slave::drive).map(|drive| drive.motor().angle_rad())
+            };
+            let shafts = if left_ms > 0 {
+                [shaft(other), shaft(one)]
+            } else {
+                [None; 2]
+            };
+            for (slave, foreign_rad) in [one, other].into_iter().zip(shafts) {
+                self.with_drive(slave, |drive| drive.show_foreign(foreign_rad));
+            }
+            if left_ms > 0 {
+                self.exchanges.push((one, other, left_ms - 1));
+            }
+        }
+        self.slaves.iter_mut().for_each(Slave::sample);
+    }
+
+    /// The shafts of the motors in the order of the chain.
+    pub(crate) fn shafts(&mut self) -> Vec<Shaft<'_>> {
+        let drives = self.slaves.iter_mut().zip(1..);
+        drives
+            .filter_map(|(slave, number)| Some(Shaft::new(number, slave.drive_mut()?)))
+            .collect()
+    }
+
+    /// Applies a fault to the segment.
+    pub(crate) fn apply(&mut self, fault: Fault, now_ms: u64) {
+        match fault {
+            Fault::Stall(milliseconds) => self.stalled_until_ms = now_ms.saturating_add(milliseconds),
+            Fault::Cut(cable) => self.cut.iter_mut().skip(cable).take(1).for_each(|cut| *cut = true),
+            Fault::Join => self.cut.fill(false),
+            Fault::Remove(slave) => self.set_removed(slave, true),
+            Fault::Insert(slave) => self.set_removed(slave, false),
+            Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
+            Fault::Retreat(slave, code) => self.with(slave, |slave| slave.fall(AlState::SafeOperational, code)),
+            Fault::Fall(slave, state, code) => self.with(slave, |slave| slave.fall(state, code)),
+            Fault::Silence(slave, ms) => self.with(slave, |slave| slave.silence(ms)),
+            Fault::Drive(slave, code) => self.with_drive(slave, |drive| drive.fault(code)),
+            Fault::Resolver(slave, fault, ms) => self.with_drive(slave, |drive| drive.set_resolver_fault(fault, ms)),
+            Fault::Jump(slave, increments) => self.with_drive(slave, |drive| drive.slip(increments)),
+            Fault::Exchange(one, other, ms) => {
+                self.exchanges
+                    .retain(|(first, second, _)| (*first, *second) != (one, other));
+                self.exchanges.push((one, other, ms));
+            }
+            Fault::Mains(slave, ms) => {
+                self.with_drive(slave, |drive| drive.set_mains(ms == 0));
+                let at = slave.wrapping_sub(1);
+                self.mains_off_ms
+                    .iter_mut()
+                    .skip(at)
+                    .take(1)
+                    .for_each(|off_ms| *off_ms = ms);
+            }
+            Fault::Crc(cable, frames) => {
+                let cable = self.damaging.iter_mut().skip(cable).take(1);
+                cable.for_each(|left| *left = left.saturating_add(frames));
+            }
+            Fault::Swap(slave, product) => self.with(slave, |slave| slave.swap(product)),
+            Fault::Refuse(slave, state, code) => self.with(slave, |slave| slave.refuse(state, code)),
+            Fault::Processor(slave, ms) => self.with(slave, |slave| slave.hang(ms)),
+            Fault::Sii(slave, fault) => self.with(slave, |slave| slave.set_sii_fault(fault)),
+            Fault::Mailbox(slave, step, fault) => self.with(slave, |slave| slave.spoil_mailbox(step, fault)),
+            _ => {}
+        }
+        self.show_links();
+    }
+
+    /// Passes a frame through the segment; returns the frames that come back, in order.
+    pub(crate) fn frame(&mut self, frame: &[u8], now: Now, schedule: &mut Schedule) -> Vec<Vec<u8>> {
+        let now_ms = now.ms;
+        let mut passing = frame.to_vec();
+        if Datagrams::of_frame(&mut passing).is_none() {
+            return Vec::new();
+        }
+        self.frames += 1;
+        let mut faults = schedule.at_frame(self.frames, now_ms);
+        for fault in faults.iter().filter(|fault| !fault.is_of_frame()) {
+            self.apply(*fault, now_ms);
+            schedule.count(*fault);
+        }
+        faults.retain(|fault| fault.is_of_frame());
+        let mut replies = Vec::new();
+        while self.delayed.front().is_some_and(|(due, _)| *due <= self.frames) {
+            replies.extend(self.delayed.pop_front().map(|(_, reply)| reply));
+        }
+        let stalled = now_ms < self.stalled_until_ms;
+        if stalled {
+            return replies;
+        }
+        if faults.contains(&Fault::Drop) {
+            schedule.count(Fault::Drop);
+            return replies;
+        }
+        if !self.pass(&mut passing, now.ns) {
+            return replies;
+        }
+        if faults.contains(&Fault::Lose) {
+            schedule.count(Fault::Lose);
+            return replies;
+        }
+        faults.iter().for_each(|fault| schedule.count(*fault));
+        self.answer(frame, passing, &faults, &mut replies);
+        replies
+    }
+
+    /// Passes a frame through the slaves that it can reach; returns false if it does not come back.
+    fn pass(&mut self, frame: &mut [u8], now_ns: u64) -> bool {
+        let reached = self.reached();
+        if reached.is_empty() {
+            return false;
+        }
+        let TravelTimes {
+            cable_ns,
+            forwarding_ns,
+        } = self.travel;
+        let hop_ns = cable_ns + forwarding_ns;
+        let last = reached.len() as u64 - 1;
+        let mut damaged = false;
+        for (place, index) in (0u64..).zip(reached) {
+            if let Some(left) = self.damaging.get_mut(index).filter(|left| **left > 0 && !damaged) {
+                *left -= 1;
+                damaged = true;
+                self.slaves
+                    .iter_mut()
+                    .skip(index)
+                    .take(1)
+                    .for_each(|slave| slave.count_damage(false));
+                continue;
+            }
+            let (Some(slave), Some(mut datagrams)) = (self.slaves.get_mut(index), Datagrams::of_frame(frame)) else {
+                continue;
+            };
+            if damaged {
+                slave.count_damage(true);
+                continue;
+            }
+            let arrival_ns = now_ns.saturating_add(cable_ns + place * hop_ns);
+            let back_ns = (place < last).then(|| arrival_ns.saturating_add(2 * (last - place) * hop_ns));
+            slave.begin_frame(arrival_ns, back_ns);
+            while let Some(mut datagram) = datagrams.next() {
+                slave.pass(&mut datagram);
+            }
+        }
+        mark_processed(frame);
+        !damaged
+    }
+
+    /// Returns the reply with the scripted faults.
+    fn answer(&mut self, request: &[u8], mut reply: Vec<u8>, faults: &[Fault], replies: &mut Vec<Vec<u8>>) {
+        let (mut delay, mut copies) = (0, 1);
+        for fault in faults {
+            match *fault {
+                Fault::Delay(frames) => delay = frames,
+                Fault::Duplicate => copies = 2,
+                Fault::Foreign => replies.push(FOREIGN_FRAME.to_vec()),
+                Fault::Reflect => replies.push(request.to_vec()),
+                fault => damage::change(&mut reply, fault),
+            }
+        }
+        damage::envelop(&mut reply, faults);
+        for _ in 0..copies {
+            if delay == 0 {
+                replies.push(reply.clone());
+            } else {
+                self.delayed
+                    .push_back((self.frames.saturating_add(delay), reply.clone()));
+            }
+        }
+    }
+
+    /// The slaves a frame reaches, in order.
+    fn reached(&self) -> Vec<usize> {
+        let mut reached = Vec::new();
+        for (index, slave) in self.slaves.iter().enumerate() {
+            if self.cut.get(index).copied().unwrap_or(true) {
+                break;
+            }
+            if self.removed.get(index).copied().unwrap_or(true) {
+                continue;
+            }
+            if !slave.is_powered() {
+                break;
+            }
+            reached.push(index);
+        }
+        reached
+    }
+
+    fn show_links(&mut self) {
+        let reached = self.reached();
+        let last = reached.last().copied();
+        for (index, slave) in self.slaves.iter_mut().enumerate() {
+            let links = match (reached.contains(&index), last == Some(index)) {
+                (true, true) => PORT_IN,
+                (true, false) => PORT_IN | PORT_OUT,
+                (false, _) => 0,
+            };
+            slave.set_links(links);
+        }
+    }
+
+    fn set_removed(&mut self, slave: usize, removed: bool) {
+        let at = slave.wrapping_sub(1);
+        self.removed
+            .iter_mut()
+            .skip(at)
+            .take(1)
+            .for_each(|flag| *flag = removed);
+    }
+
+    fn with_drive(&mut self, slave: usize, work: impl FnOnce(&mut Drive)) {
+        self.with(slave, |slave| {
+            if let Some(drive) = slave.drive_mut() {
+                work(drive);
+            }
+        });
+    }
+
+    fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {
+        if let Some(slave) = slave.checked_sub(1).and_then(|index| self.slaves.get_mut(index)) {
+            work(slave);
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! A bus coupler like Beckhoff's EK1100: no mailbox, no process data, only a place in the chain and a clock.
+
+use crate::controller::silicon::{ClockWidth, Silicon};
+use crate::devices::Device;
+use crate::drive::servo::Servo;
+use crate::eeprom::sii::{self, Description};
+use crate::eeprom::windows::Windows;
+use crate::mailbox::dictionary::Dictionary;
+use crate::mailbox::live_objects::LiveObjects;
+use crate::mailbox::process_data::ProcessData;
+use etherpen_ethercat::wire::sii::Identity;
+
+const NAME: &str = "EK1100 EtherCAT Coupler";
+const ORDER: &str = "EK1100";
+
+/// The device behind one slave controller. It may replace a drive, whose motor then rests on its brake.
+#[derive(Clone, Debug)]
+pub(crate) struct Coupler {
+    parked: Option<Servo>,
+}
+
+impl Coupler {
+    /// A coupler, with the motor of the replaced drive.
+    pub(crate) fn new(parked: Option<Servo>) -> Self {
+        Self { parked }
+    }
+}
+
+impl LiveObjects for Coupler {}
+
+impl Device for Coupler {
+    fn image(&self) -> Vec<u8> {
+        sii::image(&Description {
+            identity: Identity {
+                vendor: 0x0000_0002,
+                product: 0x044C_2C52,
+                revision: 0x0011_0000,
+                serial: 0,
+            },
+            name: NAME,
+            order: ORDER,
+            windows: Windows::default(),
+            details: 0,
+            process_data: &ProcessData::default(),
+            ports: self.silicon().ports,
+        })
+    }
+
+    fn silicon(&self) -> Silicon {
+        Silicon {
+            identity: [0x02, 0x00, 0x02, 0x00],
+            fmmus: 2,
+            sync_managers: 0,
+            memory_kib: 4,
+            ports: 0x0B,
+            clock: ClockWidth::Bits64,
+        }
+    }
+
+    fn windows(&self) -> Windows {
+        Windows::default()
+    }
+
+    fn process_data(&self) -> ProcessData {
+        ProcessData::default()
+    }
+
+    fn dictionary(&self) -> Dictionary {
+        Dictionary::default()
+    }
+
+    fn step(&mut self, _operational: bool) {
+        self.parked.iter_mut().for_each(|servo| servo.step(false));
+    }
+
+    fn servo(&self) -> Option<&Servo> {
+        self.parked.as_ref()
+    }
+
+    fn servo_mut(&mut self) -> Option<&mut Servo> {
+        self.parked.as_mut()
+    }
+
+    fn boxed_clone(&self) -> Box<dyn Device> {
+        Box::new(self.clone())
+    }
+}

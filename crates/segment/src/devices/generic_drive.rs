@@ -1,0 +1,254 @@
+//! A generic CiA 402 servo drive with variable process-data mapping.
+//!
+//! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
+//! velocity (9) and torque (10). Velocity is in the drive's velocity digits, torque in 1/1000 of the rated torque,
+//! position in increments over all turns. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
+
+use crate::devices::servo_device::Model;
+use crate::drive::servo::Servo;
+use crate::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, Profile, RATED_TORQUE_MNM};
+use crate::eeprom::sii;
+use crate::eeprom::windows::Windows;
+use crate::mailbox::abort::Abort;
+use crate::mailbox::dictionary::{DataType, ObjectRow, Value, access, record, variable};
+use crate::mailbox::process_data::{Pdo, PdoEntry, ProcessData};
+use DataType::{Integer8, Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32, VisibleString};
+use Value::{Live, Number, Stored, Text};
+use access::{READ, READ_WRITE, RX, TX};
+use etherpen_ethercat::wire::sii::{Identity, MailboxWindow};
+
+const NAME: &str = "etherpen CiA 402 drive";
+const ORDER: &str = "EP-402";
+const IDENTITY: Identity = Identity {
+    vendor: 0x0000_0E7E,
+    product: 0x0000_0402,
+    revision: 0x0001_0000,
+    serial: 0,
+};
+const WINDOWS: Windows = Windows {
+    mailbox_out: MailboxWindow {
+        start: 0x1000,
+        length: 256,
+    },
+    mailbox_in: MailboxWindow {
+        start: 0x1200,
+        length: 256,
+    },
+    outputs: 0x1400,
+    inputs: 0x1600,
+};
+/// Modes 8, 9 and 10: bits 7 to 9 of object 0x6502.
+const SUPPORTED_MODES: i64 = 0x0380;
+
+const OBJECTS: &[ObjectRow] = &[
+    variable(
+        0x1008,
+        "Device name",
+        &[(0, "Device name", VisibleString, READ, Text(NAME))],
+    ),
+    variable(
+        0x1009,
+        "Hardware version",
+        &[(0, "Hardware version", VisibleString, READ, Text("1"))],
+    ),
+    variable(
+        0x100A,
+        "Software version",
+        &[(0, "Software version", VisibleString, READ, Text("1"))],
+    ),
+    variable(0x603F, "Error code", &[(0, "Error code", Unsigned16, READ | TX, Live)]),
+    variable(
+        0x6040,
+        "Control word",
+        &[(0, "Control word", Unsigned16, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x605A,
+        "Quick stop option code",
+        &[(
+            0,
+            "Quick stop option code",
+            Integer16,
+            READ_WRITE,
+            Stored {
+                first: 2,
+                low: 2,
+                high: 2,
+            },
+        )],
+    ),
+    variable(
+        0x6060,
+        "Modes of operation",
+        &[(0, "Modes of operation", Integer8, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x6061,
+        "Modes of operation display",
+        &[(0, "Modes of operation display", Integer8, READ | TX, Live)],
+    ),
+    variable(
+        0x606C,
+        "Velocity actual value",
+        &[(0, "Velocity actual value", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x6071,
+        "Target torque",
+        &[(0, "Target torque", Integer16, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x6076,
+        "Motor rated torque",
+        &[(
+            0,
+            "Motor rated torque",
+            Unsigned32,
+            READ,
+            Number(RATED_TORQUE_MNM as i64),
+        )],
+    ),
+    variable(
+        0x607A,
+        "Target position",
+        &[(0, "Target position", Integer32, READ_WRITE | RX, Live)],
+    ),
+    record(
+        0x60C2,
+        "Interpolation time period",
+        &[
+            (
+                1,
+                "Interpolation time period value",
+                Unsigned8,
+                READ_WRITE,
+                Stored {
+                    first: 1,
+                    low: 1,
+                    high: 100,
+                },
+            ),
+            (
+                2,
+                "Interpolation time index",
+                Integer8,
+                READ_WRITE,
+                Stored {
+                    first: -3,
+                    low: -6,
+                    high: -3,
+                },
+            ),
+        ],
+    ),
+    variable(
+        0x60FF,
+        "Target velocity",
+        &[(0, "Target velocity", Integer32, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x6502,
+        "Supported drive modes",
+        &[(0, "Supported drive modes", Unsigned32, READ, Number(SUPPORTED_MODES))],
+    ),
+];
+
+/// Model data of the drive.
+pub(crate) static MODEL: Model = Model {
+    name: NAME,
+    order: ORDER,
+    identity: IDENTITY,
+    windows: WINDOWS,
+    details: sii::DETAILS_MAPPABLE_PDO,
+    objects: OBJECTS,
+    profile: Profile::Cia402,
+    process_data,
+    get,
+    set,
+    set_output,
+};
+
+fn process_data() -> ProcessData {
+    let word = |index| PdoEntry::new(index, 16);
+    let long = |index| PdoEntry::new(index, 32);
+    let byte = |index| PdoEntry::new(index, 8);
+    let (control, status) = (word(0x6040), word(0x6041));
+    let pdos = vec![
+        Pdo::new(0x1600, "Velocity", false, &[control, long(0x60FF)]),
+        Pdo::new(0x1601, "Torque", false, &[control, word(0x6071)]),
+        Pdo::new(
+            0x1602,
+            "All",
+            false,
+            &[control, long(0x607A), long(0x60FF), byte(0x6060)],
+        ),
+        Pdo::new(0x1A00, "Position", false, &[status, long(0x6064)]),
+        Pdo::new(
+            0x1A01,
+            "Position and torque",
+            false,
+            &[status, long(0x6064), word(0x6077)],
+        ),
+        Pdo::new(
+            0x1A02,
+            "All",
+            false,
+            &[status, long(0x6064), long(0x606C), byte(0x6061)],
+        ),
+    ];
+    ProcessData::new(pdos, &[0x1600], &[0x1A00], 3)
+}
+
+fn get(servo: &Servo, index: u16) -> Option<i64> {
+    let drive = &servo.drive;
+    let demand = &servo.demand;
+    let shown = servo.shown();
+    Some(match index {
+        0x1001 => servo.error_register().into(),
+        0x603F => drive.error_code().into(),
+        0x6040 => demand.control.into(),
+        0x6041 => shown.status.into(),
+        0x6060 => drive.mode.into(),
+        0x6061 => drive.mode_display.into(),
+        0x6064 => shown.position.into(),
+        0x606C => shown.velocity.into(),
+        0x6071 => demand.torque_digits.into(),
+        0x6077 => shown.torque.into(),
+        0x607A => demand.position.unwrap_or(shown.position).into(),
+        0x6085 => drive.quick_stop_increments_s2.into(),
+        0x60FF => demand.velocity_digits.into(),
+        _ => return None,
+    })
+}
+
+fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+    match (index, value) {
+        (0x6060, mode) => match i8::try_from(mode) {
+            Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
+                servo.drive.mode = mode;
+            }
+            _ => return Err(Abort::VALUE),
+        },
+        (0x6085, 1..) => {
+            servo.drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?;
+        }
+        (0x6085, _) => return Err(Abort::VALUE),
+        _ => set_output(servo, index, value),
+    }
+    Ok(())
+}
+
+fn set_output(servo: &mut Servo, index: u16, value: i64) {
+    let demand = &mut servo.demand;
+    match index {
+        0x6040 => demand.control = value as u16,
+        0x6060 => {
+            // An unsupported mode in the process data leaves the present mode in effect.
+            let _ = set(servo, index, value);
+        }
+        0x6071 => demand.torque_digits = value as i16,
+        0x607A => demand.position = Some(value as i32),
+        0x60FF => demand.velocity_digits = value as i32,
+        _ => {}
+    }
+}

@@ -1,0 +1,595 @@
+//! A servo drive: CiA 402 state machine, modes of operation, brake, resolver and the motor behind it.
+//!
+//! Position and speed are updated every millisecond, control and status word every second one, as in the real drive.
+//! The motor only moves under the velocity or torque loop (operation enabled), on a ramp (quick stop, fault reaction)
+//! or against the closed brake (all other states).
+
+pub(crate) mod motor;
+pub(crate) mod resolver;
+pub(crate) mod servo;
+
+use motor::{Action, Motor};
+use resolver::{Resolver, ResolverFault};
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+
+/// AX2000: digital speed.
+pub(crate) const MODE_DIGITAL_SPEED: i8 = -2;
+/// AX2000: digital current.
+pub(crate) const MODE_DIGITAL_CURRENT: i8 = -3;
+/// CiA 402: cyclic synchronous position.
+pub(crate) const MODE_CYCLIC_POSITION: i8 = 8;
+/// CiA 402: cyclic synchronous velocity.
+pub(crate) const MODE_CYCLIC_VELOCITY: i8 = 9;
+/// CiA 402: cyclic synchronous torque.
+pub(crate) const MODE_CYCLIC_TORQUE: i8 = 10;
+/// Rated torque of the motor, mN m; object 0x6076 of a CiA 402 drive.
+pub(crate) const RATED_TORQUE_MNM: u32 = 2_800;
+/// Peak torque of the motor, N m: 12 A at 0.7 N m/A.
+const PEAK_TORQUE_NM: f64 = 8.4;
+/// Digits of an AX2000 at peak current.
+const PEAK_CURRENT_DIGITS: f64 = 3_280.0;
+/// Gain of the position loop in cyclic synchronous position mode, 1/s.
+const POSITION_GAIN_PER_S: f64 = 100.0;
+/// Error code for the loss of cyclic data.
+const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
+
+/// Highest possible speed of the motor, revolutions per minute.
+const SPEED_MAX_RPM: f64 = 6000.0;
+
+const CONTROL_SWITCH_ON: u16 = 0x0001;
+const CONTROL_ENABLE_VOLTAGE: u16 = 0x0002;
+const CONTROL_NO_QUICK_STOP: u16 = 0x0004;
+const CONTROL_ENABLE_OPERATION: u16 = 0x0008;
+const CONTROL_FAULT_RESET: u16 = 0x0080;
+
+const STATUS_VOLTAGE: u16 = 0x0010;
+const STATUS_REMOTE: u16 = 0x0200;
+
+/// State of the drive as CiA 402 names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DriveState {
+    /// No torque; the main voltage may be off.
+    SwitchOnDisabled,
+    /// No torque; the main voltage may be switched on.
+    ReadyToSwitchOn,
+    /// Main voltage on, no torque.
+    SwitchedOn,
+    /// The motor follows its command.
+    OperationEnabled,
+    /// Ramping down on request.
+    QuickStopActive,
+    /// Ramping down after a fault.
+    FaultReactionActive,
+    /// At rest after a fault.
+    Fault,
+}
+
+impl DriveState {
+    fn status_bits(self) -> u16 {
+        match self {
+            Self::SwitchOnDisabled => 0x0040,
+            Self::ReadyToSwitchOn => 0x0021,
+            Self::SwitchedOn => 0x0023,
+            Self::OperationEnabled => 0x0027,
+            Self::QuickStopActive => 0x0007,
+            Self::FaultReactionActive => 0x000F,
+            Self::Fault => 0x0008,
+        }
+    }
+}
+
+/// Scaling of the drive's objects.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Profile {
+    /// Current in digits, position within one motor turn.
+    Ax2000,
+    /// Torque in 1/1000 of the rated torque, position over all turns.
+    Cia402,
+}
+
+/// Demand from the fieldbus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Demand {
+    /// Velocity in digits of object 0x606B or 0x60FF.
+    pub(crate) velocity_digits: i32,
+    /// Torque in digits of object 0x6074 or 0x6071.
+    pub(crate) torque_digits: i16,
+    /// Position, increments; `None` holds the present one.
+    pub(crate) position: Option<i32>,
+    /// Control word.
+    pub(crate) control: u16,
+}
+
+/// A servo drive and its motor as they are built and set; angles, speeds and decelerations are the motor's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DriveOptions {
+    /// Position increments of one motor revolution; 0 counts as 1.
+    pub increments_per_revolution: u32,
+    /// Position of the drive at the angle 0, increments.
+    pub zero_increments: u32,
+    /// Digits of the velocity demand for one revolution per minute.
+    pub digits_per_rpm: f64,
+    /// Quick-stop deceleration until a master writes another one, rad/s2.
+    pub quick_stop_rad_s2: f64,
+    /// Deceleration against the closed brake, rad/s2.
+    pub brake_rad_s2: f64,
+    /// Bandwidth of the velocity loop, Hz; at least 0.1.
+    pub bandwidth_hz: f64,
+    /// Speed by which dry friction slows the velocity loop down until its integral makes up for it, rad/s.
+    pub friction_rad_s: f64,
+    /// Noise of the resolver, increments at most.
+    pub noise_increments: f64,
+    /// Age of a position when the bus can read it, ms; at most 100.
+    pub input_delay_ms: usize,
+    /// Age of a command when the motor obeys it, ms; at most 100.
+    pub output_delay_ms: usize,
+    /// Angle of the motor at the start, rad.
+    pub angle_rad: f64,
+}
+
+impl Default for DriveOptions {
+    fn default() -> Self {
+        Self {
+            increments_per_revolution: 1 << 20,
+            zero_increments: 0,
+            digits_per_rpm: 262_144.0 / 1_875.0,
+            quick_stop_rad_s2: 1_200.0,
+            brake_rad_s2: 4_800.0,
+            bandwidth_hz: 100.0,
+            friction_rad_s: 0.0,
+            noise_increments: 0.0,
+            input_delay_ms: 1,
+            output_delay_ms: 1,
+            angle_rad: 0.0,
+        }
+    }
+}
+
+/// One drive with its motor.
+#[derive(Clone, Debug)]
+pub(crate) struct Drive {
+    options: DriveOptions,
+    profile: Profile,
+    motor: Motor,
+    state: DriveState,
+    /// Requested and active mode of operation.
+    pub(crate) mode: i8,
+    pub(crate) mode_display: i8,
+    /// Quick-stop deceleration, position increments per second squared at the motor.
+    pub(crate) quick_stop_increments_s2: u32,
+    control: u16,
+    status: u16,
+    error_code: u16,
+    second_millisecond: bool,
+    mains: bool,
+    resolver: Resolver,
+    target_position: Option<i32>,
+    emergencies: VecDeque<u16>,
+}
+
+impl Drive {
+    /// A drive at rest; the seed is of its resolver's noise.
+    pub(crate) fn new(options: &DriveOptions, noise_seed: u64) -> Self {
+        let motor = Motor::new(options.angle_rad, options.bandwidth_hz).with_friction(options.friction_rad_s);
+        let mut drive = Self {
+            options: options.clone(),
+            profile: Profile::Ax2000,
+            motor,
+            state: DriveState::SwitchOnDisabled,
+            mode: 0,
+            mode_display: 0,
+            quick_stop_increments_s2: 0,
+            control: 0,
+            status: 0,
+            error_code: 0,
+            second_millisecond: false,
+            mains: true,
+            resolver: Resolver::new(0.0, noise_seed),
+            target_position: None,
+            emergencies: VecDeque::new(),
+        };
+        drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed);
+        drive.power_up();
+        drive
+    }
+
+    /// This drive with the given scaling of its objects.
+    pub(crate) fn with_profile(self, profile: Profile) -> Self {
+        Self { profile, ..self }
+    }
+
+    /// Resets everything but the motor to its state after power-up.
+    pub(crate) fn power_up(&mut self) {
+        self.state = DriveState::SwitchOnDisabled;
+        self.mode = 0;
+        self.mode_display = 0;
+        self.quick_stop_increments_s2 = (self.options.quick_stop_rad_s2 * self.increments_per_rad()) as u32;
+        self.control = 0;
+        self.error_code = 0;
+        self.emergencies.clear();
+        self.status = self.state.status_bits();
+    }
+
+    /// CiA 402 state.
+    pub(crate) fn state(&self) -> DriveState {
+        self.state
+    }
+
+    /// Status word, object 0x6041.
+    pub(crate) fn status(&self) -> u16 {
+        self.status
+    }
+
+    /// Control word in effect, object 0x6040.
+    pub(crate) fn control(&self) -> u16 {
+        self.control
+    }
+
+    /// Error code of the present fault, object 0x603F; 0 without a fault.
+    pub(crate) fn error_code(&self) -> u16 {
+        self.error_code
+    }
+
+    /// The motor.
+    pub(crate) fn motor(&self) -> &Motor {
+        &self.motor
+    }
+
+    /// The motor, for the load that moves it.
+    pub(crate) fn motor_mut(&mut self) -> &mut Motor {
+        &mut self.motor
+    }
+
+    /// Whether the load decides how the motor moves: the current loop only keeps a torque.
+    pub(crate) fn is_in_torque_mode(&self) -> bool {
+        self.state == DriveState::OperationEnabled
+            && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE)
+    }
+
+    /// Position in the drive's scaling, increments: within one motor turn, or over all turns.
+    pub(crate) fn position(&self) -> i32 {
+        self.position_at(self.resolver.shown_rad(self.motor.angle_rad()))
+    }
+
+    /// Speed in digits of the velocity demand.
+    pub(crate) fn velocity_digits(&self) -> i32 {
+        (self.motor.speed_rad_s() * self.digits_per_rad_s()).round() as i32
+    }
+
+    /// Torque in digits of the torque demand.
+    pub(crate) fn torque_digits(&self) -> i16 {
+        (self.motor.torque_nm() / self.torque_nm_per_digit()).round() as i16
+    }
+
+    /// The next emergency: an error code, 0 when the error has ended.
+    pub(crate) fn take_emergency(&mut self) -> Option<u16> {
+        self.emergencies.pop_front()
+    }
+
+    /// Sets a resolver fault for some milliseconds.
+    pub(crate) fn set_resolver_fault(&mut self, fault: ResolverFault, milliseconds: u64) {
+        self.resolver.set_fault(fault, milliseconds, self.motor.angle_rad());
+    }
+
+    /// Makes the resolver slip on its shaft by so many increments, permanently.
+    pub(crate) fn slip(&mut self, increments: i32) {
+        self.resolver.slip(f64::from(increments) / self.increments_per_rad());
+    }
+
+    /// Makes the resolver show another motor's shaft, rad since that motor's mark, or its own again.
+    pub(crate) fn show_foreign(&mut self, foreign_rad: Option<f64>) {
+        self.resolver.show_foreign(foreign_rad);
+    }
+
+    /// Switches the main voltage; without it an enabled drive faults.
+    pub(crate) fn set_mains(&mut self, on: bool) {
+        self.mains = on;
+        if !on && self.obeys() {
+            self.fault(0x3220);
+        }
+    }
+
+    /// Triggers a fault with this error code.
+    pub(crate) fn fault(&mut self, error_code: u16) {
+        if matches!(self.state, DriveState::Fault | DriveState::FaultReactionActive) {
+            return;
+        }
+        self.error_code = error_code;
+        self.emergencies.push_back(error_code);
+        self.state = DriveState::FaultReactionActive;
+    }
+
+    /// Handles the loss of cyclic data: a switched-on drive faults, with its emergency ramp.
+    pub(crate) fn cyclic_data_lost(&mut self) {
+        match self.state {
+            DriveState::SwitchOnDisabled | DriveState::Fault | DriveState::FaultReactionActive => {}
+            _ => self.fault(ERROR_CYCLIC_DATA_LOST),
+        }
+    }
+
+    /// Advances by one millisecond with the processor stopped: the current loop keeps the motor at its last demand.
+    pub(crate) fn coast(&mut self, demand: Demand) {
+        let action = self.action(demand);
+        self.motor.step(action);
+        self.resolver
+            .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
+    }
+
+    /// Advances by one millisecond; no demand means that the fieldbus is not in OP.
+    pub(crate) fn step(&mut self, demand: Option<Demand>) {
+        self.second_millisecond = !self.second_millisecond;
+        if self.second_millisecond {
+            self.mode_display = self.mode;
+            self.obey(demand.map(|demand| demand.control));
+        }
+        let action = self.action(demand.unwrap_or_default());
+        self.motor.step(action);
+        self.resolver
+            .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
+        if self.motor.is_still() {
+            self.state = match self.state {
+                DriveState::QuickStopActive => DriveState::SwitchOnDisabled,
+                DriveState::FaultReactionActive => DriveState::Fault,
+                state => state,
+            };
+        }
+        if self.second_millisecond {
+            let voltage = if self.mains { STATUS_VOLTAGE } else { 0 };
+            let remote = if demand.is_some() { STATUS_REMOTE } else { 0 };
+            self.status = self.state.status_bits() | voltage | remote;
+        }
+    }
+
+    /// The action on the motor in this millisecond.
+    fn action(&mut self, demand: Demand) -> Action {
+        let last_target = self.target_position;
+        self.target_position = None;
+        match self.state {
+            DriveState::OperationEnabled => match self.mode_display {
+                MODE_DIGITAL_SPEED | MODE_CYCLIC_VELOCITY => self.speed(demand.velocity_digits),
+                MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE => {
+                    let torque_nm = f64::from(demand.torque_digits) * self.torque_nm_per_digit();
+                    Action::Torque(torque_nm.clamp(-PEAK_TORQUE_NM, PEAK_TORQUE_NM))
+                }
+                MODE_CYCLIC_POSITION => {
+                    let target = demand.position.or(last_target).unwrap_or(self.true_position());
+                    self.target_position = Some(target);
+                    let error = f64::from(target.wrapping_sub(self.true_position()));
+                    let ahead = f64::from(target.wrapping_sub(last_target.unwrap_or(target)));
+                    let increments_s = error * POSITION_GAIN_PER_S + ahead / motor::STEP_S;
+                    let rad_s = increments_s / self.increments_per_rad();
+                    self.speed((rad_s * self.digits_per_rad_s()) as i32)
+                }
+                _ => self.speed(0),
+            },
+            DriveState::QuickStopActive | DriveState::FaultReactionActive => {
+                Action::Ramp(f64::from(self.quick_stop_increments_s2) / self.increments_per_rad())
+            }
+            _ => Action::Ramp(self.options.brake_rad_s2),
+        }
+    }
+
+    fn speed(&self, digits: i32) -> Action {
+        let speed_max_rad_s = SPEED_MAX_RPM / 60.0 * TAU;
+        let speed_rad_s = f64::from(digits) / self.digits_per_rad_s();
+        Action::Speed(speed_rad_s.max(-speed_max_rad_s).min(speed_max_rad_s))
+    }
+
+    fn obey(&mut self, control: Option<u16>) {
+        let Some(control) = control else {
+            self.control = 0;
+            self.state = match self.state {
+                DriveState::OperationEnabled => DriveState::QuickStopActive,
+                DriveState::ReadyToSwitchOn | DriveState::SwitchedOn => DriveState::SwitchOnDisabled,
+                state => state,
+            };
+            return;
+        };
+        let reset = control & !self.control & CONTROL_FAULT_RESET != 0;
+        self.control = control;
+        if self.state == DriveState::Fault {
+            if reset {
+                self.error_code = 0;
+                self.emergencies.push_back(0);
+                self.state = DriveState::SwitchOnDisabled;
+            }
+            return;
+        }
+        self.state = self.next_state(control);
+    }
+
+    fn next_state(&self, control: u16) -> DriveState {
+        use DriveState as S;
+        let has = |bit| control & bit != 0;
+        let state = self.state;
+        if matches!(state, S::Fault | S::FaultReactionActive) {
+            return state;
+        }
+        if !has(CONTROL_ENABLE_VOLTAGE) {
+            return S::SwitchOnDisabled;
+        }
+        if !has(CONTROL_NO_QUICK_STOP) {
+            return match state {
+                S::OperationEnabled | S::QuickStopActive => S::QuickStopActive,
+                _ => S::SwitchOnDisabled,
+            };
+        }
+        match (state, has(CONTROL_SWITCH_ON), has(CONTROL_ENABLE_OPERATION)) {
+            (S::QuickStopActive, ..) => S::QuickStopActive,
+            (S::SwitchOnDisabled, false, _) if self.mains => S::ReadyToSwitchOn,
+            (S::SwitchOnDisabled, ..) => S::SwitchOnDisabled,
+            (_, false, _) => S::ReadyToSwitchOn,
+            (S::ReadyToSwitchOn, true, _) | (_, true, false) => S::SwitchedOn,
+            (_, true, true) => S::OperationEnabled,
+        }
+    }
+
+    fn obeys(&self) -> bool {
+        matches!(self.state, DriveState::OperationEnabled | DriveState::QuickStopActive)
+    }
+
+    /// Velocity digits for one rad/s at the motor.
+    fn digits_per_rad_s(&self) -> f64 {
+        self.options.digits_per_rpm * 60.0 / TAU
+    }
+
+    fn increments_per_rad(&self) -> f64 {
+        f64::from(self.options.increments_per_revolution.max(1)) / TAU
+    }
+
+    /// Torque at the motor for one digit of the torque demand, N m.
+    fn torque_nm_per_digit(&self) -> f64 {
+        match self.profile {
+            Profile::Ax2000 => PEAK_TORQUE_NM / PEAK_CURRENT_DIGITS,
+            Profile::Cia402 => f64::from(RATED_TORQUE_MNM) * 1e-6,
+        }
+    }
+
+    fn true_position(&self) -> i32 {
+        self.position_at(self.motor.angle_rad())
+    }
+
+    /// The position for a shaft angle since its mark.
+    fn position_at(&self, shaft_rad: f64) -> i32 {
+        let increments = f64::from(self.options.increments_per_revolution.max(1));
+        let turn = shaft_rad * self.increments_per_rad() + f64::from(self.options.zero_increments);
+        match self.profile {
+            Profile::Ax2000 => turn.floor().rem_euclid(increments) as i32,
+            Profile::Cia402 => turn.floor() as i64 as i32,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive() -> Drive {
+        Drive::new(&DriveOptions::default(), 0)
+    }
+
+    fn hold(drive: &mut Drive, control: u16, velocity_digits: i32, milliseconds: u32) {
+        for _ in 0..milliseconds {
+            drive.step(Some(Demand {
+                velocity_digits,
+                control,
+                ..Demand::default()
+            }));
+        }
+    }
+
+    fn enabled() -> Drive {
+        let mut drive = drive();
+        drive.mode = MODE_DIGITAL_SPEED;
+        for control in [0x06, 0x07, 0x0F] {
+            hold(&mut drive, control, 0, 2);
+        }
+        drive
+    }
+
+    #[test]
+    fn three_control_words_enable_the_drive_one_state_at_a_time() {
+        let mut drive = drive();
+        assert_eq!(drive.status() & 0x4F, 0x40);
+        for (control, mask, bits) in [(0x06, 0x6F, 0x21), (0x07, 0x6F, 0x23), (0x0F, 0x6F, 0x27)] {
+            hold(&mut drive, control, 0, 2);
+            assert_eq!(drive.status() & mask, bits, "control word {control:#x}");
+        }
+    }
+
+    #[test]
+    fn the_status_word_changes_only_every_second_millisecond() {
+        let mut drive = drive();
+        hold(&mut drive, 0, 0, 1);
+        let before = drive.status();
+        hold(&mut drive, 0x06, 0, 1);
+        assert_eq!(drive.status(), before);
+        hold(&mut drive, 0x06, 0, 1);
+        assert_eq!(drive.status() & 0x6F, 0x21);
+    }
+
+    #[test]
+    fn a_velocity_of_one_turn_a_second_is_the_documented_number_of_digits() {
+        let mut drive = enabled();
+        let digits = (60.0 * 262_144.0 / 1_875.0) as i32;
+        hold(&mut drive, 0x0F, digits, 200);
+        let start = drive.motor.angle_rad();
+        hold(&mut drive, 0x0F, digits, 1000);
+        assert!(((drive.motor.angle_rad() - start) / TAU - 1.0).abs() < 1e-4);
+        assert!((drive.motor.speed_rad_s() - TAU).abs() < 1e-3);
+    }
+
+    #[test]
+    fn no_demand_moves_the_motor_faster_than_it_can() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x0F, i32::MIN, 1000);
+        let limit_rad_s = -SPEED_MAX_RPM / 60.0 * TAU;
+        assert!(
+            (drive.motor.speed_rad_s() - limit_rad_s).abs() < 1e-5,
+            "{}",
+            drive.motor.speed_rad_s()
+        );
+    }
+
+    #[test]
+    fn a_mode_without_velocity_does_not_move() {
+        let mut drive = enabled();
+        drive.mode = -1;
+        hold(&mut drive, 0x0F, 100_000, 100);
+        assert_eq!(drive.velocity_digits(), 0);
+    }
+
+    #[test]
+    fn a_quick_stop_ramps_down_with_the_written_deceleration() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x0F, 100_000, 100);
+        let increments_per_digit = f64::from(1 << 20) / (60.0 * 262_144.0 / 1_875.0);
+        drive.quick_stop_increments_s2 = (1_000_000.0 * increments_per_digit) as u32;
+        let mut milliseconds = 0;
+        while drive.state() != DriveState::SwitchOnDisabled && milliseconds < 1000 {
+            hold(&mut drive, 0x02, 100_000, 1);
+            milliseconds += 1;
+        }
+        assert!((100..=102).contains(&milliseconds), "{milliseconds} ms");
+        assert!(drive.motor.is_still());
+    }
+
+    #[test]
+    fn a_fault_stops_tells_and_needs_a_rising_edge() {
+        let mut drive = enabled();
+        hold(&mut drive, 0x8F, 50_000, 50);
+        drive.fault(0x2310);
+        assert_eq!(drive.take_emergency(), Some(0x2310));
+        hold(&mut drive, 0x80, 0, 500);
+        assert_eq!((drive.state(), drive.status() & 0x4F), (DriveState::Fault, 0x08));
+        assert_eq!(drive.error_code(), 0x2310);
+        hold(&mut drive, 0x00, 0, 2);
+        hold(&mut drive, 0x80, 0, 2);
+        assert_eq!((drive.state(), drive.error_code()), (DriveState::SwitchOnDisabled, 0));
+        assert_eq!(drive.take_emergency(), Some(0));
+    }
+
+    #[test]
+    fn without_main_voltage_the_drive_is_never_ready() {
+        let mut drive = drive();
+        drive.set_mains(false);
+        hold(&mut drive, 0x06, 0, 10);
+        assert_eq!(drive.status() & 0x50, 0x40);
+    }
+
+    #[test]
+    fn the_resolver_shows_one_turn_and_the_mark_where_it_was_set() {
+        let options = DriveOptions {
+            zero_increments: 1000,
+            ..DriveOptions::default()
+        };
+        assert_eq!(Drive::new(&options, 0).position(), 1000);
+        let around = DriveOptions {
+            angle_rad: -TAU / 4.0,
+            ..options
+        };
+        let around = Drive::new(&around, 0);
+        assert!((around.position() - (1000 + (1 << 20) * 3 / 4)).abs() <= 1);
+    }
+}

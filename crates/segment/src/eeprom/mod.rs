@@ -1,0 +1,291 @@
+//! The slave information memory behind registers 0x0500 to 0x050F.
+//!
+//! A command is busy for some of the segment's time; the word address counts 16-bit words; a read returns eight bytes.
+//! While the slave's processor owns the memory, or the memory is offered to it, commands are refused. Register layout:
+//! EEPROM interface of the slave controller's register description.
+
+pub(crate) mod sii;
+pub(crate) mod windows;
+
+use crate::registers;
+use etherpen_ethercat::wire::register as wire;
+use etherpen_ethercat::wire::sii::{WORD_CHECKSUM, checksum};
+
+/// First register of the interface.
+pub(crate) const BASE: usize = registers::SII_CONFIG;
+/// Bytes of the interface.
+pub(crate) const LENGTH: usize = 16;
+/// Default duration of a command, ns: eight bytes at 400 kHz.
+pub(crate) const BUSY_NS: u64 = 300_000;
+
+const CONFIG: usize = 0;
+const PDI_ACCESS: usize = (wire::SII_PDI_ACCESS - wire::SII_CONFIG) as usize;
+const CONTROL: usize = (wire::SII_CONTROL - wire::SII_CONFIG) as usize;
+const ADDRESS: usize = (wire::SII_ADDRESS - wire::SII_CONFIG) as usize;
+const DATA: usize = (wire::SII_DATA - wire::SII_CONFIG) as usize;
+
+const OFFERED: u8 = 0x01;
+const FORCED: u8 = wire::SII_FORCE;
+const WRITE_ENABLE: u16 = 0x0001;
+const READS_EIGHT_BYTES: u16 = wire::SII_READS_8_BYTES;
+const COMMAND_MASK: u16 = 0x0700;
+const COMMAND_READ: u16 = wire::SII_READ;
+const COMMAND_WRITE: u16 = wire::SII_WRITE;
+const COMMAND_RELOAD: u16 = 0x0400;
+const ERROR_CHECKSUM: u16 = wire::SII_CHECKSUM_ERROR;
+const ERROR_COMMAND: u16 = wire::SII_ACKNOWLEDGE_ERROR;
+const ERROR_WRITE_ENABLE: u16 = wire::SII_WRITE_ERROR;
+const BUSY: u16 = wire::SII_BUSY;
+
+/// Fault of an information memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SiiFault {
+    /// A command never ends.
+    Busy,
+    /// Every command ends with the acknowledge error.
+    Acknowledge,
+    /// Every byte is 0xFF.
+    Blank,
+    /// Every eighth byte has a flipped bit.
+    Damaged,
+    /// The slave's processor owns the memory until the master takes it by force.
+    Owned,
+    /// No fault.
+    Whole,
+}
+
+/// Content and command state of the memory.
+#[derive(Clone, Debug)]
+pub(crate) struct Eeprom {
+    image: Vec<u8>,
+    pending: u16,
+    due_ns: u64,
+    busy_ns: u64,
+    write_enabled: bool,
+    fault: SiiFault,
+}
+
+impl Eeprom {
+    pub(crate) fn new(image: Vec<u8>, busy_ns: u64) -> Self {
+        Self {
+            image,
+            pending: 0,
+            due_ns: 0,
+            busy_ns,
+            write_enabled: false,
+            fault: SiiFault::Whole,
+        }
+    }
+
+    /// Register content after power-up.
+    pub(crate) fn reset(&mut self, registers: &mut [u8]) {
+        self.pending = 0;
+        self.write_enabled = false;
+        self.set_status(registers, 0);
+        self.own(registers);
+    }
+
+    /// Sets or clears a fault.
+    pub(crate) fn set_fault(&mut self, fault: SiiFault, registers: &mut [u8]) {
+        self.fault = fault;
+        self.own(registers);
+    }
+
+    /// Whether the checksum of the configuration area is correct.
+    pub(crate) fn is_valid(&self) -> bool {
+        self.byte(2 * usize::from(WORD_CHECKSUM)) == {
+            let area: Vec<u8> = (0..2 * usize::from(WORD_CHECKSUM)).map(|at| self.byte(at)).collect();
+            checksum(&area)
+        }
+    }
+
+    /// One word of the memory.
+    pub(crate) fn word(&self, at: usize) -> u16 {
+        u16::from_le_bytes([self.byte(2 * at), self.byte(2 * at + 1)])
+    }
+
+    /// Handles a write to the access registers.
+    pub(crate) fn configure(&mut self, registers: &mut [u8]) {
+        let config = byte(registers, CONFIG);
+        if config & FORCED != 0 && self.fault == SiiFault::Owned {
+            self.fault = SiiFault::Whole;
+        }
+        self.own(registers);
+    }
+
+    /// Handles a write to the control register.
+    pub(crate) fn command(&mut self, registers: &mut [u8], now_ns: u64) {
+        let control = word(registers, CONTROL);
+        self.write_enabled = control & WRITE_ENABLE != 0;
+        let owned = byte(registers, CONFIG) & OFFERED != 0 || byte(registers, PDI_ACCESS) & 1 != 0;
+        let status = match control & COMMAND_MASK {
+            0 => 0,
+            _ if owned => ERROR_COMMAND,
+            command @ (COMMAND_READ | COMMAND_WRITE | COMMAND_RELOAD) => {
+                self.pending = command;
+                self.due_ns = now_ns.saturating_add(self.busy_ns);
+                BUSY | command
+            }
+            _ => ERROR_COMMAND,
+        };
+        self.set_status(registers, status);
+    }
+
+    /// Finishes a command whose time is over; returns true after a reload.
+    pub(crate) fn advance(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
+        if self.pending == 0 || now_ns < self.due_ns || self.fault == SiiFault::Busy {
+            return false;
+        }
+        let command = std::mem::take(&mut self.pending);
+        let start = (u64::from(word(registers, ADDRESS)) | u64::from(word(registers, ADDRESS + 2)) << 16) * 2;
+        let start = usize::try_from(start).unwrap_or(usize::MAX);
+        let mut status = 0;
+        match command {
+            _ if self.fault == SiiFault::Acknowledge => status = ERROR_COMMAND,
+            COMMAND_READ if start < self.image.len() => {
+                for (index, target) in registers.iter_mut().skip(DATA).take(8).enumerate() {
+                    *target = self.byte(start + index);
+                }
+            }
+            COMMAND_WRITE if !self.write_enabled => status = ERROR_WRITE_ENABLE | ERROR_COMMAND,
+            COMMAND_WRITE if start + 2 <= self.image.len() => {
+                let data = registers.iter().skip(DATA);
+                let place = self.image.iter_mut().skip(start).take(2);
+                place.zip(data).for_each(|(target, source)| *target = *source);
+            }
+            COMMAND_RELOAD => {}
+            _ => status = ERROR_COMMAND,
+        }
+        self.write_enabled = false;
+        self.set_status(registers, status);
+        command == COMMAND_RELOAD
+    }
+
+    fn own(&self, registers: &mut [u8]) {
+        set_byte(registers, PDI_ACCESS, u8::from(self.fault == SiiFault::Owned));
+    }
+
+    fn byte(&self, at: usize) -> u8 {
+        let stored = self.image.get(at).copied().unwrap_or(0xFF);
+        match self.fault {
+            SiiFault::Blank => 0xFF,
+            SiiFault::Damaged if at % 8 == 2 => stored ^ 0x10,
+            _ => stored,
+        }
+    }
+
+    fn set_status(&self, registers: &mut [u8], status: u16) {
+        let checksum = if self.is_valid() { 0 } else { ERROR_CHECKSUM };
+        set_word(registers, CONTROL, READS_EIGHT_BYTES | checksum | status);
+    }
+}
+
+fn byte(registers: &[u8], at: usize) -> u8 {
+    registers.get(at).copied().unwrap_or(0)
+}
+
+fn set_byte(registers: &mut [u8], at: usize, value: u8) {
+    registers.iter_mut().skip(at).take(1).for_each(|byte| *byte = value);
+}
+
+fn word(registers: &[u8], at: usize) -> u16 {
+    match registers.get(at..at + 2) {
+        Some(&[low, high]) => u16::from_le_bytes([low, high]),
+        _ => 0,
+    }
+}
+
+fn set_word(registers: &mut [u8], at: usize, value: u16) {
+    if let Some(target) = registers.get_mut(at..at + 2) {
+        target.copy_from_slice(&value.to_le_bytes());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image() -> Vec<u8> {
+        let mut image: Vec<u8> = (0..64).collect();
+        image[14] = checksum(&image);
+        image
+    }
+
+    fn registers(command: u16, address: u32) -> [u8; LENGTH] {
+        let mut registers = [0; LENGTH];
+        set_word(&mut registers, CONTROL, command);
+        registers[ADDRESS..DATA].copy_from_slice(&address.to_le_bytes());
+        registers
+    }
+
+    fn run(eeprom: &mut Eeprom, registers: &mut [u8]) -> u16 {
+        eeprom.command(registers, 0);
+        eeprom.advance(registers, BUSY_NS);
+        word(registers, CONTROL)
+    }
+
+    #[test]
+    fn a_read_is_busy_for_its_time_and_gives_eight_bytes() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut registers = registers(COMMAND_READ, 4);
+        eeprom.command(&mut registers, 1_000);
+        eeprom.advance(&mut registers, BUSY_NS);
+        assert_eq!(word(&registers, CONTROL) & BUSY, BUSY);
+        eeprom.advance(&mut registers, BUSY_NS + 1_000);
+        assert_eq!(word(&registers, CONTROL), READS_EIGHT_BYTES);
+        assert_eq!(registers[DATA..], image()[8..16]);
+    }
+
+    #[test]
+    fn a_read_beyond_the_memory_is_a_command_error() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        for address in [32, u32::MAX] {
+            let mut registers = registers(COMMAND_READ, address);
+            assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES | ERROR_COMMAND);
+        }
+    }
+
+    #[test]
+    fn a_write_needs_its_enable_bit() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        for (command, stored) in [(COMMAND_WRITE, 40), (COMMAND_WRITE | WRITE_ENABLE, 0x55)] {
+            let mut registers = registers(command, 20);
+            registers[DATA] = 0x55;
+            run(&mut eeprom, &mut registers);
+            assert_eq!(eeprom.image[40], stored);
+        }
+    }
+
+    #[test]
+    fn each_fault_shows_and_goes() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        for (fault, status, first) in [
+            (SiiFault::Busy, READS_EIGHT_BYTES | BUSY | COMMAND_READ, 0),
+            (SiiFault::Acknowledge, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
+            (SiiFault::Blank, READS_EIGHT_BYTES | ERROR_CHECKSUM, 0xFF),
+            (SiiFault::Owned, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
+            (SiiFault::Damaged, READS_EIGHT_BYTES | ERROR_CHECKSUM, 8),
+            (SiiFault::Whole, READS_EIGHT_BYTES, 8),
+        ] {
+            let mut registers = registers(COMMAND_READ, 4);
+            eeprom.reset(&mut registers);
+            eeprom.set_fault(fault, &mut registers);
+            set_word(&mut registers, CONTROL, COMMAND_READ);
+            assert_eq!(run(&mut eeprom, &mut registers), status, "{fault:?}");
+            assert_eq!(registers[DATA], first, "{fault:?}");
+        }
+    }
+
+    #[test]
+    fn an_owned_memory_is_taken_by_force() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut registers = registers(COMMAND_READ, 4);
+        eeprom.set_fault(SiiFault::Owned, &mut registers);
+        registers[CONFIG] = FORCED;
+        eeprom.configure(&mut registers);
+        registers[CONFIG] = 0;
+        eeprom.configure(&mut registers);
+        set_word(&mut registers, CONTROL, COMMAND_READ);
+        assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES);
+    }
+}

@@ -1,0 +1,233 @@
+//! Builds a slave information image: fixed part, categories, checksum.
+//!
+//! Layout: slave information interface of IEC 61158-6-12 (words, little-endian; categories from word 0x40). The real
+//! drive's image is not public: identity, mailbox and process data are the known ones, the rest is plausible.
+
+use crate::eeprom::windows::{SyncManagerDefault, Windows};
+use crate::mailbox::process_data::{Pdo, ProcessData};
+use etherpen_ethercat::wire::sii::{
+    CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
+    CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN, WORD_MAILBOX_OUT,
+    WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
+};
+
+/// Size of the memory chip, bytes.
+const IMAGE_BYTES: usize = 2048;
+/// Data types of CiA 301.
+const TYPE_INTEGER8: u8 = 0x02;
+const TYPE_INTEGER32: u8 = 0x04;
+const TYPE_UNSIGNED16: u8 = 0x06;
+/// CoE details of the general category: SDO access, SDO information, PDO assignment, complete access.
+pub(crate) const DETAILS_FIXED_PDO: u8 = 0x27;
+/// CoE details of the general category: SDO access, SDO information, PDO assignment and mapping, complete access.
+pub(crate) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
+/// Sync manager of a PDO that is not assigned.
+const NOT_ASSIGNED: u8 = 0xFF;
+
+/// Content of the image.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Description<'a> {
+    pub(crate) identity: Identity,
+    pub(crate) name: &'a str,
+    pub(crate) order: &'a str,
+    pub(crate) windows: Windows,
+    pub(crate) details: u8,
+    pub(crate) process_data: &'a ProcessData,
+    /// Type of each port, as in the controller's port descriptor.
+    pub(crate) ports: u8,
+}
+
+/// The whole image.
+pub(crate) fn image(description: &Description) -> Vec<u8> {
+    let mut image = vec![0; 2 * usize::from(WORD_CATEGORIES)];
+    let identity = description.identity;
+    let windows = description.windows;
+    put(&mut image, 0, &[0x08, 0x0C]);
+    let sum = checksum(&image);
+    put(&mut image, 2 * WORD_CHECKSUM, &[sum]);
+    let numbers = [identity.vendor, identity.product, identity.revision, identity.serial];
+    for (at, number) in (2 * WORD_VENDOR..).step_by(4).zip(numbers) {
+        put(&mut image, at, &number.to_le_bytes());
+    }
+    for (word, window) in [
+        (WORD_MAILBOX_OUT, windows.mailbox_out),
+        (WORD_MAILBOX_IN, windows.mailbox_in),
+    ] {
+        put(&mut image, 2 * word, &window.start.to_le_bytes());
+        put(&mut image, 2 * word + 2, &window.length.to_le_bytes());
+    }
+    let protocols = if windows.has_mailbox() { PROTOCOL_COE } else { 0 };
+    put(&mut image, 2 * WORD_PROTOCOLS, &protocols.to_le_bytes());
+    let kibibits = (IMAGE_BYTES * 8 / 1024 - 1) as u16;
+    put(&mut image, 2 * WORD_SIZE, &kibibits.to_le_bytes());
+    put(&mut image, 2 * WORD_VERSION, &1u16.to_le_bytes());
+    categories(&mut image, description);
+    image.extend_from_slice(&CATEGORY_END.to_le_bytes());
+    image.resize(IMAGE_BYTES.max(image.len()), 0xFF);
+    image
+}
+
+fn categories(image: &mut Vec<u8>, description: &Description) {
+    let texts = strings(&[description.name, description.order]);
+    category(image, CATEGORY_STRINGS, &texts);
+    category(image, CATEGORY_GENERAL, &general(description));
+    if !description.windows.has_mailbox() {
+        return;
+    }
+    category(image, CATEGORY_FMMU, &[1, 2, 3, 0]);
+    let managers = description.windows.sync_managers(description.process_data.bytes());
+    category(image, CATEGORY_SYNC_MANAGER, &sync_managers(&managers));
+    for (kind, outputs, manager) in [(CATEGORY_RX_PDO, true, 2), (CATEGORY_TX_PDO, false, 3)] {
+        let mut body = Vec::new();
+        for pdo in description.process_data.pdos() {
+            if pdo.is_output() == outputs {
+                let assigned = description.process_data.is_assigned(pdo.index);
+                body.extend(pdo_body(pdo, if assigned { manager } else { NOT_ASSIGNED }));
+            }
+        }
+        category(image, kind, &body);
+    }
+}
+
+fn put(image: &mut [u8], at: u16, bytes: &[u8]) {
+    for (target, source) in image.iter_mut().skip(usize::from(at)).zip(bytes) {
+        *target = *source;
+    }
+}
+
+fn category(image: &mut Vec<u8>, kind: u16, body: &[u8]) {
+    let words = body.len().div_ceil(2);
+    image.extend_from_slice(&kind.to_le_bytes());
+    image.extend_from_slice(&(words as u16).to_le_bytes());
+    image.extend_from_slice(body);
+    image.resize(image.len() + 2 * words - body.len(), 0);
+}
+
+fn strings(texts: &[&str]) -> Vec<u8> {
+    let mut body = vec![texts.len() as u8];
+    for text in texts {
+        let bytes = text.as_bytes().get(..text.len().min(255)).unwrap_or_default();
+        body.push(bytes.len() as u8);
+        body.extend_from_slice(bytes);
+    }
+    body
+}
+
+/// Group, image, order and name are string numbers; four bits for the type of each port (1 MII, 3 EBUS).
+fn general(description: &Description) -> [u8; 32] {
+    let mut body = [0; 32];
+    let details = if description.windows.has_mailbox() {
+        description.details
+    } else {
+        0
+    };
+    put(&mut body, 0, &[2, 0, 2, 1, 0, details]);
+    let mut ports = 0u16;
+    for port in 0..4 {
+        let kind = match description.ports >> (2 * port) & 3 {
+            3 => 1,
+            2 => 3,
+            _ => 0,
+        };
+        ports |= kind << (4 * port);
+    }
+    put(&mut body, 16, &ports.to_le_bytes());
+    body
+}
+
+fn sync_managers(list: &[SyncManagerDefault]) -> Vec<u8> {
+    let mut body = Vec::new();
+    for manager in list {
+        body.extend_from_slice(&manager.start.to_le_bytes());
+        body.extend_from_slice(&manager.length.to_le_bytes());
+        body.extend_from_slice(&[manager.control, 0, manager.activate, manager.kind]);
+    }
+    body
+}
+
+fn pdo_body(pdo: &Pdo, sync_manager: u8) -> Vec<u8> {
+    let mut body = Vec::from(pdo.index.to_le_bytes());
+    let flags = u16::from(pdo.fixed) << 4;
+    body.extend_from_slice(&[pdo.mapped().len() as u8, sync_manager, 0, 0]);
+    body.extend_from_slice(&flags.to_le_bytes());
+    for entry in pdo.mapped() {
+        let data_type = match entry.bits {
+            8 => TYPE_INTEGER8,
+            32 => TYPE_INTEGER32,
+            _ => TYPE_UNSIGNED16,
+        };
+        body.extend_from_slice(&entry.index.to_le_bytes());
+        body.extend_from_slice(&[entry.sub, 0, data_type, entry.bits, 0, 0]);
+    }
+    body
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mailbox::process_data::PdoEntry;
+    use etherpen_ethercat::wire::sii::{FixedPart, MailboxWindow};
+
+    fn example() -> Vec<u8> {
+        let window = |start| MailboxWindow { start, length: 512 };
+        let entries = [PdoEntry::new(0x6064, 32), PdoEntry::new(0x6041, 16)];
+        let pdos = vec![
+            Pdo::new(0x1702, "out", true, &entries),
+            Pdo::new(0x1B01, "in", true, &entries),
+        ];
+        image(&Description {
+            identity: Identity {
+                vendor: 2,
+                product: 3,
+                revision: 4,
+                serial: 5,
+            },
+            name: "a drive",
+            order: "X1",
+            windows: Windows {
+                mailbox_out: window(0x1800),
+                mailbox_in: window(0x1C00),
+                outputs: 0x1100,
+                inputs: 0x1140,
+            },
+            details: DETAILS_FIXED_PDO,
+            process_data: &ProcessData::new(pdos, &[0x1702], &[0x1B01], 1),
+            ports: 0x0F,
+        })
+    }
+
+    #[test]
+    fn the_fixed_part_tells_identity_and_mailboxes() {
+        let image = example();
+        let fixed = FixedPart::parse(&image).expect("long enough");
+        assert_eq!(
+            fixed.identity,
+            Identity {
+                vendor: 2,
+                product: 3,
+                revision: 4,
+                serial: 5
+            }
+        );
+        assert_eq!((fixed.mailbox_out.start, fixed.mailbox_in.length), (0x1800, 512));
+        assert_eq!(fixed.protocols, PROTOCOL_COE);
+        assert_eq!(image[14], checksum(&image));
+        assert_eq!(image.len(), 2048);
+    }
+
+    #[test]
+    fn the_categories_follow_each_other_to_the_end_mark() {
+        let image = example();
+        let mut at = 2 * usize::from(WORD_CATEGORIES);
+        let mut found = Vec::new();
+        loop {
+            let kind = u16::from_le_bytes([image[at], image[at + 1]]);
+            found.push(kind);
+            if kind == CATEGORY_END {
+                break;
+            }
+            at += 4 + 2 * usize::from(u16::from_le_bytes([image[at + 2], image[at + 3]]));
+        }
+        assert_eq!(found, [10, 30, 40, 41, 51, 50, 0xFFFF]);
+    }
+}

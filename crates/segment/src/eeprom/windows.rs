@@ -1,0 +1,57 @@
+//! Memory windows of a device as its information image describes them.
+
+use etherpen_ethercat::wire::register::{CONTROL_INPUTS, CONTROL_MAILBOX_IN, CONTROL_MAILBOX_OUT, CONTROL_OUTPUTS};
+use etherpen_ethercat::wire::sii::MailboxWindow;
+
+/// The two mailboxes and the process-data windows that the device requires.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Windows {
+    /// Mailbox the master writes; length 0 if there is none.
+    pub(crate) mailbox_out: MailboxWindow,
+    /// Mailbox the master reads.
+    pub(crate) mailbox_in: MailboxWindow,
+    /// Start of the outputs.
+    pub(crate) outputs: u16,
+    /// Start of the inputs.
+    pub(crate) inputs: u16,
+}
+
+impl Windows {
+    /// Whether the device has a mailbox.
+    pub(crate) fn has_mailbox(&self) -> bool {
+        self.mailbox_out.length > 0 && self.mailbox_in.length > 0
+    }
+
+    /// The four sync managers of a slave with a mailbox, as the information image describes them.
+    pub(crate) fn sync_managers(&self, bytes: (usize, usize)) -> Vec<SyncManagerDefault> {
+        let manager = |start, length, control, kind| SyncManagerDefault {
+            start,
+            length,
+            control,
+            activate: 1,
+            kind,
+        };
+        let (outputs, inputs) = bytes;
+        vec![
+            manager(self.mailbox_out.start, self.mailbox_out.length, CONTROL_MAILBOX_OUT, 1),
+            manager(self.mailbox_in.start, self.mailbox_in.length, CONTROL_MAILBOX_IN, 2),
+            manager(self.outputs, outputs as u16, CONTROL_OUTPUTS, 3),
+            manager(self.inputs, inputs as u16, CONTROL_INPUTS, 4),
+        ]
+    }
+}
+
+/// One sync manager as described in an information image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SyncManagerDefault {
+    /// First byte.
+    pub(crate) start: u16,
+    /// Length, bytes.
+    pub(crate) length: u16,
+    /// Control byte.
+    pub(crate) control: u8,
+    /// Activation byte.
+    pub(crate) activate: u8,
+    /// 1 and 2 mailbox out and in, 3 and 4 process data out and in.
+    pub(crate) kind: u8,
+}

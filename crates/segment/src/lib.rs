@@ -1,0 +1,47 @@
+#![doc = include_str!("../README.md")]
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only.
+//!
+//! 1. `bits`, `random`, `registers`, `capture`, `transport`, `application`: what every module may use; pcapng files;
+//!    networks; states of a slave
+//! 2. `mailbox`, `rig`: messages, objects and mapped process data of a slave; hand-made frames
+//! 3. `eeprom`: the information memory
+//! 4. `controller`, `drive`: the slave controller; the servo drive with its motor
+//! 5. `devices`, `load`: what is behind a slave controller; what the motors turn
+//! 6. `faults`: the language of scripted faults
+//! 7. `slave`: one slave
+//! 8. `chain`: slaves, cables and frames
+//! 9. `segment`: the chain in virtual time, with its load
+#![forbid(unsafe_code)]
+
+mod application;
+mod bits;
+pub mod capture;
+mod chain;
+mod controller;
+mod devices;
+mod drive;
+mod eeprom;
+mod faults;
+mod load;
+mod mailbox;
+pub mod random;
+mod registers;
+pub mod rig;
+mod segment;
+mod slave;
+pub mod transport;
+
+pub use application::AlState;
+pub use controller::silicon::ClockWidth;
+pub use devices::ax2000::NAME as AX2000_NAME;
+pub use devices::kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
+pub use drive::resolver::ResolverFault;
+pub use drive::{DriveOptions, DriveState};
+pub use eeprom::SiiFault;
+pub use faults::kinds::{Fault, MailFault, MailStep, Product};
+pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
+pub use load::{Flywheel, Load, STEP_S, Shaft};
+pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};

@@ -1,0 +1,270 @@
+//! Clocks, cables, processors, memories and scripted faults on the whole segment.
+
+use crate::{TestRig, motors, rig, rig_of, script};
+use etherpen_segment::rig::*;
+use etherpen_segment::{
+    AlState, ClockOptions, DriveState, Fault, Flywheel, MailFault, MailStep, Product, Segment, SegmentOptions,
+    SlaveKind,
+};
+
+const ASK: (u8, u16, u16, &[u8]) = (BRD, 0, 0x0130, &[0, 0]);
+
+fn long(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+}
+
+fn chain(slaves: usize, drift_max_ppm: f64) -> TestRig {
+    let clocks = ClockOptions {
+        drift_max_ppm,
+        cable_ns: 100,
+        forwarding_ns: 400,
+        ..ClockOptions::default()
+    };
+    let mut rig = rig_of(SegmentOptions {
+        clocks,
+        slaves: vec![SlaveKind::Ax2000; slaves],
+        ..SegmentOptions::default()
+    });
+    if slaves == 4 {
+        rig.addresses();
+    }
+    rig
+}
+
+#[test]
+fn port_times_show_the_way_through_the_chain() {
+    let mut rig = chain(4, 0.0);
+    assert_eq!(rig.ask(BWR, 0, 0x0900, &[0; 4]).1, 4);
+    let times: Vec<Vec<u8>> = (0x1001..=0x1004).map(|station| rig.read(station, 0x0900, 8)).collect();
+    let round = |slave: usize| long(&times[slave], 4).wrapping_sub(long(&times[slave], 0));
+    assert_eq!([round(0), round(1), round(2)], [3000, 2000, 1000]);
+    assert_eq!(
+        long(&times[3], 4),
+        0,
+        "nothing comes back to the last one's second port"
+    );
+}
+
+#[test]
+fn offsets_delays_and_drift_datagrams_bring_all_clocks_together() {
+    let mut rig = chain(4, 50.0);
+    rig.ask(BWR, 0, 0x0900, &[0; 4]);
+    let mut reference = None;
+    for (place, station) in (0x1001..=0x1004u16).enumerate() {
+        let local = rig.read(station, 0x0918, 8);
+        let local = u64::from_le_bytes(std::array::from_fn(|byte| local[byte]));
+        let delay = 500 * place as u64;
+        let reference = *reference.get_or_insert(local);
+        rig.write(station, 0x0920, &(reference + delay).wrapping_sub(local).to_le_bytes());
+        rig.write(station, 0x0928, &(delay as u32).to_le_bytes());
+    }
+    for _ in 0..3000 {
+        assert_eq!(rig.ask(FRMW, 0x1001, 0x0910, &[0; 8]).1, 4);
+    }
+    for station in 0x1002..=0x1004 {
+        let difference = long(&rig.read(station, 0x092C, 4), 0) & 0x7FFF_FFFF;
+        assert!(difference < 200, "slave {station:#x}: {difference} ns");
+    }
+}
+
+#[test]
+fn a_sync_unit_is_checked_on_the_way_to_op() {
+    let mut rig = chain(4, 0.0);
+    rig.mailboxes();
+    rig.request(2);
+    rig.process_data();
+    let station = 0x1002;
+    rig.write(station, 0x0981, &[1]);
+    rig.write(station, 0x0120, &[4, 0]);
+    assert_eq!(rig.al_status(station), (0x12, 0x0030), "activated without SYNC0");
+    rig.write(station, 0x0981, &[0]);
+    rig.write(station, 0x09A0, &1_000_000u32.to_le_bytes());
+    rig.write(station, 0x0990, &1u64.to_le_bytes());
+    rig.write(station, 0x0981, &[3]);
+    rig.write(station, 0x0120, &[0x14, 0]);
+    assert_eq!(rig.al_status(station), (4, 0));
+    rig.write(station, 0x1100, &[0; 6]);
+    rig.write(station, 0x0120, &[8, 0]);
+    for _ in 0..250 {
+        rig.ask(FPWR, station, 0x1100, &[0; 6]);
+    }
+    assert_eq!(rig.al_status(station), (0x14, 0x002D), "the start has passed");
+    assert_eq!(rig.read(station, 0x0984, 1)[0] & 1, 1);
+    rig.write(station, 0x0981, &[0]);
+    let now = rig.read(station, 0x0910, 8);
+    let now = u64::from_le_bytes(std::array::from_fn(|byte| now[byte]));
+    rig.write(station, 0x0990, &(now + 20_000_000).to_le_bytes());
+    rig.write(station, 0x0981, &[3]);
+    rig.write(station, 0x0120, &[0x14, 0]);
+    for _ in 0..30 {
+        rig.ask(FPWR, station, 0x1100, &[0; 6]);
+    }
+    rig.write(station, 0x0120, &[8, 0]);
+    rig.write(station, 0x1100, &[0; 6]);
+    rig.write(station, 0x1100, &[0; 6]);
+    assert_eq!(rig.al_status(station), (8, 0));
+    rig.write(station, 0x0981, &[0]);
+    assert_eq!(rig.al_status(station), (8, 0), "free run again");
+}
+
+#[test]
+fn a_drive_takes_outputs_and_shows_inputs_at_the_pulses_only() {
+    let mut rig = chain(4, 0.0);
+    rig.mailboxes();
+    rig.request(2);
+    let station = 0x1002;
+    assert_eq!(rig.download(station, 0x6060, 0, &[0xFE]), 0);
+    rig.process_data();
+    let now = rig.read(station, 0x0910, 8);
+    let now = u64::from_le_bytes(std::array::from_fn(|byte| now[byte]));
+    rig.write(station, 0x09A0, &10_000_000u32.to_le_bytes());
+    rig.write(station, 0x0990, &(now + 20_000_000).to_le_bytes());
+    rig.write(station, 0x0981, &[3]);
+    rig.write(station, 0x0120, &[4, 0]);
+    let outputs = |control: u8| [0x20, 0x4E, 0, 0, control, 0];
+    for _ in 0..30 {
+        rig.ask(FPWR, station, 0x1100, &outputs(0));
+    }
+    rig.write(station, 0x0120, &[8, 0]);
+    for control in [6, 7, 15] {
+        for _ in 0..25 {
+            rig.write(station, 0x1100, &outputs(control));
+        }
+    }
+    assert_eq!(rig.bus.slaves()[1].drive, DriveState::OperationEnabled);
+    let mut positions = Vec::new();
+    for _ in 0..50 {
+        rig.write(station, 0x1100, &outputs(15));
+        positions.push(rig.read(station, 0x1140, 4));
+    }
+    let changes = positions.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!((9..=11).contains(&changes), "{changes} changes in 100 ms");
+}
+
+#[test]
+fn a_damaged_frame_is_counted_where_the_cable_ends_and_forwarded_behind() {
+    let mut rig = chain(4, 0.0);
+    rig.bus.inject(Fault::Crc(2, 3));
+    rig.time_us += 2_000;
+    rig.bus.advance_to(rig.time_us);
+    for _ in 0..3 {
+        assert!(rig.send(&frame_of(&[ASK])).is_empty());
+    }
+    assert_eq!(rig.send(&frame_of(&[ASK])).len(), 1);
+    assert_eq!(rig.read(0x1002, 0x0300, 12), [0; 12]);
+    assert_eq!(rig.read(0x1003, 0x0300, 12), [3, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(rig.read(0x1004, 0x0300, 12), [3, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0]);
+    rig.write(0x1003, 0x0300, &[0; 8]);
+    assert_eq!(rig.read(0x1003, 0x0300, 2), [0, 0]);
+    assert_eq!(rig.bus.injected().get("crc"), Some(&1));
+}
+
+#[test]
+fn a_hung_processor_lets_its_watchdog_expire_and_the_controller_work() {
+    let mut rig = chain(4, 0.0);
+    rig.write(0x1002, 0x0400, &2498u16.to_le_bytes());
+    rig.write(0x1002, 0x0410, &100u16.to_le_bytes());
+    assert_eq!(rig.read(0x1002, 0x0110, 1)[0] & 3, 3);
+    rig.bus.inject(Fault::Processor(2, 40));
+    rig.write(0x1002, 0x0120, &[2, 0]);
+    for _ in 0..20 {
+        assert_eq!(rig.al_status(0x1002).0, 1, "no answer to the request");
+    }
+    assert_eq!(rig.read(0x1002, 0x0110, 1)[0] & 3, 1);
+    assert_eq!(rig.read(0x1002, 0x0443, 1), [1]);
+    for _ in 0..30 {
+        rig.send(&frame_of(&[ASK]));
+    }
+    assert_eq!(rig.al_status(0x1002), (0x11, 0x0016), "the request was still there");
+    assert_eq!(rig.read(0x1002, 0x0110, 1)[0] & 3, 3);
+}
+
+#[test]
+fn faults_of_a_reply_change_what_they_say() {
+    let text = "frame 1 overlong 7\nframe 2 type 4\nframe 3 more\nframe 4 circulate\nframe 5 vlan\nframe 6 reflect";
+    let mut rig = script(text);
+    let ask = frame_of(&[ASK]);
+    let replies: Vec<_> = (0..6).map(|_| rig.send(&ask)).collect();
+    assert_eq!(replies[0][0].len(), ask.len() + 7);
+    assert_eq!(replies[0][0][14], ask[14] + 7);
+    assert_eq!(replies[1][0][15] >> 4, 4);
+    assert_eq!(replies[2][0][23] & 0x80, 0x80);
+    assert_eq!(replies[3][0][23] & 0x40, 0x40);
+    assert_eq!(replies[4][0][12..18], [0x81, 0x00, 0x00, 0x01, 0x88, 0xA4]);
+    assert_eq!((replies[5].len(), &replies[5][0]), (2, &ask));
+    let counts: Vec<_> = rig.bus.injected().iter().map(|(name, count)| (*name, *count)).collect();
+    assert_eq!(
+        counts,
+        ["circulate", "more", "overlong", "reflect", "type", "vlan"].map(|name| (name, 1))
+    );
+}
+
+#[test]
+fn mailbox_faults_happen_at_their_step() {
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.request(2);
+    let station = 0x1001;
+    rig.bus.inject(Fault::Mailbox(
+        1,
+        MailStep::Object(0x6060, 0),
+        MailFault::Abort(0x0800_0020),
+    ));
+    rig.bus
+        .inject(Fault::Mailbox(1, MailStep::Request(2), MailFault::Flood(3)));
+    rig.bus.inject(Fault::Mailbox(1, MailStep::Request(3), MailFault::Lost));
+    rig.send(&frame_of(&[ASK]));
+    assert_eq!(
+        outcome(&rig.upload(station, 0x1000, 0)),
+        0,
+        "the first step is untouched"
+    );
+    rig.post(station, &[0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0]);
+    for _ in 0..3 {
+        assert_eq!(rig.fetch(station)[..4], [0, 0x10, 0x00, 0xFF]);
+    }
+    assert_eq!(rig.fetch(station)[2], 0x43);
+    rig.post(station, &[0, 0x20, 0x40, 0x00, 0x10, 0, 0, 0, 0, 0]);
+    for _ in 0..5 {
+        assert_eq!(rig.read(station, 0x080D, 1)[0] & 8, 0, "lost");
+    }
+    rig.write(station, 0x080E, &[0x03]);
+    assert_eq!(rig.fetch(station)[2], 0x43, "the repeat brings it");
+    assert_eq!(outcome(&rig.upload(station, 0x6060, 0)), 0x0800_0020);
+    assert_eq!(outcome(&rig.upload(station, 0x6060, 0)), 0, "once");
+}
+
+#[test]
+fn a_refused_state_and_a_swapped_slave_are_of_one_slave() {
+    let mut rig = rig();
+    rig.addresses();
+    rig.mailboxes();
+    rig.bus.inject(Fault::Refuse(3, AlState::PreOperational, 0x8001));
+    rig.send(&frame_of(&[ASK]));
+    rig.request(2);
+    assert_eq!((rig.al_status(0x1002), rig.al_status(0x1003)), ((2, 0), (0x11, 0x8001)));
+    rig.request(0x12);
+    assert_eq!(rig.al_status(0x1003), (2, 0));
+    let before = motors(&rig);
+    rig.bus.inject(Fault::Swap(2, Product::Ek1100));
+    rig.send(&frame_of(&[ASK]));
+    rig.send(&frame_of(&[ASK]));
+    assert_eq!(rig.ask(FPRD, 0x1002, 0x0130, &[0; 2]).1, 0, "it has no station address");
+    assert_eq!(rig.ask(APRD, 0u16.wrapping_sub(1), 0x0005, &[9]), (vec![0], 1));
+    assert_eq!(motors(&rig), before, "the motors stay where they are");
+}
+
+#[test]
+fn a_payload_without_envelope_is_answered_without_envelope() {
+    let options = SegmentOptions {
+        slaves: vec![SlaveKind::Ax2000; 4],
+        ..SegmentOptions::default()
+    };
+    let mut segment = Segment::new(&options, Flywheel::default());
+    let frame = frame_of(&[ASK]);
+    let replies = segment.payload(1_000, &frame[14..30]);
+    assert_eq!(replies.len(), 1);
+    assert_eq!((replies[0].len(), replies[0][14]), (16, 4));
+    assert!(segment.payload(2_000, &[0x10]).is_empty());
+}

@@ -1,0 +1,242 @@
+//! Recorded traffic of other people's masters and slaves, replayed as requests against the segment.
+//!
+//! Every request of a capture passes the segment, one a millisecond; what comes back is compared with what the
+//! recorded slaves answered: the working counter of every datagram, and the data of registers that both define.
+
+use etherpen_segment::{Flywheel, Segment, SegmentOptions, SlaveKind};
+use std::collections::BTreeMap;
+
+/// Bit of the first byte of a source address that the first slave controller sets.
+const SOURCE_MARK: u8 = 0x02;
+/// Exchanges in which a recorded slave may take its time for a change of state.
+const CHANGE_EXCHANGES_MAX: usize = 20;
+
+/// One datagram of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Part {
+    command: u8,
+    device: u16,
+    register: u16,
+    data: Vec<u8>,
+    counter: u16,
+}
+
+/// The packets of a pcapng file, in order.
+fn packets(file: &[u8]) -> Vec<Vec<u8>> {
+    let word = |at: usize| {
+        file.get(at..)
+            .and_then(|rest| rest.first_chunk())
+            .map_or(0, |bytes| u32::from_le_bytes(*bytes))
+    };
+    assert_eq!((word(0), word(8)), (0x0A0D_0D0A, 0x1A2B_3C4D), "pcapng, little-endian");
+    let (mut at, mut found) = (0, Vec::new());
+    while at + 12 <= file.len() {
+        let length = word(at + 4) as usize;
+        assert!(length >= 12 && at + length <= file.len(), "block at {at}");
+        if word(at) == 6 {
+            let bytes = word(at + 20) as usize;
+            found.push(file[at + 28..at + 28 + bytes].to_vec());
+        }
+        at += length;
+    }
+    found
+}
+
+fn parts(frame: &[u8]) -> Vec<Part> {
+    let mut found = Vec::new();
+    let (mut at, mut more) = (16, true);
+    while more && at + 12 <= frame.len() {
+        let short = |at: usize| u16::from_le_bytes([frame[at], frame[at + 1]]);
+        let length = usize::from(short(at + 6) & 0x07FF);
+        more = short(at + 6) & 0x8000 != 0;
+        let end = at + 10 + length;
+        if end + 2 > frame.len() {
+            break;
+        }
+        found.push(Part {
+            command: frame[at],
+            device: short(at + 2),
+            register: short(at + 4),
+            data: frame[at + 10..end].to_vec(),
+            counter: short(end),
+        });
+        at = end + 2;
+    }
+    found
+}
+
+/// Requests and the replies to them. Replies of silicon carry a mark in their source address; in a recording without
+/// marks the second frame with an index is the reply to the first.
+fn exchanges(file: &[u8]) -> Vec<(Vec<u8>, Vec<u8>)> {
+    let (mut open, mut found) = (BTreeMap::new(), Vec::new());
+    let packets = packets(file);
+    let is_marked = |packet: &Vec<u8>| packet.get(6).is_some_and(|byte| byte & SOURCE_MARK != 0);
+    let marked = packets.iter().any(is_marked);
+    for packet in packets {
+        if packet.get(12..14) != Some(&[0x88, 0xA4]) || packet.len() < 28 {
+            continue;
+        }
+        let index = packet[17];
+        let is_reply = if marked {
+            is_marked(&packet)
+        } else {
+            open.contains_key(&index)
+        };
+        match open.remove(&index).filter(|_| is_reply) {
+            Some(request) => found.push((request, packet)),
+            None if is_reply => {}
+            None => drop(open.insert(index, packet)),
+        }
+    }
+    found
+}
+
+/// Content of the information memories that a recording reads, by position or station address.
+fn recorded_images(exchanges: &[(Vec<u8>, Vec<u8>)], slaves: u16) -> Vec<Vec<u8>> {
+    let mut images = vec![vec![0xFF; 4096]; usize::from(slaves)];
+    let mut addresses = vec![0usize; usize::from(slaves)];
+    for (request, reply) in exchanges {
+        for (asked, answered) in parts(request).iter().zip(parts(reply)) {
+            let slave = match asked.command {
+                1 | 2 => 0u16.wrapping_sub(asked.device),
+                4 | 5 => asked.device.wrapping_sub(0x1001),
+                _ => continue,
+            };
+            let Some(slave) = Some(usize::from(slave)).filter(|slave| *slave < images.len()) else {
+                continue;
+            };
+            if matches!(asked.command, 2 | 5) && asked.register == 0x0502 && asked.data.len() >= 4 {
+                addresses[slave] = 2 * usize::from(u16::from_le_bytes([asked.data[2], asked.data[3]]));
+            }
+            if matches!(asked.command, 1 | 4) && asked.register == 0x0508 && answered.counter == 1 {
+                let at = addresses[slave];
+                for (target, byte) in images[slave].iter_mut().skip(at).zip(&answered.data) {
+                    *target = *byte;
+                }
+            }
+        }
+    }
+    images
+}
+
+/// Why the data behind this register need not be the recorded ones; nothing where they must be.
+fn data_excused(register: u16) -> Option<&'static str> {
+    match register {
+        0x0000..=0x000F => Some("silicon: another controller"),
+        0x0110..=0x0111 => Some("links: the recorded segment had other ports"),
+        0x0140..=0x0151 => Some("process interface: configured by the device's own memory"),
+        0x0220..=0x030F => Some("events and errors of that time"),
+        0x0500..=0x0507 => Some("size and busy bits of another memory"),
+        0x0800..=0x087F => Some("status of sync managers: mailboxes of that time"),
+        0x0900..=0x09FF => Some("clocks of that time"),
+        0x1000.. => Some("content of mailboxes and process data"),
+        _ => None,
+    }
+}
+
+/// Why the working counter may differ: whether a mailbox is full depends on what the device had to say.
+fn counter_excused(part: &Part) -> Option<&'static str> {
+    match part.register {
+        0x0120 => Some("the recorded slave had not read the last request yet"),
+        0x1000.. if matches!(part.command, 1..=6) => Some("mailboxes were full at other times"),
+        _ => None,
+    }
+}
+
+struct Outcome {
+    datagrams: usize,
+    data_compared: usize,
+    /// Differences that count, as text.
+    differences: Vec<String>,
+    excused: BTreeMap<&'static str, usize>,
+}
+
+/// Replays a recording; `takes_any_length` says that the recorded slaves went to SAFEOP with process data of lengths
+/// that are not in their images.
+fn replay(file: &[u8], images: Vec<Vec<u8>>, takes_any_length: bool) -> Outcome {
+    let slaves = images.into_iter().map(|image| SlaveKind::Sii(image.into())).collect();
+    let options = SegmentOptions {
+        slaves,
+        sii_busy_us: 10,
+        ..SegmentOptions::default()
+    };
+    let mut segment = Segment::new(&options, Flywheel::default());
+    let mut outcome = Outcome {
+        datagrams: 0,
+        data_compared: 0,
+        differences: Vec::new(),
+        excused: BTreeMap::new(),
+    };
+    let exchanges = exchanges(file);
+    for (number, (request, recorded)) in exchanges.iter().enumerate() {
+        let later = exchanges.iter().skip(number).take(CHANGE_EXCHANGES_MAX);
+        let later: Vec<Part> = later.flat_map(|(_, reply)| parts(reply)).collect();
+        let replies = segment.frame((number as u64 + 5) * 1000, request);
+        assert_eq!(replies.len(), 1, "exchange {number}");
+        for (recorded, actual) in parts(recorded).iter().zip(parts(&replies[0])) {
+            outcome.datagrams += 1;
+            if recorded.counter != actual.counter {
+                match counter_excused(recorded) {
+                    Some(reason) => *outcome.excused.entry(reason).or_default() += 1,
+                    None => outcome.differences.push(format!(
+                        "exchange {number}: command {} register {:#06x}: working counter {} recorded, {} here",
+                        recorded.command, recorded.register, recorded.counter, actual.counter
+                    )),
+                }
+                continue;
+            }
+            if recorded.command == 12 || recorded.command == 10 {
+                continue;
+            }
+            if recorded.data == actual.data {
+                outcome.data_compared += 1;
+                continue;
+            }
+            let comes = recorded.register == 0x0130 && later.contains(&actual);
+            let refused = takes_any_length && recorded.register == 0x0130 && actual.data.first() == Some(&0x12);
+            let excuse = data_excused(recorded.register)
+                .or(comes.then_some("states that came later"))
+                .or(refused.then_some("lengths of process data that only the recorded slaves knew"));
+            match excuse {
+                Some(reason) => *outcome.excused.entry(reason).or_default() += 1,
+                None => outcome.differences.push(format!(
+                    "exchange {number}: command {} register {:#06x}: data {:02x?} recorded, {:02x?} here",
+                    recorded.command, recorded.register, recorded.data, actual.data
+                )),
+            }
+        }
+    }
+    println!(
+        "{} datagrams, {} with the recorded data",
+        outcome.datagrams, outcome.data_compared
+    );
+    for (reason, count) in &outcome.excused {
+        println!("{count:5} {reason}");
+    }
+    for difference in outcome.differences.iter().take(40) {
+        println!("{difference}");
+    }
+    outcome
+}
+
+#[test]
+fn requests_to_a_real_akd_are_answered_as_the_akd_did() {
+    let Some(folder) = std::env::var_os("ETHERPEN_REAL_DEVICES").map(std::path::PathBuf::from) else {
+        eprintln!("ETHERPEN_REAL_DEVICES is not set: the replay of soem-sdinfo-akd.pcapng is left out");
+        return;
+    };
+    let file = std::fs::read(folder.join("soem-sdinfo-akd.pcapng")).unwrap();
+    let image = std::fs::read(folder.join("akd.hex")).unwrap();
+    let outcome = replay(&file, vec![image], false);
+    assert!(outcome.datagrams > 1_000, "{}", outcome.datagrams);
+    assert_eq!(outcome.differences, Vec::<String>::new());
+}
+
+#[test]
+fn requests_to_four_simulated_drives_are_answered_as_those_did() {
+    let file = include_bytes!("../../../../tests/data/ethercat/soem-slaveinfo_vs_kickcat-4xEVS-NET.pcapng");
+    let images = recorded_images(&exchanges(file), 4);
+    let outcome = replay(file, images, true);
+    assert!(outcome.datagrams > 500, "{}", outcome.datagrams);
+    assert_eq!(outcome.differences, Vec::<String>::new());
+}
