@@ -139,7 +139,10 @@ pub fn serve(queues: &mut RobotBusQueues, mut wire: impl FnMut(&mut [u8])) -> ! 
     let mut supervision = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
     let mut frame = [0; FRAME_LEN_MAX];
-    let start = BusCommand::Start(black_box(BusSetup::default()));
+    let start = BusCommand::Start(black_box(BusSetup {
+        members: DRIVES as u8,
+        ..BusSetup::default()
+    }));
     assert!(application.commands.enqueue(start).is_ok(), "no room for the order");
     loop {
         let telegram = copied(&mut frame, exchange.input_telegram());

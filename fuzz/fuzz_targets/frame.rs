@@ -1,6 +1,6 @@
 //! Any bytes as a received frame, and any change to the answer that the master waits for.
 //!
-//! The first bytes choose envelope, kind of exchange, clock and the slaves' shares; the rest is the frame, or the
+//! The first bytes choose encapsulation, kind of exchange, clock and the slaves' shares; the rest is the frame, or the
 //! changes.
 #![no_main]
 
@@ -14,6 +14,7 @@ use etherpen::ethercat::cyclic::{
 };
 use etherpen::ethercat::encapsulation::Encapsulation;
 use etherpen::ethercat::wire::{Address, Command, Datagram, FrameView, UdpRepr};
+use etherpen::robot_bus::RobotDrives;
 use libfuzzer_sys::fuzz_target;
 
 const SLAVES: usize = 4;
@@ -35,7 +36,7 @@ impl Choice {
         Some((Self { flags, shares }, rest))
     }
 
-    fn envelope(&self) -> Encapsulation {
+    fn encapsulation(&self) -> Encapsulation {
         match self.flags & 3 {
             0 | 1 => Encapsulation::Raw,
             2 => Encapsulation::Udp(UDP),
@@ -43,7 +44,7 @@ impl Choice {
         }
     }
 
-    fn plan(&self) -> CyclicPlan<SLAVES> {
+    fn plan(&self) -> CyclicPlan<RobotDrives, SLAVES> {
         // One length in four is too long, and the share is left out.
         let length = |byte: u8| u16::from(byte) % (PROCESS_BYTES_MAX as u16 * 4 / 3);
         let slaves = (0..)
@@ -103,7 +104,7 @@ fn change(frame: &mut Vec<u8>, changes: &[u8]) {
 }
 
 /// Receives a frame twice: it is used once at most, and counted each time that it is not.
-fn receive(exchange: &mut Exchange<'_, SLAVES, MESSAGE>, frame: &[u8]) -> Arrival {
+fn receive(exchange: &mut Exchange<'_, RobotDrives, SLAVES, MESSAGE>, frame: &[u8]) -> Arrival {
     let before = exchange.counters().frames_ignored();
     let arrival = exchange.receive(frame);
     let again = exchange.receive(frame);
@@ -126,12 +127,12 @@ fuzz_target!(|bytes: &[u8]| {
     let Some((choice, bytes)) = Choice::new(bytes) else {
         return;
     };
-    let mut queues = BusQueues::<SLAVES, MESSAGE>::new();
+    let mut queues = BusQueues::<RobotDrives, SLAVES, MESSAGE>::new();
     let (exchange_end, mut supervisor_end, _) = queues.split();
     let plan = choice.plan();
     assert!(supervisor_end.plans.enqueue(plan.clone()).is_ok());
     let mut exchange = Exchange::new(exchange_end, MAC);
-    exchange.set_encapsulation(choice.envelope());
+    exchange.set_encapsulation(choice.encapsulation());
 
     let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0130), 2);
     let mut reply = pin!(supervisor_end.port.transact(&request));
