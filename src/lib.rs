@@ -27,7 +27,7 @@
 //! The crates below know nothing of this one: [`motion`] plans, [`drives`] knows servo drives, [`ethercat`] is the
 //! master. In here a module imports modules of lower layers only; `tests/layers.rs` reads this list and the sources.
 //!
-//! 1. `robot_bus`, `ethernet`: the master with the robot's sizes; the logic of Ethernet controllers
+//! 1. `robot_bus`, `ethernet`, `hash`: the master with the robot's sizes; the logic of Ethernet controllers; FNV-1a
 //! 2. `config`: every number that the controller needs, and its bounds
 //! 3. `network`, `control::limit`, `control::position`: the IP stack for EtherCAT in UDP; position controller
 //! 4. `control::velocity`, `control::torque_feedback`: velocity controller; monitor of one axis in torque mode
