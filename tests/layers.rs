@@ -1,4 +1,4 @@
-//! The modules of the library keep the layers that its header lists, and no crate imports one above it.
+//! The modules of the library keep the layers that its header lists.
 
 use host_tools::layers::check;
 use std::path::Path;

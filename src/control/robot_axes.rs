@@ -5,7 +5,7 @@
 //! ([`FeedbackMonitor`]).
 //!
 //! Invariants: a position is only given in the cycle it came in; an axis whose turns may have been miscounted, whose
-//! feedback cannot be true, or whose drive was configured anew, is not referenced.
+//! feedback cannot be true, or whose drive was configured again, is not referenced.
 
 mod encoder;
 mod findings;

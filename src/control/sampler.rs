@@ -291,7 +291,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         core::mem::take(&mut self.timer_correction_ns)
     }
 
-    /// Takes this cycle's time of the bus clock. A plan with another reference begins anew.
+    /// Takes this cycle's time of the bus clock. A plan with another reference clock starts the steering again.
     fn steer(&mut self) {
         let state = self.group.bus_state();
         let clock = state.reference_clock;

@@ -3,7 +3,7 @@
 //! Invariant: a setpoint is copied once, from the queue into the window, and stays at its place until its time is
 //! over.
 
-use super::sampler::Queued;
+use super::cycle::Queued;
 use crate::ethercat::queue;
 use crate::motion::Setpoint;
 use crate::robots::AXES;

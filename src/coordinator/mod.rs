@@ -8,7 +8,8 @@
 //! [`LinkTask`](crate::link_task::LinkTask)'s work. Each millisecond the caller takes the answers and samples, passes
 //! on the requests that have arrived, and then calls [`Coordinator::step`].
 //!
-//! Invariant: a refused request changes nothing.
+//! Invariant: a refused configuration, command or bus request changes nothing; a refused vertex ends the path, and the
+//! vertices before it are kept.
 
 mod bus_condition;
 mod ends;

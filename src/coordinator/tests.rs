@@ -4,8 +4,7 @@ extern crate std;
 
 use super::*;
 use crate::application::{Command, Refusal};
-use crate::config::Config;
-use crate::config::NetworkSettings;
+use crate::config::{Config, NetworkSettings};
 use crate::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
 use crate::ethercat::state::AlState;
 use crate::link::protocol::{ConfigRefusal, PathVertex};

@@ -66,16 +66,22 @@ where
         slave: &mut PreOperational<'_, '_, MESSAGE>,
         twin: Option<&ProcessData<Self>>,
     ) -> Result<Option<ProcessData<Self>>, BusError> {
-        match member.and_then(|member| settings.get(usize::from(member))) {
-            Some(settings) => configuration::used(device, settings, slave, twin).await.map(Some),
-            None => configuration::unused(device, slave).await,
-        }
+        let Some(member) = member else {
+            return configuration::unused(device, slave).await;
+        };
+        let settings = settings.get(usize::from(member)).ok_or(BusError::MemberCount {
+            expected: member.saturating_add(1),
+            actual: MEMBERS as u8,
+        })?;
+        configuration::used(device, settings, slave, twin).await.map(Some)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use etherpen_ethercat::driver::is_asked_for_device_type;
+    use etherpen_ethercat::wire::sii::{FixedPart, PROTOCOL_COE};
 
     const AX2000: Identity = Identity {
         vendor: 2,
@@ -97,6 +103,20 @@ mod tests {
         };
         assert_eq!(drive_kind(&akd).map(|kind| kind.name), Some("Kollmorgen AKD"));
         assert_eq!(drive_kind(&Identity { product: 1, ..AX2000 }), None);
+    }
+
+    #[test]
+    fn only_unknown_products_that_speak_coe_are_asked_for_their_device_type() {
+        let is_asked = |vendor, protocols| {
+            is_asked_for_device_type::<ServoDrives<4>>(&FixedPart {
+                identity: Identity { vendor, ..AX2000 },
+                protocols,
+                ..FixedPart::default()
+            })
+        };
+        assert!(is_asked(0x0E7E, PROTOCOL_COE));
+        assert!(!is_asked(0x0E7E, 0));
+        assert!(!is_asked(2, PROTOCOL_COE));
     }
 
     #[test]

@@ -13,11 +13,11 @@
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
 use super::driver::{Role, SlaveFactory};
 use super::encapsulation::Encapsulation;
+pub use super::observation::{AlStatus, Arrival, BusCounters, IGNORED_KINDS, Ignored, Observation};
 pub use super::plan::{
     CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX,
 };
 use super::queue;
-pub use super::telegram::{IGNORED_KINDS, Ignored};
 use super::telegram::{Image, SlotState, Taken, Telegram};
 use super::wire::{MacAddress, read_u8};
 use heapless::spsc::{Consumer, Producer};
@@ -30,59 +30,6 @@ const IN_OPERATION_MAX: usize = 1;
 
 /// Age in frames up to which an index still counts as late and not as foreign.
 const LATE_FRAMES: u8 = 64;
-
-/// The AL status of all slaves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct AlStatus {
-    /// The slaves' AL status registers, OR-ed together.
-    pub status: u16,
-    /// How many slaves answered.
-    pub slaves: u16,
-}
-
-/// Bus state that the critical side reports to the supervisor whenever it changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Observation {
-    /// The last AL status; zeros when the bus is silent.
-    pub al: AlStatus,
-    /// One bit for each slave whose process data had the expected working counter.
-    pub answered: u32,
-    /// Whether [`SILENT_CYCLES`] cycles passed without any reply.
-    pub silent: bool,
-}
-
-/// Kind of a received frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arrival {
-    /// This cycle's inputs.
-    Input,
-    /// The acknowledgement of this cycle's outputs.
-    Output,
-    /// A frame that is not used; counted.
-    Ignored(Ignored),
-}
-
-/// Counters of the exchange since start-up.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusCounters {
-    /// Telegrams built.
-    pub frames_sent: u32,
-    /// Telegrams whose reply had not come when the next cycle began.
-    pub frames_lost: u32,
-    /// Replies that came in a later cycle; each was also counted as lost.
-    pub frames_late: u32,
-    /// Datagrams of watched slaves that came back with an unexpected working counter.
-    pub working_counter_errors: u32,
-    /// Dropped frames by kind; the index is [`Ignored`] as a number.
-    pub ignored: [u32; IGNORED_KINDS],
-}
-
-impl BusCounters {
-    /// Dropped frames of all kinds.
-    pub fn frames_ignored(&self) -> u32 {
-        self.ignored.iter().fold(0, |sum, count| sum.saturating_add(*count))
-    }
-}
 
 /// The critical side's ends of the queues to the supervisor.
 pub struct ExchangeEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {

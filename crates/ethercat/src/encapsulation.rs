@@ -4,7 +4,7 @@
 //!
 //! Invariant: opening a received frame reads nothing beyond its end and only decides whose frame it is.
 
-use super::telegram::Ignored;
+use super::observation::Ignored;
 use super::wire::{
     self, ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
     UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr, read_u16, write_bytes,

@@ -4,11 +4,11 @@ extern crate std;
 
 use super::BusQueues;
 use super::acyclic::{Outcome, Request};
-use super::configure::LOGICAL_START;
 use super::cyclic::{Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, ReferenceClock};
 use super::encapsulation::Encapsulation;
 use super::error::BusError;
 use super::no_drivers::NoDrivers;
+use super::process_data::LOGICAL_START;
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FRAME_LEN_MAX, SOURCE_BIT, UdpRepr, read_u16};
 use core::net::Ipv4Addr;

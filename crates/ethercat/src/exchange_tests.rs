@@ -4,9 +4,9 @@ extern crate std;
 
 use super::BusQueues;
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
-use super::configure::LOGICAL_START;
 use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignored, SILENT_CYCLES};
 use super::no_drivers::NoDrivers;
+use super::process_data::LOGICAL_START;
 use super::random::Random;
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};

@@ -25,8 +25,10 @@ pub mod frame_port;
 pub mod mailbox;
 #[cfg(test)]
 mod no_drivers;
+mod observation;
 mod plan;
 pub mod port_state;
+pub mod process_data;
 pub mod queue;
 #[cfg(test)]
 mod random;

@@ -7,12 +7,8 @@ use super::state::AlReport;
 use super::wire::coe::Emergency;
 use super::wire::register::PORTS;
 use super::wire::sii::{FixedPart, Identity};
+use crate::configure::discovery::STATION_BASE;
 use crate::driver::{ProcessData, SlaveFactory};
-
-/// Station address of the first slave; the others follow in chain order.
-pub const STATION_BASE: u16 = 0x1001;
-/// Station address of a slave while it is being identified.
-pub const STATION_TEMPORARY: u16 = 0x1000;
 
 /// Condition of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

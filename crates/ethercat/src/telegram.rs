@@ -7,8 +7,8 @@
 //! Invariant: a reply is read at the places given by the frame that was sent; no content of the reply influences these.
 
 use super::acyclic::IN_FLIGHT_MAX;
-use super::cyclic::AlStatus;
 use super::encapsulation::Encapsulation;
+use super::observation::{AlStatus, Ignored};
 use super::plan::{AL_STATUS_LEN, PROCESS_BYTES_MAX, ReferenceClock, Window};
 use super::wire::{
     Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, DatagramRepr, FRAME_LEN_MAX, FRAME_LEN_MIN, MacAddress,
@@ -27,35 +27,6 @@ const CIRCULATING_BIT: u16 = 1 << 14;
 const MORE_HEADER: u64 = (MORE_BIT as u64) << 48;
 /// Device half of the address in the first eight bytes of a header: slaves increment it in broadcasts.
 const POSITION_HEADER: u64 = 0xFFFF_0000;
-
-/// Why a received frame was dropped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Ignored {
-    /// A protocol other than EtherCAT, VLAN tags included.
-    EtherType,
-    /// EtherCAT, but without datagrams.
-    FrameType,
-    /// Shorter than its own lengths claim.
-    Truncated,
-    /// A frame of another sender.
-    ForeignSource,
-    /// An index that was not in use.
-    ForeignIndex,
-    /// The answer to a frame of an earlier cycle.
-    Late,
-    /// An answer that had arrived already.
-    Duplicate,
-    /// Command, address, length or chain differ from what was sent.
-    Mismatch,
-    /// The frame passed the segment twice.
-    Circulating,
-    /// An own frame that no slave has processed.
-    Reflection,
-}
-
-/// Number of kinds of [`Ignored`].
-pub const IGNORED_KINDS: usize = Ignored::Reflection as usize + 1;
 
 /// Inputs of one slave, in two pieces that are copied as a whole.
 pub(super) type Image = [[u8; PIECE_LEN]; 2];

@@ -29,6 +29,15 @@ const BLEND_SHAPES: [(f64, f64); 7] = [
     (0.85, 0.30),
 ];
 
+/// Smallest horizontal part of a unit tangent that has a direction in plan view.
+const HORIZONTAL_MIN: f64 = 0.1;
+
+/// Direction of a unit tangent in plan view, rad; `None` if the tangent is vertical.
+pub(crate) fn direction(tangent: &Vector) -> Option<f64> {
+    let [x, y, _] = *tangent;
+    (x * x + y * y >= HORIZONTAL_MIN * HORIZONTAL_MIN).then(|| libm::atan2(y, x))
+}
+
 /// A polynomial curve over a parameter from 0 to 1, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Curve {

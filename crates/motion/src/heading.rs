@@ -8,23 +8,16 @@
 //! largest values at the points and the scan's rows there are exact bounds. The intervals come in pairs: at both ends
 //! of a pair the angle is the path's, and the slope in its middle connects the two.
 
+use super::curve::direction;
 use super::limits::Limits;
 use super::shaping::{Change, Piece};
 use crate::robots::vector::{Vector, length, root, scale};
 use core::f64::consts::{PI, TAU};
 
-/// Smallest horizontal part of a unit tangent that has a direction in plan view.
-const HORIZONTAL_MIN: f64 = 0.1;
 /// Distance from a half turn within which both ways count as equally long, rad.
 const HALF_TURN_RAD: f64 = 1.0e-6;
 /// Difference of angles that counts as zero, rad.
 pub(crate) const NONE_RAD: f64 = 1.0e-9;
-
-/// Direction of a unit tangent in plan view, rad; `None` if the tangent is vertical.
-pub(crate) fn direction(tangent: &Vector) -> Option<f64> {
-    let [x, y, _] = *tangent;
-    (x * x + y * y >= HORIZONTAL_MIN * HORIZONTAL_MIN).then(|| libm::atan2(y, x))
-}
 
 /// Turn from an angle to a direction by the shorter way, rad; a half turn goes towards the angle 0.
 pub(crate) fn turn_to(angle: f64, direction: f64) -> f64 {

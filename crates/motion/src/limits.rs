@@ -4,8 +4,7 @@
 //! The scan uses slightly less than the configured limits, because its bounds are exact only at the points of the grid
 //! and in the middle of its curved intervals.
 
-use super::scan::Row;
-use crate::robots::MAIN_AXES;
+use crate::robots::{JointRows, MAIN_AXES};
 use crate::settings::MotionLimits;
 
 /// Part of the acceleration limits that the scan uses.
@@ -15,6 +14,30 @@ const SPEED_PART: f64 = 0.9998;
 /// Part of the pen's vertical limits that the scan uses: on 250 random paths with lifts the 1 ms setpoints exceed the
 /// part by 0.4 % of the limit at most.
 const PEN_PART: f64 = 0.985;
+
+/// Limits at one point of the grid, in terms of the path.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Row {
+    pub(crate) joints: JointRows,
+    /// Curvature, 1/mm.
+    pub(crate) curvature: f64,
+    /// Slope of the fourth axis, rad/mm.
+    pub(crate) turn: f64,
+    /// Vertical part of the tangent, and its derivative with respect to arc length, 1/mm.
+    pub(crate) rise: f64,
+    pub(crate) rise_change: f64,
+}
+
+impl Row {
+    /// A row that allows no motion.
+    pub(crate) const NONE: Self = Self {
+        joints: JointRows::NONE,
+        curvature: 0.0,
+        turn: 0.0,
+        rise: 0.0,
+        rise_change: 0.0,
+    };
+}
 
 /// Limits of the scan.
 #[derive(Clone, Copy, Debug)]

@@ -11,6 +11,7 @@
 //! Invariant: x = 0, u = 0 obeys every row; so below every allowed x of a point all smaller x are allowed too.
 
 use super::limits::Limits;
+pub(crate) use super::limits::Row;
 use crate::robots::vector::root;
 use crate::robots::{JointRows, MAIN_AXES};
 
@@ -25,30 +26,6 @@ const COEFFICIENT_SMALL: f64 = 1.0e-15;
 /// Half chords of the circle of accelerations that are shorter than this part of its radius are shortened a little, so
 /// that their change with the speed stays finite where the circle ends.
 const CHORD_SMALL: f64 = 1.0e-4;
-
-/// Limits at one point of the grid, in terms of the path.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Row {
-    pub(crate) joints: JointRows,
-    /// Curvature, 1/mm.
-    pub(crate) curvature: f64,
-    /// Slope of the fourth axis, rad/mm.
-    pub(crate) turn: f64,
-    /// Vertical part of the tangent, and its derivative with respect to arc length, 1/mm.
-    pub(crate) rise: f64,
-    pub(crate) rise_change: f64,
-}
-
-impl Row {
-    /// A row that allows no motion.
-    pub(crate) const NONE: Self = Self {
-        joints: JointRows::NONE,
-        curvature: 0.0,
-        turn: 0.0,
-        rise: 0.0,
-        rise_change: 0.0,
-    };
-}
 
 /// Range of accelerations that an interval allows at one speed, mm/s2.
 #[derive(Clone, Copy, Debug)]

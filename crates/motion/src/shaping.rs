@@ -8,8 +8,7 @@
 //! Invariant: position, direction and curvature are continuous everywhere but at exact stops.
 
 use super::Pen;
-use super::curve::{BlendShape, Curve};
-use super::heading;
+use super::curve::{self, BlendShape, Curve};
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, dot, length, scale, subtract};
 use crate::settings::MotionLimits;
@@ -382,10 +381,10 @@ impl Shaper {
             let leg = subtract(&after.point, &end.point);
             unit(&leg, length(&leg))
         });
-        let change = match heading::direction(&direction) {
+        let change = match curve::direction(&direction) {
             None => direction_after
                 .as_ref()
-                .and_then(heading::direction)
+                .and_then(curve::direction)
                 .map_or(Change::None, Change::Turn),
             Some(_) => Change::None,
         };

@@ -28,7 +28,7 @@ use std::collections::BTreeMap;
 const STEP_US: u64 = 1000;
 /// Distance of the boundaries from the whole milliseconds, microseconds.
 const BOUNDARY_US: u64 = STEP_US / 2;
-/// Silence of the master after which its next frame sets the boundaries anew, microseconds.
+/// Silence of the master after which its next frame sets the boundaries again, microseconds.
 const SILENCE_US: u64 = 100_000;
 /// Longest time that one call catches up, ms; a longer jump of the clock is passed over.
 pub const CATCH_UP_MS_MAX: u64 = 600_000;

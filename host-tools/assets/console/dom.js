@@ -25,7 +25,7 @@ export function text(target, value) {
 
 const shows = new WeakMap();
 
-// Keeps one child for each item, by its key. What is there stays where it is and is only shown anew, so that a press, the
+// Keeps one child for each item, by its key. What is there stays where it is and is only updated, so that a press, the
 // focus, a selection and the place of scrolling outlive every update. `make` gives a node and the function that shows an
 // item in it.
 export function keyed(parent, items, key, make) {

@@ -3,7 +3,7 @@
 import { choice } from "./choice.js";
 import { $, duration, element, keyed, number, set, text, toast } from "./dom.js";
 
-// While somebody types, this long nothing is planned anew.
+// While somebody types, nothing is planned for this long.
 const TYPING_MS = 400;
 
 const strokes = (count) => `${count} stroke${count === 1 ? "" : "s"}`;
@@ -85,7 +85,7 @@ function dropped(link, wishes) {
   });
 }
 
-// How a photograph becomes strokes; what is left empty is left to the program. Every change plans the file anew.
+// How a photograph becomes strokes; what is left empty is left to the program. Every change plans the file again.
 function optionFields(link) {
   const style = choice("Style", [["", "default"]]);
   const size = element("input", { type: "text", placeholder: "fits the sheet", ariaLabel: "Size, with its unit" });
@@ -103,7 +103,7 @@ function optionFields(link) {
     const wanted = wishes();
     if (!made || made.state === "idle" || same(wanted, asked ?? made.wishes)) return;
     if (!link.controls) {
-      toast("Take control, and it is planned anew");
+      toast("Take control, and it is planned again");
       return;
     }
     asked = wanted;

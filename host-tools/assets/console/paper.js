@@ -154,7 +154,7 @@ export function paper(link) {
       text($("paper-time"), current ? `${current.strokes} of ${current.strokes_total} strokes · ${duration(current.left_s)} left` : `planned ${duration(jobs.active.planned_s)}`);
       $("paper-progress").value = current ? current.executed_mm / Math.max(current.total_mm, 1) : 0;
     } else if (preview && studio?.state === "working") {
-      text($("paper-name"), `${studio.name} · being planned anew`);
+      text($("paper-name"), `${studio.name} · being planned again`);
       text($("paper-time"), "");
       $("paper-progress").value = 0;
     } else if (preview && studio?.state === "ready") {

@@ -28,7 +28,7 @@ const SETTLED: Duration = Duration::from_millis(500);
 /// Time before the bring-up of a bus is retried after a failure.
 const PREPARED_AGAIN: Duration = Duration::from_secs(2);
 /// Text for a drawing whose firmware was restarted.
-const RESTARTED: &str = "the controller started anew while it was drawing, and the robot stopped where it was; it knows \
+const RESTARTED: &str = "the controller restarted while it was drawing, and the robot stopped where it was; it knows \
                          neither the drawing nor where the robot stands any more";
 /// Most orders with pending answers.
 const EXPECTED_MAX: usize = 256;

@@ -85,7 +85,7 @@ impl Console {
         if reset {
             return self.order(
                 self.ticket(),
-                "measuring anew",
+                "measuring again from zero",
                 Order::Measure(MeasurementRequest::Reset),
             );
         }

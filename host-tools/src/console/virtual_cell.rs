@@ -261,7 +261,7 @@ impl VirtualCell {
         let (fault, text) = match injection {
             Injection::Restart => {
                 self.shared.restart.store(true, Ordering::Relaxed);
-                return Ok("the firmware is started anew".to_owned());
+                return Ok("the firmware is being restarted".to_owned());
             }
             Injection::Remove { slave } => (Fault::Remove(exists(slave)?), format!("slave {slave} is unplugged")),
             Injection::Insert { slave } => (Fault::Insert(exists(slave)?), format!("slave {slave} is plugged in")),

@@ -237,7 +237,7 @@ impl fmt::Display for JobError {
                 "the program that ordered the motion fell silent, so the robot was stopped; order it again",
             ),
             Self::Forgotten => f.write_str(
-                "the firmware has started anew in the middle of the drawing and has forgotten it; draw --resume goes on \
+                "the firmware restarted in the middle of the drawing and has forgotten it; draw --resume goes on \
                  where the ink ends",
             ),
         }

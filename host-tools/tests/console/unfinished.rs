@@ -153,7 +153,7 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
     browser.press("#segment [data-inject='restart']");
     // The job ends and the controller is configured without anybody's help; the words are the reader's.
     browser.until("etherpen.link.state.jobs.past.length === 1");
-    browser.until("document.getElementById('past').innerText.includes('started anew')");
+    browser.until("document.getElementById('past').innerText.includes('restarted')");
     let words = browser.value("document.getElementById('past').innerText");
     assert!(
         words.as_str().is_some_and(|words| !words.contains("etherpen ")),

@@ -221,7 +221,7 @@ impl State {
             ],
             power: application.power as u8,
             epochs: [newest(self.followed), newest(self.trajectory.epoch)],
-            // What it does matters only where something may be moving: it is placed anew before anything moves again.
+            // What it does matters only where something may be moving: it is placed again before anything moves again.
             trajectory: Model {
                 epoch: None,
                 doing: if self.may_move() {

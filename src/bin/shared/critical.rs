@@ -30,9 +30,9 @@ pub(crate) const fn hardware_priority(logical: u8) -> u8 {
 }
 
 /// The variant `primask` of the emulated board has another implementation, to show the effect of this one.
-#[cfg_attr(feature = "primask", allow(dead_code))]
+#[cfg_attr(all(feature = "primask", feature = "emulated"), allow(dead_code))]
 struct BelowCritical;
-#[cfg(not(feature = "primask"))]
+#[cfg(not(all(feature = "primask", feature = "emulated")))]
 critical_section::set_impl!(BelowCritical);
 
 // SAFETY: between `acquire` and `release` no code of priority 14 or lower runs except the caller's own, and code of

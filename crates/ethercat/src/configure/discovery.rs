@@ -6,15 +6,17 @@
 //! Invariant: no function here takes a slave out of INIT, and only [`reset_all`] takes a slave to INIT.
 
 use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
-use crate::driver::SlaveFactory;
 use crate::error::BusError;
-use crate::slave::{STATION_BASE, Slave};
 use crate::state::{AlState, STATE_TIMEOUT_MS};
 use crate::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
-use crate::wire::sii::MailboxWindow;
+use crate::wire::sii::{FixedPart, MailboxWindow};
 use crate::wire::{Address, Command, read_u16};
 use heapless::Vec;
 
+/// Station address of the first slave; the others follow in chain order.
+pub const STATION_BASE: u16 = 0x1001;
+/// Station address of a slave while it is being identified.
+pub const STATION_TEMPORARY: u16 = 0x1000;
 /// Sync managers and FMMUs that are cleared at the start.
 const CLEARED: usize = 4;
 
@@ -122,19 +124,20 @@ fn assignment(position: u16, station: u16) -> Request {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn mailbox_managers<F: SlaveFactory, const MESSAGE: usize>(
+pub async fn mailbox_managers<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave<F>,
+    station: u16,
+    fixed: &FixedPart,
 ) -> Result<(), BusError> {
     let managers = [
-        mailbox_manager(slave.fixed.mailbox_out, register::CONTROL_MAILBOX_OUT),
-        mailbox_manager(slave.fixed.mailbox_in, register::CONTROL_MAILBOX_IN),
+        mailbox_manager(fixed.mailbox_out, register::CONTROL_MAILBOX_OUT),
+        mailbox_manager(fixed.mailbox_in, register::CONTROL_MAILBOX_IN),
     ];
-    write_managers(port, slave.station(), 0, &managers).await
+    write_managers(port, station, 0, &managers).await
 }
 
 /// Writes two consecutive sync managers in one datagram.
-pub(super) async fn write_managers<const MESSAGE: usize>(
+pub(crate) async fn write_managers<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     first: u8,

@@ -7,11 +7,9 @@
 
 pub mod discovery;
 pub mod information;
+mod objects;
 mod pre_operational;
-mod process_data;
 
-pub use pre_operational::{PreOperational, ask_device_type};
-pub use process_data::{LOGICAL_START, cyclic_slave, process_data};
-
-use discovery::{mailbox_managers, write_managers};
-use information::read_sii;
+pub(crate) use objects::SYNC_MANAGER_OUTPUTS;
+pub use objects::{Direction, Entry, PdoChoice, Setting, Windows};
+pub use pre_operational::PreOperational;

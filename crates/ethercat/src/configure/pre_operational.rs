@@ -6,20 +6,16 @@
 //!
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
 
-use super::process_data::{SYNC_MANAGER_INPUTS, SYNC_MANAGER_OUTPUTS};
-use super::{mailbox_managers, read_sii};
+use super::information::read_sii;
+use super::objects::{Direction, Entry, PdoChoice, SYNC_MANAGER_INPUTS, SYNC_MANAGER_OUTPUTS, Setting, Windows};
 use crate::acyclic::AcyclicPort;
-use crate::coe::{DEVICE_TYPE, ObjectDictionary};
-use crate::driver::{Direction, Entry, PdoChoice, Setting, SlaveFactory, Windows};
+use crate::coe::ObjectDictionary;
 use crate::error::BusError;
 use crate::mailbox::Mailbox;
-use crate::slave::Slave;
-use crate::state::{self, AlState};
 use crate::wire::coe::Object;
 use crate::wire::register;
 use crate::wire::sii::{
-    self, CategoryHeader, CategoryWalker, PROTOCOL_COE, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord,
-    SyncManagerUse,
+    self, CategoryHeader, CategoryWalker, PdoEntryRecord, PdoRecord, Record, SyncManagerRecord, SyncManagerUse,
 };
 use crate::wire::{read_u16, write_bytes};
 use heapless::Vec;
@@ -63,30 +59,6 @@ impl Direction {
             Self::Inputs => SYNC_MANAGER_INPUTS,
         }
     }
-}
-
-/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
-/// for it, or it does not answer.
-pub async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave<F>,
-) -> Option<F::Device> {
-    if F::by_identity(&slave.fixed.identity).is_some() || slave.fixed.protocols & PROTOCOL_COE == 0 {
-        return None;
-    }
-    let station = slave.station();
-    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).ok()?;
-    mailbox_managers(port, slave).await.ok()?;
-    let device_type = match state::change(port, station, AlState::PreOperational).await {
-        Ok(()) => ObjectDictionary::new(port, &mut mailbox)
-            .read(DEVICE_TYPE, 4)
-            .await
-            .ok(),
-        Err(_) => None,
-    };
-    // A slave that does not return to INIT is detected when it is used.
-    let _ = state::change(port, station, AlState::Init).await;
-    F::by_device_type(device_type?)
 }
 
 /// A slave in PREOP with its mailbox set up.

@@ -4,15 +4,17 @@
 //!
 //! Invariant: only members leave INIT here; a slave goes up one state at a time.
 
-use super::super::acyclic::Request;
+use super::super::acyclic::{AcyclicPort, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::configure;
+use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
+use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::{PreOperational, discovery, information};
-use super::super::driver::{ProcessData, SlaveFactory};
+use super::super::driver::{ProcessData, SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
 use super::super::event::{BusEvent, Step};
 use super::super::mailbox::Mailbox;
-use super::super::slave::{Condition, STATION_BASE, Slave};
+use super::super::process_data;
+use super::super::slave::{Condition, Slave};
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::{Address, Command, register};
 use super::Failure;
@@ -44,7 +46,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .map_err(Failure::bus(Step::Reset))?;
         let unread = self.identify_all(found).await?;
         for slave in self.slaves.iter_mut().filter(|slave| slave.device.is_none()) {
-            slave.device = configure::ask_device_type(&mut self.port, slave).await;
+            slave.device = ask_device_type(&mut self.port, slave).await;
         }
         if let Err(error) = self.choose_members() {
             // A member may be missing because it could not be read.
@@ -178,7 +180,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.fixed.mailbox_out.length > 0 || slave.member.is_some() {
             let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
             slave.mailbox = Mailbox::new::<MESSAGE>(station, out, input).map_err(at(Step::Mailbox))?;
-            discovery::mailbox_managers(port, slave)
+            discovery::mailbox_managers(port, station, &slave.fixed)
                 .await
                 .map_err(at(Step::Mailbox))?;
         }
@@ -222,7 +224,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Some(slave) = slaves.get_mut(number) else {
             return Ok(());
         };
-        configure::process_data(port, slave, watchdog_ms)
+        process_data::set_up(port, slave, watchdog_ms)
             .await
             .map_err(at(Step::ProcessData))?;
         let activate = slave.device.map_or(0, |device| F::describe(device).assign_activate);
@@ -264,7 +266,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.
     pub(super) async fn inputs_come(&mut self, slave: &Slave<F>) -> Result<(), BusError> {
-        let share = configure::cyclic_slave(slave);
+        let share = process_data::cyclic_slave(slave);
         let started_ms = self.port.now_ms();
         let request = Request::read(
             Command::Lrd,
@@ -315,4 +317,28 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.send_plan().await;
     }
+}
+
+/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
+/// for it, or it does not answer.
+async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+) -> Option<F::Device> {
+    if !is_asked_for_device_type::<F>(&slave.fixed) {
+        return None;
+    }
+    let station = slave.station();
+    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).ok()?;
+    discovery::mailbox_managers(port, station, &slave.fixed).await.ok()?;
+    let device_type = match state::change(port, station, AlState::PreOperational).await {
+        Ok(()) => ObjectDictionary::new(port, &mut mailbox)
+            .read(DEVICE_TYPE, 4)
+            .await
+            .ok(),
+        Err(_) => None,
+    };
+    // A slave that does not return to INIT is detected when it is used.
+    let _ = state::change(port, station, AlState::Init).await;
+    F::by_device_type(device_type?)
 }

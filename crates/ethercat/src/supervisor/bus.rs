@@ -5,11 +5,11 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::BusClocks;
-use super::super::configure;
 use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
+use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
@@ -134,7 +134,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let worked_on = self.worked_on;
         let slaves = (0..).zip(&self.slaves).map(|(number, slave)| CyclicSlave {
             watched: slave.condition == Condition::Operational && worked_on != Some(number),
-            ..configure::cyclic_slave(slave)
+            ..process_data::cyclic_slave(slave)
         });
         let ignored = (0..).zip(&self.slaves).map(|(number, slave)| {
             let idle = slave.member.is_none() || slave.condition == Condition::Parked;
@@ -187,7 +187,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let slaves = self.slaves.iter().map(|slave| CyclicSlave {
             role: None,
             watched: false,
-            ..configure::cyclic_slave(slave)
+            ..process_data::cyclic_slave(slave)
         });
         let mut plan = CyclicPlan {
             slaves: slaves.collect(),

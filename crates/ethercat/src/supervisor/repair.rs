@@ -8,11 +8,12 @@
 //! that does not belong to another slave of this bus.
 
 use super::super::clock;
+use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::Step;
-use super::super::slave::{STATION_BASE, STATION_TEMPORARY, Slave};
+use super::super::slave::Slave;
 use super::super::state::{self, AlState};
 use super::super::wire::sii::{FixedPart, Identity};
 use super::Failure;

@@ -7,14 +7,16 @@
 
 use super::super::acyclic::REGISTER_BYTES_MAX;
 use super::super::coe::ObjectDictionary;
-use super::super::configure::{self, information};
+use super::super::configure::discovery::STATION_BASE;
+use super::super::configure::information;
 use super::super::cyclic::Observation;
 use super::super::diagnostics::{
     BusInfo, Name, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest, ServiceResult, SlaveInfo,
 };
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
-use super::super::slave::{Condition, STATION_BASE};
+use super::super::process_data;
+use super::super::slave::Condition;
 use super::super::state::{self, AlState};
 use super::super::wire::coe::Object;
 use super::super::wire::register;
@@ -140,7 +142,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             _ => None,
         };
-        let share = configure::cyclic_slave(&slave);
+        let share = process_data::cyclic_slave(&slave);
         Ok(SlaveInfo {
             station,
             alias: memory.alias,

@@ -9,10 +9,11 @@
 //! Invariant: the rescan changes no slave's state and gives no slave process data.
 
 use super::super::configure::discovery;
+use super::super::configure::discovery::STATION_BASE;
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
-use super::super::slave::{Condition, STATION_BASE, Slave};
+use super::super::slave::{Condition, Slave};
 use super::super::wire::sii::FixedPart;
 use super::bus::Bus;
 

@@ -331,7 +331,11 @@ fn a_motion_that_makes_no_progress_is_noticed_and_a_slow_one_goes_on() {
     });
     assert_eq!(noticed, Some(2_000 / PERIOD_MS + 2), "after two seconds and the start");
     assert!(run.trajectory.place(JointAngles(run.setpoints[0].position_rad)));
-    assert_eq!(run.trajectory.stalled_ms(), 0, "a new start is watched anew");
+    assert_eq!(
+        run.trajectory.stalled_ms(),
+        0,
+        "a new start is watched from its beginning"
+    );
     // The slowest that a configuration may ask for.
     let mut settings = Settings::default();
     settings.motion.speed_mm_s = 1.0;

@@ -70,7 +70,7 @@ fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
     println!("worst parts of the acceleration limit, without and with an average: {worst:?}");
 }
 
-/// Runs with a speed that is asked for anew again and again; `change` gives it for a period, if it changes there.
+/// Runs with a speed that is asked for again and again; `change` gives it for a period, if it changes there.
 fn run_with_overrides(settings: &Settings, path: &[Vertex], mut change: impl FnMut(usize) -> Option<u8>) -> Run {
     let mut run = Run::new(settings, path);
     run.command(MotionCommand::Start);

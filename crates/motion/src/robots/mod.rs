@@ -5,8 +5,8 @@
 //!
 //! Lengths are millimetres, angles radians. The frame's origin is the centre of the base, and z points up.
 //!
-//! A new kind needs four things: its file here with dimensions and mathematics, a variant of [`Kinematics`], a
-//! mechanism in the virtual cell, and a drawing on the console's page.
+//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the virtual
+//! cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the delta's.
 
 mod angle_range;
 mod delta;

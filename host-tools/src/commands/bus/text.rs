@@ -156,15 +156,15 @@ pub fn bus_error(error: &BusError) -> String {
             format!("{actual} drives are there, {expected} are needed; check cables and supplies, and bus.drives")
         }
         BusError::Identity { expected, actual } => {
-            format!("there is product {actual:08x} where {expected:08x} was; put the slave back or start the bus anew")
+            format!("there is product {actual:08x} where {expected:08x} was; put the slave back or restart the bus")
         }
         BusError::Serial { expected, actual } => format!(
-            "there is serial number {actual} where {expected} was: two slaves were swapped; put them back or start the \
-             bus anew"
+            "there is serial number {actual} where {expected} was: two slaves were swapped; put them back or restart \
+             the bus"
         ),
         BusError::Station { expected, actual } => format!(
             "there is the slave with address {actual:#06x} where {expected:#06x} was: the cables were changed; put them \
-             back or start the bus anew"
+             back or restart the bus"
         ),
         BusError::SdoAnswer { object: at } => {
             format!(

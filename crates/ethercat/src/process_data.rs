@@ -2,8 +2,9 @@
 //!
 //! Invariant: the shares of two slaves never overlap.
 
-use super::write_managers;
 use crate::acyclic::{AcyclicPort, Request};
+use crate::configure::SYNC_MANAGER_OUTPUTS;
+use crate::configure::discovery::write_managers;
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
 use crate::driver::{ProcessData, Role, SlaveFactory};
 use crate::error::BusError;
@@ -15,10 +16,6 @@ use crate::wire::{Address, Command};
 /// directly behind them its inputs, so that one datagram may carry both.
 pub const LOGICAL_START: u32 = 0x0001_0000;
 
-/// Sync manager of the outputs; that of the inputs follows.
-pub(super) const SYNC_MANAGER_OUTPUTS: u8 = 2;
-/// Sync manager of the inputs.
-pub(super) const SYNC_MANAGER_INPUTS: u8 = SYNC_MANAGER_OUTPUTS + 1;
 /// Watchdog units (100 us) in a millisecond.
 const WATCHDOG_UNITS_PER_MS: u16 = 10;
 /// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
@@ -49,7 +46,7 @@ pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
-pub async fn process_data<F: SlaveFactory, const MESSAGE: usize>(
+pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &Slave<F>,
     watchdog_ms: u16,

@@ -1,0 +1,149 @@
+//! What a driver configures in a slave: objects, and the process data of each direction.
+
+use crate::wire::coe::Object;
+
+/// Sync manager of the outputs.
+pub(crate) const SYNC_MANAGER_OUTPUTS: u8 = 2;
+/// Sync manager of the inputs.
+pub(crate) const SYNC_MANAGER_INPUTS: u8 = SYNC_MANAGER_OUTPUTS + 1;
+
+/// Outputs or inputs, as seen from the master.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From the master to the slave (RxPDO).
+    Outputs,
+    /// From the slave to the master (TxPDO).
+    Inputs,
+}
+
+/// Addresses of the process data in the slave's memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Windows {
+    /// Start of the outputs: sync manager 2.
+    pub outputs: u16,
+    /// Start of the inputs: sync manager 3.
+    pub inputs: u16,
+}
+
+/// An object in the process data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// The object; index 0 is a gap.
+    pub object: Object,
+    /// Bits it takes.
+    pub bits: u8,
+}
+
+impl Entry {
+    /// An entry for an object and its length in bits.
+    pub const fn new(object: Object, bits: u8) -> Self {
+        Self { object, bits }
+    }
+
+    /// The entry described by the value of a mapping object (0x16xx, 0x1Axx): index, sub-index and bits (CiA 301).
+    pub const fn from_mapping(value: u32) -> Self {
+        Self::new(Object::new((value >> 16) as u16, (value >> 8) as u8), value as u8)
+    }
+
+    /// The value of the mapping object for this entry.
+    pub const fn mapping(&self) -> u32 {
+        (self.object.index as u32) << 16 | (self.object.sub as u32) << 8 | self.bits as u32
+    }
+}
+
+/// The process data object of one direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PdoChoice {
+    /// Its index: from 0x1600 for outputs, from 0x1A00 for inputs.
+    pub pdo: u16,
+    /// Its entries, fixed or to be written.
+    pub entries: &'static [Entry],
+    /// Whether the entries have to be written; otherwise they are fixed in the device.
+    pub written: bool,
+}
+
+impl PdoChoice {
+    /// A process data object whose entries are fixed in the device.
+    pub const fn fixed(pdo: u16, entries: &'static [Entry]) -> Self {
+        Self {
+            pdo,
+            entries,
+            written: false,
+        }
+    }
+
+    /// A process data object whose entries are written.
+    pub const fn written(pdo: u16, entries: &'static [Entry]) -> Self {
+        Self {
+            pdo,
+            entries,
+            written: true,
+        }
+    }
+}
+
+/// One object to write before a device is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Setting {
+    /// The object.
+    pub object: Object,
+    /// Its value, little-endian, signed values sign-extended.
+    pub value: u32,
+    /// Bytes of the object, 1 to 4.
+    pub length: u8,
+    /// The object that has to read back as this value afterwards, if any.
+    pub verify: Option<Object>,
+    /// Whether the device may refuse the object.
+    pub optional: bool,
+}
+
+impl Setting {
+    /// A setting that is written and not read back.
+    pub const fn new(index: u16, sub: u8, value: u32, length: u8) -> Self {
+        Self::of(Object::new(index, sub), value, length)
+    }
+
+    /// A setting of `object` that is written and not read back.
+    pub const fn of(object: Object, value: u32, length: u8) -> Self {
+        Self {
+            object,
+            value,
+            length,
+            verify: None,
+            optional: false,
+        }
+    }
+
+    /// This setting, read back from the object itself.
+    pub const fn verified(self) -> Self {
+        Self {
+            verify: Some(self.object),
+            ..self
+        }
+    }
+
+    /// This setting, read back from another object.
+    pub const fn shown_by(self, object: Object) -> Self {
+        Self {
+            verify: Some(object),
+            ..self
+        }
+    }
+
+    /// This setting for an object that not every device of the type has.
+    pub const fn optional(self) -> Self {
+        Self { optional: true, ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mapping_value_and_its_entry_are_the_same_thing() {
+        let entry = Entry::from_mapping(0x60C1_0120);
+        assert_eq!(entry, Entry::new(Object::new(0x60C1, 1), 32));
+        assert_eq!(entry.mapping(), 0x60C1_0120);
+    }
+}
