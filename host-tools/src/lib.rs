@@ -13,12 +13,13 @@
 //!    recordings of telemetry; configuration files; the cell with a capture of its bus; firmware in virtual time
 //! 5. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
 //! 6. `machine`, `run`, `report`: one machine with several users; one drawing against the virtual cell; its figures
-//! 7. `report::output`, `console`: the files of a drawing; the console in the browser
+//! 7. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
 //! 8. `bench`: measurements of the project and of its peers
 //! 9. `commands`: options, calls and printed results of the program's commands
 #![forbid(unsafe_code)]
 
 pub mod bench;
+pub mod bus;
 pub mod captured_cell;
 pub mod cell;
 pub mod commands;

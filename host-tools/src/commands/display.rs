@@ -134,7 +134,7 @@ fn event_text(event: &JobEvent) -> Option<String> {
             }
             Some(line)
         }
-        JobEvent::Port(port) => Some(text::port_state(*port).to_owned()),
+        JobEvent::Port(port) => Some(text::bus::port_state(*port).to_owned()),
         JobEvent::Phase(phase) => Some(format!("{phase}")),
         JobEvent::Fault(fault) => Some(format!("FAULT: {}", text::fault(fault))),
         JobEvent::Refused(command, refusal) => Some(format!(

@@ -120,7 +120,7 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
         product: format!("{:#010x}", slave.product),
         state: match slave.al_state {
             _ if silent_s.is_some() => "no answer".to_owned(),
-            state => text::al_state(state),
+            state => text::bus::al_state(state),
         },
         operational: slave.al_state == 8 && silent_s.is_none(),
         error: match flagged {

@@ -1,24 +1,22 @@
 //! `etherpen bus`: look at the slaves and change them, with this computer's master or a running firmware's.
 
-pub mod access;
-mod carrier;
 mod objects;
 mod registers;
 mod slaves;
 mod table;
-pub mod text;
-mod value;
 
 use super::ConfigArguments;
 use super::ports::OptionalPort;
+use crate::bus::access::BusAccess;
+use crate::bus::connection;
+use crate::bus::objects::parse_object;
+use crate::bus::value::Type;
 use crate::error::{ProgramError, code};
-use access::BusAccess;
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen_segment::transport::{Endpoint, udp_address};
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
-use value::Type;
 
 /// Options of `etherpen bus`.
 ///
@@ -112,7 +110,7 @@ enum SdoAction {
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: u8,
         /// INDEX:SUB, the index hexadecimal.
-        #[arg(value_parser = objects::object)]
+        #[arg(value_parser = parse_object)]
         object: Object,
         /// Its type; what the slave tells when it is left out.
         #[arg(long = "type", value_name = "T")]
@@ -127,7 +125,7 @@ enum SdoAction {
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: u8,
         /// INDEX:SUB, the index hexadecimal.
-        #[arg(value_parser = objects::object)]
+        #[arg(value_parser = parse_object)]
         object: Object,
         /// The value: decimal, 0x hexadecimal, text, or pairs of hexadecimal digits for bytes.
         #[arg(allow_hyphen_values = true)]
@@ -199,8 +197,14 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let way = &arguments.way;
     let port = way.port.unless(way.other())?;
     let mut access = match (port, way.endpoint()) {
-        (Some(port), _) => carrier::firmware(&port, &config)?,
-        (None, Ok(endpoint)) => carrier::own_master(&endpoint)?,
+        (Some(port), _) => {
+            let firmware = connection::firmware(&port, &config)?;
+            if let Some(owner) = &firmware.owner {
+                eprintln!("through {owner}");
+            }
+            firmware.access
+        }
+        (None, Ok(endpoint)) => connection::own_master(&endpoint)?,
         (None, Err(why)) => return Err(ProgramError::new(code::USAGE, why)),
     };
     act(&mut *access, &arguments.action, &written, arguments.json)

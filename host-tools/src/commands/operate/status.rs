@@ -117,7 +117,7 @@ fn drives(status: &Status) -> Vec<Drive> {
         slave,
         vendor: status.vendor,
         product: status.product,
-        al_state: text::al_state(status.al_state),
+        al_state: text::bus::al_state(status.al_state),
         al_code: status.al_code,
         status_word: status.status_word,
         state: format!("{:?}", StatusWord(status.status_word).state()),

@@ -1,13 +1,14 @@
-//! The two access paths to the bus: this computer's own master, and the link to a running firmware.
+//! Connections to a bus: with a master on this computer, or through the master of a running firmware.
 
 use super::access::{AccessError, BusAccess};
-use super::text;
 use crate::error::{ProgramError, code};
 use crate::job::error::JobError;
+use crate::link::ownership::Owner;
 use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session, session_number};
+use crate::link::text::bus::bus_error;
 use crate::machine::{Client, Order, Reply};
-use crate::master::Master;
+use crate::master::{Master, MasterError};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
 use etherpen_segment::transport::{self, Endpoint};
@@ -24,15 +25,15 @@ const SILENCE_MAX_MS: u64 = 5_000;
 /// Pause before a request to a busy bus is repeated.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// One question, one answer.
+/// Carries one request to the bus and its answer back.
 trait Carrier {
     fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError>;
 
-    /// Lets time pass without a question.
+    /// Lets time pass without a request.
     fn rest(&mut self, pause: Duration) -> Result<(), ProgramError>;
 }
 
-/// A carrier that asks again while the bus is busy.
+/// Repeats a request while the bus is busy.
 struct Patient<C>(C);
 
 impl<C: Carrier> BusAccess for Patient<C> {
@@ -50,21 +51,20 @@ impl<C: Carrier> BusAccess for Patient<C> {
     }
 }
 
-/// The master on this computer; the slaves stay as they are until a request changes one.
+/// Opens the bus with a master on this computer. The slaves keep their states until a request changes one.
 ///
 /// # Errors
-/// There is no transport to the segment.
-pub(super) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, ProgramError> {
+/// The transport to the segment cannot be opened.
+pub(crate) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, ProgramError> {
     let transport = transport::open(endpoint).map_err(|error| ProgramError::new(code::CONNECTION, error))?;
-    let master =
-        Master::look(transport).map_err(|error| ProgramError::new(code::FAILED, text::master_error(&error)))?;
+    let master = Master::look(transport).map_err(|error| ProgramError::new(code::FAILED, master_error(&error)))?;
     Ok(Box::new(Patient(master)))
 }
 
 impl Carrier for Master {
     fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError> {
         self.request(request, ANSWER_MAX)
-            .map_err(|error| ProgramError::new(code::CONNECTION, text::master_error(&error)))
+            .map_err(|error| ProgramError::new(code::CONNECTION, master_error(&error)))
     }
 
     fn rest(&mut self, pause: Duration) -> Result<(), ProgramError> {
@@ -73,14 +73,24 @@ impl Carrier for Master {
     }
 }
 
-/// A running firmware's master. A firmware without a configuration gets this one, which brings up its bus.
+/// A bus behind a firmware.
+pub(crate) struct FirmwareBus {
+    /// Carries out the requests.
+    pub(crate) access: Box<dyn BusAccess>,
+    /// The program that has the port open and passes the requests on; `None` if this program opened the port.
+    pub(crate) owner: Option<Owner>,
+}
+
+/// Connects to a running firmware's master. A firmware without a configuration gets `config` and brings up its bus.
 ///
 /// # Errors
 /// There is no connection, or the firmware refused the configuration.
-pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAccess>, ProgramError> {
+pub(crate) fn firmware(port: &PortName, config: &Config) -> Result<FirmwareBus, ProgramError> {
     if let Some(client) = Client::find(port) {
-        eprintln!("through {}", client.owner());
-        return Ok(Box::new(Patient(client)));
+        return Ok(FirmwareBus {
+            owner: Some(client.owner().clone()),
+            access: Box::new(Patient(client)),
+        });
     }
     let port = Port::open(port).map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     let mut linked = Linked {
@@ -100,10 +110,13 @@ pub(super) fn firmware(port: &PortName, config: &Config) -> Result<Box<dyn BusAc
             _ => None,
         })?;
     }
-    Ok(Box::new(Patient(linked)))
+    Ok(FirmwareBus {
+        access: Box::new(Patient(linked)),
+        owner: None,
+    })
 }
 
-/// Through the program that has the port; what the firmware is configured with is that program's business.
+/// The program that has the port open; it also chose the firmware's configuration.
 impl Carrier for Client {
     fn ask(&mut self, request: ServiceRequest) -> Result<ServiceResult, ProgramError> {
         match self.carry_out(Order::Bus(request))? {
@@ -125,7 +138,7 @@ struct Linked {
 }
 
 impl Linked {
-    /// Lets the session work until an event is found.
+    /// Runs the session until `found` accepts an event, at most `longest_ms`.
     fn wait<T>(
         &mut self,
         longest_ms: u64,
@@ -180,9 +193,28 @@ impl Carrier for Linked {
         let until = Instant::now() + pause;
         while Instant::now() < until {
             self.step()?;
-            // What happens meanwhile does not matter.
+            // Nobody waits for an event now.
             while self.session.next_event().is_some() {}
         }
         Ok(())
+    }
+}
+
+/// Why the master on this computer cannot work, and what to try.
+fn master_error(error: &MasterError) -> String {
+    match error {
+        MasterError::Refused { position, error, .. } => match position {
+            Some(position) => format!("slave {}: {}", u16::from(*position) + 1, bus_error(error)),
+            None => bus_error(error),
+        },
+        MasterError::Transport(cause) => {
+            format!("the way to the segment was lost ({cause}); is the interface up, does the segment still run?")
+        }
+        MasterError::Silent { waited } => {
+            format!(
+                "nothing was heard of the bus for {:.0} s; try again",
+                waited.as_secs_f64()
+            )
+        }
     }
 }

@@ -1,15 +1,44 @@
-//! Texts about the bus: states, errors and what to try.
+//! Texts about the bus: states of slaves and drives, errors, and what to try.
 
-use crate::link::text;
-use crate::master::MasterError;
+use super::mode;
 use etherpen::application::Mode;
+use etherpen::board::PortState;
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::diagnostics::ServiceError;
 use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::mailbox::error_text;
+
+/// The bus's Ethernet port in a few words.
+pub fn port_state(port: PortState) -> &'static str {
+    match port {
+        PortState::Unknown => "nothing is known of the bus' Ethernet port",
+        PortState::NoPhy => "no PHY answers at the bus' Ethernet port",
+        PortState::Down => "the bus' Ethernet port has no link",
+        PortState::Up => "the bus' Ethernet port has a link",
+    }
+}
+
+/// What to try when the port has no link.
+pub const PORT_HINT: &str = "check the cable to the first drive and that drive's supply";
+
+/// Name of an AL state by its number, with the error flag (ETG.1000.6, AL status register).
+pub fn al_state(al_state: u8) -> String {
+    let name = match al_state & 0x0f {
+        0 => "no answer",
+        1 => "INIT",
+        2 => "PREOP",
+        3 => "BOOT",
+        4 => "SAFEOP",
+        8 => "OP",
+        _ => "an unknown state",
+    };
+    let error = if al_state & 0x10 != 0 { " with error" } else { "" };
+    format!("{name}{error}")
+}
 
 /// An object in text form.
 pub fn object(object: Object) -> String {
@@ -57,9 +86,9 @@ pub fn service_error(error: &ServiceError) -> String {
         ServiceError::NoSlave { slaves: 0 } => "there are no slaves; check cable and supply of the first one".into(),
         ServiceError::NoSlave { slaves } => format!("there is no such slave; there are {slaves}, counted from 1"),
         ServiceError::NoCoe => "the slave has no mailbox, or none that speaks CoE, so it has no objects".into(),
-        ServiceError::NotAllowed(mode) => format!(
+        ServiceError::NotAllowed(number) => format!(
             "nothing can be changed now: {}; disable the drives, or end what the robot does first",
-            Mode::from_number(*mode).map_or("unknown mode", text::mode)
+            Mode::from_number(*number).map_or("unknown mode", mode)
         ),
         ServiceError::Busy => "the bus is being brought up or repaired, or another program asks it; try again".into(),
         ServiceError::Interrupted => "the bus changed meanwhile; try again".into(),
@@ -71,7 +100,7 @@ pub fn service_error(error: &ServiceError) -> String {
 /// Why a step on the bus failed, and what to try.
 pub fn bus_error(error: &BusError) -> String {
     match *error {
-        BusError::NoLink { port } => format!("{}; {}", text::port_state(port), text::PORT_HINT),
+        BusError::NoLink { port } => format!("{}; {}", port_state(port), PORT_HINT),
         BusError::SdoAbort { object: at, code } => format!(
             "the slave aborted the access to {}: {code:#010x}, {}; {}",
             object(at),
@@ -80,8 +109,8 @@ pub fn bus_error(error: &BusError) -> String {
         ),
         BusError::State { expected, actual, code } => format!(
             "the slave was asked for {} and is in {}: AL status code {code:#06x}, {}; {}",
-            text::al_state(expected),
-            text::al_state(actual),
+            al_state(expected),
+            al_state(actual),
             al_code_text(code),
             al_code_hint(code)
         ),
@@ -91,8 +120,8 @@ pub fn bus_error(error: &BusError) -> String {
             waited_ms,
         } => format!(
             "the slave did not reach {} within {waited_ms} ms, it is in {}; look at its inputs and outputs",
-            text::al_state(expected),
-            text::al_state(actual)
+            al_state(expected),
+            al_state(actual)
         ),
         BusError::Lost { tries } => {
             format!("no frame came back in {tries} tries; check the cable to the first slave and its supply")
@@ -205,23 +234,59 @@ pub fn bus_error(error: &BusError) -> String {
     }
 }
 
-/// Why the master on this computer cannot work, and what to try.
-pub fn master_error(error: &MasterError) -> String {
-    match error {
-        MasterError::Refused { position, error, .. } => match position {
-            Some(position) => format!("slave {}: {}", u16::from(*position) + 1, bus_error(error)),
-            None => bus_error(error),
-        },
-        MasterError::Transport(cause) => {
-            format!("the way to the segment was lost ({cause}); is the interface up, does the segment still run?")
-        }
-        MasterError::Silent { waited } => {
-            format!(
-                "nothing was heard of the bus for {:.0} s; try again",
-                waited.as_secs_f64()
-            )
-        }
+pub(super) fn bring_up_step(step: u8) -> &'static str {
+    const STEPS: [(Step, &str); 15] = [
+        (Step::Discover, "counting the slaves"),
+        (Step::Reset, "bringing all slaves to INIT"),
+        (Step::Address, "giving station addresses"),
+        (Step::Identify, "reading its identity"),
+        (Step::Locate, "finding it at its place"),
+        (Step::Init, "bringing it to INIT"),
+        (Step::Mailbox, "setting up its mailbox"),
+        (Step::PreOperational, "bringing it to PREOP"),
+        (Step::Objects, "writing its objects"),
+        (Step::ProcessData, "setting up its process data"),
+        (Step::SafeOperational, "bringing it to SAFEOP"),
+        (Step::CyclicData, "waiting for its cyclic inputs"),
+        (Step::Operational, "bringing it to OP"),
+        (Step::Clocks, "setting up the clocks"),
+        (Step::Watch, "watching the other slaves meanwhile"),
+    ];
+    let known = STEPS.iter().find(|(known, _)| *known as u8 == step);
+    known.map_or("an unknown step", |(_, text)| text)
+}
+
+/// Text and hint for the step and the code of a failed bring-up: an AL status code where the step has one, else an SDO
+/// abort code.
+pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
+    const SUPPLY: &str = "check its supply and cable";
+    const SILENT: [(Step, &str, &str); 3] = [
+        (
+            Step::Identify,
+            "its information memory (SII) stayed busy or is not the one that was there before",
+            "acknowledge again in a moment; power-cycle the slave if it persists",
+        ),
+        (
+            Step::Locate,
+            "it is not where it was before",
+            "check its supply and the order of the cables",
+        ),
+        (
+            Step::Watch,
+            "other slaves came or went",
+            "check the cables, then acknowledge again",
+        ),
+    ];
+    if code == 0 {
+        let known = SILENT.iter().find(|(known, ..)| *known as u8 == step);
+        let (_, text, hint) = known.unwrap_or(&(Step::Init, "it did not answer in time or as expected", SUPPLY));
+        return ((*text).into(), hint);
     }
+    let (text, hint) = match u16::try_from(code) {
+        Ok(code) => (al_code_text(code), al_code_hint(code)),
+        Err(_) => (abort_text(code), abort_hint(code)),
+    };
+    (format!("code {code:#06x}, {text}"), hint)
 }
 
 #[cfg(test)]

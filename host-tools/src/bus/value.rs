@@ -5,7 +5,7 @@ use serde_json::Value;
 /// How bytes are to be read.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 #[value(rename_all = "lower")]
-pub(super) enum Type {
+pub(crate) enum Type {
     /// Unsigned, 8 bits.
     U8,
     /// Signed, 8 bits.
@@ -34,7 +34,7 @@ pub(super) enum Type {
 
 impl Type {
     /// The type of a data type's number (CiA 301, object dictionary data types).
-    pub(super) fn from_number(number: u16) -> Option<Self> {
+    pub(crate) fn from_number(number: u16) -> Option<Self> {
         Some(match number {
             0x0001 | 0x0005 => Self::U8,
             0x0002 => Self::I8,
@@ -52,7 +52,7 @@ impl Type {
     }
 
     /// Its name, as the option takes it.
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
             Self::I8 => "i8",
@@ -94,7 +94,7 @@ impl Type {
     ///
     /// # Errors
     /// What is wrong with it, and what the type takes.
-    pub(super) fn encode(self, text: &str) -> Result<Vec<u8>, String> {
+    pub(crate) fn encode(self, text: &str) -> Result<Vec<u8>, String> {
         let name = self.name();
         match (self, self.range()) {
             (_, Some((low, high))) => {
@@ -136,7 +136,7 @@ impl Type {
     }
 
     /// The value of bytes, for a program; `None` when they do not fit the type.
-    pub(super) fn decode(self, bytes: &[u8]) -> Option<Value> {
+    pub(crate) fn decode(self, bytes: &[u8]) -> Option<Value> {
         if self.length().is_some_and(|length| length != bytes.len()) {
             return None;
         }
@@ -155,7 +155,7 @@ impl Type {
 }
 
 /// Bytes as hexadecimal digits.
-pub(super) fn hex(bytes: &[u8]) -> String {
+pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

@@ -1,9 +1,9 @@
-//! Bus requests of all sub-commands, over either access path.
+//! Requests to a bus, whatever master carries them out.
 //!
-//! Slaves are counted from 1 here and in all output, and from 0 in the requests.
+//! Callers count slaves from 1; the requests count them from 0.
 
-use super::text;
 use crate::error::{ProgramError, code};
+use crate::link::text;
 use etherpen::ethercat::diagnostics::{
     BusInfo, EntryInfo, INDICES_MAX, ObjectInfo, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest,
     SlaveErrors, SlaveInfo,
@@ -14,18 +14,18 @@ use etherpen::ethercat::wire::coe::Object;
 /// Most pieces that a value is made of: one more than fit the lengths of the protocol.
 const PIECES_MAX: usize = u16::MAX as usize / PIECE_BYTES_MAX + 1;
 
-/// A way to ask the bus.
-pub trait BusAccess {
-    /// Asks once and waits for the answer.
+/// Carries out requests to a bus.
+pub(crate) trait BusAccess {
+    /// Sends a request and waits for its answer.
     ///
     /// # Errors
-    /// What happened and what to try.
+    /// The bus refused the request, or was lost.
     fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError>;
 }
 
 /// Why there is no answer.
 #[derive(Debug)]
-pub enum AccessError {
+pub(crate) enum AccessError {
     /// The bus or a slave refused.
     Refused(ServiceError),
     /// The bus could not be asked.
@@ -37,7 +37,7 @@ pub enum AccessError {
 impl From<AccessError> for ProgramError {
     fn from(error: AccessError) -> Self {
         match error {
-            AccessError::Refused(error) => Self::new(code::FAILED, text::service_error(&error)),
+            AccessError::Refused(error) => Self::new(code::FAILED, text::bus::service_error(&error)),
             AccessError::Lost(error) => error,
             AccessError::Foreign => Self::new(
                 code::FAILED,
@@ -53,7 +53,7 @@ fn zero(slave: u8) -> u8 {
 }
 
 /// The bus as a whole.
-pub fn bus(access: &mut dyn BusAccess) -> Result<BusInfo, AccessError> {
+pub(crate) fn bus(access: &mut dyn BusAccess) -> Result<BusInfo, AccessError> {
     match access.request(ServiceRequest::Bus)? {
         ServiceReply::Bus(info) => Ok(info),
         _ => Err(AccessError::Foreign),
@@ -61,7 +61,7 @@ pub fn bus(access: &mut dyn BusAccess) -> Result<BusInfo, AccessError> {
 }
 
 /// One slave.
-pub fn slave(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveInfo, AccessError> {
+pub(crate) fn slave(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveInfo, AccessError> {
     match access.request(ServiceRequest::Slave { slave: zero(slave) })? {
         ServiceReply::Slave(info) => Ok(info),
         _ => Err(AccessError::Foreign),
@@ -69,7 +69,7 @@ pub fn slave(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveInfo, AccessE
 }
 
 /// Brings a slave to a state; returns the actual state.
-pub fn set_state(access: &mut dyn BusAccess, slave: u8, state: AlState) -> Result<AlReport, AccessError> {
+pub(crate) fn set_state(access: &mut dyn BusAccess, slave: u8, state: AlState) -> Result<AlReport, AccessError> {
     let request = ServiceRequest::SetState {
         slave: zero(slave),
         state,
@@ -97,7 +97,12 @@ fn collect(access: &mut dyn BusAccess, request: impl Fn(u16) -> ServiceRequest) 
 }
 
 /// Reads an object.
-pub fn upload(access: &mut dyn BusAccess, slave: u8, object: Object, complete: bool) -> Result<Vec<u8>, AccessError> {
+pub(crate) fn upload(
+    access: &mut dyn BusAccess,
+    slave: u8,
+    object: Object,
+    complete: bool,
+) -> Result<Vec<u8>, AccessError> {
     collect(access, |offset| ServiceRequest::Upload {
         slave: zero(slave),
         object,
@@ -107,7 +112,7 @@ pub fn upload(access: &mut dyn BusAccess, slave: u8, object: Object, complete: b
 }
 
 /// Writes an object.
-pub fn download(
+pub(crate) fn download(
     access: &mut dyn BusAccess,
     slave: u8,
     object: Object,
@@ -137,7 +142,7 @@ pub fn download(
 }
 
 /// The indices of a slave's dictionary.
-pub fn indices(access: &mut dyn BusAccess, slave: u8) -> Result<Vec<u16>, AccessError> {
+pub(crate) fn indices(access: &mut dyn BusAccess, slave: u8) -> Result<Vec<u16>, AccessError> {
     let mut found = Vec::new();
     for _ in 0..usize::from(u16::MAX) / INDICES_MAX + 1 {
         let first = u16::try_from(found.len()).map_err(|_| AccessError::Foreign)?;
@@ -157,7 +162,7 @@ pub fn indices(access: &mut dyn BusAccess, slave: u8) -> Result<Vec<u16>, Access
 }
 
 /// The description of an object.
-pub fn describe_object(access: &mut dyn BusAccess, slave: u8, index: u16) -> Result<ObjectInfo, AccessError> {
+pub(crate) fn describe_object(access: &mut dyn BusAccess, slave: u8, index: u16) -> Result<ObjectInfo, AccessError> {
     let request = ServiceRequest::DescribeObject {
         slave: zero(slave),
         index,
@@ -169,7 +174,7 @@ pub fn describe_object(access: &mut dyn BusAccess, slave: u8, index: u16) -> Res
 }
 
 /// The description of an entry of an object.
-pub fn describe_entry(access: &mut dyn BusAccess, slave: u8, object: Object) -> Result<EntryInfo, AccessError> {
+pub(crate) fn describe_entry(access: &mut dyn BusAccess, slave: u8, object: Object) -> Result<EntryInfo, AccessError> {
     let request = ServiceRequest::DescribeEntry {
         slave: zero(slave),
         object,
@@ -181,7 +186,12 @@ pub fn describe_entry(access: &mut dyn BusAccess, slave: u8, object: Object) -> 
 }
 
 /// Registers or memory of a slave controller.
-pub fn registers(access: &mut dyn BusAccess, slave: u8, address: u16, length: u16) -> Result<Vec<u8>, AccessError> {
+pub(crate) fn registers(
+    access: &mut dyn BusAccess,
+    slave: u8,
+    address: u16,
+    length: u16,
+) -> Result<Vec<u8>, AccessError> {
     let mut memory = Vec::new();
     let mut left = length;
     while left > 0 {
@@ -204,7 +214,7 @@ pub fn registers(access: &mut dyn BusAccess, slave: u8, address: u16, length: u1
 }
 
 /// The error counters of a slave.
-pub fn errors(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveErrors, AccessError> {
+pub(crate) fn errors(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveErrors, AccessError> {
     match access.request(ServiceRequest::Errors { slave: zero(slave) })? {
         ServiceReply::Errors(errors) => Ok(errors),
         _ => Err(AccessError::Foreign),
@@ -212,7 +222,7 @@ pub fn errors(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveErrors, Acce
 }
 
 /// Resets the error counters of all slaves to 0.
-pub fn clear_errors(access: &mut dyn BusAccess) -> Result<(), AccessError> {
+pub(crate) fn clear_errors(access: &mut dyn BusAccess) -> Result<(), AccessError> {
     match access.request(ServiceRequest::ClearErrors)? {
         ServiceReply::Done => Ok(()),
         _ => Err(AccessError::Foreign),
