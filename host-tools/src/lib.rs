@@ -7,12 +7,14 @@
 //! 1. `error`, `hash`, `random`, `terminal`, `plot_scale`, `layers`: what every module may use
 //! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`: files,
 //!    programs and computations
-//! 3. `drawing`, `link`, `cell`, `emulator`, `master`: strokes of a file; the host's end of the link to the firmware; the
-//!    virtual cell; firmware in the emulator; an EtherCAT master in this process
+//! 3. `drawing`, `link`, `cell`, `emulator`, `master`, `probe::flash`: strokes of a file; the host's end of the link to
+//!    the firmware; the virtual cell; firmware in the emulator; an EtherCAT master in this process; writing firmware to a
+//!    board
 //! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `simulation`: from a file to an admitted path;
 //!    recordings of telemetry; configuration files; the cell with a capture of its bus; firmware in virtual time
 //! 5. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
-//! 6. `machine`, `run`, `report`: one machine with several users; one drawing against the virtual cell; its figures
+//! 6. `machine`, `run`, `report`, `doctor`: one machine with several users; one drawing against the virtual cell; its
+//!    figures; checks of what the commands need
 //! 7. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
 //! 8. `bench`: measurements of the project and of its peers
 //! 9. `commands`: options, calls and printed results of the program's commands
@@ -24,6 +26,7 @@ pub mod captured_cell;
 pub mod cell;
 pub mod commands;
 pub mod console;
+pub mod doctor;
 pub mod drawing;
 pub mod emulator;
 pub mod error;

@@ -3,6 +3,8 @@
 //! Linux shows USB devices as folders (sysfs), which can be read without permissions. A probe that cannot be opened can
 //! thus be distinguished from a missing one.
 
+pub mod flash;
+
 use std::io;
 use std::path::{Path, PathBuf};
 

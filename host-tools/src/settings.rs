@@ -1,4 +1,4 @@
-//! Changes single values of a configuration file and leaves everything else unchanged.
+//! Reads configuration files, and changes single values of one while everything else stays unchanged.
 //!
 //! Comments, order and all other values stay. A file that does not exist is created from the sample that lists all
 //! values; a file without axes gets the sample's axes.
@@ -7,6 +7,7 @@
 //! all.
 
 use crate::error::{ProgramError, code};
+use crate::link::text;
 use etherpen::config::{Config, ConfigError};
 use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::robots::AXES;
@@ -47,12 +48,38 @@ impl std::fmt::Display for SettingsError {
             Self::Syntax(cause) => cause.fmt(f),
             Self::Place { axis, field } => write!(f, "there is no place for axes[{axis}].{field} in it"),
             Self::Configuration(cause) => cause.fmt(f),
-            Self::Bounds(cause) => f.write_str(&crate::link::text::config_error(cause)),
+            Self::Bounds(cause) => f.write_str(&text::config_error(cause)),
         }
     }
 }
 
 impl std::error::Error for SettingsError {}
+
+/// Reads and checks a configuration file; `None` gives the built-in configuration.
+///
+/// # Errors
+/// The file cannot be read, or a value cannot be used. The message names the file and the value.
+pub fn load(path: Option<&Path>) -> Result<Config, ProgramError> {
+    let Some(path) = path else {
+        return Ok(Config::default());
+    };
+    let shown = path.display();
+    let text = std::fs::read_to_string(path).map_err(|cause| {
+        ProgramError::new(
+            code::USAGE,
+            format!("the configuration {shown} cannot be read: {cause}"),
+        )
+    })?;
+    let config: Config = toml::from_str(&text)
+        .map_err(|cause| ProgramError::new(code::USAGE, format!("the configuration {shown} is wrong:\n{cause}")))?;
+    config.check().map_err(|cause| {
+        ProgramError::new(
+            code::USAGE,
+            format!("the configuration {shown} is wrong: {}", text::config_error(&cause)),
+        )
+    })?;
+    Ok(config)
+}
 
 /// A configuration file being changed.
 pub struct Settings {

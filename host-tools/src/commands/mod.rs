@@ -32,7 +32,8 @@ pub mod vectorize;
 pub mod verify;
 
 use crate::drawing::preparation::source::SourceArguments;
-use crate::error::{ProgramError, code};
+use crate::error::ProgramError;
+use crate::settings::load;
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::PathBuf;
@@ -82,28 +83,7 @@ impl ConfigArguments {
     /// # Errors
     /// The file and the place in it that cannot be used.
     pub fn load(&self) -> Result<Config, ProgramError> {
-        let Some((path, _)) = self.file() else {
-            return Ok(Config::default());
-        };
-        let shown = path.display();
-        let text = std::fs::read_to_string(&path).map_err(|cause| {
-            ProgramError::new(
-                code::USAGE,
-                format!("the configuration {shown} cannot be read: {cause}"),
-            )
-        })?;
-        let config: Config = toml::from_str(&text)
-            .map_err(|cause| ProgramError::new(code::USAGE, format!("the configuration {shown} is wrong:\n{cause}")))?;
-        config.check().map_err(|cause| {
-            ProgramError::new(
-                code::USAGE,
-                format!(
-                    "the configuration {shown} is wrong: {}",
-                    crate::link::text::config_error(&cause)
-                ),
-            )
-        })?;
-        Ok(config)
+        load(self.path().as_deref())
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod calls;
 mod placement;
+pub mod stm32h743;
 mod thumb;
 
 pub use calls::{CallGraph, INDIRECT_NESTING, StackBound};
