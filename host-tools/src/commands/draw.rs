@@ -5,6 +5,7 @@
 
 mod session;
 
+use super::display::Display;
 use super::operator::{Key, Operator};
 use super::ports::PortArguments;
 use super::{DrawingArguments, print_json};
@@ -14,18 +15,17 @@ use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::preparation::wire::to_wire;
 use crate::drawing::take_photograph;
 use crate::error::{ProgramError, code};
-use crate::job::history::{self, HistoryEntry, Record, hash_text};
-use crate::job::progress::PathMeasure;
-use crate::job::resume::{self, MachineState, ResumePlan, Resumption, config_hash};
+use crate::job::history::{self, Record, hash_text};
+use crate::job::resume::{self, ResumePlan, Resumption};
 use crate::job::{JobReport, path_hash};
+use crate::machine::drawing::DrawingRun;
 use crate::machine::{Machine, MachineOptions, Order};
 use crate::output_file::{make_folder, write_bytes};
-use crate::planning::planned_s;
 use crate::report::output::{Outcome, refuse_inputs_in};
 use crate::report::summary::summarise;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
-use session::DrawingSession;
+use session::attend;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -128,7 +128,8 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
     let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
     paced(OUTLINE_PACE);
     let plan = ResumePlan::whole(&border, None);
-    let ended = DrawingSession::new(&machine, config, &border, plan, operator, arguments.drawing.json).draw("outline");
+    let drawing = DrawingRun::begin(&machine, config, &border, plan, "outline");
+    let ended = attend(drawing, operator, display(arguments));
     paced(pace);
     ended?.result?;
     drop(machine);
@@ -141,6 +142,13 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
             code::INTERRUPTED,
             "ended after the outline; nothing was drawn",
         )),
+    }
+}
+
+fn display(arguments: &Arguments) -> Display {
+    match arguments.drawing.json {
+        true => Display::lines_of_json(),
+        false => Display::new(),
     }
 }
 
@@ -217,25 +225,15 @@ fn draw(
     };
     let machine = start(arguments, config)?;
     let plan = match before.is_empty() {
-        false => resume::plan(before, &state_of(&machine)?, config, &path)?,
-        true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path, hash)),
+        false => resume::plan(before, &machine.known_state()?.into(), config, &path)?,
+        true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path)),
     };
-    let mut session = DrawingSession::new(&machine, config, &path, plan, operator, arguments.drawing.json);
-    let ended = session.draw(&part.name)?;
+    let drawing = DrawingRun::begin(&machine, config, &path, plan, &part.name);
+    let ended = attend(drawing, operator, display(arguments))?;
     let (result, job) = (ended.result, ended.report);
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
     result?;
     finished
-}
-
-/// What the machine says of itself before a drawing goes on.
-fn state_of(machine: &Machine) -> Result<MachineState, ProgramError> {
-    let known = machine.known_state()?;
-    Ok(MachineState {
-        welcome: known.welcome,
-        status: known.status,
-        path: known.path,
-    })
 }
 
 /// The target of `--resume`. Without a file argument, a value that names no job of the log but a file is that file:
@@ -299,20 +297,9 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
     }
 }
 
-fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex], hash: String) -> Option<Record> {
-    let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
-    let entry = HistoryEntry {
-        file: std::fs::canonicalize(part.file).unwrap_or_else(|_| part.file.to_owned()),
-        // Options that cannot be noted have to be given again.
-        options: serde_json::to_value(&part.source).unwrap_or_default(),
-        port: arguments.port.port.to_string(),
-        path_hash: hash,
-        config_hash: config_hash(config),
-        vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
-        strokes_total: total.strokes_total,
-        ..HistoryEntry::default()
-    };
-    let begun = history::folder().and_then(|folder| Record::begin(&folder, entry));
+/// Begins the drawing's entry in the log of jobs; `None` if the log cannot be written.
+fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex]) -> Option<Record> {
+    let begun = resume::begin_record(part.file, &part.source, &arguments.port.port, config, path);
     begun
         .map_err(|cause| eprintln!("this drawing is not in the log and cannot be resumed: {cause}"))
         .ok()
@@ -327,19 +314,7 @@ fn finish(
     job: &JobReport,
     completed: bool,
 ) -> Result<(), ProgramError> {
-    let image = job
-        .welcome
-        .as_ref()
-        .map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
-    let outcome = Outcome {
-        config,
-        prepared,
-        job,
-        cell: None,
-        image,
-        planned_s: planned_s(config, &prepared.path),
-        completed,
-    };
+    let outcome = Outcome::of_machine(config, prepared, job, completed);
     let report = outcome.report();
     // A drawing that never began has nothing to show.
     if let Some(dir) = &part.out

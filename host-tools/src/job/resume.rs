@@ -1,14 +1,18 @@
 //! Resumes an interrupted drawing: from what the firmware holds, or else from the log.
 
-use super::DrawTask;
-use super::history::{self, Record, hash_text};
+use super::history::{self, HistoryEntry, Record, hash_text};
+use super::progress::PathMeasure;
 use super::remainder::{OVERLAP_UM, Remainder};
+use super::{DrawTask, path_hash};
 use crate::error::{ProgramError, code};
+use crate::link::port::PortName;
 use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::protocol::{PathAck, PathVertex, Status, Welcome};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// What a machine reports before a drawing goes on.
@@ -52,6 +56,32 @@ impl ResumePlan {
             None => executed,
         }
     }
+}
+
+/// Begins the entry of a drawing in the log of jobs. `options` are those of the conversion of `file` into `path`.
+///
+/// # Errors
+/// The log cannot be written.
+pub fn begin_record(
+    file: &Path,
+    options: &impl Serialize,
+    port: &PortName,
+    config: &Config,
+    path: &[PathVertex],
+) -> io::Result<Record> {
+    let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
+    let entry = HistoryEntry {
+        file: std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned()),
+        // Options that cannot be noted have to be given again.
+        options: serde_json::to_value(options).unwrap_or_default(),
+        port: port.to_string(),
+        path_hash: hash_text(path_hash(path)),
+        config_hash: config_hash(config),
+        vertices: u32::try_from(path.len()).unwrap_or(u32::MAX),
+        strokes_total: total.strokes_total,
+        ..HistoryEntry::default()
+    };
+    Record::begin(&history::folder()?, entry)
 }
 
 /// What is to go on.
@@ -372,7 +402,6 @@ impl From<ConfigChanged> for ProgramError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::history::HistoryEntry;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     /// The log's jobs of one path, the oldest first: strokes begun, and whether it was drawn to its end.

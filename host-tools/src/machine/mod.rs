@@ -21,6 +21,7 @@
 //! firmware still has it. No reader and no user can block the thread.
 
 mod account;
+pub mod drawing;
 mod following;
 mod lanes;
 mod reference;
@@ -31,6 +32,7 @@ mod work;
 use crate::error::{ProgramError, code};
 use crate::job::error::JobError;
 use crate::job::progress::Progress;
+use crate::job::resume::MachineState;
 use crate::job::{DrawTask, JobEvent, JobReport, Motion, Ready};
 use crate::link::ownership::Ownership;
 use crate::link::port::{self, Line, Port, PortError, PortName};
@@ -395,6 +397,16 @@ impl Machine {
                 ));
             }
             std::thread::sleep(LOOK);
+        }
+    }
+}
+
+impl From<Snapshot> for MachineState {
+    fn from(known: Snapshot) -> Self {
+        Self {
+            welcome: known.welcome,
+            status: known.status,
+            path: known.path,
         }
     }
 }

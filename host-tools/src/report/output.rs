@@ -39,7 +39,24 @@ pub struct Outcome<'a> {
     pub completed: bool,
 }
 
-impl Outcome<'_> {
+impl<'a> Outcome<'a> {
+    /// The outcome of a drawing on a machine.
+    pub fn of_machine(config: &'a Config, prepared: &'a Prepared, job: &'a JobReport, completed: bool) -> Self {
+        let image = job
+            .welcome
+            .as_ref()
+            .map_or_else(String::new, |welcome| format!("{} {}", welcome.board, welcome.firmware));
+        Self {
+            config,
+            prepared,
+            job,
+            cell: None,
+            image,
+            planned_s: planned_s(config, &prepared.path),
+            completed,
+        }
+    }
+
     /// The figures.
     pub fn report(&self) -> Report {
         let ink = self.cell.map(|(cell, _)| ink_in_robot_frame(self.config, cell.ink()));

@@ -1,0 +1,221 @@
+//! One drawing on a machine: its order, its progress on the whole path, and its entry in the log of jobs.
+//!
+//! A drawing outlives a broken connection: the robot holds by itself, and the machine connects again. Progress is that
+//! of the whole path, also where the firmware was given only its remainder.
+
+use super::{DrawOrder, Failure, Machine, News, NoNews, Order, Subscription};
+use crate::error::ProgramError;
+use crate::job::error::Phase;
+use crate::job::progress::{PathMeasure, Progress};
+use crate::job::resume::ResumePlan;
+use crate::job::{JobEvent, JobReport};
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::link::protocol::PathVertex;
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+/// Most news queued while files are written; telemetry makes several hundred a second.
+const NEWS_MAX: usize = 10_000;
+/// Time between two updates of the log.
+const LOG: Duration = Duration::from_millis(200);
+
+/// How a drawing ended.
+pub struct DrawingEnd {
+    /// The result.
+    pub result: Result<(), Failure>,
+    /// Shared with whoever else listens to the machine; empty for a drawing that was refused.
+    pub report: Arc<JobReport>,
+}
+
+/// What happened to a drawing.
+#[allow(clippy::large_enum_variant)] // one is alive at a time
+pub enum DrawingNews {
+    /// Something to show.
+    Event(JobEvent),
+    /// Progress of the whole path.
+    Progress(Progress),
+    /// The connection broke; the robot holds by itself.
+    Lost(Failure),
+    /// There is a connection again, and the drawing is held.
+    Reconnected,
+    /// The drawing has ended.
+    Ended(DrawingEnd),
+}
+
+/// One drawing on a machine.
+pub struct DrawingRun<'a> {
+    machine: &'a Machine,
+    news: Subscription,
+    answer: Receiver<super::Answer>,
+    measure: PathMeasure,
+    plan: ResumePlan,
+    begun: bool,
+    lost: bool,
+    logged: Instant,
+}
+
+impl<'a> DrawingRun<'a> {
+    /// Orders the drawing of `plan`, which is `path` or its remainder, and begins its entry in the log.
+    pub fn begin(machine: &'a Machine, config: &Config, path: &[PathVertex], mut plan: ResumePlan, name: &str) -> Self {
+        let news = machine.subscribe(NEWS_MAX);
+        let order = Order::Draw(DrawOrder {
+            drawing: plan.drawing.clone(),
+            name: name.to_owned(),
+            keep_samples: true,
+        });
+        if let Some(record) = &mut plan.record {
+            record.entry.number = plan.drawing.number;
+            record.entry.result = None;
+            // A log that cannot be written does not keep the drawing from being drawn.
+            let _ = record.save();
+        }
+        Self {
+            machine,
+            news,
+            answer: machine.order(order),
+            measure: PathMeasure::new(path, config),
+            plan,
+            begun: false,
+            lost: false,
+            logged: Instant::now(),
+        }
+    }
+
+    /// The next thing that happened to the drawing, if it happens within `longest`.
+    ///
+    /// # Errors
+    /// The machine's thread has ended.
+    pub fn next_within(&mut self, longest: Duration) -> Result<Option<DrawingNews>, ProgramError> {
+        match self.news.next_within(longest) {
+            Ok(news) => Ok(self.take(news)),
+            // The drawing's end comes as news before it is the order's answer; an order that was refused has no end.
+            Err(NoNews::Timeout) => Ok(match self.answer.try_recv() {
+                Ok(Err(failure)) => Some(DrawingNews::Ended(DrawingEnd {
+                    result: Err(failure),
+                    report: Arc::default(),
+                })),
+                _ => None,
+            }),
+            Err(NoNews::Closed) => Err(ProgramError::failed("drawing", "the machine's thread has ended")),
+        }
+    }
+
+    fn take(&mut self, news: News) -> Option<DrawingNews> {
+        match news {
+            News::Job(event) => {
+                self.begun |= event == JobEvent::Phase(Phase::Drawing);
+                Some(DrawingNews::Event(event))
+            }
+            News::Connected(welcome) => {
+                if let Some(record) = &mut self.plan.record {
+                    record.entry.board = format!("{} {}", welcome.board, welcome.firmware);
+                }
+                Some(DrawingNews::Event(JobEvent::Connected(welcome)))
+            }
+            News::Progress(progress) => {
+                let whole = self.whole(&progress);
+                self.log(&whole);
+                Some(DrawingNews::Progress(whole))
+            }
+            News::Status(status) if self.lost && status.mode == Mode::Holding => {
+                self.lost = false;
+                Some(DrawingNews::Reconnected)
+            }
+            News::Lost(failure) if !self.lost && self.machine.snapshot().interrupted => {
+                self.lost = true;
+                Some(DrawingNews::Lost(failure))
+            }
+            News::Ended { result, report } => Some(DrawingNews::Ended(DrawingEnd {
+                result,
+                report: report.unwrap_or_default(),
+            })),
+            News::Lost(_) | News::Reconnecting { .. } | News::Status(_) | News::Samples { .. } | News::Begun { .. } => {
+                None
+            }
+        }
+    }
+
+    /// Whether the pen has begun to draw.
+    pub fn has_begun(&self) -> bool {
+        self.begun
+    }
+
+    /// Whether the connection broke and the drawing is not held over a new one yet.
+    pub fn is_lost(&self) -> bool {
+        self.lost
+    }
+
+    /// Holds the drawing.
+    pub fn hold(&self) {
+        self.ask(Order::Hold);
+    }
+
+    /// Ends the drawing.
+    pub fn cancel(&self) {
+        self.ask(Order::Cancel);
+    }
+
+    /// Resumes the drawing. Returns false, and does nothing, if it is not held.
+    pub fn resume(&self) -> bool {
+        let snapshot = self.machine.snapshot();
+        let is_holding = snapshot.status.is_some_and(|status| status.mode == Mode::Holding);
+        let may_resume = is_holding || snapshot.interrupted;
+        if may_resume {
+            self.ask(Order::Resume);
+        }
+        may_resume
+    }
+
+    /// Gives an order. Its effect, or its refusal, comes as news.
+    fn ask(&self, order: Order) {
+        drop(self.machine.order(order));
+    }
+
+    /// Progress of the whole path, from that of the part that the firmware was given.
+    fn whole(&self, progress: &Progress) -> Progress {
+        let executed = self.plan.executed(progress.vertices);
+        let before = self.plan.executed(0);
+        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
+        Progress {
+            left_s: progress.left_s,
+            ..self
+                .measure
+                .progress(number(before), number(executed), progress.elapsed_s)
+        }
+    }
+
+    fn log(&mut self, progress: &Progress) {
+        let Some(record) = &mut self.plan.record else { return };
+        record.entry.progress(progress);
+        record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
+        if self.logged.elapsed() >= LOG {
+            self.logged = Instant::now();
+            // A log that cannot be written any more does not end the drawing.
+            let _ = record.save_unsynced();
+        }
+    }
+
+    /// Writes the end of the drawing to the log of jobs.
+    ///
+    /// # Errors
+    /// The log cannot be written.
+    pub fn log_end(&mut self, end: &DrawingEnd) -> io::Result<()> {
+        let whole = self.whole(&end.report.progress);
+        let Some(record) = &mut self.plan.record else {
+            return Ok(());
+        };
+        record.entry.completed = end.result.is_ok();
+        record.entry.result = Some(match &end.result {
+            Ok(()) => "drawn".to_owned(),
+            Err(failure) => failure.text.clone(),
+        });
+        if end.report.progress.vertices_total > 0 {
+            record.entry.progress(&whole);
+        }
+        record.entry.drawn_s = self.plan.drawn_before_s + end.report.drawn_s;
+        record.save()
+    }
+}
