@@ -20,8 +20,10 @@
 //! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the
 //! firmware still has it. No reader and no user can block the thread.
 
+pub(crate) mod access;
 mod account;
 pub mod drawing;
+pub(crate) mod ending;
 mod following;
 mod lanes;
 mod reference;

@@ -4,7 +4,6 @@
 //! this program opens the port. The output says which. Without `--port` the one program that shares its machine is
 //! used.
 
-mod ending;
 mod jobs;
 mod status;
 
@@ -13,25 +12,16 @@ use super::{ConfigArguments, ended_by_a_signal, print_json};
 use crate::error::{ProgramError, code};
 use crate::job::{Motion, Ready};
 use crate::link::ownership::Owner;
-use crate::link::port::{PortError, PortName};
+use crate::link::port::PortName;
 use crate::link::text;
-use crate::machine::{Answer, Client, Failure, Machine, MachineOptions, Order, Snapshot};
-use ending::{END_MAX, Ending, state_text};
+use crate::machine::Order;
+use crate::machine::access::{self, Effect, OwnPort};
+use crate::machine::ending::{END_MAX, state_text};
 use etherpen::application::Mode;
 use etherpen::link::protocol::Command as Told;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use serde::Serialize;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::RecvTimeoutError;
-use std::time::{Duration, Instant};
-
-/// Time between two checks while waiting.
-const LOOK: Duration = Duration::from_millis(20);
-/// Longest wait for the machine's state; the link's own time limit is shorter.
-const STATE_MAX: Duration = Duration::from_secs(10);
-/// Longest wait for a sample of a machine whose status is known.
-const SAMPLE_MAX: Duration = Duration::from_secs(1);
 
 /// A machine from any terminal.
 #[derive(clap::Subcommand, Debug)]
@@ -195,7 +185,10 @@ pub fn run(command: &Command) -> Result<(), ProgramError> {
         Command::Acknowledge(arguments) => (arguments, "acknowledge", Order::Settle(Told::Acknowledge)),
     };
     let port = arguments.port.find()?;
-    let done = carry_out(&port, arguments, name, order)?;
+    let done = Done::new(
+        name,
+        arguments.with_own_port(|own| access::carry_out(&port, own, order))?,
+    );
     if arguments.json {
         print_json(&done)?;
     } else {
@@ -204,29 +197,13 @@ pub fn run(command: &Command) -> Result<(), ProgramError> {
     done.ended()
 }
 
-/// Carries out an order and waits for its effect.
-fn carry_out(port: &PortName, arguments: &Arguments, name: &'static str, order: Order) -> Result<Done, ProgramError> {
-    let mut way = Way::find(port, arguments)?;
-    let order = way.carry_out(order)?;
-    let begun = Instant::now();
-    let mut ending: Option<Ending> = None;
-    loop {
-        match way.state() {
-            Ok(snapshot) => {
-                let ending = ending.get_or_insert_with(|| Ending::new(order.clone(), &snapshot));
-                if ending.is_reached(&snapshot) || begun.elapsed() > END_MAX {
-                    return Ok(Done::new(name, ending, &snapshot, way.owner().cloned()));
-                }
-            }
-            Err(gone) if begun.elapsed() > END_MAX => return Err(gone),
-            // The program that had the port has ended, as a drawing's does after a stop: the port is opened here.
-            Err(_) => {
-                if let Ok(own) = Way::find(port, arguments) {
-                    (way, ending) = (own, Some(Ending::after_reconnection(order.clone())));
-                }
-            }
-        }
-        std::thread::sleep(LOOK);
+impl Arguments {
+    /// Calls `work` with what is needed to open the port here.
+    fn with_own_port<T>(&self, work: impl FnOnce(OwnPort) -> T) -> T {
+        work(OwnPort {
+            config: &|| self.config.load(),
+            interrupted: &ended_by_a_signal,
+        })
     }
 }
 
@@ -235,14 +212,7 @@ fn stop_all(arguments: &Arguments) -> Result<(), ProgramError> {
     let (sharing, alone) = ports::running()?;
     let mut all: Vec<PortName> = sharing.into_iter().map(|found| found.port).collect();
     all.extend(arguments.port.port.clone().filter(|named| !all.contains(named)));
-    let stopped: Vec<_> = std::thread::scope(|scope| {
-        let begin = |port| scope.spawn(move || carry_out(port, arguments, "stop", Order::Stop));
-        let under_way: Vec<_> = all.iter().map(begin).collect();
-        let end = |thread: std::thread::ScopedJoinHandle<'_, _>| {
-            thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        };
-        under_way.into_iter().map(end).collect()
-    });
+    let stopped = arguments.with_own_port(|own| access::stop_all(&all, own));
     let mut result = match all.is_empty() {
         true => Err(ProgramError::new(
             code::CONNECTION,
@@ -253,7 +223,8 @@ fn stop_all(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut answers = Vec::new();
     for (port, stopped) in all.iter().zip(stopped) {
         let ended = match stopped {
-            Ok(done) => {
+            Ok(effect) => {
+                let done = Done::new("stop", effect);
                 eprint!("{port}: ");
                 done.tell();
                 let ended = done.ended();
@@ -299,19 +270,19 @@ struct Done {
 }
 
 impl Done {
-    fn new(order: &'static str, ending: &Ending, snapshot: &Snapshot, owner: Option<Owner>) -> Self {
-        let status = snapshot.status.as_ref();
+    fn new(order: &'static str, effect: Effect) -> Self {
+        let status = effect.snapshot.status.as_ref();
         Self {
             order,
             done: true,
-            reached: ending.is_reached(snapshot),
-            state: state_text(snapshot),
+            reached: effect.reached,
+            state: state_text(&effect.snapshot),
             mode: status.map(|status| status.mode),
             fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
             referenced: status.map(|status| status.referenced),
             override_percent: status.map(|status| status.override_percent),
-            owner,
-            is_due: ending.is_due(),
+            owner: effect.owner,
+            is_due: effect.is_due,
         }
     }
 
@@ -335,110 +306,5 @@ impl Done {
         }
         let text = format!("{} was accepted, but its end was not seen: {}", self.order, self.state);
         Err(ProgramError::new(code::FAILED, text))
-    }
-}
-
-/// The way to the machine.
-#[allow(clippy::large_enum_variant)] // there is one
-enum Way {
-    /// Through the program that has the port.
-    Through(Client),
-    /// The port, opened here.
-    Own(Machine),
-}
-
-impl Way {
-    fn find(port: &PortName, arguments: &Arguments) -> Result<Self, ProgramError> {
-        if let Some(client) = Client::find(port) {
-            return Ok(Self::Through(client));
-        }
-        let config = arguments.config.load()?;
-        match Machine::start(port.clone(), config, MachineOptions::default()) {
-            Ok(machine) => Ok(Self::Own(machine)),
-            // Between the two looks another program has taken the port.
-            Err(error @ PortError::Occupied { .. }) => Client::find(port)
-                .map(Self::Through)
-                .ok_or_else(|| ProgramError::new(code::CONNECTION, error)),
-            Err(error) => Err(ProgramError::new(code::CONNECTION, error)),
-        }
-    }
-
-    fn owner(&self) -> Option<&Owner> {
-        match self {
-            Self::Through(client) => Some(client.owner()),
-            Self::Own(_) => None,
-        }
-    }
-
-    /// Gives an order and waits for its answer; an interrupt cancels it. Gives the order that was carried out.
-    fn carry_out(&mut self, order: Order) -> Result<Order, ProgramError> {
-        let (order, answer) = match self {
-            Self::Through(client) => (order.clone(), client.carry_out(order)),
-            Self::Own(machine) => {
-                let order = alone(order)?;
-                let interrupted = ended_by_a_signal()?;
-                (order.clone(), wait(machine, order, &interrupted))
-            }
-        };
-        answer.map(|_| order).map_err(ProgramError::from)
-    }
-
-    /// Where the machine stands, once that is known.
-    fn state(&mut self) -> Result<Snapshot, ProgramError> {
-        match self {
-            Self::Through(client) => Ok(client.snapshot()?),
-            Self::Own(machine) => {
-                let begun = Instant::now();
-                loop {
-                    let snapshot = machine.snapshot();
-                    if let Some(lost) = snapshot.lost {
-                        return Err(lost.into());
-                    }
-                    let sampled = snapshot.sample.is_some() || begun.elapsed() > SAMPLE_MAX;
-                    let known = snapshot.status.is_some() && snapshot.phase.is_none() && sampled;
-                    if known || begun.elapsed() > STATE_MAX {
-                        return Ok(snapshot);
-                    }
-                    std::thread::sleep(LOOK);
-                }
-            }
-        }
-    }
-}
-
-/// The order to use where no program draws; waits for its effect.
-fn alone(order: Order) -> Result<Order, ProgramError> {
-    Ok(match order {
-        Order::Hold | Order::HoldAtPenUp => Order::Settle(Told::Hold),
-        Order::Cancel => Order::Settle(Told::Cancel),
-        Order::Override(percent) => Order::Settle(Told::Override { percent }),
-        Order::Resume => {
-            let text = "no program streams a drawing over this port, so there is nothing that could go on; start it \
-                        again where it broke off: etherpen draw FILE --resume";
-            return Err(ProgramError::new(code::FAILED, text));
-        }
-        order => order,
-    })
-}
-
-fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
-    let answer = machine.order(order);
-    let mut cancelled = false;
-    loop {
-        match answer.recv_timeout(LOOK) {
-            Ok(answer) => return answer,
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => {
-                return Err(Failure {
-                    code: code::FAILED,
-                    text: "the machine's thread has ended".into(),
-                });
-            }
-        }
-        if interrupted.load(Ordering::Relaxed) && !cancelled {
-            cancelled = true;
-            // Its effect is the other order's end.
-            drop(machine.order(Order::Cancel));
-        }
     }
 }

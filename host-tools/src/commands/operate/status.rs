@@ -1,12 +1,13 @@
 //! `etherpen status`: state of the machine, and the program that uses it.
 
-use super::{Arguments, Way};
+use super::Arguments;
 use crate::commands::print_json;
 use crate::error::ProgramError;
 use crate::job::progress::Progress;
 use crate::link::ownership::Owner;
 use crate::link::text;
 use crate::machine::Snapshot;
+use crate::machine::access::MachineAccess;
 use crate::terminal::counted;
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -62,9 +63,10 @@ struct Answer<'a> {
 /// There is no machine.
 pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
-    let mut way = Way::find(&arguments.port.find()?, arguments)?;
-    let snapshot = way.state()?;
-    let answer = answer(&config, &snapshot, way.owner());
+    let port = arguments.port.find()?;
+    let mut access = arguments.with_own_port(|own| MachineAccess::find(&port, own))?;
+    let snapshot = access.state()?;
+    let answer = answer(&config, &snapshot, access.owner());
     if arguments.json {
         return print_json(&answer);
     }

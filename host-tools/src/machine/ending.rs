@@ -3,22 +3,22 @@
 //! Invariant: only a status that arrived after the order's answer counts. The link keeps the order of messages, so the
 //! firmware sent that status after it had carried out the order.
 
+use super::{Order, Snapshot};
 use crate::link::text;
-use crate::machine::{Order, Snapshot};
 use etherpen::application::Mode;
 use etherpen::link::protocol::{Command as Told, Sample, Status};
 use std::time::{Duration, Instant};
 
 /// Longest wait for an end state. A stop takes less than a second on a robot, and longer on an emulator with few
 /// processors.
-pub(super) const END_MAX: Duration = Duration::from_secs(15);
+pub(crate) const END_MAX: Duration = Duration::from_secs(15);
 /// Time after which a status is certainly new, even if its content is unchanged: one arrives at least twice a second.
 const FRESH: Duration = Duration::from_secs(2);
 /// Speed below which an axis counts as at rest, rad/s: above the noise of a resolver at rest.
 const STANDING_RAD_S: f32 = 0.02;
 
 /// Waits for the end state of an order.
-pub(super) struct Ending {
+pub(crate) struct Ending {
     order: Order,
     /// Cycles that the status counted which was known when the order was answered.
     before: Option<u32>,
@@ -27,7 +27,7 @@ pub(super) struct Ending {
 
 impl Ending {
     /// Begins to wait; `snapshot` was taken after the order's answer.
-    pub(super) fn new(order: Order, snapshot: &Snapshot) -> Self {
+    pub(crate) fn new(order: Order, snapshot: &Snapshot) -> Self {
         Self {
             order,
             before: snapshot.status.as_ref().map(|status| status.counters.cycles),
@@ -36,7 +36,7 @@ impl Ending {
     }
 
     /// Begins to wait over a connection that was made after the order's answer: every status of it is new.
-    pub(super) fn after_reconnection(order: Order) -> Self {
+    pub(crate) fn after_reconnection(order: Order) -> Self {
         Self {
             order,
             before: None,
@@ -45,7 +45,7 @@ impl Ending {
     }
 
     /// Whether the end state is reached.
-    pub(super) fn is_reached(&self, snapshot: &Snapshot) -> bool {
+    pub(crate) fn is_reached(&self, snapshot: &Snapshot) -> bool {
         self.is_reached_after(self.begun.elapsed(), snapshot)
     }
 
@@ -73,7 +73,7 @@ impl Ending {
     }
 
     /// Whether an end state that is not reached in time is an error: a hold at the next lift may take longer.
-    pub(super) fn is_due(&self) -> bool {
+    pub(crate) fn is_due(&self) -> bool {
         self.order != Order::HoldAtPenUp
     }
 }
@@ -82,8 +82,8 @@ fn stands(sample: &Sample) -> bool {
     sample.measured_rad_s.iter().all(|speed| speed.abs() < STANDING_RAD_S)
 }
 
-/// State of the machine, for display.
-pub(super) fn state_text(snapshot: &Snapshot) -> String {
+/// Where the machine stands, in words.
+pub(crate) fn state_text(snapshot: &Snapshot) -> String {
     let Some(status) = &snapshot.status else {
         return "the machine has not said where it stands".to_owned();
     };
