@@ -10,8 +10,9 @@
 //! 3. `drawing`, `link`, `cell`, `emulator`, `master`, `probe::flash`: strokes of a file; the host's end of the link to
 //!    the firmware; the virtual cell; firmware in the emulator; an EtherCAT master in this process; writing firmware to a
 //!    board
-//! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `simulation`: from a file to an admitted path;
-//!    recordings of telemetry; configuration files; the cell with a capture of its bus; firmware in virtual time
+//! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `segment`, `simulation`: from a file to an
+//!    admitted path; recordings of telemetry; configuration files; the cell with a capture of its bus; the cell for any
+//!    master; firmware in virtual time
 //! 5. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
 //! 6. `machine`, `run`, `report`, `doctor`: one machine with several users; one drawing against the virtual cell; its
 //!    figures; checks of what the commands need
@@ -48,6 +49,7 @@ pub mod random;
 pub mod recording;
 pub mod report;
 pub mod run;
+pub mod segment;
 pub mod settings;
 pub mod setup;
 pub mod simulation;

@@ -11,6 +11,7 @@
 //! Invariant: the same configuration, options and frames give the same ink, and no input panics.
 
 mod dynamics;
+mod faults;
 mod joint;
 mod machine;
 mod mechanism;
@@ -21,6 +22,7 @@ pub use etherpen_segment::{
     AlState, ClockOptions, DriveState, Fault, MailFault, MailStep, Product, ResolverFault, SCRIPT_HELP, Script,
     SiiFault, SlaveKind, SlaveListError, SlaveState, parse_slaves,
 };
+pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
 
 use crate::random::Random;

@@ -1,9 +1,8 @@
 //! `etherpen console`: the operator's page, for a real machine, the emulator or a simulation in virtual time.
 
-use super::emulate::read_faults;
 use super::ports::OptionalPort;
 use super::{ConfigArguments, ended_by_a_signal};
-use crate::cell::CellOptions;
+use crate::cell::{CellOptions, read_faults};
 use crate::console::Console;
 use crate::console::server::Server;
 use crate::console::virtual_cell::{Firmware, VirtualCell};

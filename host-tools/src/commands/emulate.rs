@@ -2,13 +2,13 @@
 
 use super::ConfigArguments;
 use crate::captured_cell::CapturedCell;
-use crate::cell::{Cell, CellOptions, Script};
+use crate::cell::{Cell, CellOptions, read_faults};
 use crate::emulator::free_running::FreeRunning;
-use crate::emulator::{ClientSlot, Emulator, LINK_BYTES_MAX, Link, LogLine, Options, Pace};
+use crate::emulator::tcp_line::{LineEvent, TcpLine};
+use crate::emulator::{Emulator, LogLine, Options, Pace};
 use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
-use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -52,44 +52,6 @@ enum PaceArgument {
 /// Time between two checks of a free-running emulator.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// The serial link as a TCP port: one client at a time, bytes as on a line of 921,600 baud.
-struct TcpLine {
-    listener: TcpListener,
-    client: ClientSlot<TcpStream>,
-}
-
-impl TcpLine {
-    fn listen(port: u16) -> std::io::Result<Self> {
-        let listener = TcpListener::bind(("127.0.0.1", port))?;
-        listener.set_nonblocking(true)?;
-        Ok(Self {
-            listener,
-            client: ClientSlot::empty(),
-        })
-    }
-
-    fn accept(&mut self) {
-        if let Ok((client, address)) = self.listener.accept() {
-            let ready = client.set_nonblocking(true).and_then(|()| client.set_nodelay(true));
-            if ready.is_ok() {
-                eprintln!("connected: {address}");
-                self.client.take(client);
-            }
-        }
-    }
-}
-
-impl Link for TcpLine {
-    fn exchange(&mut self, _ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
-        if self.client.is_empty() {
-            self.accept();
-        }
-        if !self.client.exchange(from_device, to_device, LINK_BYTES_MAX) {
-            eprintln!("disconnected");
-        }
-    }
-}
-
 /// Runs the command until it is interrupted or the emulator ends.
 ///
 /// # Errors
@@ -129,15 +91,18 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         };
         return free_run(started.map_err(|error| ProgramError::from(&error))?);
     }
-    let line = TcpLine::listen(arguments.port).map_err(|cause| {
+    let show = |event| match event {
+        LineEvent::Connected(address) => eprintln!("connected: {address}"),
+        LineEvent::Disconnected => eprintln!("disconnected"),
+    };
+    let line = TcpLine::listen(arguments.port, show).map_err(|cause| {
         ProgramError::new(
             code::CONNECTION,
             format!("port {} on 127.0.0.1 cannot be used: {cause}", arguments.port),
         )
     })?;
     let address = line
-        .listener
-        .local_addr()
+        .address()
         .map_err(|cause| ProgramError::failed("the port", cause))?;
     let emulator = Emulator::start(&image, &options, cell, line, log).map_err(|error| ProgramError::from(&error))?;
     announce(&address.to_string())?;
@@ -161,17 +126,4 @@ fn free_run(running: FreeRunning) -> Result<(), ProgramError> {
         std::thread::sleep(LOOK);
     }
     running.stop().map_err(|error| ProgramError::from(&error))
-}
-
-/// Reads a fault script for a chain of `slaves` slaves; without a file there are no faults.
-pub(super) fn read_faults(path: Option<&Path>, slaves: usize) -> Result<Script, ProgramError> {
-    let Some(path) = path else {
-        return Ok(Script::default());
-    };
-    let wrong = |cause| ProgramError::new(code::INPUT, format!("{}: {cause}", path.display()));
-    let text = std::fs::read_to_string(path)
-        .map_err(|cause| ProgramError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display())))?;
-    let script: Script = text.parse().map_err(wrong)?;
-    script.check(slaves).map_err(wrong)?;
-    Ok(script)
 }

@@ -2,18 +2,14 @@
 
 use super::{ConfigArguments, print_json};
 use crate::drawing::preparation::compose::unusable;
-use crate::drawing::preparation::prepare::prepare_with;
+use crate::drawing::preparation::listed::read_path;
 use crate::drawing::preparation::source::SourceArguments;
-use crate::drawing::{Input, Path3d, load};
-use crate::error::{ProgramError, code};
-use crate::link::text;
+use crate::error::ProgramError;
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
-use crate::planning::{Analysis, Findings, PlanningError, Table, plan};
+use crate::planning::{Findings, Table, analyse};
 use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
-use etherpen::link::protocol::ConfigRefusal;
-use etherpen::motion::{Admission, RefusalReason, Vertex};
 use etherpen::robots::AXES;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -131,14 +127,10 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
-    let (path, vertices_merged) = read(&arguments.file, &config, &arguments.source)?;
+    let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
     let mut table = arguments.samples.as_deref().map(begin).transpose()?;
-    let mut analysis = None;
     let mut failed = None;
-    let run = plan(&config, &path, |sample, run| {
-        analysis
-            .get_or_insert_with(|| Analysis::new(&config, &path, run.jerk_window_ms))
-            .observe(sample);
+    let findings = analyse(&config, &path, |sample| {
         if let Some(Err(cause)) = table.as_mut().map(|table| table.step(sample)) {
             failed.get_or_insert(cause);
         }
@@ -150,11 +142,10 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     ) {
         return Err(unwritable(file, &cause));
     }
-    let analysis = analysis.unwrap_or_else(|| Analysis::new(&config, &path, run.jerk_window_ms));
     let answer = Answer {
         vertices: path.len() + vertices_merged,
         vertices_merged,
-        findings: analysis.finish(&run),
+        findings,
     };
     if arguments.json {
         return print_json(&answer);
@@ -169,46 +160,6 @@ fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
     OutputFile::create(file)
         .and_then(Table::new)
         .map_err(|cause| unwritable(file, &cause))
-}
-
-/// The path of a file, every vertex admitted, and how many vertices were merged.
-fn read(file: &Path, config: &Config, source: &SourceArguments) -> Result<(Vec<Vertex>, usize), ProgramError> {
-    match load(file).map_err(|cause| unusable(file, &cause))? {
-        Input::Path(path) => admit(&path, config).map_err(|cause| match cause {
-            PathRefusal::Geometry(refusal) => ProgramError::new(code::USAGE, text::config_refusal(&refusal)),
-            PathRefusal::Path(cause) => unusable(file, &cause),
-        }),
-        Input::Photograph(_) | Input::Drawing(_) | Input::Artwork(_) => {
-            Ok((prepare_with(file, config, source)?.path, 0))
-        }
-    }
-}
-
-/// Why a listed path is not planned.
-#[derive(Debug)]
-enum PathRefusal {
-    Geometry(ConfigRefusal),
-    Path(String),
-}
-
-/// Checks the vertices of a listed path; leaves out those that coincide with the previous one.
-fn admit(path: &Path3d, config: &Config) -> Result<(Vec<Vertex>, usize), PathRefusal> {
-    let mut admission = Admission::new(&config.motion_settings())
-        .map_err(|cause| PathRefusal::Geometry(ConfigRefusal::Geometry(cause)))?;
-    let mut admitted = Vec::with_capacity(path.vertices.len());
-    for (index, (vertex, line)) in (0u32..).zip(path.vertices.iter().zip(&path.lines)) {
-        match admission.check(index, vertex) {
-            Ok(()) => admitted.push(*vertex),
-            Err(refusal) if matches!(refusal.reason, RefusalReason::Repeated { .. }) => {}
-            Err(refusal) => return Err(PathRefusal::Path(format!("line {line}: {}", text::vertex(&refusal)))),
-        }
-    }
-    if admitted.len() < 2 {
-        let vertices = admitted.len();
-        return Err(PathRefusal::Path(PlanningError::TooShort { vertices }.to_string()));
-    }
-    let merged = path.vertices.len() - admitted.len();
-    Ok((admitted, merged))
 }
 
 /// The findings as text.

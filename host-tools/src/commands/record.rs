@@ -11,9 +11,8 @@ use crate::error::{ProgramError, code};
 use crate::job::Control;
 use crate::link::port::PortName;
 use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
-use crate::output_file::OutputFile;
-use crate::output_file::{refuse_input, unwritable};
-use crate::recording::messages::Severity;
+use crate::output_file::refuse_input;
+use crate::recording::file::RecordingFile;
 use crate::recording::{About, Recorder};
 use crate::run;
 use crate::run::task;
@@ -84,71 +83,28 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
 }
 
-/// A recording and the first thing that went wrong with it.
-struct Recording<'a> {
-    recorder: Recorder<File>,
-    path: &'a Path,
-    failed: Option<io::Error>,
-}
-
-impl<'a> Recording<'a> {
-    /// Begins the file beside a recording that exists, and replaces that once the beginning is on the disk.
-    fn begin(path: &'a Path, about: &About) -> Result<Self, ProgramError> {
-        let begun = OutputFile::create(path).and_then(|out| {
-            let mut recorder = Recorder::new(out.stream()?, about)?;
-            recorder.flush()?;
-            out.commit()?;
-            Ok(recorder)
-        });
-        Ok(Self {
-            recorder: begun.map_err(|cause| unwritable(path, &cause))?,
-            path,
-            failed: None,
-        })
+/// Ends the file and tells what is in it.
+fn end(recording: RecordingFile, arguments: &Arguments, json: bool) -> Result<(), ProgramError> {
+    let written = recording.end()?;
+    let shown = arguments.output.display();
+    eprintln!(
+        "{} in {shown}, {:.1} MB; {} missing in {}.",
+        counted(written.samples, "sample"),
+        written.bytes as f64 / 1e6,
+        written.missing,
+        counted(written.gaps, "gap")
+    );
+    if !json {
+        return Ok(());
     }
-
-    /// Writes, unless writing has failed before.
-    fn write(&mut self, write: impl FnOnce(&mut Recorder<File>) -> io::Result<()>) {
-        if self.failed.is_none() {
-            self.failed = write(&mut self.recorder).err();
-        }
-    }
-
-    /// Ends the file and tells what is in it.
-    fn end(mut self, json: bool) -> Result<(), ProgramError> {
-        // After a failure too: there may be room for the end of a shorter file.
-        let finished = self.recorder.finish();
-        let (written, taken) = (self.recorder.written(), self.recorder.taken());
-        let shown = self.path.display();
-        if let Some(cause) = self.failed.or(finished.err()) {
-            let lost = taken.samples - written.samples;
-            return Err(ProgramError::failed(
-                format!(
-                    "{shown} could not be written any further; it holds {} and can be read; samples lost: {lost}",
-                    counted(written.samples, "sample")
-                ),
-                format!("{cause}; make room on the disk, or record to another one"),
-            ));
-        }
-        eprintln!(
-            "{} in {shown}, {:.1} MB; {} missing in {}.",
-            counted(written.samples, "sample"),
-            written.bytes as f64 / 1e6,
-            written.missing,
-            counted(written.gaps, "gap")
-        );
-        if !json {
-            return Ok(());
-        }
-        super::print_json(&Recorded {
-            file: shown.to_string(),
-            samples: written.samples,
-            missing: written.missing,
-            gaps: written.gaps,
-            bytes: written.bytes,
-            memory_max_mb: memory_max_mb(),
-        })
-    }
+    super::print_json(&Recorded {
+        file: shown.to_string(),
+        samples: written.samples,
+        missing: written.missing,
+        gaps: written.gaps,
+        bytes: written.bytes,
+        memory_max_mb: memory_max_mb(),
+    })
 }
 
 /// Largest resident memory of this process, as proc(5) tells it.
@@ -167,14 +123,14 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), P
         source: "simulation",
         begin_ns: 0,
     };
-    let mut recording = Recording::begin(&arguments.output, &about)?;
+    let mut recording = RecordingFile::begin(&arguments.output, &about)?;
     let ended = ended_by_a_signal()?;
     let longest = arguments.duration.map(|seconds| (seconds * 1_000.0) as usize);
     let (mut seen, mut over) = (0, false);
     let drawn = run::simulate(&task(config, &prepared), None, &mut |job| {
         while let Some(event) = job.next_event() {
             if let Some(account) = Account::of_job(&event) {
-                recording.write(|recorder| put(recorder, &account));
+                recording.write(|recorder| account.record(recorder));
             }
         }
         let samples = job.samples().get(seen..).unwrap_or(&[]);
@@ -186,13 +142,13 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), P
             recording.write(|recorder| recorder.status(status));
         }
         let enough = longest.is_some_and(|longest| seen >= longest) || ended.load(Ordering::Relaxed);
-        if (recording.failed.is_some() || enough) && !over {
+        if (recording.has_failed() || enough) && !over {
             over = true;
             job.control(Control::Cancel);
         }
     });
     let drawn = drawn.map_err(|error| ProgramError::from(&error))?;
-    recording.end(arguments.json)?;
+    end(recording, arguments, arguments.json)?;
     match drawn.outcome {
         Some(Err(error)) if !over => Err(ProgramError::from(&error)),
         _ => Ok(()),
@@ -219,17 +175,17 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
         source: &port.to_string(),
         begin_ns: now_ns(),
     };
-    let mut recording = Recording::begin(&arguments.output, &about)?;
+    let mut recording = RecordingFile::begin(&arguments.output, &about)?;
     let ended = ended_by_a_signal()?;
     let until = arguments
         .duration
         .map(|seconds| Instant::now() + Duration::from_secs_f64(seconds));
     let (mut connected, mut flushed, mut flushes) = (false, Instant::now(), 0_u32);
     let is_over = || ended.load(Ordering::Relaxed) || until.is_some_and(|until| Instant::now() >= until);
-    while recording.failed.is_none() && !is_over() {
+    while !recording.has_failed() && !is_over() {
         match source.next_within(WAIT) {
             Ok(Account::Lost(failure)) if !connected => {
-                recording.end(false)?;
+                end(recording, arguments, false)?;
                 return Err(failure.into());
             }
             Ok(account) => {
@@ -244,7 +200,7 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
             }
             Err(NoNews::Timeout) => {}
             Err(NoNews::Closed) => {
-                recording.end(arguments.json)?;
+                end(recording, arguments, arguments.json)?;
                 let text = "the program that had the port has ended; record again to go on in another file";
                 return Err(ProgramError::new(code::CONNECTION, text));
             }
@@ -257,12 +213,12 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
                 recorder.flush()
             });
             if flushes.is_multiple_of(LINE_EVERY) {
-                let taken = recording.recorder.taken();
+                let taken = recording.taken();
                 eprintln!("{}, {} missing", counted(taken.samples, "sample"), taken.missing);
             }
         }
     }
-    recording.end(arguments.json)
+    end(recording, arguments, arguments.json)
 }
 
 /// Nanoseconds since 1970.
@@ -274,41 +230,8 @@ fn now_ns() -> u64 {
 /// Writes an event of a machine; relevant ones are printed too.
 fn take(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
     recorder.set_time(now_ns());
-    if let Some((_, _, text)) = event(account) {
+    if let Some((_, _, text)) = account.event() {
         eprintln!("{text}");
     }
-    put(recorder, account)
-}
-
-fn put(recorder: &mut Recorder<File>, account: &Account) -> io::Result<()> {
-    match account {
-        Account::Samples { missing, samples } => return recorder.samples(*missing, samples),
-        Account::Status(status) => recorder.status(status)?,
-        _ => {}
-    }
-    match event(account) {
-        Some((level, name, text)) => recorder.event(level, name, &text),
-        None => Ok(()),
-    }
-}
-
-/// Level, name and text of an account that is recorded as an event.
-fn event(account: &Account) -> Option<(Severity, &'static str, String)> {
-    match account {
-        Account::Samples { .. } | Account::Status(_) => None,
-        Account::Connected(welcome) => {
-            let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
-            Some((Severity::Info, "link", text))
-        }
-        Account::Lost(failure) => Some((Severity::Warning, "link", failure.text.clone())),
-        Account::Task { bad: false, text } => Some((Severity::Info, "job", text.clone())),
-        Account::Task { bad: true, text } => Some((Severity::Warning, "job", text.clone())),
-        Account::Missed(lost) => {
-            let text = format!(
-                "{} lost on the way to this program: the disk is too slow",
-                counted(*lost, "message")
-            );
-            Some((Severity::Warning, "link", text))
-        }
-    }
+    account.record(recorder)
 }

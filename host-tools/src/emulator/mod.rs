@@ -13,6 +13,7 @@ pub mod free_running;
 mod lockstep;
 mod log;
 mod process;
+pub mod tcp_line;
 
 pub(crate) use client::ClientSlot;
 pub use error::EmulatorError;

@@ -5,8 +5,12 @@
 use super::{Failure, News};
 use crate::job::JobEvent;
 use crate::link::text;
+use crate::recording::messages::Severity;
+use crate::recording::{Recorder, Storage};
+use crate::terminal::counted;
 use etherpen::link::protocol::{Sample, Status, Welcome};
 use serde::{Deserialize, Serialize};
+use std::io;
 
 /// An event of a machine, in transmitted form.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +76,43 @@ impl Account {
             }
             // These are visible in the samples and the statuses.
             _ => None,
+        }
+    }
+
+    /// Level, name and text of what is recorded as an event; `None` for samples and statuses.
+    pub fn event(&self) -> Option<(Severity, &'static str, String)> {
+        match self {
+            Self::Samples { .. } | Self::Status(_) => None,
+            Self::Connected(welcome) => {
+                let text = format!("connected: firmware {} on board {}", welcome.firmware, welcome.board);
+                Some((Severity::Info, "link", text))
+            }
+            Self::Lost(failure) => Some((Severity::Warning, "link", failure.text.clone())),
+            Self::Task { bad: false, text } => Some((Severity::Info, "job", text.clone())),
+            Self::Task { bad: true, text } => Some((Severity::Warning, "job", text.clone())),
+            Self::Missed(lost) => {
+                let text = format!(
+                    "{} lost on the way to this program: the disk is too slow",
+                    counted(*lost, "message")
+                );
+                Some((Severity::Warning, "link", text))
+            }
+        }
+    }
+
+    /// Writes this account into a recording.
+    ///
+    /// # Errors
+    /// Errors of the storage.
+    pub fn record<S: Storage>(&self, recorder: &mut Recorder<S>) -> io::Result<()> {
+        match self {
+            Self::Samples { missing, samples } => return recorder.samples(*missing, samples),
+            Self::Status(status) => recorder.status(status)?,
+            _ => {}
+        }
+        match self.event() {
+            Some((level, name, text)) => recorder.event(level, name, &text),
+            None => Ok(()),
         }
     }
 

@@ -106,6 +106,26 @@ impl std::fmt::Display for PlanningError {
 
 impl std::error::Error for PlanningError {}
 
+/// Plans a path and compares the references with the limits and with the path; `observe` gets every millisecond.
+///
+/// # Errors
+/// Why the path was not planned.
+pub fn analyse(
+    config: &Config,
+    path: &[Vertex],
+    mut observe: impl FnMut(&PlannedSample),
+) -> Result<Findings, PlanningError> {
+    let mut analysis = None;
+    let run = plan(config, path, |sample, run| {
+        analysis
+            .get_or_insert_with(|| Analysis::new(config, path, run.jerk_window_ms))
+            .observe(sample);
+        observe(sample);
+    })?;
+    let analysis = analysis.unwrap_or_else(|| Analysis::new(config, path, run.jerk_window_ms));
+    Ok(analysis.finish(&run))
+}
+
 /// Plans a path from rest at its first vertex to rest at its last; `observe` gets every millisecond with the run so
 /// far: the first at rest at 0 ms, and a few at rest at the end.
 ///

@@ -9,6 +9,7 @@
 
 mod bytes;
 pub mod export;
+pub mod file;
 pub mod mcap;
 pub mod messages;
 pub mod parquet;
