@@ -10,18 +10,16 @@ use super::operator::Operator;
 use super::ports::OptionalPort;
 use crate::cell::CellOptions;
 use crate::error::{ProgramError, code};
-use crate::identification::{Answer, NoAnswer, apply, identify, test_config, test_path};
+use crate::identification::test_path;
 use crate::job::over_port::{OverPortError, run_job};
 use crate::job::{Job, JobOptions, JobReport};
 use crate::link::port::{Port, PortName};
 use crate::link::session::session_number;
-use crate::report::tracking;
+use crate::report::identified::{Identified, identify};
 use crate::run::{self, RunTask};
-use crate::settings::Settings;
 use crate::terminal::counted;
 use etherpen::config::Config;
 use etherpen::robots::AXES;
-use serde::Serialize;
 use std::path::PathBuf;
 
 /// Options of `etherpen identify`.
@@ -48,44 +46,6 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-/// Values of the controller before and after.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct Change {
-    before: f64,
-    after: f64,
-    /// One standard deviation; absent where the value was not measured itself.
-    uncertainty: Option<f64>,
-}
-
-/// One axis' result.
-#[derive(Clone, Debug, Serialize)]
-struct AxisResult {
-    axis: usize,
-    /// What was measured.
-    measured: Option<Answer>,
-    /// Why nothing was.
-    not_measured: Option<String>,
-    feed_forward_lead_ms: Change,
-    feed_forward_gain: Change,
-    feedback_gain_per_s: Change,
-}
-
-/// Distance in space between the measured platform and its reference over the test motion, mm.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct Tracking {
-    max_mm: f64,
-    rms_mm: f64,
-}
-
-/// What the command prints.
-#[derive(Clone, Debug, Serialize)]
-struct Identified {
-    axes: Vec<AxisResult>,
-    tracking_before: Tracking,
-    tracking_after: Tracking,
-    stored: Option<String>,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -99,38 +59,12 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         return Err(ProgramError::new(code::USAGE, text));
     }
     let mut operator = port.as_ref().map(|_| Operator::start());
-    let mut drive = |config: &Config| drive(port.as_ref(), config, operator.as_mut());
-    let first = drive(&test_config(&config))?;
-    let answers = identify(&config, &first.samples);
     let only = arguments.axis.map(|axis| usize::from(axis) - 1);
-    refuse_silence(&answers, only)?;
-    let mut found = config.clone();
-    apply(&mut found, &answers, only);
-    found.check().map_err(|cause| {
-        let text = crate::link::text::config_error(&cause);
-        ProgramError::new(code::FAILED, format!("what was measured cannot be used: {text}"))
-    })?;
-    let second = drive(&test_config(&found))?;
-    let tracked = |config: &Config, job: &JobReport| {
-        let (max_mm, rms_mm) = tracking(config, &job.samples);
-        Tracking { max_mm, rms_mm }
-    };
-    let mut result = Identified {
-        axes: (0..AXES)
-            .map(|axis| axis_result(axis, &config, &found, &answers))
-            .collect(),
-        tracking_before: tracked(&config, &first),
-        tracking_after: tracked(&found, &second),
-        stored: None,
-    };
+    let mut result = identify(&config, only, |config| drive(port.as_ref(), config, operator.as_mut()))?;
     print(&result);
     if let Some(path) = target(arguments) {
-        let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
-        let mut settings = Settings::open(&path).map_err(failed)?;
-        let changed = settings.store_axes(&found).map_err(failed)?;
-        settings.save(&path).map_err(failed)?;
+        let changed = result.store(&path)?;
         eprintln!("{} changed in {}.", counted(changed, "value"), path.display());
-        result.stored = Some(path.display().to_string());
     }
     if arguments.json {
         super::print_json(&result)?;
@@ -147,18 +81,6 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
             .unwrap_or_else(|| PathBuf::from("etherpen.toml"))
     };
     arguments.output.clone().or_else(|| arguments.store.then(in_use))
-}
-
-/// Fails if a needed axis has no estimate: the requested axis, or any main axis without a request. The main axes always
-/// move.
-fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), ProgramError> {
-    for (axis, answer) in answers.iter().enumerate() {
-        let needed = only.map_or(axis < etherpen::robots::MAIN_AXES, |only| only == axis);
-        if let (true, Err(cause)) = (needed, answer) {
-            return Err(ProgramError::new(code::FAILED, format!("axis {}: {cause}", axis + 1)));
-        }
-    }
-    Ok(())
 }
 
 /// Drives the test motion once.
@@ -195,33 +117,6 @@ fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operato
         OverPortError::Port(error) => ProgramError::new(code::CONNECTION, error),
     })?;
     Ok(job.into_report())
-}
-
-fn axis_result(axis: usize, before: &Config, after: &Config, answers: &[Result<Answer, NoAnswer>; AXES]) -> AxisResult {
-    let answer = answers[axis].as_ref();
-    let (old, new) = (&before.axes[axis], &after.axes[axis]);
-    let change = |before: f64, after: f64, uncertainty: Option<f64>| Change {
-        before,
-        after,
-        uncertainty,
-    };
-    let measured = answer.ok();
-    AxisResult {
-        axis: axis + 1,
-        measured: measured.copied(),
-        not_measured: answer.err().map(ToString::to_string),
-        feed_forward_lead_ms: change(
-            old.feed_forward_lead_ms,
-            new.feed_forward_lead_ms,
-            measured.map(|answer| answer.lead_ms.uncertainty),
-        ),
-        feed_forward_gain: change(
-            old.feed_forward_gain,
-            new.feed_forward_gain,
-            measured.map(|answer| answer.feed_forward_gain.uncertainty),
-        ),
-        feedback_gain_per_s: change(old.feedback_gain_per_s, new.feedback_gain_per_s, None),
-    }
 }
 
 fn print(result: &Identified) {

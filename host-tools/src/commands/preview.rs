@@ -1,16 +1,14 @@
 //! `etherpen preview`: shows how a file would be drawn, as a picture and in figures.
 
 use super::{ConfigArguments, print_json};
-use crate::drawing::preparation::compose::{Composed, in_sequence, unusable};
+use crate::drawing::preparation::compose::{in_sequence, unusable};
 use crate::drawing::preparation::prepare::{compose, refused};
+use crate::drawing::preparation::preview::Preview;
 use crate::drawing::preparation::source::SourceArguments;
-use crate::drawing::{Drawing, PreviewScene, from_path};
+use crate::drawing::{PreviewScene, from_path};
 use crate::error::{ProgramError, code};
 use crate::output_file::{refuse_input, write_bytes, write_text};
-use crate::planning::planned_s;
 use crate::terminal::counted;
-use etherpen::motion::Vertex;
-use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -35,43 +33,6 @@ pub struct Arguments {
     source: SourceArguments,
 }
 
-/// What the command prints.
-#[derive(Debug, Serialize)]
-struct Answer {
-    strokes: usize,
-    pen_down_mm: f64,
-    /// From the first stroke's start to the last one's end.
-    pen_up_mm: f64,
-    lifts: usize,
-    /// Planned duration of what would be drawn; nothing where that is nothing.
-    estimated_s: Option<f64>,
-    /// How many strokes would be refused.
-    refused: usize,
-    /// The first of them.
-    refusals: Vec<RefusalAnswer>,
-    layers: Vec<LayerAnswer>,
-}
-
-#[derive(Debug, Serialize)]
-struct RefusalAnswer {
-    /// Number in the order of drawing, the first is 1.
-    stroke: u32,
-    /// Place in the robot's frame.
-    x_mm: f64,
-    y_mm: f64,
-    z_mm: f64,
-    reason: String,
-}
-
-#[derive(Debug, Serialize)]
-struct LayerAnswer {
-    name: String,
-    strokes: usize,
-    pen_down_mm: f64,
-}
-
-/// Most refusals listed.
-const REFUSALS_LISTED: usize = 100;
 /// Resolution of a PNG, pixels a millimetre.
 const PX_PER_MM: f64 = 6.0;
 
@@ -127,31 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     } else {
         write_text(&arguments.out, &scene.svg())?;
     }
-    let kept: Vec<Vertex> = (composed.path.iter().copied())
-        .filter(|vertex| !numbers.contains(&vertex.stroke))
-        .collect();
-    let listed = refused.iter().take(REFUSALS_LISTED);
-    let answer = Answer {
-        strokes: drawing.strokes.len(),
-        pen_down_mm: drawing.pen_down_mm(),
-        pen_up_mm: drawing.pen_up_mm(),
-        lifts: drawing.strokes.len(),
-        estimated_s: match composed.planned_s.filter(|_| refused.is_empty()) {
-            None => Some(planned_s(&config, &kept)).filter(|seconds| seconds.is_finite()),
-            known => known,
-        },
-        refused: refused.len(),
-        refusals: listed
-            .map(|refused| RefusalAnswer {
-                stroke: refused.stroke + 1,
-                x_mm: refused.position.x_mm,
-                y_mm: refused.position.y_mm,
-                z_mm: refused.position.z_mm,
-                reason: refused.reason.clone(),
-            })
-            .collect(),
-        layers: layers(&composed),
-    };
+    let answer = Preview::new(&composed, &drawing, &refused, &config);
     if arguments.json {
         print_json(&answer)?;
     } else {
@@ -167,20 +104,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
 }
 
-fn layers(composed: &Composed) -> Vec<LayerAnswer> {
-    let answer = |name: &str, drawing: &Drawing| LayerAnswer {
-        name: name.to_owned(),
-        strokes: drawing.strokes.len(),
-        pen_down_mm: drawing.pen_down_mm(),
-    };
-    (composed
-        .parts
-        .iter()
-        .map(|(layer, drawing)| answer(&layer.name, drawing)))
-    .collect()
-}
-
-fn show(answer: &Answer, out: &Path) {
+fn show(answer: &Preview, out: &Path) {
     let time = answer
         .estimated_s
         .map_or("no time".to_owned(), |seconds| format!("{seconds:.1} s"));

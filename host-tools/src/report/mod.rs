@@ -4,6 +4,7 @@
 //! virtual paper; figures reported by the planner itself are not used.
 
 mod deviation;
+pub mod identified;
 pub mod output;
 mod platform;
 #[cfg(test)]

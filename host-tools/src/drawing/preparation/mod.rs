@@ -11,6 +11,7 @@ pub mod confined;
 pub mod listed;
 pub mod outline;
 pub mod prepare;
+pub mod preview;
 pub mod source;
 mod time_budget;
 pub mod wire;
