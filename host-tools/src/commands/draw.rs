@@ -20,15 +20,14 @@ use crate::job::resume::{self, ResumePlan, Resumption};
 use crate::job::{JobReport, path_hash};
 use crate::machine::drawing::DrawingRun;
 use crate::machine::{Machine, MachineOptions, Order};
-use crate::output_file::{make_folder, write_bytes};
+use crate::output_file::make_folder;
 use crate::report::output::{Outcome, refuse_inputs_in};
 use crate::report::summary::summarise;
 use etherpen::config::Config;
 use etherpen::link::protocol::PathVertex;
 use session::attend;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 /// Path speed while the pen goes around a drawing's border, percent, slow enough to watch, and the default speed.
 const OUTLINE_PACE: u8 = 20;
@@ -262,14 +261,7 @@ fn file(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<PathBu
     let unusable =
         |cause: &dyn std::fmt::Display| ProgramError::new(code::INPUT, format!("{}: {cause}", device.display()));
     let picture = take_photograph(device).map_err(|cause| unusable(&cause))?;
-    let folder = history::folder().map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
-    make_folder(&folder)?;
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let file = folder.join(format!("camera-{}.png", since.as_millis()));
-    let mut png = Cursor::new(Vec::new());
-    let encoded = picture.write_to(&mut png, image::ImageFormat::Png);
-    encoded.map_err(|cause| ProgramError::failed("the picture cannot be kept", cause))?;
-    write_bytes(&file, png.get_ref())?;
+    let file = history::keep_picture(&picture)?;
     eprintln!(
         "etherpen: {} x {} pixels from {}, kept as {}",
         picture.width(),

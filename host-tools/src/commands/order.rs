@@ -4,9 +4,7 @@ use super::{ConfigArguments, print_json};
 use crate::drawing::preparation::choose_order::choose_order;
 use crate::drawing::preparation::compose::{artwork_of, unusable};
 use crate::drawing::preparation::source::TextArguments;
-use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, LayerStroke, OrderOptions, Travel, load_with, parse_length_mm, write_artwork,
-};
+use crate::drawing::{DrawingError, Input, OrderOptions, Travel, load_with, parse_length_mm, write_artwork};
 use crate::error::ProgramError;
 use crate::output_file::{refuse_input, write_text};
 use crate::terminal::counted;
@@ -89,15 +87,15 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         keep_order: arguments.keep_order,
         travel: Travel::of(&config),
     };
-    let before = sequence(&artwork);
+    let before = artwork.in_sequence();
     let order_begun = Instant::now();
-    let chosen = choose_order(&by_layers(&artwork), &before, &options, &config);
+    let chosen = choose_order(&artwork.by_layers(), &before, &options, &config);
     let order_seconds = order_begun.elapsed().as_secs_f64();
     let ordered = match chosen.layers {
-        Some(layers) => with_strokes(&artwork, layers),
+        Some(layers) => artwork.with_strokes(layers),
         None => artwork,
     };
-    let after = sequence(&ordered);
+    let after = ordered.in_sequence();
     write_text(&arguments.out, &write_artwork(&ordered))?;
     let answer = Answer {
         strokes: after.strokes.len(),
@@ -130,35 +128,4 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         answer.seconds
     );
     Ok(())
-}
-
-fn sequence(artwork: &Artwork) -> Drawing {
-    Drawing {
-        sheet_mm: artwork.page_mm.unwrap_or_default(),
-        strokes: artwork.strokes.iter().map(|stroke| stroke.stroke.clone()).collect(),
-    }
-}
-
-/// Each layer's strokes.
-fn by_layers(artwork: &Artwork) -> Vec<Drawing> {
-    let of = |layer: usize| {
-        let own = artwork.strokes.iter().filter(|stroke| stroke.layer == layer);
-        Drawing {
-            sheet_mm: artwork.page_mm.unwrap_or_default(),
-            strokes: own.map(|stroke| stroke.stroke.clone()).collect(),
-        }
-    };
-    (0..artwork.layers.len()).map(of).collect()
-}
-
-/// The artwork with other strokes in its layers.
-fn with_strokes(artwork: &Artwork, layers: Vec<Drawing>) -> Artwork {
-    let strokes = layers.into_iter().enumerate().flat_map(|(layer, drawing)| {
-        let strokes = drawing.strokes.into_iter();
-        strokes.map(move |stroke| LayerStroke { layer, stroke })
-    });
-    Artwork {
-        strokes: strokes.collect(),
-        ..artwork.clone()
-    }
 }

@@ -214,10 +214,12 @@ fn shown(answer: &Answer) -> String {
         findings.deviation_max_mm,
         Some(limits.travel_tolerance_mm),
     );
-    text.push_str(&format!(
-        "\n{} of limits\n",
-        counted(findings.violation_count, "violation")
-    ));
+    text + &violations(findings)
+}
+
+/// The violations of limits as text.
+fn violations(findings: &Findings) -> String {
+    let mut text = format!("\n{} of limits\n", counted(findings.violation_count, "violation"));
     for violation in findings.violations.iter().take(20) {
         let axis = violation.axis.map_or(String::new(), |axis| format!(" axis {axis}"));
         let at = match (violation.t_ms, violation.vertex) {

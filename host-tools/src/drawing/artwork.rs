@@ -98,6 +98,38 @@ impl Default for Placement {
 }
 
 impl Artwork {
+    /// All strokes in the file's order.
+    pub fn in_sequence(&self) -> Drawing {
+        Drawing {
+            sheet_mm: self.page_mm.unwrap_or_default(),
+            strokes: self.strokes.iter().map(|stroke| stroke.stroke.clone()).collect(),
+        }
+    }
+
+    /// The strokes of each layer.
+    pub fn by_layers(&self) -> Vec<Drawing> {
+        let of = |layer: usize| {
+            let own = self.strokes.iter().filter(|stroke| stroke.layer == layer);
+            Drawing {
+                sheet_mm: self.page_mm.unwrap_or_default(),
+                strokes: own.map(|stroke| stroke.stroke.clone()).collect(),
+            }
+        };
+        (0..self.layers.len()).map(of).collect()
+    }
+
+    /// This artwork with other strokes in its layers.
+    pub fn with_strokes(&self, layers: Vec<Drawing>) -> Self {
+        let strokes = layers.into_iter().enumerate().flat_map(|(layer, drawing)| {
+            let strokes = drawing.strokes.into_iter();
+            strokes.map(move |stroke| LayerStroke { layer, stroke })
+        });
+        Self {
+            strokes: strokes.collect(),
+            ..self.clone()
+        }
+    }
+
     /// The smallest axis-aligned rectangle around all strokes: left, top, width, height, mm.
     #[must_use]
     pub fn bounds_mm(&self) -> [f64; 4] {

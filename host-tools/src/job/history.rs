@@ -7,10 +7,12 @@
 //! Invariant: `executed` never exceeds what the firmware has reported.
 
 use super::progress::Progress;
-use crate::output_file::OutputFile;
+use crate::error::ProgramError;
+use crate::output_file::{OutputFile, make_folder, write_bytes};
+use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -151,6 +153,24 @@ pub fn folder() -> io::Result<PathBuf> {
             "neither XDG_STATE_HOME nor HOME is set",
         )),
     }
+}
+
+/// Keeps a picture beside the log, so that a drawing of it can be resumed; returns its file.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn keep_picture(picture: &RgbImage) -> Result<PathBuf, ProgramError> {
+    let unkept = |cause: &dyn std::fmt::Display| ProgramError::failed("the picture cannot be kept", cause);
+    let folder = folder().map_err(|cause| unkept(&cause))?;
+    make_folder(&folder)?;
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let file = folder.join(format!("camera-{}.png", since.as_millis()));
+    let mut png = Cursor::new(Vec::new());
+    picture
+        .write_to(&mut png, image::ImageFormat::Png)
+        .map_err(|cause| unkept(&cause))?;
+    write_bytes(&file, png.get_ref())?;
+    Ok(file)
 }
 
 /// All drawings, the oldest first. Files that cannot be read are left out.

@@ -12,6 +12,7 @@
 //! firmware still holds exactly that drawing.
 
 pub mod error;
+mod events;
 pub mod history;
 pub mod ink;
 pub mod over_port;
@@ -24,15 +25,13 @@ pub mod task;
 pub mod verification;
 
 use crate::link::measurement::Reader;
-use crate::link::session::{Event, Session, SessionCounts};
+use crate::link::session::{Session, SessionCounts};
 use error::{JobError, Phase};
-use etherpen::application::{Mode, Refusal};
-use etherpen::board::PortState;
+use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::protocol::{Command, PathAck, PathVertex, Sample, Status, Welcome};
-use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
-use etherpen::motion::Pen;
+use etherpen::measurement::MeasurementRequest;
 pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use progress::{PathMeasure, Progress};
 use std::collections::VecDeque;
@@ -44,9 +43,6 @@ use verification::{Verification, Verifier};
 const LOOKS_PER_STEP: usize = 10_000;
 /// Looks when a report is taken although the drawing has not been verified, because the connection is lost.
 const LOOKS_AT_LAST: usize = 500_000;
-/// Time before a command that was refused because something still moves is tried again, ms.
-const RETRY_MS: u64 = 100;
-
 /// Signs of life that a jog requires; without a [`Life`] the jog depends on this process alone.
 #[derive(Clone, Debug, Default)]
 struct Lifeline {
@@ -401,95 +397,6 @@ impl Job {
         }
     }
 
-    fn take(&mut self, event: Event) {
-        match event {
-            Event::Connected(welcome) => {
-                self.events.push_back(JobEvent::Connected(welcome.clone()));
-                self.welcome = Some(welcome);
-                self.enter(Phase::Inspecting);
-            }
-            Event::VersionRefused { host, firmware } => self.lose(JobError::Version { host, firmware }),
-            Event::Restarted => self.lose(JobError::Restarted),
-            Event::Measured(answer) => self.take_measurement(answer),
-            Event::Bus(result) => self.events.push_back(JobEvent::Bus(result)),
-            Event::Configured(Ok(hash)) => match self.config.hash() {
-                Some(ours) if ours == hash => self.enter(Phase::BusUp),
-                ours => self.fail(JobError::ConfigHash { ours, firmware: hash }),
-            },
-            Event::Configured(Err(refusal)) => self.fail(JobError::Config(refusal)),
-            Event::Answered { id, command, result } => self.take_answer(id, command, result),
-            Event::Ack(ack) => self.take_ack(ack),
-            Event::VertexRefused(refusal) => {
-                self.ending.get_or_insert(JobError::Vertex(refusal));
-            }
-            Event::Status(status) => self.take_status(status),
-            Event::Samples { missing, samples } => self.take_samples(missing, samples),
-        }
-    }
-
-    fn take_ack(&mut self, ack: PathAck) {
-        if self.outcome.is_some() {
-            return;
-        }
-        if ack.finished && !self.ack.finished {
-            let since_ms = self.drawing_ms.unwrap_or(self.now_ms);
-            self.drawn_ms = self.now_ms.saturating_sub(since_ms).saturating_sub(self.held_ms);
-        }
-        self.ack = ack;
-    }
-
-    fn take_samples(&mut self, missing: u32, samples: Vec<Sample>) {
-        if let Some(first) = samples.first().filter(|_| missing > 0) {
-            let t_ms = first.t_ms;
-            self.events.push_back(JobEvent::SamplesMissing { missing, t_ms });
-        }
-        self.sample = samples.last().copied().or(self.sample);
-        if let Some(verifier) = &mut self.verifier {
-            verifier.observe(&samples);
-        }
-        let pen_is_up = |sample: &Sample| sample.mode == Mode::Drawing && sample.pen == Pen::Up;
-        if self.hold_at_pen_up && self.sample.as_ref().is_some_and(pen_is_up) {
-            self.hold_at_pen_up = false;
-            self.session.command(Command::Hold);
-        }
-        if self.options.forward_samples {
-            let samples = samples.into();
-            self.events.push_back(JobEvent::Samples { missing, samples });
-        } else {
-            self.samples.extend(samples);
-        }
-    }
-
-    fn take_answer(&mut self, id: u16, command: Command, result: Result<(), Refusal>) {
-        let own = self.awaited.take_if(|awaited| *awaited == id).is_some();
-        if !own {
-            self.events.push_back(JobEvent::Told { id, command, result });
-        }
-        match result {
-            Ok(()) => {
-                self.fresh = false;
-                self.accepted |= own;
-                self.inquired_ms = self.now_ms;
-                self.session.inquire();
-                if own && self.phase == Phase::Starting {
-                    self.start_path();
-                }
-            }
-            Err(Refusal::Moving | Refusal::Recovering) if own && self.waits_for_standstill() => {
-                self.retry_ms = self.now_ms + RETRY_MS;
-            }
-            Err(_) if own && self.phase == Phase::Resting => self.retry_ms = self.now_ms + RETRY_MS,
-            Err(refusal) if own => {
-                self.ending.get_or_insert(JobError::Refused(command, refusal));
-            }
-            Err(refusal) => self.events.push_back(JobEvent::Refused(command, refusal)),
-        }
-    }
-
-    fn waits_for_standstill(&self) -> bool {
-        !matches!(self.task, Task::Tell(_))
-    }
-
     /// Streams the path from the next vertex that the firmware expects.
     fn start_path(&mut self) {
         let Task::Draw(drawing) = &self.task else { return };
@@ -503,38 +410,6 @@ impl Job {
         self.ack.executed = self.executed_before;
         self.drawing_ms = Some(self.now_ms);
         self.enter(Phase::Drawing);
-    }
-
-    fn take_status(&mut self, status: Status) {
-        let before = self.status.as_ref();
-        if before.map(|before| before.mode) != Some(status.mode) {
-            self.events.push_back(JobEvent::Mode(status.mode));
-        }
-        if let Some(fault) = status.fault
-            && before.and_then(|before| before.fault) != status.fault
-        {
-            self.events.push_back(JobEvent::Fault(fault));
-        }
-        let known_port = before.map_or(PortState::Unknown, |before| before.port);
-        if known_port != status.port {
-            self.events.push_back(JobEvent::Port(status.port));
-        }
-        self.events.push_back(JobEvent::Status(Arc::new(status.clone())));
-        self.fresh = true;
-        self.status = Some(status);
-    }
-
-    fn take_measurement(&mut self, answer: MeasurementAnswer) {
-        if self.questions.pop_front() == Some(false) {
-            return self.events.push_back(JobEvent::Measured(answer));
-        }
-        let next = self.reader.as_mut().and_then(|reader| {
-            reader.take(&answer);
-            reader.request()
-        });
-        if let Some(request) = next {
-            self.own_question(request);
-        }
     }
 
     fn enter(&mut self, phase: Phase) {

@@ -63,7 +63,11 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
         .flat_map(|of_axis| &of_axis[first..last])
         .fold(0.0_f64, |most, error| most.max(error.abs()));
     let error_span = if error_span > 0.0 { 1.15 * error_span } else { 1.0 };
-    let seconds = |index: usize| [first as f64 / 1_000.0, last as f64 / 1_000.0][index];
+    let window = Window {
+        samples: &drawing[first..last],
+        first,
+        seconds: [first as f64 / 1_000.0, last as f64 / 1_000.0],
+    };
     let height = TOP + ROW_HEIGHT * AXES as f64 + BOTTOM;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" height=\"{height}\" \
@@ -71,54 +75,11 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
          <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
          <text x=\"{:.0}\" y=\"30\" font-size=\"18\" font-weight=\"bold\">Tracking of the four axes, {:.2} to {:.2} s of the \
          drawing, around its largest error</text>\n",
-        LEFT[0],
-        seconds(0),
-        seconds(1)
+        LEFT[0], window.seconds[0], window.seconds[1]
     );
     legend(&mut svg);
     for (axis, errors) in errors.iter().enumerate() {
-        let window = &drawing[first..last];
-        let at = |k: usize, value: f64| [(first + k) as f64 / 1_000.0, value];
-        let positions = |of: &dyn Fn(&Sample) -> f32| -> Vec<[f64; 2]> {
-            let points = window.iter().enumerate().step_by(POSITION_EVERY);
-            points.map(|(k, sample)| at(k, of(sample).into())).collect()
-        };
-        let (reference, actual) = (
-            positions(&|s| s.setpoint_rad[axis]),
-            positions(&|s| s.measured_rad[axis]),
-        );
-        let name = if axis + 1 == AXES {
-            "axis 4".to_owned()
-        } else {
-            format!("{} {}", Words::default().joint, axis + 1)
-        };
-        panel(
-            &mut svg,
-            [seconds(0), seconds(1)],
-            &Panel {
-                column: 0,
-                row: axis,
-                title: format!("{name}: position, rad"),
-                range: range(&reference),
-                lines: vec![(REFERENCE, 5.0, reference), (ACTUAL, 1.4, actual)],
-            },
-        );
-        let points = errors[first..last]
-            .iter()
-            .enumerate()
-            .map(|(k, error)| at(k, *error))
-            .collect();
-        panel(
-            &mut svg,
-            [seconds(0), seconds(1)],
-            &Panel {
-                column: 1,
-                row: axis,
-                title: format!("{name}: reference minus actual, µrad"),
-                range: [-error_span, error_span],
-                lines: vec![(ERROR, 1.0, points)],
-            },
-        );
+        axis_panels(&mut svg, &window, axis, &errors[first..last], error_span);
     }
     for left in LEFT {
         let (x, y) = (left + 0.5 * PANEL_WIDTH, height - 12.0);
@@ -129,6 +90,56 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
     }
     svg.push_str("</svg>\n");
     out.write_all(svg.as_bytes())
+}
+
+/// The part of a drawing that is shown.
+struct Window<'a> {
+    samples: &'a [Sample],
+    /// Index of its first sample in the drawing, ms.
+    first: usize,
+    /// Its beginning and end, s since the drawing began.
+    seconds: [f64; 2],
+}
+
+/// Draws position and error of one axis. `error_span` is the end of the error's scale, micro-radians.
+fn axis_panels(svg: &mut String, window: &Window, axis: usize, errors: &[f64], error_span: f64) {
+    let at = |k: usize, value: f64| [(window.first + k) as f64 / 1_000.0, value];
+    let positions = |of: &dyn Fn(&Sample) -> f32| -> Vec<[f64; 2]> {
+        let points = window.samples.iter().enumerate().step_by(POSITION_EVERY);
+        points.map(|(k, sample)| at(k, of(sample).into())).collect()
+    };
+    let (reference, actual) = (
+        positions(&|s| s.setpoint_rad[axis]),
+        positions(&|s| s.measured_rad[axis]),
+    );
+    let name = if axis + 1 == AXES {
+        "axis 4".to_owned()
+    } else {
+        format!("{} {}", Words::default().joint, axis + 1)
+    };
+    panel(
+        svg,
+        window.seconds,
+        &Panel {
+            column: 0,
+            row: axis,
+            title: format!("{name}: position, rad"),
+            range: range(&reference),
+            lines: vec![(REFERENCE, 5.0, reference), (ACTUAL, 1.4, actual)],
+        },
+    );
+    let points = errors.iter().enumerate().map(|(k, error)| at(k, *error)).collect();
+    panel(
+        svg,
+        window.seconds,
+        &Panel {
+            column: 1,
+            row: axis,
+            title: format!("{name}: reference minus actual, µrad"),
+            range: [-error_span, error_span],
+            lines: vec![(ERROR, 1.0, points)],
+        },
+    );
 }
 
 /// Differences between the reference of the measurement's age and the measurement, micro-radians.

@@ -4,7 +4,7 @@
 
 use super::{Case, Disturbance, Isolation, LatencyPlan, LatencyRun};
 use crate::bench::BenchRow;
-use crate::link::measurement::Distribution;
+use crate::link::measurement::{Distribution, Readings};
 use etherpen::measurement::Quantity;
 use serde::Serialize;
 
@@ -160,6 +160,30 @@ fn run_rows(plan: &LatencyPlan, measured: &LatencyRun, rows: &mut Vec<BenchRow>)
             jitter_target(measured, shift),
         );
     }
+    execution_rows(readings, shift, asked, &mut row);
+    delay_rows(readings, &mut row);
+    // Counted in its lateness: 0 when none was late.
+    if let Some(lateness) = readings.of(Quantity::Lateness) {
+        row("lateness_max_ns", ns(lateness, lateness.largest.into()), "ns", None);
+    }
+    if let Some(load) = readings.cpu_load() {
+        row("cpu_load", load, "1", None);
+    }
+    for (case, count) in [
+        ("frames_ignored", measured.counters.frames_ignored),
+        ("link_errors", measured.counters.link_errors),
+        ("trajectory_overruns", measured.counters.trajectory_overruns),
+        ("telemetry_dropped", measured.counters.telemetry_dropped),
+    ] {
+        row(case, count.into(), "1", None);
+    }
+}
+
+/// Adds one row: case, value, unit, target.
+type AddRow<'a> = dyn FnMut(&str, f64, &'static str, Option<f64>) + 'a;
+
+/// Execution times. The targets hold for the requested runs at 1 kHz.
+fn execution_rows(readings: &Readings, shift: u8, asked: bool, row: &mut AddRow) {
     let executions = [
         (
             "critical_path_max_instructions",
@@ -188,6 +212,10 @@ fn run_rows(plan: &LatencyPlan, measured: &LatencyRun, rows: &mut Vec<BenchRow>)
             );
         }
     }
+}
+
+/// Delays on the way of a cycle.
+fn delay_rows(readings: &Readings, row: &mut AddRow) {
     let delays = [
         ("release_delay_max_ns", Quantity::ReleaseDelay),
         ("send_delay_max_ns", Quantity::SendDelay),
@@ -198,21 +226,6 @@ fn run_rows(plan: &LatencyPlan, measured: &LatencyRun, rows: &mut Vec<BenchRow>)
         if let Some(distribution) = readings.of(quantity) {
             row(case, ns(distribution, distribution.largest.into()), "ns", None);
         }
-    }
-    // Counted in its lateness: 0 when none was late.
-    if let Some(lateness) = readings.of(Quantity::Lateness) {
-        row("lateness_max_ns", ns(lateness, lateness.largest.into()), "ns", None);
-    }
-    if let Some(load) = readings.cpu_load() {
-        row("cpu_load", load, "1", None);
-    }
-    for (case, count) in [
-        ("frames_ignored", measured.counters.frames_ignored),
-        ("link_errors", measured.counters.link_errors),
-        ("trajectory_overruns", measured.counters.trajectory_overruns),
-        ("telemetry_dropped", measured.counters.telemetry_dropped),
-    ] {
-        row(case, count.into(), "1", None);
     }
 }
 

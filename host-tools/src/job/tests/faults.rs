@@ -1,0 +1,51 @@
+//! Faults: latched from before, and while drawing.
+
+use super::*;
+use etherpen::application::Fault;
+
+#[test]
+fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
+    let (mut rig, mut job) = (Rig::new(1, 0), job(10));
+    let fault = Fault::Drive {
+        axis: 1,
+        status_word: 8,
+    };
+    (rig.mode, rig.fault) = (Mode::Fault, Some(fault));
+    run(&mut rig, &mut job, 1_000, |_, _, _| {});
+    assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
+    assert!(rig.commands.is_empty() && rig.config.is_none());
+}
+
+#[test]
+fn a_fault_from_before_is_acknowledged_when_the_person_says_so() {
+    let options = JobOptions {
+        acknowledge: true,
+        ..JobOptions::default()
+    };
+    let (mut rig, mut job) = (Rig::new(1, 0), Job::draw(Config::default(), path(10), options));
+    (rig.mode, rig.fault) = (Mode::Fault, Some(Fault::SlaveLost { slave: 0 }));
+    run(&mut rig, &mut job, 5_000, |_, _, _| {});
+    assert_eq!(job.outcome(), Some(&Ok(())));
+    let acknowledgements = rig.commands.iter().filter(|command| **command == Command::Acknowledge);
+    assert_eq!((acknowledgements.count(), rig.vertices.len()), (1, 10));
+}
+
+#[test]
+fn a_fault_while_drawing_is_told_at_once_and_ends_the_job_when_the_robot_stands() {
+    let (mut rig, mut job) = (Rig::new(1, 0), job(1_000));
+    rig.fault_at_vertex = Some(500);
+    let mut told_in = None;
+    run(&mut rig, &mut job, 10_000, |_, rig, job| {
+        if events(job).iter().any(|event| matches!(event, JobEvent::Fault(_))) {
+            told_in = Some(rig.mode);
+        }
+    });
+    assert_eq!(told_in, Some(Mode::Stopping));
+    let fault = Fault::SlaveLost { slave: 2 };
+    assert_eq!(job.outcome(), Some(&Err(JobError::Fault { fault, before: false })));
+    assert_eq!(rig.mode, Mode::Fault);
+    assert!(
+        job.into_report().samples.len() > 500,
+        "the telemetry of a failed drawing is kept"
+    );
+}

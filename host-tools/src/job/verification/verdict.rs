@@ -1,0 +1,106 @@
+//! Result of verifying a drawing: what the pen followed, what is missing and what is not verified.
+
+use super::parts::Parts;
+use crate::job::error::JobError;
+
+/// Least total length of a stroke's missing parts that counts, mm: less is a dot at its ends.
+const MISSING_MIN_MM: f64 = 0.5;
+/// Length below which a difference counts as rounding, mm.
+const ROUNDING_MM: f64 = 1e-6;
+
+/// A stroke and where it lies among all strokes.
+#[derive(Clone, Debug)]
+pub(super) struct VerifiedStroke {
+    pub(super) number: u32,
+    /// The first of its vertices in the path.
+    pub(super) vertex: u32,
+    /// Length of all strokes before it without their noise, mm.
+    pub(super) begin_mm: f64,
+    /// Its length without its noise, mm.
+    pub(super) length_mm: f64,
+    /// Its length in the path divided by `length_mm`.
+    pub(super) scale: f64,
+}
+
+/// Result of verifying the telemetry of a drawing; results of several connections can be merged.
+#[derive(Clone, Debug, Default)]
+pub struct Verification {
+    pub(super) strokes: Vec<VerifiedStroke>,
+    pub(super) followed: Parts,
+    /// Parts where the pen was elsewhere, or which it skipped.
+    pub(super) off: Parts,
+}
+
+/// Verdict on a drawing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Verdict {
+    /// Length of all strokes, mm.
+    pub total_mm: f64,
+    /// Length that the pen followed, mm.
+    pub followed_mm: f64,
+    /// Length that the pen did not follow, mm.
+    pub missing_mm: f64,
+    /// Length without telemetry, mm.
+    pub unverified_mm: f64,
+    /// Strokes with a missing part, by their numbers in the path, from 0.
+    pub strokes: Vec<u32>,
+    /// Vertices of the path before the first of those strokes.
+    pub complete_vertices: u32,
+}
+
+impl Verdict {
+    /// Why the drawing is incomplete, if a part of it is missing.
+    #[must_use]
+    pub fn error(&self) -> Option<JobError> {
+        Some(JobError::NotFollowed {
+            missing_mm: self.missing_mm,
+            total_mm: self.total_mm,
+            first: *self.strokes.first()?,
+            last: *self.strokes.last()?,
+            strokes: self.strokes.len(),
+        })
+    }
+}
+
+impl Verification {
+    /// Adds the result of another connection for this path.
+    pub fn merge(&mut self, other: &Self) {
+        if self.strokes.is_empty() {
+            self.strokes.clone_from(&other.strokes);
+        }
+        self.followed.extend(&other.followed);
+        self.off.extend(&other.off);
+    }
+
+    /// The verdict.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        let mut verdict = Verdict::default();
+        let mut either = self.followed.clone();
+        either.extend(&self.off);
+        for stroke in &self.strokes {
+            let (from_mm, to_mm) = (stroke.begin_mm, stroke.begin_mm + stroke.length_mm);
+            let followed_mm = self.followed.length_between(from_mm, to_mm);
+            let seen_mm = either.length_between(from_mm, to_mm);
+            // Rounding may make the differences of sums slightly negative.
+            let missing_mm = (seen_mm - followed_mm).max(0.0);
+            verdict.total_mm += stroke.scale * stroke.length_mm;
+            verdict.followed_mm += stroke.scale * followed_mm;
+            verdict.unverified_mm += stroke.scale * (stroke.length_mm - seen_mm).max(0.0);
+            if missing_mm < MISSING_MIN_MM.min(0.5 * stroke.length_mm) || missing_mm == 0.0 {
+                continue;
+            }
+            verdict.missing_mm += stroke.scale * missing_mm;
+            if verdict.strokes.is_empty() {
+                verdict.complete_vertices = stroke.vertex;
+            }
+            if verdict.strokes.last() != Some(&stroke.number) {
+                verdict.strokes.push(stroke.number);
+            }
+        }
+        if verdict.unverified_mm < ROUNDING_MM {
+            verdict.unverified_mm = 0.0;
+        }
+        verdict
+    }
+}
