@@ -203,6 +203,9 @@ pub(crate) struct SlaveState {
     pub(crate) drive: Option<DriveView>,
 }
 
+/// Takes a change: the slave from 1, and its state unless it does not answer.
+pub(crate) type TellChange<'a> = dyn FnMut(u8, Option<&SlaveState>) -> Result<(), ProgramError> + 'a;
+
 /// Detects changes of the slaves' states.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
@@ -211,15 +214,11 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// Reads all slaves and passes each change to `tell`: the slave from 1, and its state unless it does not answer.
+    /// Reads all slaves and passes each change to `tell`.
     ///
     /// # Errors
     /// The bus refused a request or was lost; errors of `tell`.
-    pub(crate) fn poll(
-        &mut self,
-        access: &mut dyn BusAccess,
-        tell: &mut dyn FnMut(u8, Option<&SlaveState>) -> Result<(), ProgramError>,
-    ) -> Result<(), ProgramError> {
+    pub(crate) fn poll(&mut self, access: &mut dyn BusAccess, tell: &mut TellChange<'_>) -> Result<(), ProgramError> {
         let slaves = access::bus(access)?.slaves;
         for slave in 1..=slaves.max(u8::try_from(self.known.len()).unwrap_or(u8::MAX)) {
             let state = match access::slave(access, slave) {
