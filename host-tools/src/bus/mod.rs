@@ -1,6 +1,6 @@
 //! Diagnosis of an EtherCAT bus: its slaves, their states, objects, registers and error counters.
 //!
-//! A [`connection`] carries the requests of [`access`]: with a master on this computer, or with a running firmware's.
+//! A `connection` carries the requests of `access`: with a master on this computer, or with a running firmware's.
 //! The other modules turn the answers into records for people and programs.
 
 pub(crate) mod access;

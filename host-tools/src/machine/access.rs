@@ -19,7 +19,7 @@ const STATE_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a sample of a machine whose status is known.
 const SAMPLE_MAX: Duration = Duration::from_secs(1);
 
-/// What is needed where this program opens the port; it is not asked for where another program has the port.
+/// What this program needs to open a port itself. Nothing of it is used if another program has the port.
 #[derive(Clone, Copy)]
 pub(crate) struct OwnPort<'a> {
     /// Reads the configuration.
