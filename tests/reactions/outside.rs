@@ -6,9 +6,10 @@ use crate::liveness::come_back;
 use crate::robot::Robot;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
+use etherpen::motion::Outside;
 use etherpen::motion::{Pen, RefusalReason};
-use etherpen::robots::{Outside, Position};
+use etherpen::robots::Position;
 
 /// Radius of the work area that the robot finds itself outside of, mm.
 const RADIUS_MM: f64 = 145.0;

@@ -24,7 +24,7 @@ use crate::output_file::make_folder;
 use crate::report::output::{Outcome, refuse_inputs_in};
 use crate::report::summary::summarise;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use session::attend;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

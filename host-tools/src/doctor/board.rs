@@ -6,7 +6,7 @@ use crate::link::port::{Line, Port, PortName};
 use crate::link::session::{Event, Session, session_number};
 use crate::link::text;
 use crate::probe;
-use etherpen::link::protocol::{Status, Welcome};
+use etherpen::messages::{Status, Welcome};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 

@@ -6,8 +6,9 @@ use super::{Job, JobEvent};
 use crate::link::session::Event;
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::PortState;
-use etherpen::link::protocol::{Command, PathAck, Sample, Status};
+use etherpen::link::message::PathAck;
 use etherpen::measurement::MeasurementAnswer;
+use etherpen::messages::{Command, Sample, Status};
 use etherpen::motion::Pen;
 use std::sync::Arc;
 

@@ -3,7 +3,8 @@
 //! Invariant: only vertices within the credit of the last acknowledgement are sent. After a loss the path goes back to
 //! the first unacknowledged vertex: once when the firmware reports the loss, and again whenever progress stops.
 
-use etherpen::link::protocol::{HostMessage, PathAck, PathVertex, VERTICES_PER_MESSAGE};
+use etherpen::link::message::{PathAck, VERTICES_PER_MESSAGE};
+use etherpen::messages::{HostMessage, PathVertex};
 use std::sync::Arc;
 
 /// Time without progress after which the path is repeated from the first unacknowledged vertex, ms.

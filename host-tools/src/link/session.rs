@@ -10,11 +10,11 @@ use etherpen::application::Refusal;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
-use etherpen::link::protocol::{
-    Command, ConfigRefusal, DeviceMessage, Hello, HostMessage, PROTOCOL_VERSION, PathAck, PathVertex, Sample, Status,
-    Welcome,
-};
+use etherpen::link::message::{Hello, PathAck};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
+use etherpen::messages::{
+    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, PathVertex, Sample, Status, Welcome,
+};
 use std::collections::VecDeque;
 use std::sync::Arc;
 

@@ -8,9 +8,9 @@ mod faults;
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::ConfigError;
-use etherpen::link::protocol::{Command, ConfigRefusal, Status};
-use etherpen::motion::RefusalReason;
-use etherpen::robots::{KinematicsError, Outside, Words};
+use etherpen::messages::{Command, ConfigRefusal, Status};
+use etherpen::motion::{Outside, RefusalReason};
+use etherpen::robots::{KinematicsError, Words};
 pub use faults::fault;
 
 /// An operating mode in a few words.

@@ -6,7 +6,7 @@ use crate::error::{ProgramError, code};
 use crate::link::ownership::Owner;
 use crate::link::port::{PortError, PortName};
 use etherpen::config::Config;
-use etherpen::link::protocol::Command as Told;
+use etherpen::messages::Command as Told;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;

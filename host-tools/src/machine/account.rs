@@ -8,7 +8,7 @@ use crate::link::text;
 use crate::recording::messages::Severity;
 use crate::recording::{Recorder, Storage};
 use crate::terminal::counted;
-use etherpen::link::protocol::{Sample, Status, Welcome};
+use etherpen::messages::{Sample, Status, Welcome};
 use serde::{Deserialize, Serialize};
 use std::io;
 

@@ -11,7 +11,7 @@ use crate::job::resume::ResumePlan;
 use crate::job::{JobEvent, JobReport};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;

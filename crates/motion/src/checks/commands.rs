@@ -391,7 +391,7 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
     assert!(
         matches!(
             refusal.reason,
-            RefusalReason::Outside(crate::robots::Outside::Radius { .. })
+            RefusalReason::Outside(crate::motion::Outside::Radius { .. })
         ),
         "{refusal:?}"
     );

@@ -18,7 +18,7 @@ use crate::machine::Order;
 use crate::machine::access::{self, Effect, OwnPort};
 use crate::machine::ending::{END_MAX, state_text};
 use etherpen::application::Mode;
-use etherpen::link::protocol::Command as Told;
+use etherpen::messages::Command as Told;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use serde::Serialize;

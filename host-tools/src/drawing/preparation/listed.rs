@@ -8,7 +8,7 @@ use crate::error::{ProgramError, code};
 use crate::link::text;
 use crate::planning::PlanningError;
 use etherpen::config::Config;
-use etherpen::link::protocol::ConfigRefusal;
+use etherpen::messages::ConfigRefusal;
 use etherpen::motion::{Admission, RefusalReason, Vertex};
 use std::path::Path;
 
