@@ -7,9 +7,10 @@
 use crate::application::{Fault, Mode};
 use crate::board::{BoardState, PreviousRun};
 use crate::coordinator::{Coordinator, CoordinatorEnds, LinkLosses};
-use crate::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use crate::link::device::{Identity, LINE_BYTES_PER_MS};
 use crate::link::frame::Decoder;
 use crate::link::ports::LinkPort;
+use crate::messages::{DeviceEndpoint, DeviceEvent};
 use heapless::spsc::{Consumer, Producer};
 
 /// Bytes queued ahead for the line; few, so that an answer does not queue behind telemetry.

@@ -12,7 +12,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::cyclic::{BusCounters, ExchangeKind, IGNORED_KINDS, Ignored};
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::wire::coe::Object;
-use etherpen::link::protocol::{Command, PathVertex, Status};
+use etherpen::messages::{Command, PathVertex, Status};
 use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};

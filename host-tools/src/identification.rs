@@ -19,7 +19,7 @@
 use etherpen::application::Mode;
 use etherpen::config::{Axis, AxisMode, Config, Orientation};
 use etherpen::control::position::{PositionController, SETPOINTS_AHEAD};
-use etherpen::link::protocol::{PathVertex, Sample};
+use etherpen::messages::{PathVertex, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, MAIN_AXES};
 use std::f64::consts::{PI, TAU};

@@ -13,7 +13,7 @@ use crate::job::error::JobError;
 use crate::job::{Job, JobOptions, JobReport};
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

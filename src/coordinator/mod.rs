@@ -27,7 +27,7 @@ use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::ethercat::diagnostics::ServiceResult;
 use crate::ethercat::event::{BusCommand, BusEvent};
 use crate::ethercat::state::AlReport;
-use crate::link::protocol::{Counters, SLAVES_REPORTED, Sample, SlaveStatus};
+use crate::messages::{Counters, SLAVES_REPORTED, Sample, SlaveStatus};
 use crate::motion::Admission;
 use crate::trajectory_task::{MotionOrder, MotionReport};
 use heapless::Vec;

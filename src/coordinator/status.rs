@@ -5,7 +5,7 @@ use crate::application::{Condition, Fault, Mode};
 use crate::board::{Interlock, PortState};
 use crate::control::sampler::CycleReport;
 use crate::drives::cia402::{DriveState, StatusWord};
-use crate::link::protocol::{Sample, Status};
+use crate::messages::{Sample, Status};
 use crate::motion::Pen;
 use crate::robots::{AXES, JointAngles};
 

@@ -174,7 +174,7 @@ fn an_output_behind_its_deadline_is_counted_with_its_lateness() {
 #[test]
 fn requests_and_the_longest_answer_survive_the_link() {
     use crate::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
-    use crate::link::protocol::{DeviceMessage, HostMessage};
+    use crate::messages::{DeviceMessage, HostMessage};
     let carried = |frame: &[u8]| {
         let mut decoder = Decoder::<{ FRAME_BYTES_MAX }>::new();
         let payload = frame.iter().find_map(|byte| {

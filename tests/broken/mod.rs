@@ -6,7 +6,7 @@
 //! person with `etherpen draw --resume` does.
 
 use etherpen::config::Config;
-use etherpen::link::protocol::{Command, Sample};
+use etherpen::messages::{Command, Sample};
 use etherpen::motion::Pen;
 use host_tools::cell::InkStroke;
 use host_tools::emulator::{LINK_BYTES_MAX, Link};

@@ -7,7 +7,7 @@
 
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::Sample;
+use etherpen::messages::Sample;
 use etherpen::robots::AXES;
 use host_tools::drawing::preparation::prepare::{Prepared, prepare};
 use host_tools::report::output::conclude;

@@ -5,8 +5,8 @@ use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws}
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::board::{Interlock, PortState};
 use etherpen::config::Config;
-use etherpen::link::protocol::Command;
 use etherpen::measurement::disturbance;
+use etherpen::messages::Command;
 use host_tools::cell::{DriveState, Fault as CellFault};
 
 const BY_INPUT: Fault = Fault::EmergencyStop(StopSource::Input);

@@ -8,7 +8,7 @@ use crate::robot::{Robot, path};
 use etherpen::application::Mode;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use host_tools::cell::{AlState, Fault, MailFault, MailStep, Product, ResolverFault, SiiFault};
 use host_tools::random::XorshiftStar;
 use std::collections::BTreeSet;

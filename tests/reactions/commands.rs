@@ -4,7 +4,7 @@ use crate::bursts::Random;
 use crate::liveness::{come_back, with};
 use crate::robot::Robot;
 use etherpen::application::Mode;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 

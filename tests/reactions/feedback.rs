@@ -7,7 +7,7 @@ use super::STILL_RAD_S;
 use super::robot::{Robot, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use etherpen::robots::{MAIN_AXES, Position};
 use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
 use host_tools::random::Random;

@@ -8,7 +8,7 @@ use crate::robot::{Robot, Used};
 use etherpen::application::Mode;
 use etherpen::config::AxisMode;
 use etherpen::control::feedback::COMPARISONS;
-use etherpen::link::protocol::{Command, PathVertex};
+use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use host_tools::cell::CellOptions;

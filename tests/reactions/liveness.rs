@@ -6,7 +6,7 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::state::AlState as Wanted;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFault};
 
 /// Longest time from an acknowledgement to what follows from it, ms.

@@ -17,7 +17,7 @@ mod unreferenced;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::Config;
-use etherpen::link::protocol::{Command, ConfigRefusal, PathVertex};
+use etherpen::messages::{Command, ConfigRefusal, PathVertex};
 use etherpen::motion::{Pen, RefusalReason};
 use etherpen::robots::Position;
 use host_tools::cell::{AlState, DriveState, Fault as CellFault, ResolverFault};

@@ -6,7 +6,7 @@ use crate::liveness::come_back;
 use crate::robot::Robot;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use etherpen::motion::{Pen, RefusalReason};
 use etherpen::robots::{Outside, Position};
 

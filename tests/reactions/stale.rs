@@ -7,7 +7,7 @@ use super::feedback::apart_mm;
 use super::robot::{Robot, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use host_tools::cell::{Fault as CellFault, InkStroke};
 
 /// How long the processor stands still, ms.

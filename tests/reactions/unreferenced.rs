@@ -5,7 +5,7 @@ use crate::STILL_RAD_S;
 use crate::robot::Robot;
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use host_tools::cell::{CellOptions, Fault as CellFault, ResolverFault};
 
 /// Feedback gain around the firmware's own velocity loop, 1/s.

@@ -9,7 +9,7 @@ use crate::console::virtual_cell::{Firmware, VirtualCell};
 use crate::link::port::PortName;
 use etherpen::config::Config;
 use etherpen::link::frame::{Decoder, decode};
-use etherpen::link::protocol::{Command as Told, HostMessage};
+use etherpen::messages::{Command as Told, HostMessage};
 use std::collections::VecDeque;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpStream};

@@ -13,7 +13,7 @@ use crate::link::session::{Event, Session};
 use crate::link::text;
 use crate::terminal::{counted, in_colour};
 use crate::{probe, setup};
-use etherpen::link::protocol::{Status, Welcome};
+use etherpen::messages::{Status, Welcome};
 use nix::errno::Errno;
 use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, socket};
 use serde::Serialize;

@@ -24,7 +24,7 @@ use crate::planning::planned_s;
 use crate::report::output::{Outcome, refuse_inputs_in};
 use crate::report::summary::summarise;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use session::DrawingSession;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};

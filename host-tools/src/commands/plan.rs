@@ -12,7 +12,7 @@ use crate::output_file::{refuse_input, unwritable};
 use crate::planning::{Analysis, Findings, PlanningError, Table, plan};
 use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
-use etherpen::link::protocol::ConfigRefusal;
+use etherpen::messages::ConfigRefusal;
 use etherpen::motion::{Admission, RefusalReason, Vertex};
 use etherpen::robots::AXES;
 use serde::Serialize;

@@ -11,7 +11,7 @@ use crate::job::{JobEvent, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use etherpen::robots::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, Weak};

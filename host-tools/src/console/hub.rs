@@ -15,7 +15,7 @@ use super::status::{self, mode_name};
 use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::{Sample, Status, Welcome};
+use etherpen::messages::{Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};

@@ -11,7 +11,7 @@ use crate::job::progress::{PathMeasure, Progress};
 use crate::job::remainder::{OVERLAP_UM, Remainder};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::Serialize;
 use std::collections::VecDeque;

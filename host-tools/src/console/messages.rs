@@ -7,7 +7,7 @@
 use super::capture::Condition;
 use super::history::Bucket;
 use super::preparation::PageOptions;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};

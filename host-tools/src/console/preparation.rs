@@ -10,7 +10,7 @@ use crate::drawing::preparation::wire::to_wire;
 use crate::planning::planned_s;
 use clap::{CommandFactory, Parser};
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@
 
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::Sample;
+use etherpen::messages::Sample;
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 

@@ -7,7 +7,7 @@ use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
-use etherpen::link::protocol::{SlaveStatus, Status};
+use etherpen::messages::{SlaveStatus, Status};
 use serde::Serialize;
 
 /// A status as shown on the page.
@@ -198,7 +198,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
 pub(crate) mod tests {
     use super::*;
     use etherpen::board::PortState;
-    use etherpen::link::protocol::Counters;
+    use etherpen::messages::Counters;
     use heapless::Vec as FixedVec;
 
     pub(crate) fn status(mode: Mode, fault: Option<Fault>) -> Status {

@@ -3,7 +3,7 @@
 use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::application::{Fault, Mode, Refusal};
-use etherpen::link::protocol::{Command, ConfigRefusal};
+use etherpen::messages::{Command, ConfigRefusal};
 use std::fmt;
 
 /// Phase of a job.

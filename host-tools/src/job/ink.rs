@@ -4,7 +4,7 @@
 //! jumps to a neighbouring line, nor back. Invariant: the place is never ahead of the ink by more than [`AWAY_MAX_MM`];
 //! while the pen is not on its stroke, the place stays.
 
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use std::sync::Arc;
 

@@ -5,7 +5,7 @@ use super::error::{JobError, Phase};
 use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use etherpen::application::Mode;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 
 /// Longest silence of the firmware after connecting, ms.
 pub const SILENCE_MAX_MS: u64 = 3_000;

@@ -5,7 +5,7 @@
 //! elapsed time to the weight done.
 
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::{Deserialize, Serialize};
 

@@ -12,7 +12,7 @@ use crate::simulation::Host;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::control::robot_axes::resolver_angle_rad;
-use etherpen::link::protocol::{Command, Sample, Status};
+use etherpen::messages::{Command, Sample, Status};
 use etherpen::robots::{AXES, JointAngles, MAIN_AXES, Position};
 
 /// Longest wait for the firmware's answer to the greeting, ms.

@@ -5,7 +5,7 @@
 //!
 //! Invariant: every drawn leg that was not executed is drawn, and nothing else except the overlap.
 
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 
 /// Length of the interrupted stroke that is drawn again, um: more than a pen needs to touch down.

@@ -7,7 +7,8 @@ use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::{PathAck, PathVertex, Status, Welcome};
+use etherpen::link::message::PathAck;
+use etherpen::messages::{PathVertex, Status, Welcome};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 

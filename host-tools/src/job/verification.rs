@@ -19,7 +19,7 @@ use super::error::JobError;
 use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
-use etherpen::link::protocol::{PathVertex, Sample};
+use etherpen::messages::{PathVertex, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{JointAngles, Kinematics, Position};
 use parts::Parts;

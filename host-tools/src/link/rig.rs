@@ -5,11 +5,12 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{BusInfo, ServiceReply, ServiceRequest};
-use etherpen::link::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
+use etherpen::link::device::{Identity, LINE_BYTES_PER_MS};
 use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;
-use etherpen::link::protocol::{Command, Counters, PathVertex, Sample, Status};
 use etherpen::measurement::Measurements;
+use etherpen::messages::{Command, Counters, PathVertex, Sample, Status};
+use etherpen::messages::{DeviceEndpoint, DeviceEvent};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Kinematics, Position};
 use std::collections::VecDeque;
@@ -363,8 +364,8 @@ pub(crate) fn serve(rig: &mut Rig, mut stream: &UnixStream) {
     }
 }
 
-fn four_slaves() -> heapless::Vec<etherpen::link::protocol::SlaveStatus, 8> {
-    let slave = etherpen::link::protocol::SlaveStatus {
+fn four_slaves() -> heapless::Vec<etherpen::messages::SlaveStatus, 8> {
+    let slave = etherpen::messages::SlaveStatus {
         vendor: 2,
         product: 0x07d0_6014,
         al_state: 8,

@@ -8,7 +8,7 @@ use etherpen::config::ConfigError;
 use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
-use etherpen::link::protocol::{Command, ConfigRefusal, Status};
+use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::RefusalReason;
 use etherpen::robots::{KinematicsError, Outside, Words};
 

@@ -5,7 +5,7 @@
 use super::{Failure, News};
 use crate::job::JobEvent;
 use crate::link::text;
-use etherpen::link::protocol::{Sample, Status, Welcome};
+use etherpen::messages::{Sample, Status, Welcome};
 use serde::{Deserialize, Serialize};
 
 /// An event of a machine, in transmitted form.

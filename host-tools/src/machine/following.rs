@@ -5,7 +5,7 @@
 
 use super::account::Account;
 use super::{Client, Failure, Machine, NoNews, Subscription};
-use etherpen::link::protocol::Welcome;
+use etherpen::messages::Welcome;
 use std::time::Duration;
 
 /// Source of accounts.

@@ -6,7 +6,7 @@
 use super::{Answer, Failure, Order};
 use crate::error::code;
 use crate::job::task::Life;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -6,7 +6,7 @@ use crate::job::Ready;
 use crate::job::reference::{Reading, Referenced, Wanted, all};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use std::time::{Duration, Instant};
 
 /// Longest wait for the state of another program's machine, and time between two checks.

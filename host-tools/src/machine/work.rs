@@ -12,7 +12,7 @@ use crate::job::{Control, DrawTask, Job, JobEvent, JobOptions, JobReport, Life, 
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceResult;
-use etherpen::link::protocol::{Command, Sample};
+use etherpen::messages::{Command, Sample};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;

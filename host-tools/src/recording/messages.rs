@@ -9,7 +9,7 @@
 use super::bytes::Numbers;
 use super::mcap::Topic;
 use etherpen::application::Mode;
-use etherpen::link::protocol::{Counters, Sample};
+use etherpen::messages::{Counters, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Position};
 

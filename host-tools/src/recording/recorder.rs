@@ -10,7 +10,7 @@ use super::messages::{EVENT, Event, GAP, Gap, Moment, SAMPLE, STATUS, Severity, 
 use crate::link::text;
 use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
-use etherpen::link::protocol::{Sample, SlaveStatus, Status};
+use etherpen::messages::{Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
 use etherpen::robots::{JointAngles, Kinematics};
 use std::collections::VecDeque;

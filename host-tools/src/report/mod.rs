@@ -23,7 +23,7 @@ use crate::matching::distance;
 use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::{Counters, Sample};
+use etherpen::messages::{Counters, Sample};
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use platform::platform_limits;

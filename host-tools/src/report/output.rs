@@ -12,7 +12,7 @@ use crate::planning::planned_s;
 use crate::recording::{About, Recorder};
 use crate::run::{Drawn, RunTask, Sink};
 use etherpen::config::Config;
-use etherpen::link::protocol::{Counters, Status};
+use etherpen::messages::{Counters, Status};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 

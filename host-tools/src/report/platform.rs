@@ -8,7 +8,7 @@
 
 use super::PlatformLimits;
 use etherpen::config::Config;
-use etherpen::link::protocol::Sample;
+use etherpen::messages::Sample;
 use etherpen::robots::vector::{Vector, length, subtract};
 use etherpen::robots::{AXES, JointAngles, Kinematics};
 

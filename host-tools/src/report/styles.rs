@@ -11,7 +11,7 @@ use crate::run::simulate;
 use crate::run::task;
 use clap::Parser;
 use etherpen::config::{AxisMode, Config};
-use etherpen::link::protocol::Sample;
+use etherpen::messages::Sample;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 

@@ -9,7 +9,7 @@
 use super::drawn_part;
 use crate::plot_scale::{marks, number};
 use etherpen::config::Config;
-use etherpen::link::protocol::Sample;
+use etherpen::messages::Sample;
 use etherpen::robots::{AXES, Words};
 use std::fmt::Write as _;
 use std::io::{self, Write};

@@ -2,7 +2,7 @@
 
 use crate::program::{Folder, etherpen, run};
 use crate::{NOBODY, other_version};
-use etherpen::link::protocol::PROTOCOL_VERSION;
+use etherpen::messages::PROTOCOL_VERSION;
 use host_tools::error::code;
 use std::fs;
 use std::net::TcpListener;

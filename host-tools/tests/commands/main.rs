@@ -33,7 +33,7 @@ mod unreferenced;
 
 use etherpen::board::PreviousRun;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
-use etherpen::link::protocol::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Welcome};
+use etherpen::messages::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Welcome};
 use host_tools::error::code;
 use host_tools::setup;
 use program::{Folder, etherpen, run, strokes};

@@ -3,7 +3,7 @@
 use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
 use etherpen::application::Mode;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
-use etherpen::link::protocol::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Sample, Status, Welcome};
+use etherpen::messages::{DeviceMessage, HostMessage, PROTOCOL_VERSION, Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use host_tools::error::code;
 use host_tools::setup;

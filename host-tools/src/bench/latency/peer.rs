@@ -10,8 +10,8 @@ use crate::link::session::{Event, Session};
 use crate::random::XorshiftStar;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::link::protocol::{Command, Counters, PathVertex, Status};
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
+use etherpen::messages::{Command, Counters, PathVertex, Status};
 use etherpen::motion::Pen;
 use std::sync::Arc;
 

@@ -11,7 +11,7 @@ use crate::job::{JobEvent, JobReport};
 use crate::machine::{DrawOrder, Failure, Machine, News, NoNews, Order, Subscription};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use std::io::IsTerminal;
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -6,7 +6,7 @@
 use crate::link::text;
 use crate::machine::{Order, Snapshot};
 use etherpen::application::Mode;
-use etherpen::link::protocol::{Command as Told, Sample, Status};
+use etherpen::messages::{Command as Told, Sample, Status};
 use std::time::{Duration, Instant};
 
 /// Longest wait for an end state. A stop takes less than a second on a robot, and longer on an emulator with few

@@ -18,7 +18,7 @@ use crate::link::text;
 use crate::machine::{Answer, Client, Failure, Machine, MachineOptions, Order, Snapshot};
 use ending::{END_MAX, Ending, state_text};
 use etherpen::application::Mode;
-use etherpen::link::protocol::Command as Told;
+use etherpen::messages::Command as Told;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use serde::Serialize;

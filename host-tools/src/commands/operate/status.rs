@@ -11,7 +11,7 @@ use crate::terminal::counted;
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::drives::cia402::StatusWord;
-use etherpen::link::protocol::{Counters, Sample, SlaveStatus, Status};
+use etherpen::messages::{Counters, Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics};
 use serde::Serialize;

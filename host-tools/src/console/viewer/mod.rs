@@ -17,7 +17,7 @@ use super::signals::SIGNALS;
 use super::{Console, lock};
 use crate::machine::{OVERTAKEN, Order, Ticket};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
-use etherpen::link::protocol::Command;
+use etherpen::messages::Command;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use futures_util::StreamExt;

@@ -10,7 +10,7 @@ use crate::console::history::Decimator;
 use crate::console::lock;
 use crate::console::messages::{self, PathUse, section};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use futures_util::SinkExt;
 use futures_util::stream::SplitSink;
 use serde::Serialize;

@@ -13,7 +13,7 @@ use super::wire::{from_wire, to_wire};
 use crate::drawing::{Drawing, Layer};
 use crate::error::{ProgramError, code};
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use image::RgbImage;
 use rustix::process::{Resource, Rlimit, setrlimit};
 use serde::de::DeserializeOwned;

@@ -3,7 +3,7 @@
 use super::wire::as_sent;
 use super::wire::to_wire;
 use etherpen::config::Config;
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::{Admission, Pen, Vertex};
 use etherpen::robots::Position;
 

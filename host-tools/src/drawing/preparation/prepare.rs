@@ -9,7 +9,7 @@ use crate::drawing::{DrawingError, off_sheet, read_file};
 use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::config::Config;
-use etherpen::link::protocol::ConfigRefusal;
+use etherpen::messages::ConfigRefusal;
 use etherpen::motion::{Admission, Vertex};
 use etherpen::robots::Position;
 use image::RgbImage;

@@ -1,6 +1,6 @@
 //! Vertices as the link carries them.
 
-use etherpen::link::protocol::PathVertex;
+use etherpen::messages::PathVertex;
 use etherpen::motion::Vertex;
 use etherpen::robots::Position;
 
