@@ -177,6 +177,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
 
     /// Takes the payload of a frame with a correct CRC from a port. `free` is the number of vertices that the
     /// application can take now.
+    #[inline(never)] // generic code is inlined at every call otherwise, which costs flash
     pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent<P>> {
         match self.hold.hear(port, now_ms) {
             Hearing::Held => {}
@@ -364,6 +365,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
     }
 
     /// Fills `out` with the bytes to send now; returns how many.
+    #[inline(never)] // generic code is inlined at every call otherwise, which costs flash
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
