@@ -7,8 +7,9 @@ use crate::robot::Robot;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::messages::Command;
+use etherpen::motion::Outside;
 use etherpen::motion::{Pen, RefusalReason};
-use etherpen::robots::{Outside, Position};
+use etherpen::robots::Position;
 
 /// Radius of the work area that the robot finds itself outside of, mm.
 const RADIUS_MM: f64 = 145.0;

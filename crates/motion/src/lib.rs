@@ -7,6 +7,7 @@ extern crate std;
 
 mod admission;
 mod averaging;
+mod bounds;
 #[cfg(test)]
 mod checks;
 mod curve;
@@ -28,13 +29,15 @@ mod shaping;
 mod straight;
 mod stretches;
 mod trajectory;
+mod work_area;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
+pub use work_area::{Outside, WorkArea};
 
-use crate::robots::{AXES, Outside, Position};
+use crate::robots::{AXES, Position};
 use serde::{Deserialize, Serialize};
 
 /// Period of the trajectory stage, ms: the number of setpoints from one step.

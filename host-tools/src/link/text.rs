@@ -9,8 +9,8 @@ use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::messages::{Command, ConfigRefusal, Status};
-use etherpen::motion::RefusalReason;
-use etherpen::robots::{KinematicsError, Outside, Words};
+use etherpen::motion::{Outside, RefusalReason};
+use etherpen::robots::{KinematicsError, Words};
 
 /// An operating mode in a few words.
 pub fn mode(mode: Mode) -> &'static str {
