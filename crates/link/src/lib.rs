@@ -1,4 +1,12 @@
 #![doc = include_str!("../README.md")]
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only.
+//!
+//! 1. `message`, `ports`: messages; which of two ports holds the link
+//! 2. `frame`, `receiver`, `sender`, `requests`: frames; both ends of a path; requests with their answers
+//! 3. `device`, `host`: both ends of the link
 #![no_std]
 #![forbid(unsafe_code)]
 
