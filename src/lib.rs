@@ -25,7 +25,7 @@
 //! # Layers
 //!
 //! The crates below know nothing of this one: [`motion`] plans, [`drives`] knows servo drives, [`ethercat`] is the
-//! master. In here a module imports modules of lower layers only; `tests/layers.rs` reads this list and the sources.
+//! master, [`link`] carries messages between host and firmware. In here a module imports modules of lower layers only; `tests/layers.rs` reads this list and the sources.
 //!
 //! 1. `robot_bus`, `ethernet`, `hash`: the master with the robot's sizes; the logic of Ethernet controllers; FNV-1a
 //! 2. `config`: every number that the controller needs, and its bounds
@@ -38,7 +38,7 @@
 //! 8. `application::command`, `application::condition`, `application::action`: what the operating modes take and give
 //! 9. `control`: the sampler and its supervision
 //! 10. `application`, `trajectory_task`, `measurement`: operating modes; the 12 ms task; timing of the tasks
-//! 11. `link`: frames and messages between host and firmware
+//! 11. `messages`: what the messages between host and firmware contain
 //! 12. `coordinator`: decides what the robot does with requests and reports
 //! 13. `link_task`: moves the messages
 //! 14. `controller`: all task bodies and the queues between them
@@ -84,14 +84,15 @@ pub mod controller;
 pub mod coordinator;
 pub mod ethernet;
 pub mod hash;
-pub mod link;
 pub mod link_task;
 pub mod measurement;
+pub mod messages;
 pub mod network;
 pub mod robot_bus;
 pub mod trajectory_task;
 
 pub use etherpen_drives as drives;
 pub use etherpen_ethercat as ethercat;
+pub use etherpen_link as link;
 pub use etherpen_motion as motion;
 pub use etherpen_motion::robots;

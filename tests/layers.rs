@@ -1,4 +1,4 @@
-//! The modules of the library keep the layers that its header lists.
+//! The modules of the library and of the crates below it keep the layers that their headers list.
 
 use host_tools::layers::check;
 use std::path::Path;
@@ -9,21 +9,44 @@ fn findings(folder: &str, table: &str) -> Vec<String> {
     findings.iter().map(ToString::to_string).collect()
 }
 
+/// Folders of sources, and the texts with their layers.
+const CRATES: [(&str, &str); 5] = [
+    ("src", include_str!("../src/lib.rs")),
+    ("crates/drives/src", include_str!("../crates/drives/src/lib.rs")),
+    ("crates/ethercat/src", include_str!("../crates/ethercat/src/lib.rs")),
+    ("crates/link/src", include_str!("../crates/link/src/lib.rs")),
+    ("crates/motion/src", include_str!("../crates/motion/src/lib.rs")),
+];
+
 #[test]
-fn the_library_keeps_its_layers() {
-    let none: [String; 0] = [];
-    let shown = findings("src", include_str!("../src/lib.rs"));
-    assert_eq!(shown, none, "{}", shown.join("\n"));
+fn the_library_and_the_crates_below_it_keep_their_layers() {
+    for (folder, table) in CRATES {
+        let shown = findings(folder, table).join("\n");
+        assert_eq!(shown, "", "{folder}");
+    }
 }
 
 #[test]
-fn an_import_that_points_up_is_found() {
-    let turned = include_str!("../src/lib.rs").replace("//! 2. `config`:", "//! 2. `link_task`:");
-    let turned = turned.replace("//! 13. `link_task`:", "//! 13. `config`:");
-    let shown = findings("src", &turned);
-    assert!(
-        shown.iter().any(|finding| finding.contains("imports config")),
-        "{}",
-        shown.join("\n")
-    );
+fn imports_that_point_up_are_found_in_every_crate() {
+    for (folder, table) in CRATES {
+        let (_, list) = table.split_once("//! # Layers").expect("the heading");
+        let (list, _) = list.split_once("//! #").or(list.split_once("#![")).expect("an end");
+        let numbered = |line: &&str| {
+            line.split_once(". ")
+                .is_some_and(|(number, _)| number.parse::<u8>().is_ok())
+        };
+        let layers: Vec<&str> = list
+            .lines()
+            .map(|line| line.trim_start_matches("//! "))
+            .filter(numbered)
+            .collect();
+        let turned = layers.iter().rev().enumerate().map(|(place, layer)| {
+            let (_, content) = layer.split_once(". ").expect("a numbered layer");
+            format!("//! {}. {content}", place + 1)
+        });
+        let turned = format!("//! # Layers\n//!\n{}\n", turned.collect::<Vec<_>>().join("\n"));
+        let shown = findings(folder, &turned);
+        let upward = shown.iter().filter(|finding| finding.contains(" imports ")).count();
+        assert!(upward >= layers.len() / 2, "{folder}: {shown:?}");
+    }
 }

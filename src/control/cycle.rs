@@ -82,8 +82,8 @@ pub struct CycleReport {
     pub valid: [bool; AXES],
     /// Last encoder positions of the drives, increments; the turn is unknown.
     pub increments: [i64; AXES],
-    /// Whether each axis is referenced.
-    pub referenced: [bool; AXES],
+    /// Whether each axis is homed.
+    pub homed: [bool; AXES],
     /// Whether all axes are at rest.
     pub standstill: bool,
     /// Phase of the sample relative to the bus clock, ns; positive when the sample was late; `None` without a clock.

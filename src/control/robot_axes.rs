@@ -1,16 +1,16 @@
 //! The drives of a group as the axes of a robot.
 //!
-//! Positions of single-turn resolvers are unwrapped into 64 bits and, once referenced, given as joint angles; what an
+//! Positions of single-turn resolvers are unwrapped into 64 bits and, once homed, given as joint angles; what an
 //! axis is told goes to its drive ([`ServoAxis`]), and what the drive then reports is compared with it
 //! ([`FeedbackMonitor`]).
 //!
 //! Invariants: a position is only given in the cycle it came in; an axis whose turns may have been miscounted, whose
-//! feedback cannot be true, or whose drive was configured again, is not referenced.
+//! feedback cannot be true, or whose drive was configured again, is not homed.
 
 mod encoder;
 mod findings;
 
-pub use findings::{Reading, ReferenceError};
+pub use findings::{HomingError, Reading};
 
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
@@ -41,7 +41,7 @@ const REST_REVOLUTIONS_S: f64 = 0.05;
 pub struct AxisInput {
     /// Motor position, unwrapped: it never jumps at the end of the encoder's range.
     pub position: i64,
-    /// Joint angle, rad; `None` until the axis is referenced.
+    /// Joint angle, rad; `None` until the axis is homed.
     pub angle_rad: Option<f64>,
     /// The drive's status word.
     pub status: StatusWord,
@@ -92,7 +92,7 @@ struct AxisState {
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
-    reference_lost: bool,
+    home_lost: bool,
     commanded: bool,
     feedback: FeedbackMonitor,
     /// What the drive was told last, digits.
@@ -124,7 +124,7 @@ impl AxisState {
             drive_generation: 0,
             generation: 0,
             zero: None,
-            reference_lost: false,
+            home_lost: false,
             commanded: false,
             feedback: FeedbackMonitor::new(axis, AxisMode::Velocity, 1.0),
             sent: 0,
@@ -138,8 +138,8 @@ impl AxisState {
     }
 
     /// The turns are not known any more.
-    fn lose_reference(&mut self) {
-        self.reference_lost |= self.zero.is_some();
+    fn lose_home(&mut self) {
+        self.home_lost |= self.zero.is_some();
         self.zero = None;
     }
 
@@ -154,7 +154,7 @@ impl AxisState {
         if generation != self.generation {
             self.generation = generation;
             self.known = false;
-            self.lose_reference();
+            self.lose_home();
         }
         let Some(input) = input else {
             self.miss();
@@ -188,7 +188,7 @@ impl AxisState {
         self.gap_ms = self.gap_ms.saturating_add(1);
         let moving = self.is_moving() || self.commanded;
         if self.gap_ms > GAP_IN_MOTION_MAX_MS && moving || self.gap_ms > GAP_AT_REST_MAX_MS {
-            self.lose_reference();
+            self.lose_home();
         }
         if self.compared_ms > 0 {
             self.feedback.step_blind(self.sent);
@@ -201,14 +201,14 @@ impl AxisState {
     fn distrust(&mut self) {
         self.implausible = Some(self.feedback.implausible());
         self.end_comparison();
-        self.lose_reference();
+        self.lose_home();
     }
 
     /// A joint that nothing drives may be moved by hand, but no faster than its motor can.
     #[cold]
     fn look_for_jump(&mut self) {
         if self.step.unsigned_abs() > self.jump_increments {
-            self.lose_reference();
+            self.lose_home();
         }
     }
 
@@ -291,7 +291,7 @@ pub struct RobotAxes {
 }
 
 impl RobotAxes {
-    /// A robot with the scaling of the configuration; not referenced.
+    /// A robot with the scaling of the configuration; not homed.
     pub fn new(axes: &[Axis; AXES]) -> Self {
         Self {
             axes: axes.each_ref().map(AxisState::new),
@@ -299,7 +299,7 @@ impl RobotAxes {
         }
     }
 
-    /// Starts again with other axes, none of them referenced.
+    /// Starts again with other axes, none of them homed.
     pub fn configure(&mut self, axes: &[Axis; AXES]) {
         for (state, axis) in self.axes.iter_mut().zip(axes) {
             *state = AxisState::new(axis);
@@ -340,7 +340,7 @@ impl RobotAxes {
         axis.valid.then(|| Reading {
             increments: axis.position,
             angle_rad: (float(axis.position) - axis.zero.unwrap_or(0.0)) / axis.increments_per_rad,
-            referenced: axis.zero.is_some(),
+            homed: axis.zero.is_some(),
             status: axis.status,
         })
     }
@@ -366,42 +366,42 @@ impl RobotAxes {
             .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
-    /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of
+    /// Finds the pose from the present positions: each axis stands within half a motor turn of the pose `near`, or of
     /// its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
     ///
     /// # Errors
-    /// [`ReferenceError`]; then no axis is referenced: the reference from before is what was to be corrected.
-    pub fn reference(&mut self, near: Option<&JointAngles>) -> Result<(), ReferenceError> {
-        if let Some(error) = self.why_not_referenced() {
-            self.axes.iter_mut().for_each(AxisState::lose_reference);
+    /// [`HomingError`]; then no axis is homed, because the previous pose was what had to be corrected.
+    pub fn home(&mut self, near: Option<&JointAngles>) -> Result<(), HomingError> {
+        if let Some(error) = self.why_not_homed() {
+            self.axes.iter_mut().for_each(AxisState::lose_home);
             return Err(error);
         }
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let near_rad = near.and_then(|pose| pose.0.get(number).copied());
             let angle_rad = resolver_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
             axis.zero = Some(float(axis.position) - angle_rad * axis.increments_per_rad);
-            axis.reference_lost = false;
+            axis.home_lost = false;
         }
         Ok(())
     }
 
-    /// What keeps the present positions from being a reference.
-    fn why_not_referenced(&self) -> Option<ReferenceError> {
+    /// Why the pose cannot be found from the present positions.
+    fn why_not_homed(&self) -> Option<HomingError> {
         (0..).zip(&self.axes).find_map(|(number, axis)| match axis {
-            _ if !axis.valid => Some(ReferenceError::NoPosition { axis: number }),
-            _ if axis.is_moving() => Some(ReferenceError::Moving { axis: number }),
+            _ if !axis.valid => Some(HomingError::NoPosition { axis: number }),
+            _ if axis.is_moving() => Some(HomingError::Moving { axis: number }),
             _ => None,
         })
     }
 
-    /// Whether all axes are referenced.
-    pub fn is_referenced(&self) -> bool {
+    /// Whether all axes are homed.
+    pub fn is_homed(&self) -> bool {
         self.axes.iter().all(|axis| axis.zero.is_some())
     }
 
-    /// Which axes were referenced once and are not any more; cleared by [`Self::reference`].
-    pub fn references_lost(&self) -> [bool; AXES] {
-        self.axes.each_ref().map(|axis| axis.reference_lost)
+    /// Which axes were homed and no longer are; cleared by [`Self::home`].
+    pub fn homes_lost(&self) -> [bool; AXES] {
+        self.axes.each_ref().map(|axis| axis.home_lost)
     }
 
     /// The first axis whose feedback could not be true since this was last asked, and why.
@@ -421,7 +421,7 @@ impl RobotAxes {
         core::array::from_fn(|comparison| each.iter().fold(0.0, |most, used| f32::max(most, used[comparison])))
     }
 
-    /// Tells the axes that take a torque what their references demand: which motion and which change of their load is no
+    /// Tells the axes that take a torque what their setpoints demand: which motion and which change of their load is no
     /// fault of the feedback.
     pub fn set_demanded(&mut self, demanded: &[Demanded; AXES]) {
         for (axis, demanded) in self.axes.iter_mut().zip(demanded) {

@@ -80,7 +80,7 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     /// This millisecond, as far as it has come; what is measured is kept here from one to the next.
     now: CycleReport,
     was_enabled: [bool; AXES],
-    reference_lost: [bool; AXES],
+    home_lost: [bool; AXES],
     /// Whether the last angle counts from the same zero as the next one.
     same_zero: [bool; AXES],
     still_ms: u16,
@@ -127,7 +127,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             window: Window::new(),
             now: CycleReport::default(),
             was_enabled: [false; AXES],
-            reference_lost: [false; AXES],
+            home_lost: [false; AXES],
             same_zero: [false; AXES],
             still_ms: 0,
             late: 0,
@@ -330,8 +330,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 }
                 SamplerCommand::Home { near } => {
                     self.epoch = None;
-                    // A refusal leaves the axes without a reference, which the operating modes see and report.
-                    let _ = self.robot.reference(near.as_ref());
+                    // A refusal leaves the axes unhomed, which the operating modes see and report.
+                    let _ = self.robot.home(near.as_ref());
                     self.same_zero = [false; AXES];
                 }
                 SamplerCommand::Follow { epoch } => {
@@ -374,15 +374,15 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             now.status_word[AXIS] = reading.status.0;
             now.increments[AXIS] = reading.increments;
             now.measured_rad[AXIS] = reading.angle_rad;
-            let same_zero = self.same_zero[AXIS] && now.referenced[AXIS] == reading.referenced;
+            let same_zero = self.same_zero[AXIS] && now.homed[AXIS] == reading.homed;
             self.same_zero[AXIS] = true;
             now.measured_rad_s[AXIS] = if same_zero {
                 (reading.angle_rad - before_rad) * CYCLES_PER_S
             } else {
                 0.0
             };
-            self.reference_lost[AXIS] = now.referenced[AXIS] && !reading.referenced;
-            now.referenced[AXIS] = reading.referenced;
+            self.home_lost[AXIS] = now.homed[AXIS] && !reading.homed;
+            now.homed[AXIS] = reading.homed;
         } else {
             now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
@@ -456,7 +456,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             output_rad_s: *output_rad_s,
             status_word: self.now.status_word,
             drive_fault: [false; AXES],
-            reference_lost: self.reference_lost,
+            home_lost: self.home_lost,
             al_status: self.group.bus_state().al_status,
             clock: self
                 .steering
@@ -478,14 +478,14 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         } else {
             seen.drive_fault = self.look_for_drive_faults(power);
         }
-        // An axis whose feedback cannot be true loses its reference, if it has one.
-        if self.now.referenced != [true; AXES] {
+        // An axis whose feedback cannot be true is no longer homed.
+        if self.now.homed != [true; AXES] {
             self.look_at_feedback();
         }
         self.supervision.step(&self.axes, &self.bus, &seen);
     }
 
-    /// An axis has no reference: perhaps because its feedback cannot be true.
+    /// An axis is not homed: perhaps because its feedback cannot be true.
     #[cold]
     fn look_at_feedback(&mut self) {
         if let Some((axis, implausible)) = self.robot.take_implausible() {

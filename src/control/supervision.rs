@@ -27,7 +27,7 @@ pub struct Observation {
     /// Whether each drive reports a fault or has lost its power while it should have power.
     pub drive_fault: [bool; AXES],
     /// Whether each axis's position has been missing too long for the motor turn to be known.
-    pub reference_lost: [bool; AXES],
+    pub home_lost: [bool; AXES],
     /// AL states of all slaves OR-ed, with the error flag; `None` if the broadcast did not return.
     pub al_status: Option<u8>,
     /// Fault of the bus clock, if any.
@@ -103,8 +103,8 @@ impl Supervision {
         } else {
             self.count_blind(&seen.valid);
         }
-        if seen.reference_lost != [false; AXES] && seen.following {
-            self.look_at_references(&seen.reference_lost);
+        if seen.home_lost != [false; AXES] && seen.following {
+            self.look_at_homes(&seen.home_lost);
         }
         if seen.power {
             self.look_at_bus(bus, seen);
@@ -143,7 +143,7 @@ impl Supervision {
     }
 
     #[cold]
-    fn look_at_references(&mut self, lost: &[bool; AXES]) {
+    fn look_at_homes(&mut self, lost: &[bool; AXES]) {
         for axis in (0u8..).zip(lost).filter_map(|(axis, lost)| lost.then_some(axis)) {
             self.latch(Fault::ReferenceLost { axis });
         }
@@ -260,7 +260,7 @@ mod tests {
             output_rad_s: [0.0; AXES],
             status_word: [0x0637; AXES],
             drive_fault: [false; AXES],
-            reference_lost: [false; AXES],
+            home_lost: [false; AXES],
             al_status: Some(AL_OPERATIONAL),
             clock: None,
             power: true,

@@ -116,7 +116,7 @@ pub(super) fn condition(report: &CycleReport) -> Condition {
     let faulty = |axis: usize| report.valid[axis] && status[axis].is_fault();
     Condition {
         pose: JointAngles(report.measured_rad),
-        unreferenced: first(report.referenced.map(|referenced| !referenced)),
+        unreferenced: first(report.homed.map(|homed| !homed)),
         powered: silent.is_none() && status.iter().all(in_operation),
         // A drive that does not answer keeps its last known state.
         unpowered: !status.iter().any(|status| status.is_powered()),

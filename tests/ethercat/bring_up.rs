@@ -31,7 +31,7 @@ fn turn_as_told(exchange: ExchangeKind) {
     assert!(rig.cell.state().slaves.iter().all(|slave| slave.al_status_code == 0));
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
     rig.run_ms(50);
-    rig.robot.reference(None).expect("at rest");
+    rig.robot.home(None).expect("at rest");
     rig.millisecond();
     let before = rig.cell.state().joints.0;
     for (input, truth_rad) in rig.inputs.iter().zip(before) {
@@ -178,7 +178,7 @@ fn a_power_cycled_slave_comes_back_without_a_reference() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
-    rig.robot.reference(None).expect("at rest");
+    rig.robot.home(None).expect("at rest");
     rig.cell.inject(Fault::Power(4, 300));
     rig.wait_for(100, |event| *event == BusEvent::SlaveLost { position: 3 });
     rig.recover();
@@ -195,7 +195,7 @@ fn a_power_cycled_slave_comes_back_without_a_reference() {
     rig.recover();
     rig.operational();
     rig.run_ms(10);
-    assert_eq!(rig.robot.references_lost(), [false, false, false, true]);
+    assert_eq!(rig.robot.homes_lost(), [false, false, false, true]);
     assert!(rig.inputs.iter().all(Option::is_some));
 }
 

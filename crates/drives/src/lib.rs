@@ -1,4 +1,16 @@
 #![doc = include_str!("../README.md")]
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only.
+//!
+//! 1. `cia402`: CiA 402 words and states
+//! 2. `io`, `layout`: traits between control and I/O; where values are in process data
+//! 3. `configuration`: settings and their writing
+//! 4. `generic`: any CiA 402 servo drive
+//! 5. `ax2000`, `akd`: drive types
+//! 6. `factory`: the drives as slaves of the master
+//! 7. `servo_axis`, `ethercat_group`, `memory_group`: one axis; groups of drives behind the traits
 #![no_std]
 #![forbid(unsafe_code)]
 

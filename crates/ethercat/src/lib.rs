@@ -1,4 +1,21 @@
 #![doc = include_str!("../README.md")]
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only.
+//!
+//! 1. `wire`, `queue`, `port_state`: wire formats; queues between priorities; state of the Ethernet port
+//! 2. `error`, `frame_port`: errors of the master; the seam to an Ethernet MAC
+//! 3. `acyclic`, `observation`: datagrams outside the cycle; what a cycle has observed
+//! 4. `mailbox`, `state`: mailboxes; states of slaves
+//! 5. `coe`, `diagnostics`: objects; requests of an application
+//! 6. `configure`, `topology`: discovery of slaves and their objects; how slaves are connected
+//! 7. `driver`: the seam to kinds of slaves
+//! 8. `plan`, `slave`, `encapsulation`: contents of a cycle; what is known of a slave; UDP
+//! 9. `telegram`, `clock`: frames of a cycle; distributed clocks
+//! 10. `event`, `cyclic`: events and commands; the cyclic exchange
+//! 11. `process_data`: mapping of process data
+//! 12. `supervisor`: bring-up, supervision and repair
 #![no_std]
 #![forbid(unsafe_code)]
 

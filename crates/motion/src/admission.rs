@@ -10,9 +10,10 @@
 //! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the joints.
 
 use super::heading::Winding;
+use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
-use crate::robots::{GeometryError, JointAngles, Outside, Position, WorkArea};
+use crate::robots::{GeometryError, JointAngles, Position};
 use crate::settings::{Orientation, Settings};
 
 /// Distance between checked points on a leg, mm.

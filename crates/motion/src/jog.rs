@@ -9,8 +9,8 @@ use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};
 use super::scan::Row;
 use super::shaping::Label;
+use super::work_area::{Outside, WorkArea};
 use crate::robots::vector::{Vector, add_scaled, length, scale, subtract};
-use crate::robots::{Outside, WorkArea};
 
 /// Fastest jog, mm/s.
 const SPEED_MAX_MM_S: f64 = 250.0;

@@ -1,4 +1,18 @@
 #![doc = include_str!("../README.md")]
+//!
+//! # Layers
+//!
+//! A module imports modules of lower layers only.
+//!
+//! 1. `bounds`, `ring`: bounds of a value; a ring buffer
+//! 2. `robots`: kinds of robots and their kinematics
+//! 3. `settings`, `curve`: what motion depends on; lines and blends
+//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded corners
+//! 5. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
+//! 6. `grid`, `averaging`, `progress`, `jog`, `straight`: points of a path; moving average; motions without a path
+//! 7. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
+//! 8. `plan`: speeds along the known path, down to rest at its end
+//! 9. `trajectory`: the trajectory stage with its commands
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -7,6 +21,7 @@ extern crate std;
 
 mod admission;
 mod averaging;
+mod bounds;
 #[cfg(test)]
 mod checks;
 mod curve;
@@ -28,13 +43,15 @@ mod shaping;
 mod straight;
 mod stretches;
 mod trajectory;
+mod work_area;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
+pub use work_area::{Outside, WorkArea};
 
-use crate::robots::{AXES, Outside, Position};
+use crate::robots::{AXES, Position};
 use serde::{Deserialize, Serialize};
 
 /// Period of the trajectory stage, ms: the number of setpoints from one step.

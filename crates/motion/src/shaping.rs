@@ -343,40 +343,7 @@ impl Shaper {
             Passage::Corner { trim, .. } => trim,
             Passage::Stop | Passage::Smooth => 0.0,
         };
-        let span = |control: [Vector; 4]| {
-            let curve = Curve::spline(&control);
-            let deflection = length(&subtract(
-                &subtract(&control[3], &control[2]),
-                &subtract(&control[1], &control[0]),
-            ));
-            let legs = [
-                length(&subtract(&control[1], &control[0])),
-                leg_length,
-                length(&subtract(&control[3], &control[2])),
-            ];
-            let (short, long) = legs.iter().fold((f64::MAX, 0.0_f64), |(short, long), leg| {
-                (short.min(*leg), long.max(*leg))
-            });
-            let at_least = match (deflection < SPAN_GENTLE * leg_length, long < SPAN_EVEN * short) {
-                (true, true) => 1,
-                (true, false) => 2,
-                (false, true) => SPAN_INTERVALS,
-                (false, false) => UNEVEN_SPAN_INTERVALS,
-            };
-            let mut span = piece(curve, curve_intervals(leg_length, at_least), label);
-            if let Start::Spline { passed, .. } = self.start
-                && let Some(reached) =
-                    late(&control[0], &control[1], &control[2]).map(|onward| curve.reaches(&control[1], &onward))
-            {
-                span.change = Change::Labels(reached);
-                span.entry = Label {
-                    stroke: self.node.stroke,
-                    pen: self.node.pen,
-                    vertex: passed,
-                };
-            }
-            Some(span)
-        };
+        let span = |control: [Vector; 4]| Some(self.span(&control, leg_length, label));
         let direction_after = after.map(|after| {
             let leg = subtract(&after.point, &end.point);
             unit(&leg, length(&leg))
@@ -406,14 +373,7 @@ impl Shaper {
         let third = match (passage, after, direction_after) {
             (Passage::Corner { trim, shape }, Some(after), Some(direction_after)) if trim > 0.0 => {
                 let curve = Curve::blend(&end.point, &direction, &direction_after, trim, shape);
-                let at_least = match (
-                    trim < LONG_BLEND_MM,
-                    dot(&direction, &direction_after) < SHARP_TURN_COSINE,
-                ) {
-                    (true, false) => BLEND_INTERVALS,
-                    (false, false) => LONG_BLEND_INTERVALS,
-                    (_, true) => SHARP_BLEND_INTERVALS,
-                };
+                let at_least = blend_intervals(trim, dot(&direction, &direction_after));
                 let mut blend = piece(curve, curve_intervals(2.0 * trim, at_least), label);
                 blend.change = Change::Labels(0.5);
                 blend.exit = Label {
@@ -438,16 +398,62 @@ impl Shaper {
             }
         }
         if let Some(last) = pieces.last_mut() {
-            let knot = match (self.start, control) {
-                (_, None) => None,
-                (Start::Straight { .. }, Some(next)) => late(&half, &end.point, &next),
-                (Start::Spline { .. }, Some(next)) => late(from, &end.point, &next),
+            let before = match self.start {
+                Start::Straight { .. } => &half,
+                Start::Spline { .. } => from,
             };
+            let knot = control.and_then(|next| late(before, &end.point, &next));
             last.vertex_after = if knot.is_some() { label.vertex } else { end.count };
             last.stop_after = matches!(passage, Passage::Stop);
             last.dwell_after = last.stop_after && self.dwells && after.is_some_and(|after| after.pen != end.pen);
         }
         pieces
+    }
+
+    /// A spline through the second and third of four points, for a leg of this length.
+    fn span(&self, control: &[Vector; 4], leg_length: f64, label: Label) -> Piece {
+        let curve = Curve::spline(control);
+        let mut span = piece(
+            curve,
+            curve_intervals(leg_length, span_intervals(control, leg_length)),
+            label,
+        );
+        if let Start::Spline { passed, .. } = self.start
+            && let Some(onward) = late(&control[0], &control[1], &control[2])
+        {
+            span.change = Change::Labels(curve.reaches(&control[1], &onward));
+            span.entry = Label {
+                stroke: self.node.stroke,
+                pen: self.node.pen,
+                vertex: passed,
+            };
+        }
+        span
+    }
+}
+
+/// Fewest intervals of a spline: more where it turns or its legs differ in length.
+fn span_intervals(control: &[Vector; 4], leg_length: f64) -> u16 {
+    let (before, after) = (subtract(&control[1], &control[0]), subtract(&control[3], &control[2]));
+    let deflection = length(&subtract(&after, &before));
+    let legs = [length(&before), leg_length, length(&after)];
+    let (short, long) = legs.iter().fold((f64::MAX, 0.0_f64), |(short, long), leg| {
+        (short.min(*leg), long.max(*leg))
+    });
+    match (deflection < SPAN_GENTLE * leg_length, long < SPAN_EVEN * short) {
+        (true, true) => 1,
+        (true, false) => 2,
+        (false, true) => SPAN_INTERVALS,
+        (false, false) => UNEVEN_SPAN_INTERVALS,
+    }
+}
+
+/// Fewest intervals of a blend, by its length and by the cosine of its turn.
+fn blend_intervals(trim: f64, turn_cosine: f64) -> u16 {
+    match (trim < LONG_BLEND_MM, turn_cosine < SHARP_TURN_COSINE) {
+        (true, false) => BLEND_INTERVALS,
+        (false, false) => LONG_BLEND_INTERVALS,
+        (_, true) => SHARP_BLEND_INTERVALS,
     }
 }
 

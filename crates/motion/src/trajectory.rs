@@ -17,9 +17,10 @@ use super::progress::Watch;
 use super::ring::Ring;
 use super::shaping::{Label, Node, QUEUE, Shaper};
 use super::straight::Straight;
+use super::work_area::WorkArea;
 use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Refusal, RefusalReason, Setpoint, Vertex};
 use crate::robots::vector::{Vector, length, subtract};
-use crate::robots::{GeometryError, JointAngles, Position, WorkArea};
+use crate::robots::{GeometryError, JointAngles, Position};
 use crate::settings::Settings;
 
 /// Most vertices queued for shaping.

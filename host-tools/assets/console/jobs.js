@@ -15,7 +15,7 @@ export function jobs(link) {
   lists(link);
 }
 
-// A file that was dropped stays here until the console has it: without control, without a connection, and when it is refused.
+// A dropped file stays here until the console has accepted it: without control, without a connection, or after a refusal.
 function dropped(link, wishes) {
   let kept = null;
   let refused = "";
@@ -26,12 +26,12 @@ function dropped(link, wishes) {
 
   const waitsFor = () => {
     const { control, you } = link.state;
-    if (!link.open) return ["It is prepared as soon as the console can be reached."];
-    if (you && !you.may_command) return ["This page may only look: open the address that the console has printed, with its token."];
+    if (!link.open) return ["It will be planned when the console is reachable."];
+    if (you && !you.may_command) return ["This page can only watch. Open the address with the token that the console printed."];
     if (refused) return [refused, "Try again", offer];
-    if (link.controls) return ["It is being sent."];
-    if (control?.holder) return [`Viewer ${control.holder} has control. Take over, and it is prepared.`, "Take over", () => link.send({ type: "take", force: true })];
-    return ["Take control, and it is prepared.", "Take control", () => link.send({ type: "take" })];
+    if (link.controls) return ["Sending it."];
+    if (control?.holder) return [`Viewer ${control.holder} has control. Take over to plan it.`, "Take over", () => link.send({ type: "take", force: true })];
+    return ["Take control to plan it.", "Take control", () => link.send({ type: "take" })];
   };
   const show = () => {
     $("kept").hidden = !kept;
@@ -103,7 +103,7 @@ function optionFields(link) {
     const wanted = wishes();
     if (!made || made.state === "idle" || same(wanted, asked ?? made.wishes)) return;
     if (!link.controls) {
-      toast("Take control, and it is planned again");
+      toast("Take control to plan it again");
       return;
     }
     asked = wanted;
@@ -152,7 +152,7 @@ function studio(link) {
     wrong.hidden = state !== "failed";
     ready.hidden = draw.hidden = state !== "ready";
     set(draw, { disabled: !link.controls });
-    if (state === "working") text(busy, `${made.name}: finding its strokes and planning them`);
+    if (state === "working") text(busy, `${made.name}: tracing and planning`);
     if (state === "failed") text(wrong, `${made.name}: ${made.error}`);
     if (state !== "ready") return;
     text(name, made.name);
@@ -162,18 +162,18 @@ function studio(link) {
   show();
 }
 
-// What an unfinished drawing needs to go on, and the buttons for it.
+// What an unfinished drawing needs before it can continue, and the buttons for it.
 function goOn(link, drawing) {
   const words = element("small");
   const button = element("button", { type: "button", className: "continue", on: { click: () => link.send({ type: "continue", job: drawing }) } }, "Continue");
-  const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the joints since", on: { click: () => link.command({ do: "reference_here" }) } }, "They stand where they stopped");
+  const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the joints since then", on: { click: () => link.command({ do: "reference_here" }) } }, "The robot has not moved");
   const wants = (status, all) => {
     if (all.active || !status) return "";
     if (!link.controls) return ": take control first";
     if (status.mode === "Fault") return ": acknowledge the fault first";
     if (!["DrivesOff", "Unreferenced", "Idle"].includes(status.mode)) return ": wait until the robot is at rest";
     if (status.referenced) return "";
-    const marks = ": the controller does not know where the robot stands. Bring its joints to their marks and press Reference";
+    const marks = ": the controller does not know the robot's pose. Move its joints to their marks and press Reference";
     if (!status.seen_mm) return marks;
     const [x, y] = status.seen_mm.map((mm) => number(mm, 0));
     return `${marks}, or, if nobody has moved them (pen at x ${x}, y ${y} mm):`;
@@ -182,7 +182,7 @@ function goOn(link, drawing) {
     const { jobs: all, status } = link.state;
     const ready = link.controls && !all.active && Boolean(status?.referenced) && ["DrivesOff", "Idle"].includes(status.mode);
     text(words, `stroke ${job.stroke} of ${job.strokes}${wants(status, all)}`);
-    set(button, { hidden: !job.unfinished, disabled: !ready, title: `Goes on at stroke ${job.stroke}; is the same paper in its place?` });
+    set(button, { hidden: !job.unfinished, disabled: !ready, title: `Continues at stroke ${job.stroke}. Is the same paper still in place?` });
     set(words, { hidden: !job.unfinished });
     set(here, { hidden: !job.unfinished || !link.controls || !status?.seen_mm || !["DrivesOff", "Unreferenced", "Idle"].includes(status.mode) });
   };
@@ -192,8 +192,8 @@ function goOn(link, drawing) {
 function lists(link) {
   const waiting = (job) => {
     const [name, facts] = [element("b"), element("span")];
-    const start = element("button", { type: "button", className: "primary", title: "Is there fresh paper?", on: { click: () => link.send({ type: "start", job: job.number }) } }, "Draw");
-    const discard = element("button", { type: "button", className: "quiet round", ariaLabel: `Take ${job.name} out of the queue`, on: { click: () => link.send({ type: "discard", job: job.number }) } }, "×");
+    const start = element("button", { type: "button", className: "primary", title: "Is there a fresh sheet of paper?", on: { click: () => link.send({ type: "start", job: job.number }) } }, "Draw");
+    const discard = element("button", { type: "button", className: "quiet round", ariaLabel: `Remove ${job.name} from the queue`, on: { click: () => link.send({ type: "discard", job: job.number }) } }, "×");
     const show = () => {
       const { jobs: all, status } = link.state;
       text(name, job.name);

@@ -105,7 +105,7 @@ export class Scope {
   watch() {
     if (!this.all) return;
     this.picture += 1;
-    // What is seen stays until the new picture comes, unless other signals were chosen.
+    // The plot stays until the new picture arrives, unless other signals were chosen.
     if (this.live.signals !== this.chosen.length) this.renew();
     this.link.send({ type: "watch", id: this.picture, signals: this.chosen, window_ms: this.windowMs, columns: this.columnsWanted() });
   }
@@ -156,7 +156,7 @@ export class Scope {
     if (paused === this.paused) return;
     this.paused = paused;
     $("scope-pause").setAttribute("aria-pressed", String(paused));
-    text($("scope-pause"), paused ? "Go on" : "Pause");
+    text($("scope-pause"), paused ? "Resume" : "Pause");
     if (paused) {
       this.link.send({ type: "freeze" });
       this.home = [this.plot.fromMs, this.plot.toMs];
@@ -318,12 +318,12 @@ export class Scope {
     const words = { armed: "armed, waiting", fired: "fired, recording", caught: "caught", idle: "off" };
     text($("trigger-state"), words[capture.state] ?? capture.state);
     this.armed = capture.state === "armed" || capture.state === "fired";
-    text($("trigger-arm"), this.armed ? "Give up" : "Arm");
+    text($("trigger-arm"), this.armed ? "Disarm" : "Arm");
     if (capture.state !== "caught") return;
     // What was caught is what is kept: no freeze, which would replace it.
     this.paused = true;
     $("scope-pause").setAttribute("aria-pressed", "true");
-    text($("scope-pause"), "Go on");
+    text($("scope-pause"), "Resume");
     this.home = [capture.from_ms, capture.to_ms];
     this.plot.marks.push({ timeMs: capture.event_ms, tone: "accent" });
     this.zoom(capture.from_ms, capture.to_ms);

@@ -29,7 +29,7 @@
   const changed = () => {
     const button = document.getElementById("stop");
     button.dataset.state = stop.asked ? "asked" : "ready";
-    document.getElementById("stop-text").textContent = stop.refused || (stop.taken ? "sent, not confirmed" : "is being sent");
+    document.getElementById("stop-text").textContent = stop.refused || (stop.taken ? "sent, not confirmed" : "sending");
     stop.dispatchEvent(new Event("change"));
   };
 

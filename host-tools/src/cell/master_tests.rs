@@ -102,7 +102,7 @@ fn the_master_brings_the_drives_up_references_and_moves_them() {
             lead(now.commands, DriveTarget::Enabled, 0.0);
         }
         if all_in(now.cell, DriveState::OperationEnabled) && moved_ms.is_none() {
-            now.robot.reference(None).expect("drives at rest");
+            now.robot.home(None).expect("drives at rest");
             lead(now.commands, DriveTarget::Enabled, 0.5);
             moved_ms = Some(now.now_ms);
         }

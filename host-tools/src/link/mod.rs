@@ -5,7 +5,6 @@
 
 pub mod measurement;
 pub mod ownership;
-mod path;
 pub mod port;
 pub mod port_name;
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What an axis tells: its reading of a cycle, and why it could not be referenced.
+//! What an axis reports: its reading of a cycle, and why it could not be homed.
 
 use crate::drives::cia402::StatusWord;
 
@@ -7,17 +7,17 @@ use crate::drives::cia402::StatusWord;
 pub struct Reading {
     /// Motor position, unwrapped.
     pub increments: i64,
-    /// Joint angle, rad; before there is a reference from where the unwrapping began, good for differences.
+    /// Joint angle, rad; before homing from where the unwrapping began, good for differences.
     pub angle_rad: f64,
-    /// Whether there is a reference.
-    pub referenced: bool,
+    /// Whether the axis is homed.
+    pub homed: bool,
     /// The drive's status word.
     pub status: StatusWord,
 }
 
-/// Why an axis could not be referenced.
+/// Why an axis could not be homed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ReferenceError {
+pub enum HomingError {
     /// No position came in this cycle.
     NoPosition {
         /// Axis, from 0.

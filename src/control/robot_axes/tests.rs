@@ -75,64 +75,61 @@ fn the_resolver_gives_the_angle_nearest_to_the_mark() {
     // A quarter turn of the motor beyond the mark, seen across the end of the turn and four turns up.
     for position in [1000 + TURN / 4, 1000 + TURN / 4 + 4 * TURN, 1000 + TURN / 4 - TURN] {
         let mut robot = robot([position; AXES]);
-        assert!(!robot.is_referenced());
-        assert_eq!(robot.reference(None), Ok(()));
+        assert!(!robot.is_homed());
+        assert_eq!(robot.home(None), Ok(()));
         let angle_rad = robot.axes[0].axis_input().unwrap().angle_rad.unwrap();
         let expected_rad = Axis::default().sync_angle_rad + TAU / 4.0 / 12.0;
         assert!((angle_rad - expected_rad).abs() < 1e-9, "{angle_rad}");
     }
     let mut robot = robot([1000 - TURN / 4; AXES]);
-    assert_eq!(robot.reference(None), Ok(()));
+    assert_eq!(robot.home(None), Ok(()));
     assert!(robot.axes[3].axis_input().unwrap().angle_rad.unwrap() < Axis::default().sync_angle_rad);
 }
 
 #[test]
-fn a_moving_or_silent_axis_is_not_referenced() {
+fn a_moving_or_silent_axis_is_not_homed() {
     let mut moving = robot([0; AXES]);
     moving.axes[2].step(at(5_000), 0);
-    assert_eq!(moving.reference(None), Err(ReferenceError::Moving { axis: 2 }));
+    assert_eq!(moving.home(None), Err(HomingError::Moving { axis: 2 }));
     let mut silent = robot([0; AXES]);
     silent.axes[1].step(None, 0);
-    assert_eq!(silent.reference(None), Err(ReferenceError::NoPosition { axis: 1 }));
-    assert!(!silent.is_referenced());
+    assert_eq!(silent.home(None), Err(HomingError::NoPosition { axis: 1 }));
+    assert!(!silent.is_homed());
 }
 
 #[test]
-fn a_reference_that_cannot_be_corrected_is_lost() {
+fn a_pose_that_cannot_be_corrected_is_lost() {
     let mut robot = robot([0; AXES]);
-    robot.reference(None).unwrap();
+    robot.home(None).unwrap();
     robot.axes[1].step(None, 0);
     let elsewhere = JointAngles([TAU / 12.0; AXES]);
-    assert_eq!(
-        robot.reference(Some(&elsewhere)),
-        Err(ReferenceError::NoPosition { axis: 1 })
-    );
-    assert!(!robot.is_referenced(), "the wrong reference counts on");
-    assert_eq!(robot.references_lost(), [true; AXES]);
+    assert_eq!(robot.home(Some(&elsewhere)), Err(HomingError::NoPosition { axis: 1 }));
+    assert!(!robot.is_homed(), "the wrong pose still counts");
+    assert_eq!(robot.homes_lost(), [true; AXES]);
 }
 
 #[test]
-fn a_gap_in_motion_costs_the_reference_after_8_ms_and_at_rest_after_half_a_second() {
+fn a_gap_loses_the_pose_after_8_ms_in_motion_and_after_half_a_second_at_rest() {
     for (speed, survived_ms) in [(50_000, GAP_IN_MOTION_MAX_MS), (0, GAP_AT_REST_MAX_MS)] {
         for (gap_ms, kept) in [(survived_ms, true), (survived_ms + 1, false)] {
             let mut robot = robot([0; AXES]);
-            robot.reference(None).unwrap();
+            robot.home(None).unwrap();
             robot.axes[1].step(at(speed), 0);
             (0..gap_ms).for_each(|_| robot.axes[1].step(None, 0));
             assert_eq!(robot.axes[1].axis_input(), None);
             robot.axes[1].step(at(speed), 0);
-            assert_eq!(robot.is_referenced(), kept, "{speed} increments/ms, {gap_ms} ms");
-            assert_eq!(robot.references_lost(), [false, !kept, false, false]);
+            assert_eq!(robot.is_homed(), kept, "{speed} increments/ms, {gap_ms} ms");
+            assert_eq!(robot.homes_lost(), [false, !kept, false, false]);
         }
     }
 }
 
 #[test]
-fn a_drive_that_was_configured_anew_is_not_referenced() {
+fn a_drive_that_was_configured_again_is_not_homed() {
     let mut robot = robot([0; AXES]);
-    robot.reference(None).unwrap();
+    robot.home(None).unwrap();
     robot.axes[0].step(at(0), 1);
-    assert_eq!(robot.references_lost(), [true, false, false, false]);
+    assert_eq!(robot.homes_lost(), [true, false, false, false]);
     assert!(robot.axes[0].axis_input().unwrap().angle_rad.is_none());
 }
 

@@ -145,7 +145,7 @@ impl Rig {
         self.command(SamplerCommand::Home { near: None });
         self.command(SamplerCommand::Power(Power::On));
         (0..30).for_each(|_| _ = self.millisecond(true));
-        assert!(self.sampler.robot.is_referenced() && self.sampler.robot.is_in_operation());
+        assert!(self.sampler.robot.is_homed() && self.sampler.robot.is_in_operation());
         self
     }
 

@@ -2,7 +2,7 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::robots::WorkArea;
+use crate::WorkArea;
 use crate::settings::Orientation;
 
 fn down(x_mm: f64, y_mm: f64) -> Vertex {

@@ -180,7 +180,7 @@ fn a_jog_stops_when_it_is_not_repeated_and_at_the_border() {
             run.command(MotionCommand::Jog(direction));
             run.step();
         }
-        let area = crate::robots::WorkArea::new(&settings).unwrap();
+        let area = crate::WorkArea::new(&settings).unwrap();
         assert!(area.check(&run.end().into()).is_ok(), "{direction:?} leads outside");
         run.command(MotionCommand::JogStop);
         run.until(MotionState::Idle);
@@ -299,7 +299,7 @@ const OUTSIDE: [([f64; 3], [f64; 3]); 5] = [
 #[test]
 fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
     let settings = Settings::default();
-    let area = crate::robots::WorkArea::new(&settings).unwrap();
+    let area = crate::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
         let start = [vertex(outside, Pen::Up, 0)];
         let mut run = Run {
@@ -359,7 +359,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
 #[test]
 fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
     let settings = Settings::default();
-    let area = crate::robots::WorkArea::new(&settings).unwrap();
+    let area = crate::WorkArea::new(&settings).unwrap();
     for (outside, inwards) in OUTSIDE {
         let mut trajectory = Trajectory::new(&settings).unwrap();
         let mut admission = Admission::new(&settings).unwrap();
@@ -389,10 +389,7 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
         .check_pen(&pose, Pen::Down)
         .unwrap_err();
     assert!(
-        matches!(
-            refusal.reason,
-            RefusalReason::Outside(crate::motion::Outside::Radius { .. })
-        ),
+        matches!(refusal.reason, RefusalReason::Outside(crate::Outside::Radius { .. })),
         "{refusal:?}"
     );
 }

@@ -2,7 +2,7 @@
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
-use crate::robots::WorkArea;
+use crate::WorkArea;
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.

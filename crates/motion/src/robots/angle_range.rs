@@ -10,13 +10,13 @@ pub(crate) struct AngleRange {
 
 impl AngleRange {
     /// Placeholder for a range that is not known yet.
-    pub(super) const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         middle: (0.0, 0.0),
         cosine_half: 0.0,
     };
 
     /// The range from `low_rad` to `high_rad`.
-    pub(super) fn new([low_rad, high_rad]: [f64; 2]) -> Self {
+    pub(crate) fn new([low_rad, high_rad]: [f64; 2]) -> Self {
         let middle = 0.5 * (low_rad + high_rad);
         Self {
             middle: (libm::cos(middle), libm::sin(middle)),
@@ -26,7 +26,7 @@ impl AngleRange {
 
     /// Whether the angle of this cosine and sine is inside.
     #[inline]
-    pub(super) fn contains(&self, cosine: f64, sine: f64) -> bool {
+    pub(crate) fn contains(&self, cosine: f64, sine: f64) -> bool {
         cosine * self.middle.0 + sine * self.middle.1 >= self.cosine_half
     }
 }

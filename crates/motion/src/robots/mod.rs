@@ -1,4 +1,4 @@
-//! Robots: kinematics, joints and work area.
+//! Robots: kinematics and joints.
 //!
 //! [`Kinematics`] is the seam between a kind of robot and everything that moves one. Every kind is a file or folder
 //! of its own here; planner, controller and host programs ask [`Kinematics`] alone and know no kind.
@@ -8,13 +8,11 @@
 //! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the virtual
 //! cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the delta's.
 
-mod angle_range;
+pub(crate) mod angle_range;
 mod delta;
 pub mod vector;
-mod work_area;
 
 pub use delta::{Geometry, GeometryError, Measured, MeasuredError};
-pub use work_area::{Outside, WorkArea};
 
 use angle_range::AngleRange;
 use delta::Delta;

@@ -2,8 +2,8 @@
 
 mod bounds;
 
+pub use crate::bounds::{Bound, Violation, bound, first_violation};
 pub use crate::robots::Geometry;
-pub use bounds::{Bound, Violation, bound, first_violation};
 
 use crate::robots::AXES;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Dimensions of a delta robot, their bounds, and why they may not form a robot.
 
+use crate::bounds::{Bound, bound};
 use crate::robots::MAIN_AXES;
-use crate::settings::{Bound, bound};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 

@@ -3,17 +3,17 @@
 //! Invariant: only vertices within the credit of the last acknowledgement are sent. After a loss the path goes back to
 //! the first unacknowledged vertex: once when the firmware reports the loss, and again whenever progress stops.
 
-use etherpen::link::message::{PathAck, VERTICES_PER_MESSAGE};
-use etherpen::messages::{HostMessage, PathVertex};
-use std::sync::Arc;
+use crate::Protocol;
+use crate::message::{HostMessage, PathAck, VERTICES_PER_MESSAGE};
+use alloc::sync::Arc;
 
 /// Time without progress after which the path is repeated from the first unacknowledged vertex, ms.
-pub(super) const PATH_REPEAT_MS: u64 = 50;
+pub(crate) const PATH_REPEAT_MS: u64 = 50;
 
 /// The sending end of one path.
-pub(super) struct PathSender {
+pub(crate) struct PathSender<P: Protocol> {
     job: u16,
-    vertices: Arc<[PathVertex]>,
+    vertices: Arc<[P::Vertex]>,
     /// First unacknowledged vertex.
     base: usize,
     /// Next vertex to send.
@@ -30,9 +30,9 @@ pub(super) struct PathSender {
     repeated: bool,
 }
 
-impl PathSender {
+impl<P: Protocol> PathSender<P> {
     /// A path of which nothing is sent before the first acknowledgement.
-    pub(super) fn new(job: u16, vertices: Arc<[PathVertex]>) -> Self {
+    pub(crate) fn new(job: u16, vertices: Arc<[P::Vertex]>) -> Self {
         Self {
             job,
             vertices,
@@ -47,17 +47,17 @@ impl PathSender {
         }
     }
 
-    pub(super) fn job(&self) -> u16 {
+    pub(crate) fn job(&self) -> u16 {
         self.job
     }
 
     /// Number of vertices sent and not acknowledged.
-    pub(super) fn in_flight(&self) -> usize {
+    pub(crate) fn in_flight(&self) -> usize {
         self.next - self.base
     }
 
     /// Takes an acknowledgement; returns whether the path went back because of it.
-    pub(super) fn acknowledge(&mut self, ack: &PathAck, now_ms: u64) -> bool {
+    pub(crate) fn acknowledge(&mut self, ack: &PathAck, now_ms: u64) -> bool {
         let next = ack.next as usize;
         if next < self.base || next > self.vertices.len() {
             return false;
@@ -87,7 +87,7 @@ impl PathSender {
     }
 
     /// Goes back if nothing was acknowledged for too long; returns whether it did.
-    pub(super) fn repeat_if_silent(&mut self, now_ms: u64) -> bool {
+    pub(crate) fn repeat_if_silent(&mut self, now_ms: u64) -> bool {
         let waiting = self.next > self.base || (self.end_sent && !self.complete);
         let silent = waiting && now_ms.saturating_sub(self.progress_ms) >= PATH_REPEAT_MS;
         if silent {
@@ -97,7 +97,7 @@ impl PathSender {
     }
 
     /// The next part of the path within the credit.
-    pub(super) fn next_message(&mut self, now_ms: u64) -> Option<HostMessage> {
+    pub(crate) fn next_message(&mut self, now_ms: u64) -> Option<HostMessage<P>> {
         if self.complete || self.end_sent {
             return None;
         }
@@ -113,7 +113,7 @@ impl PathSender {
         let message = HostMessage::Path {
             job: self.job,
             first: self.next as u32,
-            vertices: part.iter().copied().collect(),
+            vertices: part.iter().cloned().collect(),
             last,
         };
         self.next += part.len();
@@ -125,7 +125,14 @@ impl PathSender {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::rig::path;
+    use crate::example::Example;
+    use std::vec::Vec;
+
+    type PathSender = super::PathSender<Example>;
+
+    fn path(count: i32) -> Arc<[i32]> {
+        (0..count).collect()
+    }
 
     fn ack(next: u32, credit: u16) -> PathAck {
         PathAck {
@@ -137,7 +144,7 @@ mod tests {
     }
 
     fn sent(sender: &mut PathSender, now_ms: u64) -> Vec<(u32, usize, bool)> {
-        let messages = std::iter::from_fn(|| sender.next_message(now_ms));
+        let messages = core::iter::from_fn(|| sender.next_message(now_ms));
         let parts = messages.map(|message| match message {
             HostMessage::Path {
                 first, vertices, last, ..
@@ -149,7 +156,7 @@ mod tests {
 
     #[test]
     fn nothing_is_sent_beyond_the_credit_and_the_last_part_says_so() {
-        let mut sender = PathSender::new(1, path(30).into());
+        let mut sender = PathSender::new(1, path(30));
         assert_eq!(sent(&mut sender, 0), []);
         sender.acknowledge(&ack(0, 20), 1);
         assert_eq!(sent(&mut sender, 1), [(0, 16, false), (16, 4, false)]);
@@ -160,7 +167,7 @@ mod tests {
 
     #[test]
     fn a_loss_goes_back_once_with_shorter_parts_and_again_only_when_progress_stops() {
-        let mut sender = PathSender::new(1, path(64).into());
+        let mut sender = PathSender::new(1, path(64));
         sender.acknowledge(&ack(0, 64), 0);
         assert_eq!(sent(&mut sender, 0).len(), 4);
         let missing = PathAck {
@@ -180,7 +187,7 @@ mod tests {
 
     #[test]
     fn acknowledgements_of_vertices_that_do_not_exist_or_from_the_past_change_nothing() {
-        let mut sender = PathSender::new(1, path(8).into());
+        let mut sender = PathSender::new(1, path(8));
         sender.acknowledge(&ack(4, 4), 0);
         sender.acknowledge(&ack(9, 99), 1);
         sender.acknowledge(&ack(2, 99), 1);
@@ -189,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_path_without_vertices_is_only_its_end() {
-        let mut sender = PathSender::new(1, path(0).into());
+        let mut sender = PathSender::new(1, path(0));
         assert_eq!(sent(&mut sender, 0), [(0, 0, true)]);
     }
 }

@@ -4,35 +4,31 @@
 //! only the message that continues the path, and only as far as there is room. The path therefore arrives complete and
 //! in order whatever the line does. Acknowledgements are cumulative, carry the credit and report a missing message.
 
-use super::protocol::{DeviceMessage, PathAck, PathVertex, VERTICES_PER_MESSAGE};
-use crate::motion::Refusal;
-use heapless::Vec;
+use crate::Protocol;
+use crate::message::{DeviceMessage, PathAck, PathVertices};
 
 /// Shortest time between two acknowledgements that only report progress, ms.
-pub const ACK_PROGRESS_MS: u64 = 12;
+pub(crate) const ACK_PROGRESS_MS: u64 = 12;
 /// Longest time between two acknowledgements while there is a path, ms; repeats credit that was lost on the line.
-pub const ACK_PERIOD_MS: u64 = 100;
+pub(crate) const ACK_PERIOD_MS: u64 = 100;
 
 const _: () = assert!(ACK_PROGRESS_MS < ACK_PERIOD_MS);
 
-/// Vertices of one message.
-pub type PathVertices = Vec<PathVertex, VERTICES_PER_MESSAGE>;
-
 /// The receiving end of one path.
 #[derive(Debug)]
-pub(super) struct PathReceiver {
+pub(crate) struct PathReceiver<P: Protocol> {
     ack: PathAck,
     open: bool,
-    refusal: Option<Refusal>,
+    refusal: Option<P::VertexRefusal>,
     refusal_due: bool,
     ack_due: bool,
     changed: bool,
     ack_sent_ms: u64,
 }
 
-impl PathReceiver {
+impl<P: Protocol> PathReceiver<P> {
     /// A path that begins with vertex 0; its first acknowledgement gives `credit`.
-    pub(super) fn new(job: u16, credit: u16) -> Self {
+    pub(crate) fn new(job: u16, credit: u16) -> Self {
         Self {
             ack: PathAck {
                 job,
@@ -48,19 +44,19 @@ impl PathReceiver {
         }
     }
 
-    pub(super) fn job(&self) -> u16 {
+    pub(crate) fn job(&self) -> u16 {
         self.ack.job
     }
 
     /// Takes the vertices that continue the path and have room. Returns them with whether they end the path, or `None`
     /// if there is nothing to take, and whether something was dropped.
-    pub(super) fn take(
+    pub(crate) fn take(
         &mut self,
         first: u32,
-        mut vertices: PathVertices,
+        mut vertices: PathVertices<P>,
         last: bool,
         free: usize,
-    ) -> (Option<(PathVertices, bool)>, bool) {
+    ) -> (Option<(PathVertices<P>, bool)>, bool) {
         self.ack_due = true;
         self.refusal_due = self.refusal.is_some();
         if !self.open || self.ack.complete || first != self.ack.next {
@@ -80,7 +76,7 @@ impl PathReceiver {
     }
 
     /// Sets the progress of the execution and the present room.
-    pub(super) fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
+    pub(crate) fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
         let ack = PathAck {
             credit: if self.open { credit(free) } else { 0 },
             executed,
@@ -93,27 +89,27 @@ impl PathReceiver {
     }
 
     /// Makes the acknowledgement due again.
-    pub(super) fn acknowledge_now(&mut self) {
+    pub(crate) fn acknowledge_now(&mut self) {
         self.ack_due = true;
     }
 
     /// Takes no more vertices; sends the reason now and whenever the host goes on sending.
-    pub(super) fn refuse(&mut self, refusal: Refusal) {
+    pub(crate) fn refuse(&mut self, refusal: P::VertexRefusal) {
         self.close();
         self.refusal = Some(refusal);
         self.refusal_due = true;
     }
 
     /// Takes no more vertices.
-    pub(super) fn close(&mut self) {
+    pub(crate) fn close(&mut self) {
         self.open = false;
         self.ack.credit = 0;
         self.changed = true;
     }
 
     /// The refusal or the acknowledgement that is due.
-    pub(super) fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
-        if let Some(refusal) = self.refusal.filter(|_| self.refusal_due) {
+    pub(crate) fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage<P>> {
+        if let Some(refusal) = self.refusal.clone().filter(|_| self.refusal_due) {
             self.refusal_due = false;
             return Some(DeviceMessage::VertexRefused {
                 job: self.ack.job,
@@ -141,24 +137,15 @@ fn credit(free: usize) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::{Pen, RefusalReason};
+    use crate::example::{Example, part};
 
-    fn receiver() -> PathReceiver {
+    fn receiver() -> PathReceiver<Example> {
         let mut receiver = PathReceiver::new(3, 100);
         assert_eq!(ack(&mut receiver, 0).map(|ack| ack.credit), Some(100));
         receiver
     }
 
-    fn part(first: u32, count: usize) -> PathVertices {
-        let vertices = (first..).take(count).map(|index| PathVertex {
-            position_um: [index as i32, 0, -850_000],
-            pen: Pen::Down,
-            stroke: 0,
-        });
-        vertices.collect()
-    }
-
-    fn ack(receiver: &mut PathReceiver, now_ms: u64) -> Option<PathAck> {
+    fn ack(receiver: &mut PathReceiver<Example>, now_ms: u64) -> Option<PathAck> {
         match receiver.next_message(now_ms)? {
             DeviceMessage::Ack(ack) => Some(ack),
             _ => None,
@@ -192,10 +179,7 @@ mod tests {
     #[test]
     fn a_refused_vertex_closes_the_path_and_is_repeated_while_the_host_goes_on_sending() {
         let mut receiver = receiver();
-        let refusal = Refusal {
-            index: 2,
-            reason: RefusalReason::NotFinite,
-        };
+        let refusal = 2;
         let refused = Some(DeviceMessage::VertexRefused { job: 3, refusal });
         receiver.refuse(refusal);
         assert_eq!(receiver.next_message(1), refused);

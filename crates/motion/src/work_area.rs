@@ -8,9 +8,9 @@
 //! joints' limits: the largest change that a displacement of that length can cause. This keeps a curve near checked
 //! points inside too.
 
-use super::angle_range::AngleRange;
-use super::vector::Vector;
-use super::{Conditioning, GeometryError, Kinematics, KinematicsError, MAIN_AXES, Position};
+use crate::robots::angle_range::AngleRange;
+use crate::robots::vector::Vector;
+use crate::robots::{Conditioning, GeometryError, Kinematics, KinematicsError, MAIN_AXES, Position};
 use crate::settings::{Settings, WorkCylinder as Cylinder};
 use serde::{Deserialize, Serialize};
 
@@ -162,7 +162,7 @@ impl WorkArea {
         let [a, b, c] = self.kinematics.angles(&Vector::from(*position));
         let [[low_a, high_a], [low_b, high_b], [low_c, high_c]] = self.ranges_rad;
         [
-            super::vector::root(x_mm * x_mm + y_mm * y_mm) - self.cylinder.radius_mm,
+            crate::robots::vector::root(x_mm * x_mm + y_mm * y_mm) - self.cylinder.radius_mm,
             z_mm - self.cylinder.z_high_mm,
             self.cylinder.z_low_mm - z_mm,
             self.paper_low_mm - z_mm,
@@ -211,7 +211,7 @@ impl WorkArea {
         if !(x_mm.is_finite() && y_mm.is_finite() && z_mm.is_finite()) {
             return Err(Outside::Kinematics(KinematicsError::NotFinite));
         }
-        let radius_mm = super::vector::root(x_mm * x_mm + y_mm * y_mm);
+        let radius_mm = crate::robots::vector::root(x_mm * x_mm + y_mm * y_mm);
         if radius_mm > limit_mm {
             return Err(Outside::Radius { radius_mm, limit_mm });
         }

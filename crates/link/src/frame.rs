@@ -5,7 +5,7 @@
 //! [`Decoder`] returns a message only if its CRC is correct; it counts everything else, and no input makes either side
 //! panic.
 
-use super::protocol::MESSAGE_BYTES_MAX;
+use crate::message::MESSAGE_BYTES_MAX;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use postcard::ser_flavors::crc::CrcModifier;
 use postcard::ser_flavors::{Cobs, Slice};
@@ -17,8 +17,6 @@ pub const CRC_BYTES: usize = 4;
 pub const PAYLOAD_BYTES_MAX: usize = MESSAGE_BYTES_MAX + CRC_BYTES;
 /// Longest frame on the wire, bytes: COBS adds one byte for each 254 begun, then the 0x00 follows.
 pub const FRAME_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + PAYLOAD_BYTES_MAX / 254 + 2;
-
-const _: () = assert!(crate::config::CONFIG_BYTES_MAX + 8 <= MESSAGE_BYTES_MAX);
 
 /// CRC-32/ISO-HDLC, as in Ethernet and zip (catalogue of parametrised CRC algorithms).
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
@@ -76,8 +74,8 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, LinkError> {
     })
 }
 
-/// Reads the protocol version from a greeting ([`Hello`](super::protocol::Hello) to the firmware,
-/// [`Welcome`](super::protocol::Welcome) to the host) of any version: both are the first variant of their enum, and
+/// Reads the protocol version from a greeting ([`Hello`](crate::message::Hello) to the firmware,
+/// [`Welcome`](crate::message::Welcome) to the host) of any version: both are the first variant of their enum, and
 /// the version is their first field.
 ///
 /// Returns `None` when the payload is no greeting.
@@ -219,20 +217,22 @@ impl<const BYTES: usize> Decoder<BYTES> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::protocol::{Hello, HostMessage, PROTOCOL_VERSION};
     use super::*;
-    use crate::config::Config;
+    use crate::example::{Example, configuration};
+    use crate::message::Hello;
+
+    type HostMessage = crate::message::HostMessage<Example>;
 
     fn messages() -> [HostMessage; 3] {
         [
             HostMessage::Hello(Hello {
-                protocol: PROTOCOL_VERSION,
+                protocol: 3,
                 session: 7,
             }),
             HostMessage::Heartbeat,
             HostMessage::Configure {
                 id: 1,
-                config: Config::default(),
+                config: configuration(),
             },
         ]
     }

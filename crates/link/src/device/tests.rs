@@ -1,12 +1,15 @@
 //! Requirements of the firmware's end of the link.
 
-use super::super::frame::Decoder;
-use super::super::protocol::{Counters, Hello, PathVertex, SLAVES_REPORTED, SlaveStatus};
 use super::*;
-use crate::application::{Fault, Mode};
-use crate::board::{Interlock, PortState};
-use crate::motion::Pen;
-use host_tools::random::Random;
+use crate::example::{Command, Example, Refusal, Status, command, configuration, part};
+use crate::frame::Decoder;
+use crate::message::Hello;
+use proptest::prelude::*;
+
+type DeviceEndpoint = super::DeviceEndpoint<Example>;
+type DeviceEvent = super::DeviceEvent<Example>;
+type HostMessage = crate::message::HostMessage<Example>;
+type DeviceMessage = crate::message::DeviceMessage<Example>;
 
 const IDENTITY: Identity = Identity {
     firmware: "0.1.0",
@@ -25,30 +28,17 @@ fn endpoint() -> DeviceEndpoint {
 
 fn hello(session: u32) -> HostMessage {
     HostMessage::Hello(Hello {
-        protocol: PROTOCOL_VERSION,
+        protocol: Example::VERSION,
         session,
     })
 }
 
-fn command(id: u16, command: Command) -> HostMessage {
-    HostMessage::Command { id, command }
-}
-
 fn path(first: u32, count: usize, last: bool) -> HostMessage {
-    let vertices = (first..).take(count).map(|index| vertex(index as i32)).collect();
     HostMessage::Path {
         job: 3,
         first,
-        vertices,
+        vertices: part(first, count),
         last,
-    }
-}
-
-fn vertex(x_um: i32) -> PathVertex {
-    PathVertex {
-        position_um: [x_um, 0, -850_000],
-        pen: Pen::Down,
-        stroke: 0,
     }
 }
 
@@ -108,13 +98,13 @@ fn drawing() -> DeviceEndpoint {
 fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_right_greeting() {
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
     let wrong = HostMessage::Hello(Hello {
-        protocol: PROTOCOL_VERSION + 1,
+        protocol: Example::VERSION + 1,
         session: 5,
     });
     assert!(say(&mut endpoint, 0, 0, &wrong).is_empty());
     let answer = hear(&mut endpoint, 0);
     assert!(matches!(&answer[..], [DeviceMessage::Welcome(welcome)]
-        if welcome.protocol == PROTOCOL_VERSION && welcome.session == 0 && welcome.board == "simulation"));
+        if welcome.protocol == Example::VERSION && welcome.session == 0 && welcome.board == "simulation"));
     assert!(say(&mut endpoint, 1, 0, &command(1, Command::Enable)).is_empty());
     assert_eq!((endpoint.counts().refused, endpoint.silence_ms(9)), (1, None));
     assert_eq!(
@@ -131,12 +121,10 @@ fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_r
 #[test]
 fn every_greeting_is_told_how_the_run_before_ended() {
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
-    let previous = PreviousRun {
-        end: PreviousRun::panicked("panicked at src/main.rs:1:1"),
-        fault: Some(Fault::SetpointUnderrun),
-    };
-    endpoint.set_previous_run(previous.clone());
-    for session in 1..3 {
+    for (session, previous) in [(1, Example::NO_PREVIOUS_RUN), (2, 9), (3, 9)] {
+        if previous != Example::NO_PREVIOUS_RUN {
+            endpoint.set_previous_run(previous);
+        }
         say(&mut endpoint, 0, 9, &hello(session));
         let answer = hear(&mut endpoint, 0);
         assert!(
@@ -154,17 +142,17 @@ fn a_repeated_request_is_answered_again_but_handed_out_once() {
     assert_eq!(say(&mut endpoint, 1, 0, &enable).len(), 1);
     assert!(say(&mut endpoint, 2, 0, &enable).is_empty());
     assert!(hear(&mut endpoint, 2).is_empty(), "no answer before the application's");
-    endpoint.answer(7, Err(Refusal::NotReferenced));
+    endpoint.answer(7, Err(Refusal::NotReady));
     let answer = DeviceMessage::Answer {
         id: 7,
-        result: Err(Refusal::NotReferenced),
+        result: Err(Refusal::NotReady),
     };
     assert_eq!(&hear(&mut endpoint, 3)[..], core::slice::from_ref(&answer));
     assert!(say(&mut endpoint, 4, 0, &enable).is_empty());
     assert_eq!(&hear(&mut endpoint, 4)[..], &[answer]);
     let configure = HostMessage::Configure {
         id: 8,
-        config: Config::default(),
+        config: configuration(),
     };
     assert_eq!(say(&mut endpoint, 5, 0, &configure).len(), 1);
     endpoint.configured(8, Ok(99));
@@ -175,93 +163,11 @@ fn a_repeated_request_is_answered_again_but_handed_out_once() {
     );
 }
 
-fn sample(t_ms: u32) -> Sample {
-    let angle = (t_ms as f32).sin();
-    Sample {
-        t_ms: 100_000_000 + t_ms,
-        mode: Mode::Drawing,
-        stroke: 20_000,
-        pen: Pen::Down,
-        setpoint_rad: [angle; 4],
-        measured_rad: [angle * 0.999; 4],
-        setpoint_rad_s: [angle * 7.1; 4],
-        measured_rad_s: [angle * 7.3; 4],
-    }
-}
-
-fn full_status() -> Status {
-    let slave = SlaveStatus {
-        vendor: u32::MAX,
-        product: u32::MAX,
-        al_state: 8,
-        al_code: 0,
-        status_word: u16::MAX,
-    };
-    Status {
-        mode: Mode::Drawing,
-        fault: None,
-        recovering: false,
-        interlock: Some(Interlock::Clock),
-        port: PortState::Up,
-        referenced: true,
-        reference_lost: true,
-        increments: [Some(u32::MAX); 4],
-        config: Some(u64::MAX),
-        override_percent: 100,
-        counters: Counters {
-            cycles: u32::MAX,
-            ..Counters::default()
-        },
-        slaves: core::iter::repeat_n(slave, SLAVES_REPORTED).collect(),
-    }
-}
-
-#[test]
-fn a_sample_every_millisecond_fits_the_line_beside_acknowledgements_answers_and_status() {
-    let mut endpoint = drawing();
-    let mut decoder: Decoder = Decoder::new();
-    let (mut received, mut bytes) = (0u32, 0usize);
-    let duration_ms = 20_000u32;
-    for t_ms in 0..duration_ms {
-        let now_ms = u64::from(t_ms);
-        endpoint.sample(sample(t_ms));
-        if t_ms % 4 == 0 {
-            say(&mut endpoint, now_ms, 500, &path(t_ms * 4, 16, false));
-        }
-        if t_ms % 500 == 0 {
-            endpoint.status(full_status());
-            let id = (t_ms / 500) as u16 + 2;
-            say(
-                &mut endpoint,
-                now_ms,
-                500,
-                &command(id, Command::Override { percent: 90 }),
-            );
-            endpoint.answer(id, Ok(()));
-        }
-        endpoint.acknowledge(t_ms, 500, false);
-        let mut line = [0; LINE_BYTES_PER_MS];
-        let length = endpoint.transmit(now_ms, &mut line);
-        bytes += length;
-        for byte in &line[..length] {
-            let Some(payload) = decoder.push(*byte) else { continue };
-            if let Ok(DeviceMessage::Telemetry { sequence, samples }) = decode(payload.unwrap()) {
-                assert_eq!(sequence, received);
-                received += samples.len() as u32;
-            }
-        }
-    }
-    assert_eq!(endpoint.counts().samples_dropped, 0);
-    assert!(duration_ms - received < 16, "{received} of {duration_ms}");
-    let share = bytes as f64 / (duration_ms as usize * LINE_BYTES_PER_MS) as f64;
-    assert!(share < 0.95, "{share} of the line is used");
-}
-
 #[test]
 fn on_a_slow_line_the_oldest_samples_are_dropped_counted_and_seen_in_the_sequence() {
     let mut endpoint = endpoint();
     hear(&mut endpoint, 0);
-    (0..100).for_each(|t_ms| endpoint.sample(sample(t_ms)));
+    (0..100).for_each(|t_ms| endpoint.sample([t_ms as f32; 4]));
     assert_eq!(endpoint.counts().samples_dropped, 36);
     let messages = hear(&mut endpoint, 1);
     assert!(matches!(&messages[0], DeviceMessage::Telemetry { sequence: 36, samples } if samples.len() == 4));
@@ -271,7 +177,7 @@ fn on_a_slow_line_the_oldest_samples_are_dropped_counted_and_seen_in_the_sequenc
 fn nothing_is_chosen_before_there_is_room_so_that_the_most_urgent_goes_first() {
     let mut endpoint = endpoint();
     hear(&mut endpoint, 0);
-    endpoint.status(full_status());
+    endpoint.status(Status::long(1));
     assert_eq!(endpoint.transmit(1, &mut []), 0);
     say(&mut endpoint, 2, 0, &command(2, Command::Stop));
     endpoint.answer(2, Ok(()));
@@ -286,7 +192,7 @@ fn nothing_is_chosen_before_there_is_room_so_that_the_most_urgent_goes_first() {
 fn a_frame_once_begun_is_finished_before_a_more_urgent_one() {
     let mut endpoint = endpoint();
     hear(&mut endpoint, 0);
-    endpoint.status(full_status());
+    endpoint.status(Status::long(1));
     let mut bytes = [0; FRAME_BYTES_MAX];
     assert_eq!(endpoint.transmit(1, &mut bytes[..10]), 10);
     say(&mut endpoint, 2, 0, &command(2, Command::Stop));
@@ -300,53 +206,53 @@ fn a_frame_once_begun_is_finished_before_a_more_urgent_one() {
     assert_eq!((kinds.next(), kinds.next()), (Some(true), Some(false)));
 }
 
-#[test]
-fn garbage_makes_no_panic_and_no_event() {
-    let seed = 0x5eed_0001;
-    let mut random = Random::new(seed);
-    let (mut decoder, mut endpoint) = (Decoder::new(), endpoint());
-    for now_ms in 0..100_000 {
-        let any = random.bits();
-        let byte = (any >> 8) as u8 * u8::from(!any.is_multiple_of(20));
-        let events = take(&mut decoder, &mut endpoint, LinkPort::Serial, &[byte], now_ms, 10);
-        assert!(events.is_empty(), "seed {seed:#x}");
+proptest! {
+    #[test]
+    fn garbage_makes_no_panic_and_no_event(bytes in prop::collection::vec(prop_oneof![4 => any::<u8>(), 1 => Just(0)], 0..4_000)) {
+        let (mut decoder, mut endpoint) = (Decoder::new(), endpoint());
+        for (now_ms, byte) in (0..).zip(bytes) {
+            prop_assert!(take(&mut decoder, &mut endpoint, LinkPort::Serial, &[byte], now_ms, 10).is_empty());
+        }
     }
-    assert!(decoder.counts().bad > 1000);
+
+    #[test]
+    fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room(
+        payloads in prop::collection::vec((0..8u8, prop::collection::vec(small_or_any(), 0..120)), 1..60),
+        free in 0..20usize,
+    ) {
+        let (mut decoder, mut endpoint) = (Decoder::new(), drawing());
+        for (now_ms, (kind, content)) in (0..).zip(payloads) {
+            let mut frame = [0; FRAME_BYTES_MAX];
+            let length = encode(&Raw(kind, &content), &mut frame).unwrap();
+            for event in take(&mut decoder, &mut endpoint, LinkPort::Serial, &frame[..length], now_ms, free) {
+                match event {
+                    DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
+                    DeviceEvent::Path { vertices, .. } => prop_assert!(vertices.len() <= free),
+                    _ => {}
+                }
+            }
+            let mut out = [0; LINE_BYTES_PER_MS];
+            endpoint.transmit(now_ms, &mut out);
+        }
+    }
 }
 
-#[test]
-fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room() {
-    let seed = 0x5eed_0002;
-    let mut random = Random::new(seed);
-    let (mut decoder, mut endpoint) = (Decoder::new(), drawing());
-    let mut events = 0;
-    for now_ms in 0..20_000 {
-        let mut payload = [[0u8; 32]; 4];
-        for byte in payload.as_flattened_mut() {
-            *byte = (random.bits() >> 8) as u8 >> (random.bits() % 8);
-        }
-        payload[0][0] = (random.bits() % 7) as u8;
-        let mut frame = [0; FRAME_BYTES_MAX];
-        let length = encode(&payload, &mut frame).unwrap();
-        for event in take(
-            &mut decoder,
-            &mut endpoint,
-            LinkPort::Serial,
-            &frame[..length],
-            now_ms,
-            5,
-        ) {
-            events += 1;
-            match event {
-                DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
-                DeviceEvent::Path { vertices, .. } => assert!(vertices.len() <= 5, "seed {seed:#x}"),
-                _ => {}
-            }
-        }
-        let mut out = [0; LINE_BYTES_PER_MS];
-        endpoint.transmit(now_ms, &mut out);
+/// Mostly the small numbers of which valid messages consist.
+fn small_or_any() -> impl Strategy<Value = u8> {
+    prop_oneof![9 => 0..5u8, 1 => any::<u8>()]
+}
+
+/// Bytes that are encoded as they are, without a length before them: the number of a variant, and its content.
+struct Raw<'a>(u8, &'a [u8]);
+
+impl serde::Serialize for Raw<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeTuple;
+        let mut tuple = serializer.serialize_tuple(1 + self.1.len())?;
+        tuple.serialize_element(&self.0)?;
+        self.1.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
     }
-    assert!(events > 100, "seed {seed:#x}: only {events} messages were understood");
 }
 
 fn say_on(endpoint: &mut DeviceEndpoint, port: LinkPort, now_ms: u64, message: &HostMessage) -> Option<DeviceEvent> {
@@ -389,7 +295,7 @@ fn a_second_host_at_the_other_port_changes_nothing_while_the_first_one_speaks() 
 #[test]
 fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone() {
     let mut endpoint = drawing();
-    let gone_ms = crate::link::ports::HELD_MS;
+    let gone_ms = crate::ports::HELD_MS;
     // A frame that had begun on the old port is not continued on the other one.
     endpoint.answer(1, Ok(()));
     let mut begun = [0; 3];
@@ -419,7 +325,7 @@ fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone(
 fn a_host_that_takes_over_without_a_greeting_has_no_part_in_the_session_of_another() {
     let mut endpoint = endpoint();
     hear(&mut endpoint, 0);
-    let later_ms = crate::link::ports::HELD_MS;
+    let later_ms = crate::ports::HELD_MS;
     assert_eq!(
         say_on(&mut endpoint, LinkPort::Usb, later_ms, &command(5, Command::Enable)),
         None

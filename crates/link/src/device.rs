@@ -7,17 +7,12 @@
 //! through [`DeviceEndpoint::receive`], each from a port's decoder; bytes leave through [`DeviceEndpoint::transmit`];
 //! the caller passes the time in milliseconds.
 
-use super::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
-use super::path::{PathReceiver, PathVertices};
-use super::ports::{Hearing, LinkPort, PortHold};
-use super::protocol::{
-    Command, ConfigRefusal, DeviceMessage, HostMessage, PROTOCOL_VERSION, SAMPLES_PER_MESSAGE, Sample, Status, Welcome,
-};
-use crate::application::Refusal;
-use crate::board::{PreviousRun, RunEnd};
-use crate::config::Config;
-use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
-use crate::measurement::{MeasurementAnswer, MeasurementRequest};
+use crate::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
+use crate::message::{DeviceMessage, HostMessage, PathVertices, SAMPLES_PER_MESSAGE, Welcome};
+use crate::ports::{Hearing, LinkPort, PortHold};
+use crate::receiver::PathReceiver;
+use crate::requests::{Request, Single};
+use crate::{CommandEffect, Protocol};
 use heapless::{Deque, String};
 
 /// Default length of the telemetry queue, samples: covers the time that the longest other frame takes on the line.
@@ -28,8 +23,6 @@ pub const REQUESTS_KEPT: usize = 8;
 pub const LINE_BYTES_PER_MS: usize = 92;
 
 const _: () = assert!(SAMPLES_QUEUED > FRAME_BYTES_MAX / LINE_BYTES_PER_MS + SAMPLES_PER_MESSAGE);
-
-const _: () = assert!(size_of::<DeviceEndpoint>() <= 10 * 1024);
 
 /// Identity that the firmware reports in its [`Welcome`].
 #[derive(Clone, Copy, Debug)]
@@ -45,45 +38,45 @@ pub struct Identity {
 /// A request of the host to the application.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // one is alive at a time
-pub enum DeviceEvent {
-    /// A host has connected; the state of an earlier path is kept. The host expects a [`Status`].
+pub enum DeviceEvent<P: Protocol> {
+    /// A host has connected; the state of an earlier path is kept. The host expects a status.
     Connected,
     /// Check and use this configuration, then call [`DeviceEndpoint::configured`].
     Configure {
         /// Number of the request.
         id: u16,
         /// The configuration, unchecked.
-        config: Config,
+        config: P::Config,
     },
     /// Carry out or refuse this command, then call [`DeviceEndpoint::answer`].
     Command {
         /// Number of the request.
         id: u16,
         /// What to do.
-        command: Command,
+        command: P::Command,
     },
     /// The next vertices of the path; there is room for all of them.
     Path {
         /// The vertices; empty if the message only announces the end of the path.
-        vertices: PathVertices,
+        vertices: PathVertices<P>,
         /// Whether they end the path.
         last: bool,
     },
-    /// The host wants a [`Status`] now.
+    /// The host wants a status now.
     Inquire,
     /// Pass this request to the bus, then call [`DeviceEndpoint::bus_answered`].
     Bus {
         /// Number of the request.
         id: u16,
         /// What is asked.
-        request: ServiceRequest,
+        request: P::BusRequest,
     },
     /// Pass this request to the measurements, then call [`DeviceEndpoint::measured`].
     Measure {
         /// Number of the request.
         id: u16,
         /// What is asked.
-        request: MeasurementRequest,
+        request: P::MeasurementRequest,
     },
 }
 
@@ -102,86 +95,35 @@ pub struct LinkCounts {
     pub samples_dropped: u32,
 }
 
-struct Request {
-    id: u16,
-    command: Command,
-    result: Option<Result<(), Refusal>>,
-    due: bool,
-}
-
-/// A kind of request that is carried out one at a time, with its answer.
-struct Single<T> {
-    id: u16,
-    result: Option<T>,
-    due: bool,
-}
-
-impl<T> Single<T> {
-    /// Whether `id` is to be carried out; a repeated `id` makes its answer due again.
-    fn begin(slot: &mut Option<Self>, id: u16) -> bool {
-        match slot {
-            Some(known) if known.id == id => {
-                known.due = known.result.is_some();
-                false
-            }
-            _ => {
-                *slot = Some(Self {
-                    id,
-                    result: None,
-                    due: false,
-                });
-                true
-            }
-        }
-    }
-
-    fn answer(slot: &mut Option<Self>, id: u16, result: T) {
-        if let Some(known) = slot.as_mut().filter(|known| known.id == id) {
-            known.result = Some(result);
-            known.due = true;
-        }
-    }
-
-    /// The answer that is due; returned once.
-    fn take_due(slot: &mut Option<Self>) -> Option<(u16, &T)> {
-        let known = slot.as_mut().filter(|known| known.due)?;
-        known.due = false;
-        known.result.as_ref().map(|result| (known.id, result))
-    }
-}
-
 /// The firmware's end of the link; `SAMPLES` is the length of the telemetry queue.
-pub struct DeviceEndpoint<const SAMPLES: usize = SAMPLES_QUEUED> {
+pub struct DeviceEndpoint<P: Protocol, const SAMPLES: usize = SAMPLES_QUEUED> {
     identity: Identity,
-    previous: PreviousRun,
+    previous: P::PreviousRun,
     hold: PortHold,
     counts: LinkCounts,
     session: Option<u32>,
     welcome_due: bool,
     heard_ms: u64,
     config: Option<u64>,
-    configuring: Option<Single<Result<u64, ConfigRefusal>>>,
-    bus: Option<Single<ServiceResult>>,
-    measuring: Option<Single<MeasurementAnswer>>,
-    requests: Deque<Request, REQUESTS_KEPT>,
-    path: Option<PathReceiver>,
-    status: Option<Status>,
-    samples: Deque<Sample, SAMPLES>,
+    configuring: Option<Single<Result<u64, P::ConfigRefusal>>>,
+    bus: Option<Single<P::BusResult>>,
+    measuring: Option<Single<P::MeasurementAnswer>>,
+    requests: Deque<Request<P::Refusal>, REQUESTS_KEPT>,
+    path: Option<PathReceiver<P>>,
+    status: Option<P::Status>,
+    samples: Deque<P::Sample, SAMPLES>,
     sequence_next: u32,
     frame: [u8; FRAME_BYTES_MAX],
     frame_length: usize,
     frame_sent: usize,
 }
 
-impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
+impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
     /// An endpoint that waits for a greeting.
     pub const fn new(identity: Identity) -> Self {
         Self {
             identity,
-            previous: PreviousRun {
-                end: RunEnd::PowerOff,
-                fault: None,
-            },
+            previous: P::NO_PREVIOUS_RUN,
             hold: PortHold::new(),
             counts: LinkCounts {
                 not_understood: 0,
@@ -209,7 +151,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// Sets how the previous run ended, as reported in every [`Welcome`].
-    pub fn set_previous_run(&mut self, previous: PreviousRun) {
+    pub fn set_previous_run(&mut self, previous: P::PreviousRun) {
         self.previous = previous;
     }
 
@@ -235,7 +177,8 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
 
     /// Takes the payload of a frame with a correct CRC from a port. `free` is the number of vertices that the
     /// application can take now.
-    pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent> {
+    #[inline(never)] // generic code is inlined at every call otherwise, which costs flash
+    pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent<P>> {
         match self.hold.hear(port, now_ms) {
             Hearing::Held => {}
             Hearing::Taken => {
@@ -252,12 +195,12 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
                 return None;
             }
         }
-        if greeting_version(payload).is_some_and(|version| version != PROTOCOL_VERSION) {
+        if greeting_version(payload).is_some_and(|version| version != P::VERSION) {
             self.session = None;
             self.welcome_due = true;
             return None;
         }
-        let Ok(message) = decode::<HostMessage>(payload) else {
+        let Ok(message) = decode::<HostMessage<P>>(payload) else {
             self.counts.not_understood = self.counts.not_understood.wrapping_add(1);
             return None;
         };
@@ -293,7 +236,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    fn greet(&mut self, session: u32) -> Option<DeviceEvent> {
+    fn greet(&mut self, session: u32) -> Option<DeviceEvent<P>> {
         self.welcome_due = true;
         if self.session == Some(session) {
             return None;
@@ -310,7 +253,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         Some(DeviceEvent::Connected)
     }
 
-    fn take_command(&mut self, id: u16, command: Command) -> Option<DeviceEvent> {
+    fn take_command(&mut self, id: u16, command: P::Command) -> Option<DeviceEvent<P>> {
         if let Some(known) = self.requests.iter_mut().find(|known| known.id == id) {
             known.due = known.result.is_some();
             return None;
@@ -320,7 +263,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
         let request = Request {
             id,
-            command,
+            effect: P::effect(&command),
             result: None,
             due: false,
         };
@@ -333,49 +276,50 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         &mut self,
         job: u16,
         first: u32,
-        vertices: PathVertices,
+        vertices: PathVertices<P>,
         last: bool,
         free: usize,
-    ) -> Option<DeviceEvent> {
+    ) -> Option<DeviceEvent<P>> {
         let path = self.path.as_mut().filter(|path| path.job() == job);
         let (taken, dropped) = path.map_or((None, true), |path| path.take(first, vertices, last, free));
         self.counts.path_dropped = self.counts.path_dropped.wrapping_add(u32::from(dropped));
         taken.map(|(vertices, last)| DeviceEvent::Path { vertices, last })
     }
 
-    /// Answers a command. Accepting [`Command::Draw`] opens its path at vertex 0; accepting [`Command::Cancel`] or
-    /// [`Command::Stop`] closes the path. An answer to a request that is not known is ignored.
-    pub fn answer(&mut self, id: u16, result: Result<(), Refusal>) {
+    /// Answers a command. Accepting it opens or closes the path as its [`CommandEffect`] says. An answer to a request
+    /// that is not known is ignored.
+    pub fn answer(&mut self, id: u16, result: Result<(), P::Refusal>) {
         let Some(request) = self.requests.iter_mut().find(|request| request.id == id) else {
             return;
         };
+        let accepted = result.is_ok();
         request.result = Some(result);
         request.due = true;
-        match (request.command, result) {
-            (Command::Draw { job }, Ok(())) => {
+        match request.effect {
+            CommandEffect::OpensPath { job } if accepted => {
                 self.path = Some(PathReceiver::new(job, self.identity.capacity));
             }
-            (Command::Cancel | Command::Stop, Ok(())) => self.close_path(),
+            CommandEffect::ClosesPath | CommandEffect::Stops if accepted => self.close_path(),
             _ => {}
         }
     }
 
     /// Answers a configuration: its hash, or why it was refused. A refused configuration leaves the former one in
     /// force.
-    pub fn configured(&mut self, id: u16, result: Result<u64, ConfigRefusal>) {
-        if let Ok(hash) = result {
-            self.config = Some(hash);
+    pub fn configured(&mut self, id: u16, result: Result<u64, P::ConfigRefusal>) {
+        if let Ok(hash) = &result {
+            self.config = Some(*hash);
         }
         Single::answer(&mut self.configuring, id, result);
     }
 
     /// Answers a request to the bus; ignored unless `id` is the latest request.
-    pub fn bus_answered(&mut self, id: u16, result: ServiceResult) {
+    pub fn bus_answered(&mut self, id: u16, result: P::BusResult) {
         Single::answer(&mut self.bus, id, result);
     }
 
     /// Answers a request to the measurements.
-    pub fn measured(&mut self, id: u16, answer: MeasurementAnswer) {
+    pub fn measured(&mut self, id: u16, answer: P::MeasurementAnswer) {
         Single::answer(&mut self.measuring, id, answer);
     }
 
@@ -388,7 +332,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// Refuses a vertex of the path; no more vertices of this path are taken.
-    pub fn refuse_vertex(&mut self, refusal: crate::motion::Refusal) {
+    pub fn refuse_vertex(&mut self, refusal: P::VertexRefusal) {
         if let Some(path) = &mut self.path {
             path.refuse(refusal);
         }
@@ -402,12 +346,12 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// Queues a status; a newer status replaces one that has not been sent.
-    pub fn status(&mut self, status: Status) {
+    pub fn status(&mut self, status: P::Status) {
         self.status = Some(status);
     }
 
     /// Queues a sample; when the line is slow the oldest samples are dropped and counted.
-    pub fn sample(&mut self, sample: Sample) {
+    pub fn sample(&mut self, sample: P::Sample) {
         if self.session.is_none() {
             return;
         }
@@ -421,6 +365,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// Fills `out` with the bytes to send now; returns how many.
+    #[inline(never)] // generic code is inlined at every call otherwise, which costs flash
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
@@ -441,20 +386,23 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
     }
 
     /// The next message in order of urgency: answers, acknowledgement, status, telemetry.
-    fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage> {
+    fn next_message(&mut self, now_ms: u64) -> Option<DeviceMessage<P>> {
         if self.welcome_due {
             self.welcome_due = false;
             return Some(DeviceMessage::Welcome(self.welcome()));
         }
         self.session?;
         if let Some(request) = self.requests.iter_mut().find(|request| request.due)
-            && let Some(result) = request.result
+            && let Some(result) = request.result.clone()
         {
             request.due = false;
             return Some(DeviceMessage::Answer { id: request.id, result });
         }
         if let Some((id, result)) = Single::take_due(&mut self.configuring) {
-            return Some(DeviceMessage::Configured { id, result: *result });
+            return Some(DeviceMessage::Configured {
+                id,
+                result: result.clone(),
+            });
         }
         if let Some(message) = self.path.as_mut().and_then(|path| path.next_message(now_ms)) {
             return Some(message);
@@ -473,9 +421,9 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         self.next_batch()
     }
 
-    fn welcome(&self) -> Welcome {
+    fn welcome(&self) -> Welcome<P> {
         Welcome {
-            protocol: PROTOCOL_VERSION,
+            protocol: P::VERSION,
             session: self.session.unwrap_or(0),
             firmware: shortened(self.identity.firmware),
             board: shortened(self.identity.board),
@@ -485,7 +433,7 @@ impl<const SAMPLES: usize> DeviceEndpoint<SAMPLES> {
         }
     }
 
-    fn next_batch(&mut self) -> Option<DeviceMessage> {
+    fn next_batch(&mut self) -> Option<DeviceMessage<P>> {
         if self.samples.len() < SAMPLES_PER_MESSAGE {
             return None;
         }
