@@ -32,36 +32,36 @@ enum Subcommand {
     Confined,
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
     Demo(demo::Arguments),
-    /// The operator's page in a browser: on a board, in the emulator, or in virtual time.
+    /// Serve the operator's page for a board, the emulator or a simulation.
     Console(console::Arguments),
     /// Draw a file on a running machine or emulator.
     Draw(draw::Arguments),
     #[command(flatten)]
     Operate(operate::Command),
-    /// Show how a file would be drawn: order, travel moves, what is refused, time from the firmware's planner.
+    /// Show how a file would be drawn: order, travel moves, refusals, planned time.
     Preview(preview::Arguments),
     /// Turn a photograph into the lines of an SVG.
     Vectorize(vectorize::Arguments),
-    /// Put the lines of an SVG into an order that costs little drawing time; true scale, no line lost.
+    /// Reorder the lines of an SVG for a short drawing time; keeps the scale and every line.
     Order(order::Arguments),
-    /// Draw a file in virtual time in this process, with the same tasks and the same cell.
+    /// Draw a file in virtual time in this process, with the firmware's tasks and the virtual cell.
     Simulate(simulate::Arguments),
     /// Run the firmware in QEMU with the virtual cell and print the port to connect to.
     Emulate(emulate::Arguments),
     /// Check tools, permissions, debug probe, port, firmware and configuration; says what to try.
     Doctor(doctor::Arguments),
-    /// Build the firmware of the board NUCLEO-H743ZI2, write it into the board and verify it.
+    /// Build the firmware of the board NUCLEO-H743ZI2, write it to the board and verify it.
     Flash(flash::Arguments),
     /// Show the configuration, with the origin of each value.
     Config(configuration::Arguments),
-    /// Home: take the resolvers' angles as the robot's, at the marks or at a known pose, and store them.
+    /// Home: find the robot's pose from the resolvers, at the marks or at a known pose, and store it.
     #[command(visible_alias = "home")]
     Reference(reference::Arguments),
-    /// Measure delay and gain of the drives with a test motion, and store the controller's values that follow.
+    /// Measure the drives' delay and gain with a test motion, and store the resulting controller values.
     Identify(identify::Arguments),
     /// Record everything the firmware sends into an MCAP file, for export, plot, stats, Foxglove or PlotJuggler.
     Record(record::Arguments),
-    /// Print what a recording amounts to: duration, gaps, extremes of each signal, following errors, modes.
+    /// Summarise a recording: duration, gaps, extremes of each signal, following errors, modes.
     Stats(recorded::StatsArguments),
     /// Draw signals of a recording: SVG or PNG, without a display.
     Plot(recorded::PlotArguments),
@@ -73,13 +73,13 @@ enum Subcommand {
     Kinematics(kinematics::Arguments),
     /// Inspect and change the slaves on the bus.
     Bus(bus::Arguments),
-    /// Run the virtual EtherCAT segment alone, for any master to talk to.
+    /// Run the virtual EtherCAT segment alone, for any master.
     Segment(segment::Arguments),
     /// Print the completions of a shell: bash, zsh, fish, elvish or PowerShell.
     Completions(shell::Completions),
     /// Write manual pages.
     Man(shell::Man),
-    /// Measure the project's figures beside those of its peers; installs and builds what is missing.
+    /// Compare the project's figures with those of its peers; installs and builds what is missing.
     Bench(bench::Arguments),
     /// Set up, format, lint, test and build everything, as continuous integration does.
     Verify(verify::Arguments),

@@ -39,7 +39,7 @@ const SECONDS_PER_MEGAPIXEL: f64 = 1.0;
 const SECONDS_MIN: f64 = 1.0;
 /// Largest gap closed by both programs, mm: vpype's default.
 const JOIN_MM: f64 = 0.05;
-/// Width of the pen's line and scale of the compared drawing.
+/// Line width of the pen and scale of the compared drawing.
 const PEN_MM: f64 = 0.5;
 const PX_PER_MM: f64 = 5.0;
 /// Orders files with vpype and prints a line of JSON for each.

@@ -29,8 +29,8 @@ enum Bench {
     Ethercat(Options),
     /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
     Latency(super::latency::Arguments),
-    /// The planner beside copp (TOPP2-RA), Klipper's and grbl's formulas: durations at the same limits, largest values of
-    /// the 1 ms references, planning times, instructions of a period. A row meets its target or misses it.
+    /// The planner beside copp (TOPP2-RA), Klipper's and grbl's formulas: durations at the same limits, largest values
+    /// of the 1 ms setpoints, planning times, instructions of a period. A row meets its target or misses it.
     Motion(MotionOptions),
     /// A long recording through writer and reader: samples lost, bytes of a sample, growth of memory.
     Recording(RecordingOptions),

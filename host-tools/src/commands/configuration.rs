@@ -19,8 +19,8 @@ pub struct Arguments {
 enum Command {
     /// Print every value in force.
     ///
-    /// Values come from the built-in IRB 340, over it a file (--config, else ETHERPEN_CONFIG, else etherpen.toml in this
-    /// folder). The port comes from --port, else ETHERPEN_PORT.
+    /// Values come from the built-in IRB 340 and from a file that overrides it (--config, else ETHERPEN_CONFIG, else
+    /// etherpen.toml in this folder). The port comes from --port, else ETHERPEN_PORT.
     Show(Show),
 }
 

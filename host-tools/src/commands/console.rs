@@ -26,19 +26,19 @@ const LOOK: Duration = Duration::from_millis(100);
 pub struct Arguments {
     #[command(flatten)]
     port: OptionalPort,
-    /// The firmware image in QEMU with the virtual cell; this is the default without --port.
+    /// Run the firmware image in QEMU with the virtual cell; this is the default without --port.
     #[arg(long, conflicts_with = "simulate")]
     emulate: bool,
-    /// The firmware's tasks and the virtual cell in this process, in real time; needs nothing installed.
+    /// Run the firmware's tasks and the virtual cell in this process, in real time; needs no other program.
     #[arg(long)]
     simulate: bool,
-    /// Where the page is served; another address than 127.0.0.1 lets others in who have the token.
+    /// Address of the page. With an address other than 127.0.0.1, anyone who has the token can use the page.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8340")]
     listen: SocketAddr,
     /// Open the page in a browser.
     #[arg(long)]
     open: bool,
-    /// Scripted faults of the virtual segment, one a line (etherpen segment --help describes them).
+    /// File with scripted faults of the virtual segment, one per line (etherpen segment --help describes them).
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     #[command(flatten)]

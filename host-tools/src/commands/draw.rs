@@ -41,28 +41,28 @@ pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
     #[arg(required_unless_present_any = ["camera", "resume"], conflicts_with = "camera")]
     file: Option<PathBuf>,
-    /// Take a photograph and draw it: a V4L2 device (/dev/video0), or a recorded stream of JPEG pictures. The picture is
-    /// kept beside the log of jobs and named, so that the drawing can be resumed.
+    /// Take a photograph with a V4L2 device (/dev/video0), or from a recorded stream of JPEG pictures, and draw it. The
+    /// picture is kept beside the job log, so that the drawing can be resumed.
     #[arg(long, value_name = "DEVICE", conflicts_with = "resume")]
     camera: Option<PathBuf>,
     #[command(flatten)]
     port: PortArguments,
-    /// Acknowledge a fault that is latched from before (lost drives are brought back), and cancel a drawing that was
-    /// left behind.
+    /// First acknowledge a latched fault, which brings lost drives back, and cancel an abandoned drawing.
     #[arg(long)]
     acknowledge: bool,
-    /// Go on with this drawing where it broke off: with what the firmware holds, else from the log of jobs (etherpen
-    /// jobs) with a small overlap. JOB is a name of that log, or its beginning: its file and its options are taken from the
-    /// log. Without JOB, the last job of this file that drew something; the options must be the same. The configuration may
-    /// have changed where paper and limits of motion are the same.
+    /// Continue an interrupted drawing: with the path that the firmware still holds, else from the job log (etherpen
+    /// jobs) with a small overlap. JOB is a name in that log, or the beginning of one; file and options come from the
+    /// log. Without JOB: the last job of FILE that drew something, with the same options. The configuration may have
+    /// changed, but not the paper or the limits of motion.
     #[arg(long, value_name = "JOB", num_args = 0..=1, default_missing_value = "", conflicts_with = "acknowledge")]
     resume: Option<String>,
-    /// Draw layer by layer, with a pause without power to change the pen in between; results go to DIR/layer-N.
+    /// Draw layer by layer. The drives have no power between two layers, so that you can change the pen. Results go to
+    /// DIR/layer-N.
     #[arg(long, conflicts_with_all = ["camera", "resume"])]
     pause: bool,
-    /// First go around the drawing with the pen up, slowly, to see that it lies on the paper; then wait, without power, for
-    /// Enter. Without a terminal a line on standard input is the Enter; where standard input ends without one, nothing is
-    /// drawn.
+    /// First trace the drawing's border slowly with the pen up, to show where it lies on the paper; then wait, without
+    /// power, for Enter. Without a terminal, a line on standard input counts as Enter; if standard input ends first,
+    /// nothing is drawn.
     #[arg(long, conflicts_with = "resume")]
     outline: bool,
     #[command(flatten)]

@@ -18,19 +18,19 @@ pub struct Arguments {
     /// TCP port of the serial link on 127.0.0.1; 0 takes a free one.
     #[arg(long, default_value_t = 0)]
     port: u16,
-    /// How fast virtual time may go.
+    /// Speed of virtual time.
     #[arg(long, value_enum, default_value_t = PaceArgument::Realtime)]
     pace: PaceArgument,
-    /// Run without lockstep, the serial link on the board's UART: for play. What delays the emulator for longer than the
-    /// drives' watchdog ends in a fault; samples/play.toml is patient.
+    /// Run without lockstep, with the serial link on the board's UART, to play with. A delay of the emulator that
+    /// exceeds the drives' watchdog ends in a fault; samples/play.toml has longer limits.
     #[arg(long)]
     free_running: bool,
-    /// Give the firmware the emulator's own network instead of the virtual cell, for EtherCAT in UDP: it gets its address
-    /// by DHCP and reaches a segment on this computer (etherpen segment --udp 127.0.0.1:34980) as 10.0.2.2. Needs
-    /// --free-running, and transport = "udp", segment = "10.0.2.2" in the configuration that the job sends.
+    /// Give the firmware the emulator's own network instead of the virtual cell, for EtherCAT in UDP: it gets its
+    /// address by DHCP and reaches a segment on this computer (etherpen segment --udp 127.0.0.1:34980) as 10.0.2.2.
+    /// Needs --free-running, and transport = "udp", segment = "10.0.2.2" in the job's configuration.
     #[arg(long, requires = "free_running", conflicts_with = "faults")]
     udp: bool,
-    /// Scripted faults of the virtual segment, one a line.
+    /// File with scripted faults of the virtual segment, one per line.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Show the firmware's log on stderr.
@@ -40,7 +40,7 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-/// How fast virtual time may go.
+/// Speed of virtual time.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 enum PaceArgument {
     /// As fast as the machine can.

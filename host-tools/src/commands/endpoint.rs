@@ -8,13 +8,13 @@ use std::path::PathBuf;
 #[derive(clap::Args, Debug)]
 #[group(required = true, multiple = false)]
 pub struct SegmentArguments {
-    /// Raw EtherCAT frames on this network interface; needs the right for raw sockets.
+    /// Raw EtherCAT frames on this network interface; needs permission for raw sockets.
     #[arg(long, value_name = "IF")]
     interface: Option<String>,
-    /// EtherCAT in UDP at this IPv4 address, HOST or HOST:PORT; the port is 34980 unless given, 0 takes a free one.
+    /// EtherCAT in UDP at this IPv4 address, HOST or HOST:PORT (default port 34980; 0 takes a free one).
     #[arg(long, value_name = "ADDR", value_parser = udp_address)]
     udp: Option<SocketAddrV4>,
-    /// A Unix socket (SOCK_SEQPACKET), one Ethernet frame in a message.
+    /// Unix socket (SOCK_SEQPACKET), one Ethernet frame per message.
     #[arg(long, value_name = "PATH")]
     unix: Option<PathBuf>,
 }

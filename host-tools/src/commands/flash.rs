@@ -23,10 +23,10 @@ pub struct Arguments {
     /// The chip, as probe-rs names it.
     #[arg(long, default_value = "STM32H743ZITx")]
     chip: String,
-    /// Which debug probe, where there are several: VID:PID:SERIAL (etherpen doctor lists them).
+    /// Debug probe, if there are several: VID:PID:SERIAL (etherpen doctor lists them).
     #[arg(long, value_name = "PROBE")]
     probe: Option<String>,
-    /// Install probe-rs by cargo where it is missing; takes some minutes.
+    /// Install probe-rs with cargo if it is missing; takes some minutes.
     #[arg(long)]
     install: bool,
     /// Print the result as JSON on stdout.

@@ -30,13 +30,13 @@ pub struct Arguments {
     simulate: bool,
     #[command(flatten)]
     port: OptionalPort,
-    /// Change this axis alone, from 1; the main axes share their lead and feedback gain all the same.
+    /// Change only this axis, from 1; the main axes still share their lead and feedback gain.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=AXES as i64))]
     axis: Option<u8>,
-    /// Store the values in this file; everything else in it stays.
+    /// Store the values in this file; the rest of it is unchanged.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Store the values in the configuration file that is in use, `etherpen.toml` where there is none.
+    /// Store the values in the configuration file in use, or in `etherpen.toml` if there is none.
     #[arg(long, conflicts_with = "output")]
     store: bool,
     /// Print the result as JSON on stdout.

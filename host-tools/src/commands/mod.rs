@@ -43,7 +43,7 @@ use std::sync::atomic::AtomicBool;
 /// Options of every command that uses a configuration.
 #[derive(clap::Args, Debug, Default)]
 pub struct ConfigArguments {
-    /// Configuration file; without it `etherpen.toml` in this folder, or the built-in IRB 340.
+    /// Configuration file. Default: `etherpen.toml` in this folder, else the built-in IRB 340.
     #[arg(long, value_name = "FILE", env = "ETHERPEN_CONFIG")]
     pub config: Option<PathBuf>,
 }

@@ -26,7 +26,7 @@ pub struct Arguments {
     /// The SVG to write; - writes it to standard output.
     #[arg(short, long, value_name = "OUT.svg")]
     out: PathBuf,
-    /// Print lifts, ways with the pen up before and after, and the time taken as JSON on stdout.
+    /// Print lifts, travel moves before and after, and the computing time as JSON on stdout.
     #[arg(long)]
     json: bool,
     /// Close gaps up to this length between ends [default: 0.05mm].

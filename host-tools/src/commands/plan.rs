@@ -51,25 +51,25 @@ pub struct Arguments {
 /// Limits given by hand; they override the configuration, and its bounds too: nothing moves.
 #[derive(clap::Args, Debug, Default)]
 struct LimitArguments {
-    /// Speed of every axis.
+    /// Speed limit of every axis.
     #[arg(long, value_name = "RAD_S", value_parser = limit)]
     joint_speed: Option<f64>,
-    /// Acceleration of every axis.
+    /// Acceleration limit of every axis.
     #[arg(long, value_name = "RAD_S2", value_parser = limit)]
     joint_acceleration: Option<f64>,
-    /// Speed of the platform, pen down and up.
+    /// Speed limit of the tool, pen down and up.
     #[arg(long, value_name = "MM_S", value_parser = limit)]
     speed: Option<f64>,
-    /// Acceleration of the platform.
+    /// Acceleration limit of the tool.
     #[arg(long, value_name = "MM_S2", value_parser = limit)]
     acceleration: Option<f64>,
-    /// Distance of the references from the path, pen down and up.
+    /// Largest distance of the setpoints from the path, pen down and up.
     #[arg(long, value_name = "MM", value_parser = limit)]
     tolerance: Option<f64>,
-    /// Moving average of the references that bounds the jerk, whole milliseconds; 0 switches it off.
+    /// Moving average of the setpoints, which limits jerk, whole milliseconds; 0 switches it off.
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(0..=i64::from(JERK_WINDOW_MAX_MS)))]
     jerk_window: Option<u16>,
-    /// What axis 4 does: follow the direction of the path, or keep its angle.
+    /// Axis 4: follow the direction of the path, or keep its angle.
     #[arg(long, value_name = "WHAT", value_parser = ["path", "constant"])]
     orientation: Option<String>,
 }

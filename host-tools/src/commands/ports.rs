@@ -11,7 +11,7 @@ const VARIABLE: &str = "ETHERPEN_PORT";
 /// Options of a command that opens a port itself.
 #[derive(clap::Args, Debug)]
 pub struct PortArguments {
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    /// Port of the machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long, env = VARIABLE)]
     pub port: PortName,
 }
@@ -19,7 +19,7 @@ pub struct PortArguments {
 /// Options of a command that another option can tell where to work.
 #[derive(clap::Args, Debug, Default)]
 pub struct OptionalPort {
-    /// The machine: /dev/tty.., tcp:host:port or unix:path.
+    /// Port of the machine: /dev/tty.., tcp:host:port or unix:path.
     #[arg(long, value_name = "PORT", env = VARIABLE, global = true)]
     pub port: Option<PortName>,
 }
@@ -27,7 +27,7 @@ pub struct OptionalPort {
 /// Options of a command that works through a running program, too.
 #[derive(clap::Args, Debug, Default)]
 pub struct SessionPort {
-    /// The machine: /dev/tty.., tcp:host:port or unix:path. Without it, the one that a running program has.
+    /// Port of the machine: /dev/tty.., tcp:host:port or unix:path. Default: the machine that a running program owns.
     #[arg(long, value_name = "PORT", env = VARIABLE)]
     pub port: Option<PortName>,
 }

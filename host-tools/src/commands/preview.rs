@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.
     file: PathBuf,
-    /// The picture to write, by its name an SVG or a PNG.
+    /// Picture to write; the file name selects SVG or PNG.
     #[arg(short, long, value_name = "OUT.svg|png")]
     out: PathBuf,
     /// Print strokes, lengths, lifts, time and refusals as JSON on stdout.

@@ -37,7 +37,7 @@ const LINE_EVERY: u32 = 10;
 /// Options of `etherpen record`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// The recording, an MCAP file; one that exists is replaced.
+    /// Recording to write, an MCAP file; an existing file is replaced.
     #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
     #[command(flatten)]
@@ -45,7 +45,7 @@ pub struct Arguments {
     /// Record a drawing of this file (photograph or CSV) in virtual time instead.
     #[arg(long, value_name = "FILE")]
     simulate: Option<PathBuf>,
-    /// End after this many seconds; without it Ctrl-C ends the recording.
+    /// Stop after this many seconds. Default: Ctrl-C stops the recording.
     #[arg(long, value_name = "S", value_parser = super::recorded::seconds)]
     duration: Option<f64>,
     /// Print what was recorded as JSON on stdout.

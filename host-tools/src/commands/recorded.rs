@@ -26,12 +26,12 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
 /// Which recording, and which part of it.
 #[derive(clap::Args, Debug)]
 struct Part {
-    /// The recording, an MCAP file; one without an end is read as far as it goes.
+    /// Recording, an MCAP file; an incomplete one is read as far as possible.
     file: PathBuf,
-    /// Begin at this time, s since the recording began.
+    /// Start of the part to use, s from the start of the recording.
     #[arg(long, value_name = "S", value_parser = seconds)]
     from: Option<f64>,
-    /// End at this time, s since the recording began.
+    /// End of the part to use, s from the start of the recording.
     #[arg(long, value_name = "S", value_parser = seconds)]
     to: Option<f64>,
 }
@@ -75,14 +75,14 @@ pub struct ExportArguments {
     /// Write a table as CSV, its columns as in telemetry.csv; - is stdout.
     #[arg(long, value_name = "OUT", required_unless_present = "parquet")]
     csv: Option<PathBuf>,
-    /// Write a table as Apache Parquet; a missing value is not a number.
+    /// Write a table as Apache Parquet; a missing value is NaN.
     #[arg(long, value_name = "OUT", conflicts_with = "csv")]
     parquet: Option<PathBuf>,
-    /// Only these signals beside the time, separated by commas; * stands for any characters. q1_error_rad and so on are
-    /// the following errors.
+    /// Only the time and these signals, separated by commas; * matches any characters. q1_error_rad and so on are the
+    /// following errors.
     #[arg(long, value_name = "LIST")]
     signals: Option<String>,
-    /// Print the number of rows as JSON, on stdout, or on stderr where the table is on stdout.
+    /// Print the number of rows as JSON on stdout, or on stderr if the table goes to stdout.
     #[arg(long)]
     json: bool,
 }
@@ -131,7 +131,7 @@ pub fn export(arguments: &ExportArguments) -> Result<(), ProgramError> {
 pub struct PlotArguments {
     #[command(flatten)]
     part: Part,
-    /// The signals, separated by commas; * stands for any characters: q1_ref_rad,q1_rad,q*_error_rad,mode.
+    /// The signals, separated by commas; * matches any characters: q1_ref_rad,q1_rad,q*_error_rad,mode.
     #[arg(long, value_name = "LIST")]
     signals: String,
     /// The picture, .svg or .png.

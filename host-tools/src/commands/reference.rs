@@ -34,23 +34,23 @@ pub struct Arguments {
     simulate: bool,
     #[command(flatten)]
     port: SessionPort,
-    /// The joint angles at which the robot stands, rad. The resolvers have to show them; a whole motor turn too many or
-    /// too few is found with --position only.
+    /// Joint angles of the present pose, rad. The resolvers must agree with them; only --position finds an error of a
+    /// complete motor turn.
     #[arg(long, value_name = "Q1,Q2,Q3,Q4", allow_hyphen_values = true, value_parser = numbers::<AXES>)]
     pose: Option<Numbers<AXES>>,
-    /// Where the platform stands, mm, within about 20. Alone it gives the joint angles; axis 4 is then on the motor
-    /// turn nearest to 0; beside --pose it is what that pose is checked against.
+    /// Present position of the tool, mm, within about 20. Alone, it gives the joint angles, with axis 4 on the motor
+    /// turn nearest to 0; with --pose, it checks that pose.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = numbers::<3>)]
     position: Option<Numbers<3>>,
-    /// The resolvers' offsets are not known yet (another motor, drive or resolver): the pose sets them and is checked
-    /// against --position only. Without --pose and --position the joints stand exactly at their marks.
+    /// The resolvers' offsets are unknown (another motor, drive or resolver): the pose sets them, and only --position
+    /// checks it. Without --pose and --position, the joints must be exactly at their marks.
     #[arg(long)]
     calibrate: bool,
-    /// Store this pose as the synchronisation marks, in the configuration file that is in use, `etherpen.toml` where
-    /// there is none; everything else in it stays.
+    /// Store this pose as the synchronisation marks in the configuration file in use, or in `etherpen.toml` if there is
+    /// none; the rest of the file is unchanged.
     #[arg(long)]
     store: bool,
-    /// Acknowledge a fault that is latched from before; lost drives are brought back.
+    /// First acknowledge a latched fault, which brings lost drives back.
     #[arg(long)]
     acknowledge: bool,
     /// Print the result as JSON on stdout.

@@ -19,11 +19,11 @@ use std::time::Instant;
 pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
-    /// The slaves in the order of the chain: ax2000, cia402, ek1100 or sii:FILE, with *N for N of a kind, for instance
-    /// ax2000*4,ek1100. Without it an AX2000 for each of the configured drives.
+    /// Slaves in the order of the chain: ax2000, cia402, ek1100 or sii:FILE, with *N for N of a kind, for instance
+    /// ax2000*4,ek1100. Default: an AX2000 for each configured drive.
     #[arg(long, value_name = "LIST", value_parser = slave_list)]
     slaves: Option<SlaveList>,
-    /// Scripted faults, one a line; the long help (--help) describes the language.
+    /// File with scripted faults, one per line; the long help (--help) describes the language.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Record every frame in both directions as pcapng, for Wireshark.

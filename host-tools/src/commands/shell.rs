@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 /// Options of `etherpen completions`.
 #[derive(clap::Args, Debug)]
 pub struct Completions {
-    /// The shell that is to complete; the script goes to stdout.
+    /// Shell; the script goes to stdout.
     shell: clap_complete::Shell,
 }
 
 /// Options of `etherpen man`.
 #[derive(clap::Args, Debug)]
 pub struct Man {
-    /// Folder for the pages, one of each command; it is made if it is missing.
+    /// Folder for the pages, one per command; created if it is missing.
     dir: PathBuf,
 }
 

@@ -19,7 +19,7 @@ pub struct Arguments {
     /// The SVG to write, of the sheet's size; - writes it to standard output.
     #[arg(short, long, value_name = "OUT.svg")]
     out: PathBuf,
-    /// Print strokes, their length and the time taken as JSON on stdout.
+    /// Print strokes, their length and the computing time as JSON on stdout.
     #[arg(long)]
     json: bool,
     #[command(flatten)]

@@ -28,7 +28,7 @@ pub struct PreviewScene<'a> {
     pub drawing: &'a Drawing,
     /// Numbers of the strokes that would be refused, from 0.
     pub refused: &'a BTreeSet<u32>,
-    /// Width of the pen's line, mm.
+    /// Line width of the pen, mm.
     pub pen_width_mm: f64,
     /// The work area on the sheet: centre and radius, mm.
     pub work_area: ([f64; 2], f64),

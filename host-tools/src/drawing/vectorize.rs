@@ -57,7 +57,7 @@ pub struct VectorizeOptions {
     pub size_mm: Option<[f64; 2]>,
     /// Position of the picture's upper left corner on the sheet, mm; `None`: the picture is centred.
     pub origin_mm: Option<[f64; 2]>,
-    /// Width of the pen's line, mm.
+    /// Line width of the pen, mm.
     pub pen_width_mm: f64,
     /// Style of the drawing.
     pub style: Style,

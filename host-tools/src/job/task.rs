@@ -112,7 +112,7 @@ pub enum Motion {
     Pen(Pen),
     /// At a velocity for a time.
     Jog {
-        /// Velocity of the platform, mm/s.
+        /// Velocity of the tool, mm/s.
         velocity_mm_s: [f32; 3],
         /// Duration, ms.
         for_ms: u32,

@@ -16,7 +16,7 @@ use etherpen::messages::{Counters, Status};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Width of the pen's line in the pictures, mm.
+/// Line width of the pen in the pictures, mm.
 const PEN_WIDTH_MM: f64 = 0.5;
 /// Resolution of `drawn.png`, pixels a millimetre.
 const PIXELS_PER_MM: f64 = 8.0;

@@ -40,13 +40,14 @@ pub struct Arguments {
 /// How the bus is reached: one of these.
 #[derive(clap::Args, Debug)]
 struct WayArguments {
-    /// The master on this computer, raw frames on this network interface; needs the right for raw sockets.
+    /// Run the master on this computer, with raw frames on this network interface; needs permission for raw sockets.
     #[arg(long, value_name = "IF", global = true)]
     interface: Option<String>,
-    /// The master on this computer, EtherCAT in UDP to this IPv4 address, HOST or HOST:PORT; the port is 34980 unless given.
+    /// Run the master on this computer, with EtherCAT in UDP to this IPv4 address, HOST or HOST:PORT (default port
+    /// 34980).
     #[arg(long, value_name = "ADDR", value_parser = udp_address, global = true)]
     udp: Option<SocketAddrV4>,
-    /// The master on this computer, the Unix socket of `etherpen segment --unix`.
+    /// Run the master on this computer, with the Unix socket of `etherpen segment --unix`.
     #[arg(long, value_name = "PATH", global = true)]
     unix: Option<PathBuf>,
     #[command(flatten)]
@@ -56,16 +57,16 @@ struct WayArguments {
 /// What to do.
 #[derive(clap::Subcommand, Debug)]
 enum Action {
-    /// The slaves in chain order, with identity and state.
+    /// List the slaves in chain order, with identity and state.
     Scan,
-    /// Everything about one slave, or all.
+    /// Show everything about one slave, or about all.
     Info {
         /// The slave, from 1.
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: Option<u8>,
     },
-    /// Bring a slave to a state, step by step. One that no axis uses gets outputs of 0; OP lasts while they are sent:
-    /// until this program ends, with --port beyond that.
+    /// Bring a slave to a state, step by step. A slave that no axis uses gets outputs of 0. OP lasts while outputs are
+    /// sent: until this program ends, and longer with --port.
     State {
         /// The slave, from 1.
         #[arg(value_name = "N", value_parser = slave_number)]
@@ -79,9 +80,9 @@ enum Action {
         #[command(subcommand)]
         action: SdoAction,
     },
-    /// The slave controllers' registers: those with a name, or LEN bytes from ADDR.
+    /// Show registers of the slave controllers: those with a name, or LEN bytes from ADDR.
     Registers {
-        /// The slave, from 1; all when it is left out.
+        /// Slave, from 1. Default: all.
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: Option<u8>,
         /// First address, hexadecimal.
@@ -91,13 +92,13 @@ enum Action {
         #[arg(value_name = "LEN", default_value_t = 16)]
         length: u16,
     },
-    /// The error counters of every port, and the cables they point at.
+    /// Show the error counters of every port, and the cables that they point at.
     Errors {
-        /// Set them to 0 afterwards.
+        /// Clear the counters afterwards.
         #[arg(long)]
         clear: bool,
     },
-    /// The state of every slave, and every change of it, until interrupted; with --json one object a line.
+    /// Show the state of every slave and its changes until interrupted; with --json, one object per line.
     Watch,
 }
 

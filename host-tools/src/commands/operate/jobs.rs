@@ -9,7 +9,7 @@ use serde::Serialize;
 /// Options of `etherpen jobs`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Only the newest ones; 0 lists all.
+    /// Number of jobs to list, the newest first; 0 lists all.
     #[arg(long, value_name = "N", default_value_t = 20)]
     newest: usize,
     /// Print the list as JSON on stdout.

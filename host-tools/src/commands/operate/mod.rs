@@ -26,29 +26,29 @@ use serde::Serialize;
 /// A machine from any terminal.
 #[derive(clap::Subcommand, Debug)]
 pub enum Command {
-    /// Quick stop of all drives at once, latched as a fault (exit code 0: the robot stands).
+    /// Quick stop all drives at once and latch a fault (exit code 0: the robot is at a standstill).
     Stop {
-        /// Stop every robot that a running program has, and the one at --port.
+        /// Stop every robot that a running program owns, and the one at --port.
         #[arg(long)]
         all: bool,
         /// Which machine.
         #[command(flatten)]
         arguments: Arguments,
     },
-    /// Show where the machine stands and who works with it; nothing is commanded.
+    /// Show the machine's state and which program owns it; sends no command.
     Status(Arguments),
     /// Hold the drawing: decelerate on the path, lift the pen, wait.
     Hold {
-        /// Only when the pen is up between two strokes.
+        /// Wait until the pen is up between two strokes.
         #[arg(long)]
         at_pen_up: bool,
         /// Which machine.
         #[command(flatten)]
         arguments: Arguments,
     },
-    /// Go on with a held drawing; only through the program that draws it.
+    /// Resume a held drawing; only through the program that draws it.
     Resume(Arguments),
-    /// End the drawing or the motion: decelerate on the path, lift the pen, forget the rest.
+    /// Cancel the drawing or the motion: decelerate on the path, lift the pen, discard the rest.
     Cancel(Arguments),
     /// Scale the path speed.
     Override {
@@ -59,19 +59,19 @@ pub enum Command {
         #[command(flatten)]
         arguments: Arguments,
     },
-    /// Move with a velocity for a while; ends with this program.
+    /// Move at a velocity for a time; stops when this program ends.
     Jog {
-        /// Velocity of the platform, mm/s.
+        /// Velocity of the tool, mm/s.
         #[arg(value_name = "VX,VY,VZ", allow_hyphen_values = true, value_parser = velocity)]
         velocity: Velocity,
-        /// For how long, s.
+        /// Duration, s.
         #[arg(long = "for", value_name = "SECONDS", default_value_t = 1.0, value_parser = seconds)]
         seconds: f64,
         /// Which machine.
         #[command(flatten)]
         arguments: Arguments,
     },
-    /// Lift or lower the pen where it stands.
+    /// Lift or lower the pen at its present position.
     Pen {
         /// Where to.
         to: PenTo,
@@ -81,20 +81,20 @@ pub enum Command {
     },
     /// Move to a position in a straight line, pen up.
     Move {
-        /// Where to, mm in the robot's frame.
+        /// Target position, mm in the robot's frame.
         #[arg(value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = position)]
         position: Position,
         /// Which machine.
         #[command(flatten)]
         arguments: Arguments,
     },
-    /// Configure, bring up the bus, reference at the marks where there is no reference, and give the drives power.
+    /// Configure the firmware, bring up the bus, home at the marks if necessary, and power the drives.
     Enable(Arguments),
-    /// Ramp to a standstill, close the brakes, take the power from the drives.
+    /// Ramp to a standstill, close the brakes, switch the drives' power off.
     Disable(Arguments),
-    /// Acknowledge a fault once its cause has gone; lost drives are brought back.
+    /// Acknowledge a fault after its cause is gone; brings lost drives back.
     Acknowledge(Arguments),
-    /// List the drawings of this computer's log, broken ones with how far they came.
+    /// List the drawings in this computer's job log, with the progress of unfinished ones.
     Jobs(jobs::Arguments),
 }
 

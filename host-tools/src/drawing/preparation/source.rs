@@ -18,40 +18,43 @@ pub struct SourceArguments {
     /// Largest width and height on the sheet: 120x80mm, 90mm, a6, a6-landscape; the shape is kept.
     #[arg(long, value_name = "SIZE", value_parser = parse_size_mm)]
     size: Option<Size>,
-    /// White border of the sheet that photographs and --fit leave [default: 4mm].
+    /// White border that photographs and --fit leave on the sheet [default: 4mm].
     #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
     margin: Option<f64>,
-    /// Turn clockwise; photographs by quarters only.
+    /// Rotate clockwise; photographs only by multiples of 90.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     rotate: f64,
-    /// Where the upper left corner lies on the sheet, from the sheet's own; without it the drawing is centred.
+    /// Position of the drawing's upper left corner, from the sheet's upper left corner. Default: centred.
     #[arg(long, value_name = "X,Y", value_parser = parse_point_mm, allow_hyphen_values = true)]
     origin: Option<Size>,
-    /// Only the vectors' layer of this name or number (Inkscape's label, or the colour as #rrggbb); can be repeated.
+    /// Draw only this layer of the vectors: its name (Inkscape's label, or the colour as #rrggbb) or its number; can be
+    /// repeated.
     #[arg(long, value_name = "LAYER")]
     layer: Vec<String>,
     #[command(flatten)]
     text: TextArguments,
-    /// Keep the file's order and directions; only gaps under the pen's width are closed.
+    /// Keep the file's order and directions; close only gaps smaller than the pen's width.
     #[arg(long)]
     keep_order: bool,
-    /// Width of the pen's line [default: 0.5mm].
+    /// Line width of the pen [default: 0.5mm].
     #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
     pen_width: Option<f64>,
-    /// Photographs: edges with hatching along the picture's flow, or straight; the flow alone; one single line.
+    /// Photographs: edges with hatching along the picture's flow (sketch), edges with straight hatching (hatch),
+    /// hatching along the flow alone (flow), one single line (tsp).
     #[arg(long, value_name = "STYLE", default_value = "sketch", value_parser = Style::NAMES)]
     style: String,
-    /// Photographs: how fine edges and lines become, 0 (few) to 1 (many) [default: 0.5].
+    /// Photographs: amount of detail, 0 (coarse) to 1 (fine) [default: 0.5].
     #[arg(long, value_name = "SHARE", value_parser = share)]
     detail: Option<f64>,
-    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Kept by coarser lines everywhere; used to
-    /// 97 percent or more unless the whole picture takes less [default: as detailed as suits about 110s].
+    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Detail is reduced everywhere until the
+    /// drawing fits; it then uses at least 97 percent of the time, unless the complete picture takes less [default: as
+    /// detailed as suits about 110s].
     #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
     max_time: Option<f64>,
-    /// Photographs: most strokes [default: 900; with --max-time as many as fit].
+    /// Photographs: maximum number of strokes [default: 900; with --max-time as many as fit].
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     max_strokes: Option<u32>,
-    /// Photographs: seed of everything random [default: 1].
+    /// Photographs: random seed [default: 1].
     #[arg(long, value_name = "NUMBER")]
     seed: Option<u64>,
 }
@@ -59,10 +62,10 @@ pub struct SourceArguments {
 /// What text in an SVG is drawn with.
 #[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TextArguments {
-    /// Text in an SVG: letters of single lines, instead of the outlines of a font.
+    /// SVG text: draw single-line letters instead of the outlines of a font.
     #[arg(long)]
     single_stroke: bool,
-    /// Text in an SVG: outlines of this TrueType or OpenType font, instead of the installed ones.
+    /// SVG text: use this TrueType or OpenType font instead of the installed ones.
     #[arg(long, value_name = "FILE", value_parser = |path: &str| FontFile::read(path), conflicts_with = "single_stroke")]
     font: Option<FontFile>,
 }
@@ -172,7 +175,7 @@ impl SourceArguments {
         (quarters.fract() == 0.0).then(|| quarters.rem_euclid(4.0) as u8)
     }
 
-    /// Width of the pen's line, mm.
+    /// Line width of the pen, mm.
     #[must_use]
     pub fn pen_width_mm(&self) -> f64 {
         self.pen_width.unwrap_or(VectorizeOptions::default().pen_width_mm)
