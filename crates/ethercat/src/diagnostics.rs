@@ -59,8 +59,8 @@ pub enum ServiceRequest {
         /// First byte of the piece wanted.
         offset: u16,
     },
-    /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes the
-    /// value.
+    /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes
+    /// the value.
     Download {
         /// The slave.
         slave: u8,

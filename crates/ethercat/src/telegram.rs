@@ -28,7 +28,7 @@ const MORE_HEADER: u64 = (MORE_BIT as u64) << 48;
 /// Device half of the address in the first eight bytes of a header: slaves increment it in broadcasts.
 const POSITION_HEADER: u64 = 0xFFFF_0000;
 
-/// Inputs of one slave, in two pieces that are copied as a whole.
+/// Inputs of one slave, in two pieces, each copied at once.
 pub(super) type Image = [[u8; PIECE_LEN]; 2];
 
 const PIECE_LEN: usize = PROCESS_BYTES_MAX / 2;
