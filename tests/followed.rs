@@ -1,6 +1,7 @@
 //! A drawing counts as finished only when the pen was seen where the path wanted it.
 //!
-//! Truth is the ink on the virtual paper: whatever a drive does without a fault, a job that ends well has left all of it.
+//! Truth is the ink on the virtual paper: whatever a drive does without a fault, a job that ends well has left all of
+//! it.
 
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};

@@ -1,6 +1,8 @@
-//! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may reach.
+//! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may
+//! reach.
 //!
-//! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` writes the list of the functions that lie in ITCM anew.
+//! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` writes the list of the functions that lie in ITCM
+//! anew.
 
 use etherpen as _;
 use host_tools::firmware_image::{CallGraph, Function, Image, StackBound, section_pattern};

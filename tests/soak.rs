@@ -1,11 +1,12 @@
 //! A soak in virtual time: the whole controller draws while every kind of frame fault hits one frame in a hundred.
 //!
-//! Each of the fourteen kinds has its own 1 %, so that 13 % of the frames are hit, some by several kinds at once. What the
-//! cell says it did to each frame is turned into what the exchange must have counted, kind by kind, and compared exactly.
+//! Each of the fourteen kinds has its own 1 %, so that 13 % of the frames are hit, some by several kinds at once. What
+//! the cell says it did to each frame is turned into what the exchange must have counted, kind by kind, and compared
+//! exactly.
 //!
 //! Eleven of the kinds cost a cycle its positions: a cycle is blind with p = 1 - 0.99^11 = 0.105. Six blind cycles in a
-//! row, beyond the default limit of 5 ms, are then no accident: 10^6 p^6 (1 - p) = 1.2 such runs are to be expected in a
-//! million cycles. The limit is set to the highest allowed, 8 ms: nine in a row come with 10^6 p^9 (1 - p) = 0.0014.
+//! row, beyond the default limit of 5 ms, are then no accident: 10^6 p^6 (1 - p) = 1.2 such runs are to be expected in
+//! a million cycles. The limit is set to the highest allowed, 8 ms: nine in a row come with 10^6 p^9 (1 - p) = 0.0014.
 
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;

@@ -1,12 +1,12 @@
 //! Requirements on the start-up of the board nucleo: its shipped image, run from the reset vector on another Cortex-M7.
 //!
-//! `tests/startup/run.py` models the chip (unicorn's instruction set from PyPI, installed below the target folder and run as a
-//! program of its own) and prints what the firmware did to it. Here is what that has to be: rules of order, values that
-//! the registers have in the end, a golden trace that shows in review what a change does to the chip, and an end with a
-//! reason for everything that never gets ready.
+//! `tests/startup/run.py` models the chip (unicorn's instruction set from PyPI, installed below the target folder and
+//! run as a program of its own) and prints what the firmware did to it. Here is what that has to be: rules of order,
+//! values that the registers have in the end, a golden trace that shows in review what a change does to the chip, and
+//! an end with a reason for everything that never gets ready.
 //!
-//! A change that is meant to change the trace is followed by `ETHERPEN_RENEW_GOLDEN=1 cargo test --test start_up` and a look
-//! at the difference.
+//! A change that is meant to change the trace is followed by `ETHERPEN_RENEW_GOLDEN=1 cargo test --test start_up` and a
+//! look at the difference.
 
 use etherpen::config::Config;
 use host_tools::emulator::LINK_BYTES_MAX;

@@ -5,18 +5,18 @@
 //! sends more and more, and only what was sent tells how far the motor has gone.
 //!
 //! - **Velocity.** The drive follows the velocity after a delay, modelled as a low-pass of that delay. The *deviation*
-//!   is the sum of predicted less measured motion. What is left of a wrong delay is a motion of [`LAG_MS`] at the present
-//!   speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
-//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its position
-//!   error. Beside it the motion is compared with the one before, with the setpoint and with the torque
+//!   is the sum of predicted less measured motion. What is left of a wrong delay is a motion of [`LAG_MS`] at the
+//!   present speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
+//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its
+//!   position error. Beside it the motion is compared with the one before, with the setpoint and with the torque
 //!   (`torque_feedback.rs`).
 //! - **Noise.** The mean change of the measured speed from one millisecond to the next is an acceleration. Above what
 //!   any motor can do, the measurement is noise.
 //!
 //! Frozen, slipping, reversed and swapped feedback all end in a deviation, at any speed: the sum has no time limit.
 //!
-//! Invariants: bounded work without a branch on data; all values stay finite; at rest, with drives that hold, nothing adds
-//! up.
+//! Invariants: bounded work without a branch on data; all values stay finite; at rest, with drives that hold, nothing
+//! adds up.
 
 use super::torque_feedback::{Demanded, TorqueModel};
 use crate::config::{Axis, AxisMode};
@@ -24,8 +24,8 @@ use crate::config::{Axis, AxisMode};
 /// How far the model of a drive's delay may be wrong, ms. A drive that samples on a clock of its own repeats or leaves
 /// out a position, which is one of it.
 pub const LAG_MS: f32 = 1.5;
-/// Share of the deviation that a radian of motion takes away, 1/rad: with it a wrong scale of [`LEAK_PER_RAD`] times the
-/// limit (0.3 % at 0.008 rad) is never a fault.
+/// Share of the deviation that a radian of motion takes away, 1/rad: with it a wrong scale of [`LEAK_PER_RAD`] times
+/// the limit (0.3 % at 0.008 rad) is never a fault.
 pub const LEAK_PER_RAD: f32 = 0.4;
 /// Share of the deviation that a millisecond takes away.
 const LEAK_PER_MS: f32 = 1.0e-6;
@@ -205,7 +205,8 @@ impl FeedbackMonitor {
         }
     }
 
-    /// What each of [`COMPARISONS`] has used of its limit in the last step: 1 is the limit. For tests; nothing on a board asks.
+    /// What each of [`COMPARISONS`] has used of its limit in the last step: 1 is the limit. For tests; nothing on a
+    /// board asks.
     pub fn used(&self) -> [f32; COMPARISONS.len()] {
         let deviation = self.deviation_rad.abs() / self.deviation_limit_rad();
         let noise = self.noise_rad / self.noise_limit_rad();

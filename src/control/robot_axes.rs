@@ -366,8 +366,8 @@ impl RobotAxes {
             .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
-    /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or of
-    /// its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
+    /// Takes the present positions as the reference: each axis stands within half a motor turn of the pose `near`, or
+    /// of its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
     ///
     /// # Errors
     /// [`ReferenceError`]; then no axis is referenced: the reference from before is what was to be corrected.
@@ -421,8 +421,8 @@ impl RobotAxes {
         core::array::from_fn(|comparison| each.iter().fold(0.0, |most, used| f32::max(most, used[comparison])))
     }
 
-    /// Tells the axes that take a torque what their references demand: which motion and which change of their load is no
-    /// fault of the feedback.
+    /// Tells the axes that take a torque what their references demand: which motion and which change of their load is
+    /// no fault of the feedback.
     pub fn set_demanded(&mut self, demanded: &[Demanded; AXES]) {
         for (axis, demanded) in self.axes.iter_mut().zip(demanded) {
             axis.feedback.set_demanded(demanded);

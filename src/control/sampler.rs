@@ -240,8 +240,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.group.counters()
     }
 
-    /// What the comparisons of the feedback have used of their limits in this millisecond, in the order of [`COMPARISONS`].
-    /// For tests; nothing on a board asks.
+    /// What the comparisons of the feedback have used of their limits in this millisecond, in the order of
+    /// [`COMPARISONS`]. For tests; nothing on a board asks.
     pub fn feedback_used(&self) -> [f32; COMPARISONS.len()] {
         self.robot.feedback_used()
     }
@@ -284,8 +284,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
     }
 
-    /// By how much the timer's next period is to be longer, ns (negative: shorter), so that the sample keeps its phase to
-    /// the bus clock; to be asked for once a millisecond, at most
+    /// By how much the timer's next period is to be longer, ns (negative: shorter), so that the sample keeps its phase
+    /// to the bus clock; to be asked for once a millisecond, at most
     /// [`CORRECTION_MAX_NS`](crate::ethercat::clock::steering::CORRECTION_MAX_NS) either way.
     pub fn take_timer_correction_ns(&mut self) -> i32 {
         core::mem::take(&mut self.timer_correction_ns)

@@ -5,29 +5,30 @@
 //!
 //! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
 //!   inertia; the load is part of its state. Its position error answers an acceleration `d` that the model lacks with
-//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a filter
-//!   with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of `|d|` is in
-//!   proportion to what the setpoints demand now, not to what they may demand ever.
+//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a
+//!   filter with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of
+//!   `|d|` is in proportion to what the setpoints demand now, not to what they may demand ever.
 //! - **Sudden.** The motion of two milliseconds differs from that of the two before by what the motor can do, or by one
 //!   position that is repeated or left out.
 //! - **Stuck.** While the setpoint moves, the position follows in the same direction.
-//! - **Torque against a position at rest.** The torque less what accelerates the axis as its setpoint demands is the load.
-//!   While the position stands, the load changes by no more than friction, the changing weight, and the *doubt*: what
-//!   inertia, coupling and speed may add to the load that the model does not know. The load is compared with the one of the
-//!   moment at which the position came to where it stands, and that one was in doubt as well: both doubts count.
+//! - **Torque against a position at rest.** The torque less what accelerates the axis as its setpoint demands is the
+//!   load. While the position stands, the load changes by no more than friction, the changing weight, and the *doubt*:
+//!   what inertia, coupling and speed may add to the load that the model does not know. The load is compared with the
+//!   one of the moment at which the position came to where it stands, and that one was in doubt as well: both doubts
+//!   count.
 //!
-//! Where the figures come from: what a constant's comment derives, from the axis's inertia, gains, delays and 0.3 N m of dry
-//! friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other shares by
-//! trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to 7 of
-//! `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen, reversed and
-//! exchanged feedback, and 0 to 4 of `feedback_soak.rs`.
-//! Fresh seeds: with 200 to 205 of `feedback_soak.rs`, one robot hour, *pushed* used at most 0.66 of its limit and *stuck* 0.90,
-//! 0.1 s after enabling in seed 203, for which `ENABLED_SHARE` was made 3. After that, seeds 400 to 513, 700 to 725 and 730 to
-//! 770, 30 robot hours, used at most 0.75 of any limit; sound motions of seeds 100 to 104 of the scan at most 0.72 (before
-//! that change).
+//! Where the figures come from: what a constant's comment derives, from the axis's inertia, gains, delays and 0.3 N m
+//! of dry friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other
+//! shares by trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to 7 of
+//! `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen,
+//! reversed and exchanged feedback, and 0 to 4 of `feedback_soak.rs`. Fresh seeds: with 200 to 205 of
+//! `feedback_soak.rs`, one robot hour, *pushed* used at most 0.66 of its limit and *stuck* 0.90, 0.1 s after enabling
+//! in seed 203, for which `ENABLED_SHARE` was made 3. After that, seeds 400 to 513, 700 to 725 and 730 to 770, 30 robot
+//! hours, used at most 0.75 of any limit; sound motions of seeds 100 to 104 of the scan at most 0.72 (before that
+//! change).
 //!
-//! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the axis's
-//! own feedback.
+//! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the
+//! axis's own feedback.
 
 use super::limit::limited;
 use crate::config::Axis;
@@ -43,7 +44,8 @@ const OWN_SHARE: f32 = 0.3;
 const OTHERS_SHARE: f32 = 0.2;
 /// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: the weight changes with the pose.
 const WEIGHT_PER_S: f32 = 0.4;
-/// Load that is not known when a drive takes its power, rad/s2: 9 N m at 0.3 kg m2 that the opening brake leaves to the motor.
+/// Load that is not known when a drive takes its power, rad/s2: 9 N m at 0.3 kg m2 that the opening brake leaves to the
+/// motor.
 const ENABLING_RAD_S2: f32 = 30.0;
 /// Speed that stands for it in the observer's bound, rad a millisecond.
 const ENABLING_RAD: f32 = 2.0e-3;
@@ -64,23 +66,24 @@ const STUCK_LIMIT_SHARE: f32 = 0.15;
 const LACKING_SHARE: f64 = 0.55;
 /// What that load counts for an axis that stands: it has sunk, comes back against its setpoint, and then goes with it.
 const ENABLED_SHARE: f32 = 3.0;
-/// The most that follows from accelerations, in deviation limits: above 1 m/s a feedback that is frozen has to be found soon.
+/// The most that follows from accelerations, in deviation limits: above 1 m/s a feedback that is frozen has to be found
+/// soon.
 const STUCK_MOST_SHARE: f32 = 1.25;
-/// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
-/// friction of 0.3 N m from one direction to the other, is four fifths of it.
+/// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the
+/// dry friction of 0.3 N m from one direction to the other, is four fifths of it.
 const FRICTION_RAD_S2: f32 = 2.5;
-/// Load that is in doubt for one of the axis's own acceleration: the inertia at the joint is 0.28 to 0.38 kg m2 where the
-/// feed-forward has 0.3.
+/// Load that is in doubt for one of the axis's own acceleration: the inertia at the joint is 0.28 to 0.38 kg m2 where
+/// the feed-forward has 0.3.
 const INERTIA_SHARE: f32 = 0.3;
-/// Load that is in doubt for one of the other axes' accelerations: an element of the mass matrix beside the diagonal is at
-/// most 0.13 kg m2, of 0.3.
+/// Load that is in doubt for one of the other axes' accelerations: an element of the mass matrix beside the diagonal is
+/// at most 0.13 kg m2, of 0.3.
 const COUPLING_SHARE: f32 = 0.44;
 /// Load that is in doubt for the square of the greatest speed: the platform's path is bent even where the joints turn
 /// steadily, which puts at most 0.27 N m at 1 rad/s on an axis that stands, of 0.3 kg m2. Half of it: the bend does not
 /// change its sign with the direction, and counts now and at the mark.
 const BENT_SHARE: f32 = 0.45;
-/// Change of the load for each radian that any axis moves, 1/s2: the weight on an axis that stands, at most 2.5 N m/rad, of
-/// 0.3 kg m2.
+/// Change of the load for each radian that any axis moves, 1/s2: the weight on an axis that stands, at most 2.5 N
+/// m/rad, of 0.3 kg m2.
 const LOAD_PER_RAD_S2: f32 = 9.0;
 /// Share of a new torque in the one that is compared with a position at rest: the mean of 16 ms.
 const TORQUE_SHARE: f32 = 1.0 / 16.0;
@@ -139,17 +142,18 @@ struct Following {
     most_rad: f32,
     /// Share of a past acceleration that a millisecond leaves.
     kept: f32,
-    /// Share of the way to a smaller doubt that a millisecond makes: the torque settles with the slower of the poles i and f.
+    /// Share of the way to a smaller doubt that a millisecond makes: the torque settles with the slower of the poles i
+    /// and f.
     settling: f32,
 }
 
 impl Following {
     /// What the controllers of an axis leave.
     ///
-    /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain, a
-    /// load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
-    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f). From an error on one
-    /// side to one on the other, the setpoint moves by twice that while the position stands.
+    /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain,
+    /// a load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
+    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f). From an error on
+    /// one side to one on the other, the setpoint moves by twice that while the position stands.
     fn of(axis: &Axis) -> Self {
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
@@ -189,7 +193,8 @@ pub(super) struct TorqueModel {
     unrest_rad: f32,
     /// Motion measured in the last milliseconds, the newest first, rad.
     recent_rad: [f32; 3],
-    /// Since the position last left its place: motion of the setpoint, of the position, and the longest way of any axis, rad.
+    /// Since the position last left its place: motion of the setpoint, of the position, and the longest way of any
+    /// axis, rad.
     setpoint_rad: f32,
     position_rad: f32,
     way_rad: f32,

@@ -84,7 +84,8 @@ mod tests {
     use crate::control::position::PositionController;
     use std::collections::VecDeque;
 
-    /// An axis in torque mode: inertia, load torque, and a millisecond from command to motor and from motor to position.
+    /// An axis in torque mode: inertia, load torque, and a millisecond from command to motor and from motor to
+    /// position.
     struct Plant {
         inertia_kg_m2: f64,
         load_nm: f64,

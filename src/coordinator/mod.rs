@@ -2,7 +2,8 @@
 //!
 //! The host's requests, the bus's events, the critical tasks' reports and the trajectory's progress meet only here.
 //! [`Application`] decides the operating modes. The coordinator checks input from outside, passes the decisions to the
-//! queues of the faster tasks and describes the state. The queues hold what arrives while the trajectory task delays it.
+//! queues of the faster tasks and describes the state. The queues hold what arrives while the trajectory task delays
+//! it.
 //!
 //! It takes requests as plain values and gives plain answers; which bytes carry them is the
 //! [`LinkTask`](crate::link_task::LinkTask)'s work. Each millisecond the caller takes the answers and samples, passes
@@ -208,8 +209,8 @@ impl<'a> Coordinator<'a> {
         }
     }
 
-    /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices of
-    /// it may be passed on.
+    /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices
+    /// of it may be passed on.
     pub fn take_abandoned(&mut self) -> bool {
         core::mem::take(&mut self.abandoned)
     }

@@ -1,9 +1,10 @@
-//! A seeded line that spoils bytes and is unplugged, between a job and the firmware, and what a drawing over it must keep.
+//! A seeded line that spoils bytes and is unplugged, between a job and the firmware, and what a drawing over it must
+//! keep.
 //!
-//! The line is good until the drawing has begun (a configuration of a kilobyte has no chance among one percent of damaged
-//! bytes), then bytes are damaged, lost, doubled and swapped, both ways. When the cable is out nothing passes; the program
-//! at its end has lost its port, and greets with another session when the cable is in again. It resumes the drawing, as a
-//! person with `etherpen draw --resume` does.
+//! The line is good until the drawing has begun (a configuration of a kilobyte has no chance among one percent of
+//! damaged bytes), then bytes are damaged, lost, doubled and swapped, both ways. When the cable is out nothing passes;
+//! the program at its end has lost its port, and greets with another session when the cable is in again. It resumes the
+//! drawing, as a person with `etherpen draw --resume` does.
 
 use etherpen::config::Config;
 use etherpen::messages::{Command, Sample};
@@ -21,8 +22,8 @@ use std::collections::{BTreeSet, VecDeque};
 const DAMAGED: u64 = 10_000;
 /// Lost, doubled and swapped bytes in a million, each.
 const OTHERWISE_SPOILT: u64 = 500;
-/// When the cable is pulled, as a share of the path's vertices, and for how long, ms: longer than the firmware waits for a
-/// host, much longer, and shorter, when it goes on with what it has.
+/// When the cable is pulled, as a share of the path's vertices, and for how long, ms: longer than the firmware waits
+/// for a host, much longer, and shorter, when it goes on with what it has.
 const CUTS: [(f64, u64); 3] = [(0.15, 900), (0.4, 4_000), (0.65, 250)];
 /// Longest distance of a point of ink from the other run's ink, mm.
 const SAME_MM: f64 = 0.03;
@@ -269,8 +270,8 @@ fn farthest_mm(line: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
     line.iter().map(nearest).fold(0.0, f64::max)
 }
 
-/// Asserts that two runs drew the same, stroke for stroke: as many, in the same order, each within a few hundredths of a
-/// millimetre of the other both ways, and nothing twice.
+/// Asserts that two runs drew the same, stroke for stroke: as many, in the same order, each within a few hundredths of
+/// a millimetre of the other both ways, and nothing twice.
 pub(crate) fn assert_same_ink(undisturbed: &[InkStroke], disturbed: &[InkStroke]) {
     let (whole, broken) = (strokes(undisturbed), strokes(disturbed));
     assert_eq!(whole.len(), broken.len(), "strokes");

@@ -22,7 +22,8 @@ const BURST_MAX_MS: u64 = 2_000;
 const LASTS_MAX_MS: u64 = 1_500;
 /// Time in which everything that ends by itself has ended, ms.
 const QUIET_MS: u32 = 1_600;
-/// Acknowledgements that a whole world may need; each fault that waits for the next request of its kind may cost one more.
+/// Acknowledgements that a whole world may need; each fault that waits for the next request of its kind may cost one
+/// more.
 const ACKNOWLEDGEMENTS_MAX: u32 = 2;
 
 /// Choices by chance.

@@ -21,8 +21,8 @@ const CASES: u64 = 8;
 /// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
 const SLOW_MAX_MM: f64 = 5.0;
 const MEDIUM_MAX_MM: f64 = 20.0;
-/// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, for the way that the pen has gone:
-/// a joint that shows 0.9 of its motion moves by 1 / 0.9.
+/// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, for the way that the pen has
+/// gone: a joint that shows 0.9 of its motion moves by 1 / 0.9.
 const SLIP_MAX_OF_WAY: f64 = 1.0 / 0.9 - 1.0;
 const HALF_SLIP_MAX_OF_WAY: f64 = 1.0 / 0.5 - 1.0;
 /// Most deviation of a sound robot, mm. In torque mode gravity, friction and coupling are left to the feedback.

@@ -1,7 +1,7 @@
 //! A sound robot, with friction and noise, draws, moves and jogs as chance has it: its feedback is believed.
 //!
-//! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is the
-//! first seed instead of 0. A seed lasts ten minutes of robot time.
+//! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is
+//! the first seed instead of 0. A seed lasts ten minutes of robot time.
 
 use crate::feedback::with;
 use crate::robot::{Robot, Used};

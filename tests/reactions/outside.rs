@@ -1,5 +1,5 @@
-//! A robot that stands outside its work area, over the link: what leads inwards is done, everything else is refused with
-//! the reason. The truth is the cell's: where the motors have brought the platform.
+//! A robot that stands outside its work area, over the link: what leads inwards is done, everything else is refused
+//! with the reason. The truth is the cell's: where the motors have brought the platform.
 
 use crate::STILL_RAD_S;
 use crate::liveness::come_back;

@@ -246,8 +246,8 @@ impl Robot {
         self.session.command(command)
     }
 
-    /// Sends a command beside the session, which gives one after the other: all of a millisecond come at once. Nobody hears
-    /// the answer.
+    /// Sends a command beside the session, which gives one after the other: all of a millisecond come at once. Nobody
+    /// hears the answer.
     pub(crate) fn send_at_once(&mut self, command: Command) {
         self.beside = self.beside.wrapping_add(1).max(FIRST_BESIDE);
         let message = HostMessage::Command {

@@ -1,7 +1,7 @@
 //! A drive whose processor stands still while its slave controller goes on answering: inputs that are old.
 //!
-//! What the drive shows is then as it was, however long it takes. Every such standstill either becomes a fault with a name,
-//! or was too short to leave a trace in the ink.
+//! What the drive shows is then as it was, however long it takes. Every such standstill either becomes a fault with a
+//! name, or was too short to leave a trace in the ink.
 
 use super::feedback::apart_mm;
 use super::robot::{Robot, path};

@@ -1,7 +1,7 @@
 //! In which order a start-up of the STM32H743 has to do things, and what it must not touch.
 //!
-//! Each rule is of the reference manual (RM0433), reads a trace, and says what breaks it. Each comes with a way to break it,
-//! so that a test can show that the rule notices.
+//! Each rule is of the reference manual (RM0433), reads a trace, and says what breaks it. Each comes with a way to
+//! break it, so that a test can show that the rule notices.
 
 use crate::trace::Event;
 use std::collections::{HashMap, HashSet};

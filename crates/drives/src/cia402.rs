@@ -3,8 +3,8 @@
 //! The state is decoded with the masks 0x4F and 0x6F of the profile's table. [`step`] is pure: every millisecond it
 //! returns the control word that leads one state further towards the target.
 //!
-//! Invariants: a drive in quick stop is never enabled on the way: it has to be switched off first; a fault is reset only
-//! on request, by the 0 to 1 edge of bit 7 between [`DriveTarget::Off`] and [`DriveTarget::FaultReset`].
+//! Invariants: a drive in quick stop is never enabled on the way: it has to be switched off first; a fault is reset
+//! only on request, by the 0 to 1 edge of bit 7 between [`DriveTarget::Off`] and [`DriveTarget::FaultReset`].
 
 /// Status word of the drive (object 0x6041).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

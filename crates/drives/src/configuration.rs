@@ -44,8 +44,8 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     }
 }
 
-/// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout. Mode
-/// and settings of the drive are not written.
+/// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout.
+/// Mode and settings of the drive are not written.
 ///
 /// # Errors
 /// As [`used`], except errors of mode and settings.

@@ -2,8 +2,8 @@
 //!
 //! The names are those of the paper: an [`IoTrigger`] moves all values between memory and wire at one moment, an
 //! [`IoGroup`] holds the inputs and outputs of drives that belong together, and an axis is a [`VelocityIo`] or a
-//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT ([`EtherCatGroup`](crate::EtherCatGroup)),
-//! and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
+//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT
+//! ([`EtherCatGroup`](crate::EtherCatGroup)), and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
 //!
 //! Invariant: reading and writing values only accesses memory; only a trigger moves them to and from the wire.
 
@@ -79,8 +79,8 @@ pub trait IoGroup {
 
 /// An axis that is commanded by a velocity.
 pub trait VelocityIo {
-    /// The output that brings the drive nearer to a state and, once it is there, lets it run at a velocity at the joint,
-    /// rad/s.
+    /// The output that brings the drive nearer to a state and, once it is there, lets it run at a velocity at the
+    /// joint, rad/s.
     fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) -> DriveOutput;
 }
 

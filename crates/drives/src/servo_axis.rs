@@ -72,8 +72,8 @@ impl ServoAxis {
         }
     }
 
-    /// Takes over the axis's drive in the group; without one the axis takes no demand. True when it is another drive, or
-    /// another mode, than before.
+    /// Takes over the axis's drive in the group; without one the axis takes no demand. True when it is another drive,
+    /// or another mode, than before.
     pub fn adopt(&mut self, drive: Option<&GroupDrive>, settings: &DriveSettings, limits: &AxisLimits) -> bool {
         self.operational = drive.is_some_and(|drive| drive.operational);
         let same = match (&self.scale, drive) {

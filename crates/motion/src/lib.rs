@@ -7,7 +7,8 @@
 //! 1. `bounds`, `ring`: bounds of a value; a ring buffer
 //! 2. `robots`: kinds of robots and their kinematics
 //! 3. `settings`, `curve`: what motion depends on; lines and blends
-//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded corners
+//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
+//!    corners
 //! 5. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
 //! 6. `grid`, `averaging`, `progress`, `jog`, `straight`: points of a path; moving average; motions without a path
 //! 7. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs

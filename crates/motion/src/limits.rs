@@ -1,4 +1,5 @@
-//! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the platform's.
+//! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the
+//! platform's.
 //!
 //! The platform's acceleration is bounded by a circle in the plane of path acceleration and centripetal acceleration.
 //! The scan uses slightly less than the configured limits, because its bounds are exact only at the points of the grid

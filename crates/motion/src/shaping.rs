@@ -20,7 +20,8 @@ pub(crate) const QUEUE: usize = 128;
 pub(crate) const PIECES_PER_LEG: usize = 3;
 /// Cosine of the largest turn that the spline takes: 60 degrees.
 const SPLINE_TURN_COSINE: f64 = 0.5;
-/// Longest leg of a spline, in lengths of its neighbour: beyond, the curvature has peaks and a blend is shorter in time.
+/// Longest leg of a spline, in lengths of its neighbour: beyond, the curvature has peaks and a blend is shorter in
+/// time.
 const SPLINE_RATIO_MAX: f64 = 3.0;
 /// Cosine of the turn beyond which the path stops: 165 degrees.
 const STOP_TURN_COSINE: f64 = -0.965_925_826_289_068_3;

@@ -11,8 +11,8 @@ pub use crate::drive::motor::STEP_S;
 
 /// A machine that the motors of a segment turn.
 pub trait Load {
-    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for each
-    /// drive, already moved by the drives that are not in torque mode.
+    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for
+    /// each drive, already moved by the drives that are not in torque mode.
     fn step(&mut self, time_ms: u64, shafts: &mut [Shaft<'_>]);
 }
 

@@ -1,7 +1,7 @@
 //! A rig for tests of slaves: hand-made frames, one a millisecond, no code of a master.
 //!
-//! [`frame_of`] and [`content`] make and read frames. A [`Rig`] sends them and does the steps of a bring-up by hand; those
-//! that configure slaves are for four AX2000 in a row. Everything that does not answer as expected is a panic.
+//! [`frame_of`] and [`content`] make and read frames. A [`Rig`] sends them and does the steps of a bring-up by hand;
+//! those that configure slaves are for four AX2000 in a row. Everything that does not answer as expected is a panic.
 
 use crate::capture::{Capture, Direction};
 use crate::random::Random;

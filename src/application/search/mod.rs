@@ -1,12 +1,12 @@
 //! Every way through the operating modes that there is.
 //!
 //! Breadth first from the start: all commands, any number of them in one millisecond, all that the bus, the drives, the
-//! trajectory and the host may do meanwhile, until no state is new. Time is told apart only where the state machine does: a
-//! state holds which of its thresholds each timer has passed, and time goes on by a millisecond or up to the next threshold.
-//! At most one of the long timers runs at a time (asserted), so that nothing is lost by that.
+//! trajectory and the host may do meanwhile, until no state is new. Time is told apart only where the state machine
+//! does: a state holds which of its thresholds each timer has passed, and time goes on by a millisecond or up to the
+//! next threshold. At most one of the long timers runs at a time (asserted), so that nothing is lost by that.
 //!
-//! From each state that was found, the world is then whole and the operator does what is sensible, without a stop: the robot
-//! has to get to [`Idle`](super::Mode::Idle).
+//! From each state that was found, the world is then whole and the operator does what is sensible, without a stop: the
+//! robot has to get to [`Idle`](super::Mode::Idle).
 
 extern crate std;
 

@@ -1,8 +1,8 @@
 //! The trajectory task as the operating modes see it, small enough to be searched; held against the real one.
 //!
-//! A [`Model`] takes the same orders at once, and moves only when it is let: how long a motion takes is left open. Orders that
-//! come between two releases meet no step of the real task, so that taking them at once is exact. Invariant: whatever the
-//! real task reports is among what the model allows.
+//! A [`Model`] takes the same orders at once, and moves only when it is let: how long a motion takes is left open.
+//! Orders that come between two releases meet no step of the real task, so that taking them at once is exact.
+//! Invariant: whatever the real task reports is among what the model allows.
 
 extern crate std;
 
@@ -50,8 +50,8 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Takes an order. `otherwise` chooses where the real task may do one thing or the other: a target may be outside the work
-    /// area, and a brake may have come to its end already.
+    /// Takes an order. `otherwise` chooses where the real task may do one thing or the other: a target may be outside
+    /// the work area, and a brake may have come to its end already.
     pub(super) fn take(&mut self, order: &MotionOrder, otherwise: bool) {
         match order {
             MotionOrder::Configure(_) => *self = Self::default(),
@@ -235,7 +235,8 @@ mod real {
         })
     }
 
-    /// Orders that the operating modes never give in this state are left out: another start, path or motion while one runs.
+    /// Orders that the operating modes never give in this state are left out: another start, path or motion while one
+    /// runs.
     fn is_given(order: &MotionOrder, guesses: &Guesses) -> bool {
         let all = |holds: fn(&Model) -> bool| guesses.0.iter().all(holds);
         let at_rest = all(|guess| guess.doing == Doing::Rest && guess.data == Data::None);

@@ -1,8 +1,8 @@
 //! What surrounds the operating modes in the search: drives, bus, trajectory, host, operator.
 //!
-//! Anything may happen at any time, except what cannot be: drives do not get power that nobody asked for, an angle is not
-//! referenced by itself, a motion whose setpoints nobody takes does not end. [`State::check`] holds every transition to
-//! what the operating modes promise.
+//! Anything may happen at any time, except what cannot be: drives do not get power that nobody asked for, an angle is
+//! not referenced by itself, a motion whose setpoints nobody takes does not end. [`State::check`] holds every
+//! transition to what the operating modes promise.
 
 extern crate std;
 
@@ -471,8 +471,8 @@ impl State {
         condition.powered = false;
     }
 
-    /// The operator does what is sensible in this mode, or waits; the world does what it was asked for. Time that passed and
-    /// commands that were given.
+    /// The operator does what is sensible in this mode, or waits; the world does what it was asked for. Time that
+    /// passed and commands that were given.
     pub(super) fn go_on_sensibly(&mut self) -> (u32, u32) {
         self.make(Move::Release);
         if self.is_followed() && self.trajectory.data != Data::Awaited {

@@ -19,8 +19,8 @@ const TICK_COUNTS: u32 = 271;
 const LINES_PER_TICK: u32 = 2;
 /// Bytes of a message of noise, end included.
 const NOISE_BYTES: u32 = 60;
-/// Delivery of foreign frames: this many counts before the release at first, later by a step every millisecond, and from
-/// the beginning again behind the release.
+/// Delivery of foreign frames: this many counts before the release at first, later by a step every millisecond, and
+/// from the beginning again behind the release.
 const SWEEP_BEFORE: u32 = 400;
 const SWEEP_COUNTS: u32 = 470;
 const SWEEP_STEP: u32 = 7;

@@ -94,8 +94,8 @@ static STATE: Shared = Shared(UnsafeCell::new(State {
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: `acquire` enters a critical section that `release` leaves, so one frame is written at a time; a second `acquire`
-// inside a frame, which would need two references to the state, panics.
+// SAFETY: `acquire` enters a critical section that `release` leaves, so one frame is written at a time; a second
+// `acquire` inside a frame, which would need two references to the state, panics.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: left by `release`, which defmt calls once for each `acquire`.

@@ -6,10 +6,10 @@ use cortex_m::peripheral::NVIC;
 
 /// Sleeps in a critical task until `done`, which is asked after each occurrence of `interrupt`.
 ///
-/// The interrupt is a critical one, not the running task's own, which could not wake the core, and it was cleared before
-/// its cause was set off. `done` has to clear it before it looks, so that an occurrence after the look keeps the core awake.
-/// It is not asked before the first occurrence: whether that comes before or during the sleep then makes no difference,
-/// not even to the count of instructions.
+/// The interrupt is a critical one, not the running task's own, which could not wake the core, and it was cleared
+/// before its cause was set off. `done` has to clear it before it looks, so that an occurrence after the look keeps the
+/// core awake. It is not asked before the first occurrence: whether that comes before or during the sleep then makes no
+/// difference, not even to the count of instructions.
 pub(crate) fn woken_by(interrupt: Interrupt, mut done: impl FnMut() -> bool) {
     // An interrupt of the running task's own priority would not wake the core; one that could preempt it does, and the
     // core's mask keeps it from being taken.

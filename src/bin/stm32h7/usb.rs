@@ -61,8 +61,8 @@ static EVENTS_LEFT: AtomicU32 = AtomicU32::new(0);
 /// The controller.
 struct Otg;
 
-// SAFETY: the register block is that of OTG_FS, which `Usb` alone uses but for its global interrupt switch, written at the
-// same priority; it is there as long as the chip runs. What `enable` does is done before, by `Usb::start`.
+// SAFETY: the register block is that of OTG_FS, which `Usb` alone uses but for its global interrupt switch, written at
+// the same priority; it is there as long as the chip runs. What `enable` does is done before, by `Usb::start`.
 unsafe impl UsbPeripheral for Otg {
     const REGISTERS: *const () = USB_OTG_FS.as_ptr().cast_const().cast();
     // The chip's OTG_FS has the register layout of OTG_HS (RM0433: OTG_HS2) with only the internal full-speed PHY.

@@ -13,7 +13,8 @@ fn unaveraged() -> Settings {
     settings
 }
 
-/// Largest way that is left to a vertex where it is first counted, along the line from the vertex before to the one after.
+/// Largest way that is left to a vertex where it is first counted, along the line from the vertex before to the one
+/// after.
 fn earliest_mm(run: &Run) -> f64 {
     let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let mut worst = f64::MIN;

@@ -1,7 +1,7 @@
 //! Requirements on noise: what a digitiser or a rounding makes of a line ends at its last vertex, in bounded time.
 //!
-//! A walk has steps of one scale or of all, from 1 nm to 1 mm, reversals, repeated vertices, straight runs; as it is, or
-//! rounded to the link's micrometre. The time it may take follows from its length and its limits alone.
+//! A walk has steps of one scale or of all, from 1 nm to 1 mm, reversals, repeated vertices, straight runs; as it is,
+//! or rounded to the link's micrometre. The time it may take follows from its length and its limits alone.
 
 use super::*;
 use crate::settings::Orientation;
@@ -9,14 +9,14 @@ use crate::settings::Orientation;
 /// Variable that asks for another number of walks than the one of the test suite, which takes seconds.
 const WALKS: &str = "ETHERPEN_NOISE_WALKS";
 const WALKS_OF_THE_SUITE: u64 = 240;
-/// Times that a walk may take as long as one that rests at each of its vertices: a blend's curvature slows more than a rest
-/// where the turn is nearly a reversal. The longest of 1,200 walks took 0.85 of its bound.
+/// Times that a walk may take as long as one that rests at each of its vertices: a blend's curvature slows more than a
+/// rest where the turn is nearly a reversal. The longest of 1,200 walks took 0.85 of its bound.
 const SLOWER: f64 = 4.0;
 /// What a walk takes beside its motion, s: averaging, and periods at its ends.
 const BESIDE_S: f64 = 0.12;
 
-/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a slow
-/// blend's interval, and a fast average past repeated vertices.
+/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a
+/// slow blend's interval, and a fast average past repeated vertices.
 const FARTHER: [u64; 3] = [4517, 2013, 7682];
 
 fn walks() -> impl Iterator<Item = u64> {
@@ -178,8 +178,8 @@ fn a_recorded_walk_of_ten_micrometres_with_reversals_ends() {
     println!("{:.3} s, {part:.3} of its bound", run.duration_s());
 }
 
-/// A walk with an override and a hold or a cancel somewhere in it; what it took to come to rest, ms, and the largest parts
-/// of its limits. None where it had ended before.
+/// A walk with an override and a hold or a cancel somewhere in it; what it took to come to rest, ms, and the largest
+/// parts of its limits. None where it had ended before.
 pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
     let mut random = Random::new(seed);
     let settings = limits(&mut random);

@@ -8,8 +8,8 @@ use super::*;
 /// Variable that asks for another number of drawings than the one of the test suite.
 const DRAWINGS: &str = "ETHERPEN_TOLERANCE_DRAWINGS";
 const DRAWINGS_OF_THE_SUITE: u64 = 150;
-/// Places around that of the vertex which a setpoint reports, among which its leg is looked for, and the reverse. Vertices
-/// that repeat one another are one place.
+/// Places around that of the vertex which a setpoint reports, among which its leg is looked for, and the reverse.
+/// Vertices that repeat one another are one place.
 const NEAR: usize = 3;
 
 /// Distance of a point from the line between two others.

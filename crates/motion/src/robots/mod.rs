@@ -5,8 +5,9 @@
 //!
 //! Lengths are millimetres, angles radians. The frame's origin is the centre of the base, and z points up.
 //!
-//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the virtual
-//! cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the delta's.
+//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the
+//! virtual cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the
+//! delta's.
 
 pub(crate) mod angle_range;
 mod delta;
