@@ -43,7 +43,7 @@ pub enum DriveState {
     ReadyToSwitchOn,
     /// Power is on, the motor is free.
     SwitchedOn,
-    /// The motor follows the set-points.
+    /// The motor follows the setpoints.
     OperationEnabled,
     /// Braking, or stopped by a quick stop.
     QuickStopActive,
@@ -157,7 +157,7 @@ pub const fn step_from(state: DriveState, target: DriveTarget) -> ControlWord {
 mod tests {
     use super::*;
 
-    /// What a drive of the profile does on a control word, transitions numbered as in its diagram.
+    /// The state of a drive after a control word; transitions are numbered as in the profile's diagram.
     fn drive(state: DriveState, before: u16, control: u16) -> DriveState {
         use DriveState::*;
         let reset = control & !before & 0x80 != 0;

@@ -14,7 +14,7 @@ use etherpen_ethercat::error::BusError;
 
 /// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
 ///
-/// If the drive accepts the choice that its twin accepted, it has the lists of its twin.
+/// A drive that accepts the choice of its twin gets the twin's layout; its lists are not read.
 ///
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],

@@ -69,7 +69,7 @@ pub enum Event<P: Protocol> {
 pub struct SessionCounts {
     /// Frames received, by their CRC.
     pub frames: FrameCounts,
-    /// Frames with a correct CRC whose content was no message.
+    /// Frames with a correct CRC whose content was not a message.
     pub not_understood: u32,
     /// Repeated requests and greetings.
     pub requests_repeated: u32,
@@ -247,9 +247,9 @@ impl<P: Protocol> Session<P> {
         self.inquire = true;
     }
 
-    /// Streams a path as the firmware gives credit, once the firmware has accepted a command that [opens the
-    /// path](CommandEffect::OpensPath) of this job If the firmware already has the path from another session, continues
-    /// with the next vertex that it expects.
+    /// Streams a path within the firmware's credit, once the firmware has accepted a command that [opens the
+    /// path](CommandEffect::OpensPath) of this job. If the firmware already has the path from another session,
+    /// continues with the next vertex that it expects.
     pub fn start_path(&mut self, job: u16, vertices: Arc<[P::Vertex]>) {
         let mut path = PathSender::new(job, vertices);
         if let Some(ack) = self.early.take_if(|ack| ack.job == job) {
@@ -286,7 +286,7 @@ impl<P: Protocol> Session<P> {
         }
     }
 
-    /// The oldest event that was not taken yet.
+    /// The oldest event that has not been taken yet.
     pub fn next_event(&mut self) -> Option<Event<P>> {
         self.events.pop_front()
     }

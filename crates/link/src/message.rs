@@ -27,7 +27,7 @@ pub struct Hello {
     pub session: u32,
 }
 
-/// Answer of the firmware to [`Hello`], also when the versions differ.
+/// Answer of the firmware to [`Hello`], sent even if the versions differ.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(bound = "")]
 pub struct Welcome<P: Protocol> {
