@@ -6,7 +6,7 @@
 //!
 //! 1. `bounds`, `ring`: bounds of a value; a ring buffer
 //! 2. `robots`: kinds of robots and their kinematics
-//! 3. `settings`, `curve`: what motion depends on; lines and blends
+//! 3. `settings`, `curve`: settings of motion; lines and blends
 //! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
 //!    corners
 //! 5. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
@@ -140,7 +140,7 @@ pub enum MotionCommand {
     Start,
     /// Decelerate on the path, lift the pen and wait; the path can be resumed.
     Hold,
-    /// Go on with a held path.
+    /// Continue a held path.
     Resume,
     /// Decelerate on the path, lift the pen, discard the rest.
     Cancel,

@@ -1,4 +1,4 @@
-//! What motion depends on: the robot's shape, its work area, the paper, and the limits of motion.
+//! Settings of motion: the robot's shape, its work area, the paper, and the limits of motion.
 
 mod bounds;
 
