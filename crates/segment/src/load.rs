@@ -1,8 +1,8 @@
 //! What the motors turn: the seam between the drives and a machine.
 //!
-//! Every millisecond the drives move their motors as their velocity loops and ramps say, or only set a torque; then the
-//! load has the shafts. It moves those whose drive only sets a torque, and stops those that meet an end stop. Without a
-//! machine a [`Flywheel`] on each motor will do.
+//! Every millisecond the drives move their motors according to their velocity loops and ramps, or only set a torque.
+//! Then the load gets the shafts: it moves those whose drive only sets a torque, and stops those that hit an end stop.
+//! Without a machine, use a [`Flywheel`] on each motor.
 
 use crate::drive::Drive;
 
