@@ -25,8 +25,8 @@
 //! # Layers
 //!
 //! The crates below know nothing of this one: [`motion`] plans, [`drives`] knows servo drives, [`ethercat`] is the
-//! master, [`link`] carries messages between host and firmware. In here a module imports modules of lower layers only;
-//! `tests/layers.rs` reads this list and the sources.
+//! master, [`link`] carries messages between host and firmware. In this crate a module imports modules of lower layers
+//! only; `tests/layers.rs` reads this list and the sources.
 //!
 //! 1. `robot_bus`, `ethernet`, `hash`: the master with the robot's sizes; the logic of Ethernet controllers; FNV-1a
 //! 2. `config`: every number that the controller needs, and its bounds
