@@ -22,7 +22,7 @@ global_asm!(
     "    .thumb_func",
     "    \\name:",
     ".endm",
-    // r0: destination, which is given back; r1: source; r2: length.
+    // r0: destination, which is also the result; r1: source; r2: length.
     ".section .text.memcpy, \"ax\", %progbits",
     "etherpen_function __aeabi_memcpy8",
     "etherpen_function __aeabi_memcpy4",

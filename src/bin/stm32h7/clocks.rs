@@ -83,13 +83,13 @@ pub(crate) fn start(waits: &mut Waits) -> Source {
     start_pll(waits, source);
     switch_over(waits);
     if source == Source::External {
-        // From here on a clock that stops is a non-maskable interrupt.
+        // From here on a clock that stops causes a non-maskable interrupt.
         RCC.cr().modify(|control| control.set_hsecsson(true));
     }
     source
 }
 
-/// Whether the firmware runs on the internal oscillator and the external clock has come since.
+/// Whether the firmware runs on the internal oscillator and the external clock has appeared since.
 pub(crate) fn external_clock_has_come() -> bool {
     RCC.pllckselr().read().pllsrc() == Pllsrc::HSI && RCC.cr().read().hserdy()
 }

@@ -110,7 +110,7 @@ impl<const BYTES: usize> Slot<BYTES> {
         // alone, which nobody else does after the start.
         unsafe {
             ptr::write_volatile(&raw mut (*record).flush, 0);
-            // A cache that is off is not valid either, and what is cleaned from it would be made up.
+            // A cache that is off holds no valid data; cleaning it would write garbage.
             if SCB::dcache_enabled() {
                 let mut core = cortex_m::Peripherals::steal();
                 core.SCB
@@ -140,7 +140,7 @@ pub(crate) fn take() -> (PreviousRun, bool) {
         (None, Some((bytes, length))) if failed => {
             let mut text = Text::new();
             let step = readable(bytes.get(..length).unwrap_or_default());
-            // It is shorter than the text's room.
+            // The text has room for it.
             let _ = fmt::write(&mut text, format_args!("start-up: step \"{step}\" did not end"));
             PreviousRun::panicked(text.as_str())
         }
@@ -185,7 +185,7 @@ fn readable(bytes: &[u8]) -> &str {
 ///
 /// All interrupts are masked and stay so until the reset.
 pub(crate) unsafe fn store_cause(cause: fmt::Arguments) {
-    // SAFETY: nothing preempts this any more, and what was interrupted never goes on.
+    // SAFETY: nothing preempts this code, and what it interrupted never continues.
     if unsafe { CAUSE.is_written() } {
         return;
     }

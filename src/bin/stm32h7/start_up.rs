@@ -1,8 +1,8 @@
 //! Start-up: bounded waits, and the indication of a failed start.
 //!
-//! No step of the start-up can hang for ever. The firmware's own waits have a limit in milliseconds and panic with a
-//! name. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs from the
-//! first lines on. In both cases the chip is reset, and the crash record names the step that failed
+//! No step of the start-up can hang forever. The firmware's own waits have a limit in milliseconds and panic with the
+//! name of the part. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs
+//! from the first lines on. In both cases the chip is reset, and the crash record names the step that failed
 //! (`crash_record.rs`). The next start-up reports that before it tries again: at that moment the chip runs on its
 //! internal oscillator with everything else off, so lamps and serial line do not depend on the failed part.
 
