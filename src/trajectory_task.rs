@@ -158,7 +158,7 @@ impl<'a> TrajectoryTask<'a> {
                 trajectory.executed()
             },
             finished: self.path == PathPhase::Finished,
-            // Without a pose nothing is asked to move.
+            // Without a pose no motion is expected.
             stalled_ms: self
                 .epoch
                 .map_or(0, |_| u16::try_from(trajectory.stalled_ms()).unwrap_or(u16::MAX)),

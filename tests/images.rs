@@ -1,6 +1,7 @@
 //! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may
 //! reach.
-//!  `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` rewrites the list of the functions in ITCM.
+//!
+//! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` rewrites the list of the functions in ITCM.
 
 use etherpen as _;
 use host_tools::firmware_image::{CallGraph, Function, Image, StackBound, section_pattern};

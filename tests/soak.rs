@@ -2,6 +2,7 @@
 //!
 //! Each of the fourteen kinds has its own 1 %, so that 13 % of the frames are hit, some by several kinds at once. What
 //! the cell did to each frame gives the counts that the exchange must have, kind by kind; they are compared exactly.
+//!
 //! Eleven of the kinds cost a cycle its positions: a cycle is blind with p = 1 - 0.99^11 = 0.105. Six blind cycles in a
 //! row, beyond the default limit of 5 ms, are then likely: 10^6 p^6 (1 - p) = 1.2 such runs are expected in a million
 //! cycles. The limit is set to the highest allowed, 8 ms: nine in a row come with 10^6 p^9 (1 - p) = 0.0014.

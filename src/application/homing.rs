@@ -12,7 +12,7 @@ use crate::config::{Axis, Config};
 use crate::control::robot_axes::resolver_angle_rad;
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
 
-/// Largest difference between a pose and the resolver angles, rad: a tenth of the joint's turn after which the resolver
+/// Largest difference between a pose and the resolver angles, rad: a tenth of the joint angle after which the resolver
 /// angle repeats.
 pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
 /// Largest distance between a measured position and forward kinematics of the pose, mm; a motor turn of a joint moves

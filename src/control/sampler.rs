@@ -176,7 +176,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     }
 
     /// Takes frames the MAC has received, at most [`FRAMES_PER_RUN`]; the input reply leads to the output telegram.
-    ///  Returns whether more may be waiting: call it again then, after the other tasks of this priority.
+    ///
+    /// Returns whether more may be waiting: call it again then, after the other tasks of this priority.
     pub fn bus_frame<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) -> bool {
         for _ in 0..FRAMES_PER_RUN {
             let over_ip = self.bus.transport == Transport::Udp;

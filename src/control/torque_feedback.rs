@@ -4,9 +4,9 @@
 //! time and faster. Four comparisons, each quick where the others are slow:
 //!
 //! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
-//!   inertia; the load is part of its state. An acceleration `d` that the model lacks causes the position error `s / (s
-//!   + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` never exceeds `t e^(-0.86 w t)`, so a filter with a
-//!   double pole at `0.86 w` turns a bound of `|d|` into a bound of the error: the *unrest*. The bound of `|d|` is
+//!   inertia; the load is part of its state. An acceleration `d` that is not in the model causes the position error `s
+//!   / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` never exceeds `t e^(-0.86 w t)`, so a filter with
+//!   a double pole at `0.86 w` turns a bound of `|d|` into a bound of the error: the *unrest*. The bound of `|d|` is
 //!   proportional to what the setpoints demand now, not to the most that they may demand.
 //! - **Sudden.** The motion of two milliseconds may differ from that of the two before only by what the motor can do,
 //!   or by one position that is repeated or skipped.
@@ -15,14 +15,18 @@
 //!   setpoint demands. While the position is at rest, the load may change only by friction, by the changing weight, and
 //!   by the *doubt*: what inertia, coupling and speed may add to the load without being in the model. The load is
 //!   compared with the load at the moment at which the position came to rest. Both loads are in doubt, so both doubts
-//!   count. Sources of the figures: those derived in a constant's comment follow from the axis's inertia, gains, delays
-//!   and 0.3 N m of dry friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm;
-//!   the other shares were found by trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with
-//!   seeds 0 to 7 of `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of
-//!   its frozen, reversed and exchanged feedback, and 0 to 4 of `feedback_soak.rs`. Measured with other seeds: 400 to
-//!   513, 700 to 725 and 730 to 770 of `feedback_soak.rs`, 30 robot hours, used at most 0.75 of any limit. With a
-//!   smaller `ENABLED_SHARE`, seeds 200 to 205, one robot hour, used at most 0.66 of *pushed* and 0.90 of *stuck* (seed
-//!   203, 0.1 s after enabling), and sound motions of seeds 100 to 104 of the scan at most 0.72 of any limit.
+//!   count.
+//!
+//! Sources of the figures: those derived in a constant's comment follow from the axis's inertia, gains, delays and 0.3
+//! N m of dry friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other
+//! shares were found by trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to
+//! 7 of `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen,
+//! reversed and exchanged feedback, and 0 to 4 of `feedback_soak.rs`.
+//!
+//! Measured with other seeds: 400 to 513, 700 to 725 and 730 to 770 of `feedback_soak.rs`, 30 robot hours, used at most
+//! 0.75 of any limit. With a smaller `ENABLED_SHARE`, seeds 200 to 205, one robot hour, used at most 0.66 of *pushed*
+//! and 0.90 of *stuck* (seed 203, 0.1 s after enabling), and sound motions of seeds 100 to 104 of the scan at most 0.72
+//! of any limit.
 //!
 //! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the
 //! axis's own feedback.

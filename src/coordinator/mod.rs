@@ -4,7 +4,8 @@
 //! [`Application`] decides the operating modes. The coordinator checks input from outside, passes the decisions to the
 //! queues of the faster tasks and describes the state. The queues hold what arrives while the trajectory task delays
 //! it.
-//!  It takes requests as plain values and returns plain answers; which bytes carry them is the
+//!
+//! It takes requests as plain values and returns plain answers; which bytes carry them is the
 //! [`LinkTask`](crate::link_task::LinkTask)'s work. Each millisecond the caller takes the answers and samples, passes
 //! on the requests that have arrived, and then calls [`Coordinator::step`].
 //!

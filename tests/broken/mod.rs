@@ -1,8 +1,9 @@
-//! A seeded bad line between a job and the firmware, and the requirements on a drawing over it. The line is good until
-//! the drawing has begun (a configuration of a kilobyte cannot pass if one percent of the bytes is damaged), then bytes
-//! are damaged, lost, doubled and swapped in both directions. While the cable is unplugged, nothing passes; the program
-//! at its end loses its port, and greets with another session when the cable is plugged in again. It resumes the
-//! drawing, as a person with `etherpen draw --resume` does.
+//! A seeded bad line between a job and the firmware, and the requirements on a drawing over it.
+//!
+//! The line is good until the drawing has begun (a configuration of a kilobyte cannot pass if one percent of the bytes
+//! is damaged), then bytes are damaged, lost, doubled and swapped in both directions. While the cable is unplugged,
+//! nothing passes; the program at its end loses its port, and greets with another session when the cable is plugged in
+//! again. It resumes the drawing, as a person with `etherpen draw --resume` does.
 
 use etherpen::config::Config;
 use etherpen::messages::{Command, Sample};

@@ -127,7 +127,7 @@ fn table(task: &RunTask, drawn: &Drawn, report: &Report) -> String {
     text
 }
 
-/// From the first to the last sample in which a reference moves, so that it does not matter in which millisecond of the
+/// From the first to the last sample in which a setpoint moves, so that it does not matter in which millisecond of the
 /// planner's period the drawing was requested.
 fn motion(samples: &[Sample]) -> &[Sample] {
     let moves = |sample: &Sample| sample.mode == Mode::Drawing && sample.setpoint_rad_s != [0.0; AXES];

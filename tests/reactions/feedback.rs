@@ -145,7 +145,7 @@ fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: 
     (along, beside.sqrt())
 }
 
-/// Starts a motion: a jog that is repeated, or a move. Returns its distance, mm.
+/// Starts the move of a fast case; a slow case is a jog that the caller repeats. Returns the distance, mm.
 fn set_out(robot: &mut Robot, case: &Case, start: Position) -> f64 {
     if case.speed_mm_s <= JOG_MAX_MM_S {
         return JOG_DISTANCE_MM;

@@ -1,7 +1,7 @@
 //! A scan over faults of the position feedback, speeds, axes, directions and poses, in both drive modes.
 //!
-//! The tables are part of `docs/faults.md`; the tests compare. After an intended change, run `ETHERPEN_RENEW_FAULTS=1
-//! cargo test --test reactions untrue_feedback` and review the difference.
+//! The tables are part of `docs/faults.md`; the tests compare. To renew them after an intended change, run
+//! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and review the difference.
 
 use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, drive, recover, with};
 use crate::robot::{Robot, Used};

@@ -377,7 +377,7 @@ pub(super) fn no_room(needed: usize, room: u16) -> BusError {
 /// `length` zeros, at most `LENGTH`.
 pub(crate) fn zeros<const LENGTH: usize>(length: usize) -> Bytes<LENGTH> {
     let mut data = Bytes::new();
-    // The length asked for never exceeds the capacity.
+    // The length requested never exceeds the capacity.
     let _ = data.resize(length.min(LENGTH), 0);
     data
 }

@@ -68,7 +68,7 @@ pub enum ServiceRequest {
         object: Object,
         /// All sub-indices in one value (complete access).
         complete: bool,
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         total: u16,
         /// Offset of this piece; pieces come in order.
         offset: u16,
@@ -290,7 +290,7 @@ pub enum ServiceReply {
     State(AlReport),
     /// A part of a value.
     Piece {
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         total: u16,
         /// The requested part.
         piece: Piece,

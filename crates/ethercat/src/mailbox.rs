@@ -131,7 +131,7 @@ impl Mailbox {
                 break;
             }
             let message = self.fetch(port).await?;
-            // Nothing waits for this message any more.
+            // No request waits for this message.
             if !matches!(self.dispatch(Protocol::Coe, &message), Ok(None)) {
                 self.unexpected = self.unexpected.saturating_add(1);
             }

@@ -68,14 +68,14 @@ pub enum DeviceEvent<P: Protocol> {
     Bus {
         /// Number of the request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::BusRequest,
     },
     /// Pass this request to the measurements, then call [`DeviceEndpoint::measured`].
     Measure {
         /// Number of the request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::MeasurementRequest,
     },
 }

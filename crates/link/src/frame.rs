@@ -77,7 +77,8 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, LinkError> {
 /// Reads the protocol version from a greeting ([`Hello`](crate::message::Hello) to the firmware,
 /// [`Welcome`](crate::message::Welcome) to the host) of any version: both are the first variant of their enum, and
 /// the version is their first field.
-///  Returns `None` if the payload is not a greeting.
+///
+/// Returns `None` if the payload is not a greeting.
 pub fn greeting_version(payload: &[u8]) -> Option<u16> {
     let (0u8, rest) = postcard::take_from_bytes(payload).ok()? else {
         return None;

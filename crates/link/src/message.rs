@@ -87,14 +87,14 @@ pub enum HostMessage<P: Protocol> {
     Bus {
         /// Number of this request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::BusRequest,
     },
     /// Request to the measurements. Repeated until an answer with this `id` arrives. One at a time.
     Measure {
         /// Number of this request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::MeasurementRequest,
     },
 }

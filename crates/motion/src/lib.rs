@@ -193,7 +193,7 @@ pub enum MotionRefusal {
     Full,
     /// An override outside 10 to 200 percent.
     Override {
-        /// The percentage asked for.
+        /// The percentage requested.
         percent: u8,
     },
     /// The target cannot be reached.

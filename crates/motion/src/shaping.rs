@@ -57,7 +57,7 @@ const SPAN_EVEN: f64 = 1.5;
 /// Least intervals of a line; even, so that a move from rest to rest can change from accelerating to decelerating in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
-/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small beside the
+/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small compared with the
 /// acceleration along the path, whose vertical part changes between two points.
 const LIFT_REFINEMENT: u16 = 2;
 /// Length of an interval on a line, mm.

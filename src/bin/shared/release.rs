@@ -29,7 +29,8 @@ impl Release {
 
     /// Polls `future` at once and after every [`Self::release`]; releases that come while it is being polled count as
     /// one.
-    ///  The caller pins the future: passed by value, it would take its memory twice.
+    ///
+    /// The caller pins the future: passed by value, it would take its memory twice.
     pub(crate) async fn poll_each<T>(&self, mut future: Pin<&mut impl Future<Output = T>>) -> T {
         poll_fn(|context| {
             let waker = context.waker().clone();

@@ -4,9 +4,11 @@
 //! D2, and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere,
 //! unaligned access still allowed. It must be in force before the D-cache is on and before the first descriptor is
 //! written.
-//!  A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to
+//!
+//! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to
 //! go. A third one forbids the addresses of external memories, of which no board here has any: the default map treats
 //! them as normal memory, which the core may read ahead of need, and a controller that is not set up may never answer.
+//!
 //! The Ethernet's SRAM is cleared once: its error correction computes a word's check bits only when the complete word
 //! is written, and the DMA writes bytes (RM0433, RAM ECC).
 

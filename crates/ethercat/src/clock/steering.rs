@@ -35,7 +35,7 @@ const _: () = {
 /// Fault of the bus clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockFault {
-    /// No clock value came for too many cycles.
+    /// No clock value arrived for too many cycles.
     Lost {
         /// Consecutive cycles without a value.
         missing_cycles: u8,

@@ -105,7 +105,7 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         Ok(taken)
     }
 
-    /// Writes an object, and reads it back if the setting asks for it.
+    /// Writes an object, and reads it back if the setting requires it.
     ///
     /// # Errors
     /// [`BusError::SdoAbort`] unless the setting is optional, [`BusError::ReadBack`], or errors of the mailbox.

@@ -185,7 +185,7 @@ impl DatagramRepr {
         }
     }
 
-    /// Length of the whole datagram, bytes: header, data and working counter.
+    /// Length of the complete datagram, bytes: header, data and working counter.
     pub const fn len(&self) -> usize {
         DATAGRAM_OVERHEAD + self.length as usize
     }
@@ -298,7 +298,7 @@ impl<T: AsRef<[u8]>> Datagram<T> {
         read_u16(self.buffer.as_ref(), self.data_range().end)
     }
 
-    /// Length of the whole datagram, bytes.
+    /// Length of the complete datagram, bytes.
     pub fn total_len(&self) -> usize {
         self.data_range().end + 2
     }

@@ -147,7 +147,7 @@ impl SegmentPort for UnixPort {
     fn send(&mut self, master: Master, frame: &[u8]) -> io::Result<()> {
         let is_it = |(number, _): &&(u64, OwnedFd)| master == Master::Unix(*number);
         if let Some((_, socket)) = self.masters.iter().find(is_it) {
-            // The next call finds out that a master has gone.
+            // The next call notices that a master has disconnected.
             let _ = send(socket, frame, SendFlags::NOSIGNAL);
         }
         Ok(())
