@@ -4,10 +4,10 @@
 //! time and faster. Four comparisons, each quick where the others are slow:
 //!
 //! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
-//!   inertia; the load is part of its state. An acceleration `d` that is not in the model causes the position error `s
-//!   / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` never exceeds `t e^(-0.86 w t)`, so a filter with
-//!   a double pole at `0.86 w` turns a bound of `|d|` into a bound of the error: the *unrest*. The bound of `|d|` is
-//!   proportional to what the setpoints demand now, not to the most that they may demand.
+//!   inertia; the load is part of its state. An acceleration `d` that is not in the model causes a position error of
+//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` never exceeds `t e^(-0.86 w t)`, so a filter
+//!   with a double pole at `0.86 w` turns a bound of `|d|` into a bound of the error: the *unrest*. The bound of `|d|`
+//!   is proportional to what the setpoints demand now, not to the most that they may demand.
 //! - **Sudden.** The motion of two milliseconds may differ from that of the two before only by what the motor can do,
 //!   or by one position that is repeated or skipped.
 //! - **Stuck.** While the setpoint moves, the position must follow in the same direction.
