@@ -1,4 +1,4 @@
-//! Board functions beside the bus: inputs, Ethernet port, task supervision, lamps.
+//! Board functions besides the bus: inputs, Ethernet port, task supervision, lamps.
 //!
 //! A board's folder reads pins and registers. The logic is here, so that it is shared by all boards and tested on the
 //! host in virtual time.
@@ -136,7 +136,7 @@ pub enum RunEnd {
     Panic(String<CAUSE_BYTES_MAX>),
 }
 
-/// What is known of the previous run.
+/// End and last fault of the previous run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PreviousRun {
     /// How it ended.

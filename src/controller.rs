@@ -69,7 +69,7 @@ pub struct Parts<'a> {
     pub host_bytes: HostBytes<'a>,
     /// For the task that moves the link's bytes on the board's own USB, if it has one.
     pub usb_bytes: HostBytes<'a>,
-    /// For the task that speaks with the host.
+    /// For the task that runs the link's protocol.
     pub link: LinkTask<'a>,
     /// For the task that runs the IP stack, for EtherCAT in UDP.
     pub network: NetworkTask<'a>,

@@ -25,15 +25,16 @@
 //! # Layers
 //!
 //! The crates below know nothing of this one: [`motion`] plans, [`drives`] knows servo drives, [`ethercat`] is the
-//! master, [`link`] carries messages between host and firmware. In here a module imports modules of lower layers only; `tests/layers.rs` reads this list and the sources.
+//! master, [`link`] carries messages between host and firmware. In this crate a module imports modules of lower layers
+//! only; `tests/layers.rs` reads this list and the sources.
 //!
 //! 1. `robot_bus`, `ethernet`, `hash`: the master with the robot's sizes; the logic of Ethernet controllers; FNV-1a
 //! 2. `config`: every number that the controller needs, and its bounds
 //! 3. `network`, `control::limit`, `control::position`: the IP stack for EtherCAT in UDP; position controller
 //! 4. `control::velocity`, `control::torque_feedback`: velocity controller; monitor of one axis in torque mode
 //! 5. `control::feedback`: monitor of one axis
-//! 6. `control::robot_axes`, `application::fault`, `application::mode`: the drives as the robot's axes; what can go wrong,
-//!    and the operating modes
+//! 6. `control::robot_axes`, `application::fault`, `application::mode`: the drives as the robot's axes; what can go
+//!    wrong, and the operating modes
 //! 7. `board`: inputs, port, lamps and supervision of a board
 //! 8. `application::command`, `application::condition`, `application::action`: what the operating modes take and give
 //! 9. `control`: the sampler and its supervision

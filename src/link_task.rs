@@ -98,7 +98,7 @@ impl<'a> LinkTask<'a> {
         self.send();
     }
 
-    /// Passes the coordinator's news to the endpoint.
+    /// Passes the coordinator's reports to the endpoint.
     fn take_reports(&mut self) {
         self.coordinator.take_events();
         self.close_abandoned_path();

@@ -141,7 +141,7 @@ impl Histogram {
         }
     }
 
-    /// Counts `value`; to be called only by the histogram's writer.
+    /// Counts `value`. Only the histogram's writer may call this.
     pub fn record(&self, value: u32) {
         if let Some(bin) = self.bins.get(bin_of(value)) {
             bin.store(bin.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
@@ -331,7 +331,7 @@ impl Measurements {
         self.histograms.get(quantity as usize).unwrap_or(first)
     }
 
-    /// Records a value, counts of the board's counter; to be called only by the quantity's writer.
+    /// Records a value, counts of the board's counter. Only the quantity's writer may call this.
     pub fn record(&self, quantity: Quantity, counts: u32) {
         self.histogram(quantity).record(counts);
     }

@@ -176,7 +176,7 @@ pub struct Status {
     pub slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
 }
 
-/// Why a configuration was refused. The former one stays in force.
+/// Why a configuration was refused. The previous one stays in force.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ConfigRefusal {
     /// A value is out of bounds.

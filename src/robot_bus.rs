@@ -17,7 +17,7 @@ pub const BUS_SLAVES_MAX: usize = 16;
 pub const BUS_MESSAGE_BYTES: usize = 1024;
 /// The drivers of the robot's bus: each axis has a servo drive.
 pub type RobotDrives = ServoDrives<AXES>;
-/// What the robot's axes ask of the bus.
+/// Setup of the robot's bus.
 pub type RobotBusSetup = BusSetup<RobotDrives>;
 /// A command to the supervisor of the robot's bus.
 pub type RobotBusCommand = BusCommand<RobotDrives>;

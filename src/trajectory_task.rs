@@ -1,6 +1,6 @@
 //! The trajectory task: every 12 ms it plans and fills the ring with the next setpoints.
 //!
-//! Released by every twelfth sample, below the critical tasks. It keeps at least one whole period of setpoints ahead
+//! Released by every twelfth sample, below the critical tasks. It keeps at least one complete period of setpoints ahead
 //! of the sampler, so a release may take up to its deadline. Every committed plan ends at rest, so the robot comes to
 //! rest if a release never comes.
 
@@ -50,7 +50,7 @@ pub struct MotionReport {
     pub executed: u32,
     /// Whether the path was executed to its end.
     pub finished: bool,
-    /// How long a motion that should go on has made no progress, ms; 0 if none has stalled.
+    /// How long a motion that should progress has made no progress, ms; 0 if none has stalled.
     pub stalled_ms: u16,
     /// Times the path ran out of data.
     pub starvations: u32,
@@ -78,7 +78,7 @@ enum PathPhase {
 pub struct TrajectoryTask<'a> {
     /// Reconfigured in place.
     trajectory: &'a mut Trajectory,
-    /// A configuration has come.
+    /// Whether a valid configuration has been taken.
     configured: bool,
     orders: Consumer<'a, MotionOrder>,
     vertices: Consumer<'a, PathItem>,
@@ -87,7 +87,7 @@ pub struct TrajectoryTask<'a> {
     epoch: Option<u8>,
     filled: bool,
     path: PathPhase,
-    /// A hold that came before the path began to move.
+    /// Whether a hold arrived before the path began to move.
     held_before_start: bool,
     overruns: u32,
     orders_taken: u32,
@@ -158,7 +158,7 @@ impl<'a> TrajectoryTask<'a> {
                 trajectory.executed()
             },
             finished: self.path == PathPhase::Finished,
-            // Without a pose nothing is asked to move.
+            // Without a pose no motion is expected.
             stalled_ms: self
                 .epoch
                 .map_or(0, |_| u16::try_from(trajectory.stalled_ms()).unwrap_or(u16::MAX)),
@@ -173,7 +173,7 @@ impl<'a> TrajectoryTask<'a> {
     fn take_order(&mut self, order: MotionOrder) {
         match order {
             MotionOrder::Configure(settings) => {
-                // The coordinator has refused geometries that are none.
+                // The coordinator has already refused invalid geometries.
                 self.configured = self.trajectory.reconfigure(&settings).is_ok();
                 self.epoch = None;
                 self.drop_path();
@@ -196,7 +196,8 @@ impl<'a> TrajectoryTask<'a> {
                     _ => {}
                 }
                 if self.configured {
-                    // The operating modes have admitted the command; what cannot be done at this moment is left undone.
+                    // The operating modes have admitted the command; a command that is impossible at this moment has no
+                    // effect.
                     let _ = self.trajectory.command(command);
                 }
             }

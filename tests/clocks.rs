@@ -16,7 +16,7 @@ const PERIOD_NS: u64 = 1_000_000;
 const SLAVES: u16 = 4;
 const STATION_BASE: u16 = 0x1001;
 
-/// A register of a slave, read beside the master.
+/// A register of a slave, read without the master.
 fn read<const LENGTH: usize>(cell: &mut Cell, time_ns: u64, station: u16, register: u16) -> [u8; LENGTH] {
     let mut frame = [0; FRAME_LEN_MAX];
     let mut builder = FrameBuilder::new(&mut frame, MAC).expect("room");

@@ -51,7 +51,7 @@ fn draw_on_a_busy_machine(task: &RunTask, image: &Path) -> Drawn {
                 }
             });
         }
-        // The busy threads end also when the drawing panics.
+        // The busy threads end even if the drawing panics.
         let drawn = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| draw(task, image)));
         over.store(true, Ordering::Relaxed);
         drawn.unwrap_or_else(|panic| std::panic::resume_unwind(panic))

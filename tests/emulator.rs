@@ -1,4 +1,4 @@
-//! The firmware image in QEMU: lockstep, and how an emulator that does not work is told.
+//! The firmware image in QEMU: lockstep, and the errors for an emulator that does not work.
 
 use host_tools::emulator::{Emulator, EmulatorError, Link, LogLine, Options, Segment};
 use host_tools::setup;
@@ -12,7 +12,7 @@ use std::time::Duration;
 const RUN_MS: u32 = 500;
 /// A sample is released at the start of its millisecond; its telegram is out within this time, us.
 const INPUT_WITHIN_US: u64 = 20;
-/// Wall time that even a very busy machine needs less of.
+/// Wall time that even a very busy machine does not exceed.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// What the firmware sent, and when.
@@ -46,7 +46,7 @@ impl Segment for Cable {
     fn advance_to(&mut self, _time_us: u64) {}
 }
 
-/// A host that sends what is no message and says when the run is over.
+/// A host that sends invalid messages and reports the end of the run.
 struct Noise(Arc<Mutex<Records>>, Sender<()>);
 
 impl Link for Noise {

@@ -1,6 +1,7 @@
-//! A drawing counts as finished only when the pen was seen where the path wanted it.
+//! A drawing counts as finished only if the pen was measured where the path required it.
 //!
-//! Truth is the ink on the virtual paper: whatever a drive does without a fault, a job that ends well has left all of it.
+//! Truth is the ink on the virtual paper: whatever a drive does without a fault, a job that ends well has left all of
+//! it.
 
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
@@ -15,7 +16,7 @@ const INK_MISSING_MAX_MM: f64 = 1.0;
 
 /// A place of the path counts as drawn with ink within this distance, mm.
 const INK_REACH_MM: f64 = 0.5;
-/// Distance of the places looked at, mm.
+/// Distance between the places that are checked, mm.
 const STEP_MM: f64 = 0.1;
 
 /// Intended length without ink near it, mm: every place against every point of ink.

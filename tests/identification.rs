@@ -17,9 +17,8 @@ const LEAD_MS: f64 = 0.1;
 /// How far a gain may be from the cell's.
 const GAIN: f64 = 0.002;
 
-/// The lead that the cell's drives ask for, ms: from a command to the measured velocity pass the delays of both ways, a
-/// millisecond in which the command is held and the velocity differenced, half each, once more a half until the next
-/// telegram, and the drive's lag 1 / (2 pi f); the measurement is compared with the reference of its age.
+/// The lead that the cell's drives require, ms: the delays of both directions, half a millisecond for sampling, and the
+/// drive's lag 1 / (2 pi f), less the age of the measurement, which is compared with the setpoint of that age.
 fn true_lead_ms(cell: &CellOptions, measurement_age_ms: f64) -> f64 {
     let delays = (cell.output_delay_cycles + cell.input_delay_cycles) as f64;
     let lag_ms = 1_000.0 / (std::f64::consts::TAU * cell.drive_bandwidth_hz);

@@ -1,6 +1,7 @@
-//! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may reach.
+//! Requirements on the firmware images, read from the machine code: sizes, addresses, and what the critical tasks may
+//! reach.
 //!
-//! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` writes the list of the functions that lie in ITCM anew.
+//! `ETHERPEN_RENEW_ITCM=1 cargo test --test images tightly_coupled` rewrites the list of the functions in ITCM.
 
 use etherpen as _;
 use host_tools::firmware_image::{CallGraph, Function, Image, StackBound, section_pattern};
@@ -47,7 +48,7 @@ const NUCLEO_LEVELS: [(u8, &[&str]); 5] = [
     (1, &["LPTIM4", "LPTIM5"]),
 ];
 const CRITICAL: &[&str] = &["TIM1_UP", "ETH", "TIM1_CC"];
-/// What a panic runs: it masks all interrupts, keeps the cause and resets.
+/// The panic handler, which masks all interrupts, stores the cause and resets.
 const PANIC: &str = "rust_begin_unwind";
 /// Parts of the names of functions that a critical task must not reach.
 const FORBIDDEN: [(&str, &str); 5] = [

@@ -1,4 +1,4 @@
-//! A firmware that panics in motion: one last telegram stops the drives, then silence, and the cause is told.
+//! A firmware that panics in motion: one last telegram stops the drives, then silence, and the cause is reported.
 
 use etherpen::config::Config;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex};
 const PANICKED: i32 = 101;
 /// Time in which the last telegram has to act: less than the drives' watchdog of 10 ms takes.
 const ACTS_WITHIN_US: u64 = 4_000;
-/// Time in which everything stands.
+/// Time in which everything comes to rest.
 const STANDS_WITHIN_US: u64 = 1_000_000;
 const STILL_RAD_S: f64 = 1.0e-3;
 

@@ -1,6 +1,6 @@
 //! The seam between a kind of robot and everything else: only a kind's own files name its parts.
 //!
-//! A second kind of robot then is one file in `motion`, one in the cell and one in the page. Checked are all Rust,
+//! A second kind of robot then is one file in `motion`, one in the cell and one in the page. The test checks all Rust,
 //! JavaScript and HTML files of the repository, names and comments alike.
 
 use std::fs;

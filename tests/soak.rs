@@ -1,11 +1,11 @@
 //! A soak in virtual time: the whole controller draws while every kind of frame fault hits one frame in a hundred.
 //!
-//! Each of the fourteen kinds has its own 1 %, so that 13 % of the frames are hit, some by several kinds at once. What the
-//! cell says it did to each frame is turned into what the exchange must have counted, kind by kind, and compared exactly.
+//! Each of the fourteen kinds has its own 1 %, so that 13 % of the frames are hit, some by several kinds at once. What
+//! the cell did to each frame gives the counts that the exchange must have, kind by kind; they are compared exactly.
 //!
 //! Eleven of the kinds cost a cycle its positions: a cycle is blind with p = 1 - 0.99^11 = 0.105. Six blind cycles in a
-//! row, beyond the default limit of 5 ms, are then no accident: 10^6 p^6 (1 - p) = 1.2 such runs are to be expected in a
-//! million cycles. The limit is set to the highest allowed, 8 ms: nine in a row come with 10^6 p^9 (1 - p) = 0.0014.
+//! row, beyond the default limit of 5 ms, are then likely: 10^6 p^6 (1 - p) = 1.2 such runs are expected in a million
+//! cycles. The limit is set to the highest allowed, 8 ms: nine in a row come with 10^6 p^9 (1 - p) = 0.0014.
 
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
@@ -33,7 +33,7 @@ const DELAY_FRAMES: u64 = 2;
 const BLIND_MAX_MS: u16 = 8;
 /// Longest time from the start to the first drawing, ms.
 const PREPARATION_MAX_MS: u32 = 60_000;
-/// Time between two questions to the bus, ms.
+/// Time between two bus requests, ms.
 const QUESTION_PERIOD_MS: u32 = 250;
 /// Device name, longer than an expedited transfer takes.
 const DEVICE_NAME: Object = Object::new(0x1008, 0);
@@ -50,7 +50,7 @@ struct Expected {
 struct WatchedCell {
     cell: Cell,
     before: BTreeMap<&'static str, u64>,
-    /// Replies under way: the frame with which they come, and what they will be taken for.
+    /// Delayed replies: the frame with which they arrive, and the kind as which they are dropped.
     delayed: VecDeque<(u64, Ignored)>,
     /// Telegrams of this cycle without an acceptable reply.
     unanswered: u64,
@@ -64,7 +64,7 @@ impl WatchedCell {
         self.expected.ignored[kind as usize] += 1;
     }
 
-    /// Takes what was done to one frame.
+    /// Accounts for what was done to one frame.
     fn account(&mut self) {
         let frame = self.cell.frames();
         while self.delayed.front().is_some_and(|(due, _)| *due <= frame) {
@@ -134,7 +134,7 @@ impl Segment for WatchedCell {
     }
 }
 
-/// An operator who draws the same again and again, and asks for something by mailbox now and then.
+/// An operator who repeats a drawing and periodically sends a mailbox request.
 struct Operator {
     session: Session,
     config: Option<Config>,

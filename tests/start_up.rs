@@ -1,12 +1,12 @@
 //! Requirements on the start-up of the board nucleo: its shipped image, run from the reset vector on another Cortex-M7.
 //!
-//! `tests/startup/run.py` models the chip (unicorn's instruction set from PyPI, installed below the target folder and run as a
-//! program of its own) and prints what the firmware did to it. Here is what that has to be: rules of order, values that
-//! the registers have in the end, a golden trace that shows in review what a change does to the chip, and an end with a
-//! reason for everything that never gets ready.
+//! `tests/startup/run.py` models the chip (unicorn's instruction set from PyPI, installed below the target folder and
+//! run as a program of its own) and prints what the firmware did to it. This file holds the requirements: rules of
+//! order, final values of registers, a golden trace that shows in review what a change does to the chip, and an end
+//! with a reason for everything that never gets ready.
 //!
-//! A change that is meant to change the trace is followed by `ETHERPEN_RENEW_GOLDEN=1 cargo test --test start_up` and a look
-//! at the difference.
+//! After an intended change of the trace, run `ETHERPEN_RENEW_GOLDEN=1 cargo test --test start_up` and review the
+//! difference.
 
 use etherpen::config::Config;
 use host_tools::emulator::LINK_BYTES_MAX;
@@ -27,7 +27,7 @@ use trace::{Event, Run, TASKS_RUN, run, run_of_tasks};
 const GOLDEN: &str = "tests/golden/start_up.txt";
 /// Set to write the golden trace instead of comparing with it.
 const RENEW: &str = "ETHERPEN_RENEW_GOLDEN";
-/// Virtual time in which a start fails, is told, and fails again.
+/// Virtual time in which a start fails, is reported, and fails again.
 const FAILS_TWICE: [&str; 2] = ["--until-ms", "5600"];
 
 /// Registers that matter, and what they hold when the start-up is over (RM0433 and the board's manual).
@@ -95,7 +95,7 @@ const MPU_REGIONS: [(u32, u32); 3] = [
     // 0x6000_0000 to 0x9FFF_FFFF: two eighths of everything, no access, never executed.
     (0x0000_0000, 0x1000_E73F),
 ];
-/// Ready bits that a start cannot do without, as `run.py` names them, and a part of what is then told.
+/// Ready bits that a start requires, as `run.py` names them, and a part of the message without them.
 const NEEDED: [(&str, &str); 11] = [
     ("ACTVOS", "core voltage (ACTVOSRDY)"),
     ("VOS", "voltage scale 1 (VOSRDY)"),
@@ -124,7 +124,7 @@ fn assert_rules(run: &Run, what: &str) {
 fn the_start_up_keeps_every_rule_with_the_clock_there_late_and_absent() {
     let Some(tasks) = run_of_tasks() else { return };
     assert_rules(tasks, "into the tasks");
-    // What the Ethernet's DMA has to keep is in the run above alone.
+    // Only the run above contains what the Ethernet's DMA has to keep.
     let variants: [&[&str]; 4] = [
         &["--hse-at-ms", "700"],
         &["--hse-absent"],
@@ -198,7 +198,7 @@ fn the_trace_is_the_golden_one() {
     {
         match event {
             Event::Write(name, value) => writeln!(trace, "write {name} {value:#010x}").expect("memory"),
-            // What is read to change it, counters, and what the check of all priorities reads tell nothing.
+            // Reads before a change, of counters, and of the check of all priorities carry no information.
             Event::Read(name, _) if matches!(next, Event::Write(other, _) if other == name) => {}
             Event::Read(name, _) if name.starts_with("NVIC.") || name.starts_with("SCB.") || name.ends_with(".CNT") => {
             }
@@ -245,7 +245,7 @@ fn lamps(run: &Run) -> Vec<[bool; 3]> {
     all
 }
 
-/// Asserts that a start failed, said why by lamps and serial line, and was tried again.
+/// Asserts that a start failed, reported why on lamps and serial line, and was tried again.
 fn assert_told(run: &Run, by: &str, why: &str) {
     let resets = run.resets();
     assert!(

@@ -1,7 +1,7 @@
 //! The tasks of both boards as their code declares them, against the table in the documentation.
 //!
-//! Every task's comment states period, priority, deadline and what an overrun does; `docs/tasks.md` is the same as a
-//! table. A change to a task is followed by `ETHERPEN_RENEW_TASKS=1 cargo test --test tasks`.
+//! Every task's comment states period, priority, deadline and what an overrun does; `docs/tasks.md` is the table of
+//! them. After a change to a task, run `ETHERPEN_RENEW_TASKS=1 cargo test --test tasks`.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -32,7 +32,7 @@ fn root(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// What stands behind `key = ` in an attribute.
+/// The value behind `key = ` in an attribute.
 fn value<'a>(attribute: &'a str, key: &str) -> Option<&'a str> {
     let (_, rest) = attribute.split_once(&format!("{key} = "))?;
     rest.split([',', ')', ' ', '\n']).next()
@@ -47,7 +47,7 @@ fn stated(name: &str, comment: &str) -> [String; 4] {
         rest = behind;
         before.trim().trim_end_matches('.').to_owned()
     });
-    // What stands before a label belongs to the one before it; before the first it is the summary.
+    // Text before a label belongs to the previous label; text before the first label is the summary.
     parts.rotate_left(1);
     parts[3] = rest.trim().trim_end_matches('.').to_owned();
     parts

@@ -1,7 +1,7 @@
 //! The firmware image with EtherCAT in UDP at the emulator's own network, against a segment behind a socket.
 //!
-//! Everything in it is real but the wire: DHCP, ARP, the IP stack, the Ethernet controller's driver. The emulator runs
-//! free, so nothing here is timed; the configuration is patient.
+//! Everything is real except the wire: DHCP, ARP, the IP stack, the Ethernet controller's driver. The emulator runs
+//! free, so nothing here is timed; the configuration allows for long delays.
 
 use etherpen::config::{Config, Transport};
 use etherpen::ethercat::wire::{UDP_PORT, UdpRepr};
@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Wall time that even a very busy machine needs less of.
+/// Wall time that even a very busy machine does not exceed.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 fn config() -> Config {
@@ -133,7 +133,7 @@ impl Segment {
         Self { cell, ended, thread }
     }
 
-    /// Ends it; gives how many packets came, and the capture.
+    /// Ends the segment; returns the number of packets, and the capture.
     fn stop(self) -> (u32, Vec<u8>) {
         self.ended.store(true, Ordering::Relaxed);
         self.thread.join().expect("the segment's thread ends well")

@@ -1,11 +1,11 @@
-//! What the operating modes order from the other tasks.
+//! Actions that the operating modes request from the other tasks.
 //!
 //! Plain data. Invariant: no code here takes a decision.
 
 use crate::motion::MotionCommand;
 use crate::robots::JointAngles;
 
-/// Power state that the drives are asked for.
+/// Power state requested from the drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Power {
     /// No power.
@@ -19,12 +19,12 @@ pub enum Power {
     FaultReset,
 }
 
-/// An order from the application to the other tasks.
+/// A request from the application to the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// Power of the drives.
     Power(Power),
-    /// Forget the latched fault of the critical tasks.
+    /// Clear the latched fault of the critical tasks.
     ClearFault,
     /// Home: take the present resolver angles as the joint angles, on the turns nearest to a pose, or nearest to the
     /// synchronisation marks if there is no pose.

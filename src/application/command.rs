@@ -41,7 +41,7 @@ pub enum Command {
     },
     /// Decelerate on the path, lift the pen and wait; the drawing can be resumed.
     Hold,
-    /// Go on with a held drawing.
+    /// Continue a held drawing.
     Resume,
     /// End the drawing: decelerate on the path, lift the pen, discard the rest.
     Cancel,

@@ -1,4 +1,4 @@
-//! What the operating modes learn once a millisecond: conditions of robot and bus, progress of the trajectory.
+//! Inputs of the operating modes, once a millisecond: conditions of robot and bus, progress of the trajectory.
 //!
 //! Plain data. Invariant: no code here takes a decision.
 
@@ -6,7 +6,7 @@ use super::Fault;
 use crate::board::Interlock;
 use crate::robots::{AXES, JointAngles};
 
-/// What the critical tasks report about a millisecond.
+/// Report of the critical tasks about one millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
     /// Measured pose; a joint angle is valid only on a referenced axis.
@@ -62,7 +62,7 @@ pub struct Progress {
     pub idle: bool,
     /// Whether the trajectory is at rest on a held path.
     pub held: bool,
-    /// How long a motion that should go on has made no progress, ms; 0 if none has stalled.
+    /// How long a motion that should progress has made no progress, ms; 0 if none has stalled.
     pub stalled_ms: u16,
     /// Vertices of the path fully executed.
     pub executed: u32,

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// AL state OP without the error flag.
 const AL_OPERATIONAL: u8 = 8;
 
-/// Who asked for an emergency stop.
+/// Who requested an emergency stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StopSource {
     /// A command over the link.
@@ -65,7 +65,7 @@ pub enum Fault {
     OutputLimit {
         /// Axis, from 0.
         axis: u8,
-        /// Velocity asked for, rad/s.
+        /// Velocity requested, rad/s.
         output_rad_s: f32,
         /// Limit, rad/s.
         limit_rad_s: f32,
@@ -141,7 +141,7 @@ pub enum Fault {
         /// Time waited, ms.
         waited_ms: u16,
     },
-    /// The planner made no progress on a motion that should go on.
+    /// The planner made no progress with a motion that should progress.
     MotionStalled {
         /// Vertices of the path fully executed.
         vertex: u32,
@@ -158,7 +158,7 @@ pub enum Fault {
         /// Limit, rad.
         limit_rad: f32,
     },
-    /// An axis's measured position jumps in a way that no motor can.
+    /// An axis's measured position jumps in a way that no motor can move.
     FeedbackNoise {
         /// Axis, from 0.
         axis: u8,
@@ -214,9 +214,9 @@ impl Fault {
         }
     }
 
-    /// Whether this fault tells more about the event for which `known` was latched. The supervisor knows which slave
-    /// failed and why; the critical tasks know only that something failed. A slave that answers in OP again only waits
-    /// to be taken back.
+    /// Whether this fault describes the event for which `known` was latched more precisely. The supervisor knows which
+    /// slave failed and why; the critical tasks know only that something failed. A slave reported in OP names no cause;
+    /// it only waits for its repair.
     pub(super) fn names_better(&self, known: &Self) -> bool {
         let slave_of = |fault: &Self| match fault {
             Self::SlaveLost { slave } | Self::SlaveState { slave, .. } => Some(*slave),

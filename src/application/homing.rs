@@ -1,9 +1,9 @@
 //! Homing: the joint angles that resolvers show, and the check of a pose before it is taken.
 //!
-//! A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. A pose read from
-//! marks or measured selects the turn. Two things can be checked: within its turn the resolver has to show the pose's
-//! angle, and if the platform's position was measured too, forward kinematics of the pose has to give that position. A
-//! pose that is wrong by whole turns passes the first check and fails the second.
+//! A resolver is absolute within one motor turn; at a gear of 1:12 the same resolver angle repeats every 30 degrees of
+//! the joint. A pose read from marks or measured selects the turn. Two things can be checked: within its turn the
+//! resolver has to show the pose's angle, and if the platform's position was measured too, forward kinematics of the
+//! pose has to give that position. A pose that is wrong by whole turns passes the first check and fails the second.
 //!
 //! Invariant: a refused pose names the axis that disagrees most and changes nothing.
 
@@ -12,7 +12,8 @@ use crate::config::{Axis, Config};
 use crate::control::robot_axes::resolver_angle_rad;
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
 
-/// Largest difference between a pose and the resolver angles, rad: a tenth of the turn after which a joint repeats.
+/// Largest difference between a pose and the resolver angles, rad: a tenth of the joint angle after which the resolver
+/// angle repeats.
 pub const POSE_DIFFERENCE_MAX_RAD: f64 = 0.05;
 /// Largest distance between a measured position and forward kinematics of the pose, mm; a motor turn of a joint moves
 /// the platform by more than 50 mm.

@@ -141,7 +141,7 @@ impl Application {
 
     /// Whether another configuration is accepted now: the drives are without power and no operation is in progress.
     pub fn may_configure(&self) -> bool {
-        // A fault is cleared by an acknowledgement, unless it is about what the configuration expects of the bus.
+        // In a fault, only one that a different configuration may resolve: the bus is not the expected one.
         let at_rest = match self.mode {
             Mode::Startup | Mode::DrivesOff => true,
             Mode::Fault => matches!(
@@ -359,7 +359,7 @@ impl Application {
             self.act(Action::ClearFault);
             return Ok(());
         }
-        // The supervisor has to check the bus: slaves that left OP may go on answering with their last data.
+        // The supervisor has to check the bus: slaves that left OP may continue to answer with their last data.
         self.recover_bus();
         self.act(Action::ClearFault);
         self.act(Action::Power(match self.condition.drive_fault {

@@ -1,4 +1,4 @@
-//! The operating modes' step: what goes on by itself once a millisecond.
+//! The operating modes' step: transitions without a command, once a millisecond.
 
 use super::{
     ACTIONS_MAX, Action, Application, BRAKE_DELAY_MS, BusCondition, Condition, ENABLE_MAX_MS, Enabling, Fault, Mode,

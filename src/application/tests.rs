@@ -1,4 +1,4 @@
-//! Every way through the modes, against a plant that does what it is asked for.
+//! Every way through the modes, against a plant that does what is requested.
 
 use super::*;
 use crate::motion::Pen;
@@ -317,14 +317,14 @@ fn a_recovery_that_fails_names_what_is_still_wrong() {
     plant.run(1);
     assert_eq!(told(&plant), (Mode::Fault, Some(unexpected), false));
     assert!(plant.order(Command::Acknowledge).is_ok(), "it may be tried again");
-    // The supervisor says nothing.
+    // The supervisor is silent.
     let mut plant = broken();
     plant.run(RECOVERY_MAX_MS + 100);
     let silence = Fault::RepairTimeout {
         waited_ms: RECOVERY_MAX_MS as u16,
     };
     assert_eq!(told(&plant), (Mode::Fault, Some(silence), false));
-    // The bus is whole, and still no position comes.
+    // The bus is operational, but no position arrives.
     let mut plant = broken();
     plant.application.bus(BusCondition::Operational);
     plant.run(RECOVERY_MAX_MS + 100);

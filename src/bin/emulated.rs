@@ -1,8 +1,8 @@
 //! The controller on QEMU's mps2-an500, a Cortex-M7 with a LAN9118 Ethernet controller.
 //!
 //! This file contains the wiring: which interrupt releases which task of the library, and at which priority. The tasks'
-//! functions are in `etherpen::controller`; the board nucleo runs these tasks at these priorities. The table of all tasks
-//! is in `docs/tasks.md`.
+//! functions are in `etherpen::controller`; the board nucleo runs these tasks at these priorities. The table of all
+//! tasks is in `docs/tasks.md`.
 //!
 //! Invariants. The critical tasks share one priority and own the sampler and the Ethernet port without a lock; they
 //! release others by pending an interrupt, never by a software task's `spawn`, which takes a critical section. Critical
@@ -103,7 +103,8 @@ mod app {
             Ok(mac) => mac,
             Err(error) => panic!("Ethernet controller: {error:?}"),
         };
-        // SAFETY: as above. The controller's reset also resets the counter that the clock reads, so the clock comes after.
+        // SAFETY: as above. The controller's reset also resets the counter that the clock reads, so the clock comes
+        // after.
         let clock = unsafe { Clock::start() };
         defmt::info!("emulated board, lockstep {=bool}", bus.is_some());
         parts.measurements.set_counts_per_s(CLOCK_HZ);
@@ -321,9 +322,9 @@ mod app {
 
     /// Plans ahead and fills the ring with the next 12 setpoints.
     ///
-    /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before not
-    /// completed is counted; the ring holds a plan that ends at rest, so late planning slows the motion down and never
-    /// starves it.
+    /// Period: 12 ms, pended by `sample`. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before
+    /// not completed is counted; the ring holds a plan that ends at rest, so late planning slows the motion down and
+    /// never starves it.
     #[task(binds = FREE15, priority = 6, shared = [&measurements], local = [trajectory])]
     fn trajectory(context: trajectory::Context) {
         let measurements = context.shared.measurements;

@@ -10,12 +10,12 @@
 //! `start_up_check` panics otherwise. What the critical tasks run is in ITCM and their own state in DTCM
 //! (`stm32h7::tightly_coupled`); DMA memory is in SRAM3, not cached (`stm32h7::memory`).
 //!
-//! Another board is another file beside this one, with a folder, a binary and a feature of the same name in `Cargo.toml`
-//! (with its `stm32-metapac` chip feature), its regions in `memory.x` and their aliases in `build.rs`. With an STM32H7 it
-//! uses the drivers in `stm32h7` and brings a folder like `nucleo`: `board.rs` (what those drivers and `shared` ask for),
-//! `pins.rs` (RMII pins, the ports', the emergency-stop input's), `lamps.rs`. What the inputs and lamps mean is
-//! `etherpen::board`, the same for all. `tests/images.rs` gets the addresses that its memory must have, and
-//! `etherpen flash` the chip's.
+//! Another board is another file beside this one, with a folder, a binary and a feature of the same name in
+//! `Cargo.toml` (with its `stm32-metapac` chip feature), its regions in `memory.x` and their aliases in `build.rs`.
+//! With an STM32H7 it uses the drivers in `stm32h7` and brings a folder like `nucleo`: `board.rs` (what those drivers
+//! and `shared` require), `pins.rs` (RMII pins, the ports', the emergency-stop input's), `lamps.rs`. `etherpen::board`
+//! defines the meaning of inputs and lamps for all boards. `tests/images.rs` gets the addresses that its memory must
+//! have, and `etherpen flash` the chip's.
 //!
 //! Wiring and first start: `docs/nucleo.md`.
 #![no_std]
@@ -66,7 +66,7 @@ mod app {
     use etherpen::trajectory_task::TrajectoryTask;
     use stm32_metapac::Interrupt;
 
-    /// What the critical tasks share: they have one priority, so no lock exists.
+    /// Data that the critical tasks share; they have one priority, so no lock is needed.
     #[shared]
     struct Shared {
         #[lock_free]
@@ -92,8 +92,8 @@ mod app {
 
     /// Runs once with interrupts disabled: lamps, memory and clocks, drivers, then the check of all priorities.
     ///
-    /// The watchdog runs from the first line on, and the crash record names the step that is under way: a start that fails
-    /// is reported by the next one (`stm32h7::start_up`).
+    /// The watchdog runs from the first line on, and the crash record names the step in progress: a failed start is
+    /// reported by the next one (`stm32h7::start_up`).
     #[init(local = [
         channels: Channels = Channels::new(),
         parts: MaybeUninit<Parts<'static>> = MaybeUninit::uninit(),

@@ -31,7 +31,7 @@ pub struct Axis {
     /// Following error above which a fault is raised, radians.
     pub following_error_max_rad: f64,
     /// Difference between commanded and measured motion above which a fault is raised, radians; the drive's lag is
-    /// taken out.
+    /// compensated.
     pub feedback_deviation_max_rad: f64,
     /// Mean acceleration of the measured position above which the position counts as noise, rad/s2; more than the motor
     /// can do.
@@ -61,7 +61,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// What is written to the axis's drive, and what its digits are worth.
+    /// Settings of the axis's drive, and the scale of its values.
     pub fn drive(&self) -> DriveSettings {
         DriveSettings {
             mode: self.mode,

@@ -19,7 +19,7 @@ use crate::robots::AXES;
 use etherpen_motion::Settings;
 use serde::{Deserialize, Serialize};
 
-/// The whole configuration.
+/// The complete configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
@@ -68,7 +68,7 @@ impl Default for Config {
 /// Longest encoded configuration, bytes.
 pub const CONFIG_BYTES_MAX: usize = 1280;
 impl Config {
-    /// What motion depends on.
+    /// Settings of motion.
     #[must_use]
     pub fn motion_settings(&self) -> Settings {
         Settings {
@@ -80,7 +80,7 @@ impl Config {
         }
     }
 
-    /// What the bus is to be brought up as.
+    /// Setup for the bring-up of the bus.
     #[must_use]
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {

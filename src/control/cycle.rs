@@ -46,7 +46,7 @@ pub enum SamplerCommand {
         /// Number of the start.
         epoch: u8,
     },
-    /// Forget the latched fault.
+    /// Clear the latched fault.
     ClearFault,
 }
 

@@ -1,55 +1,55 @@
-//! Whether an axis's position feedback can be true: what was sent to the drive against what the position shows.
+//! Plausibility of an axis's position feedback: commands against measured motion.
 //!
-//! A [`FeedbackMonitor`] predicts the motion from the commands that really went to the drive and compares it with the
-//! measured motion, each millisecond. It does not look at the setpoint: a controller whose feedback does not answer
-//! sends more and more, and only what was sent tells how far the motor has gone.
+//! A [`FeedbackMonitor`] predicts the motion from the commands sent to the drive and compares it with the measured
+//! motion every millisecond. It does not use the setpoint: a controller whose feedback does not respond sends ever
+//! larger commands, and only these show how far the motor has moved.
 //!
 //! - **Velocity.** The drive follows the velocity after a delay, modelled as a low-pass of that delay. The *deviation*
-//!   is the sum of predicted less measured motion. What is left of a wrong delay is a motion of [`LAG_MS`] at the present
+//!   is the sum of predicted less measured motion. A wrong delay leaves a motion of up to [`LAG_MS`] at the present
 //!   speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
-//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its position
-//!   error. Beside it the motion is compared with the one before, with the setpoint and with the torque
+//! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its
+//!   position error. In addition, the motion is compared with the previous motion, the setpoint and the torque
 //!   (`torque_feedback.rs`).
 //! - **Noise.** The mean change of the measured speed from one millisecond to the next is an acceleration. Above what
 //!   any motor can do, the measurement is noise.
 //!
 //! Frozen, slipping, reversed and swapped feedback all end in a deviation, at any speed: the sum has no time limit.
 //!
-//! Invariants: bounded work without a branch on data; all values stay finite; at rest, with drives that hold, nothing adds
-//! up.
+//! Invariants: bounded work without a branch on data; all values stay finite; at rest, with drives that hold, nothing
+//! adds up.
 
 use super::torque_feedback::{Demanded, TorqueModel};
 use crate::config::{Axis, AxisMode};
 
-/// How far the model of a drive's delay may be wrong, ms. A drive that samples on a clock of its own repeats or leaves
-/// out a position, which is one of it.
+/// How far the model of a drive's delay may be wrong, ms. A drive with its own sampling clock repeats or skips a
+/// position, which takes 1 ms of it.
 pub const LAG_MS: f32 = 1.5;
-/// Share of the deviation that a radian of motion takes away, 1/rad: with it a wrong scale of [`LEAK_PER_RAD`] times the
-/// limit (0.3 % at 0.008 rad) is never a fault.
+/// Share of the deviation that a radian of motion removes, 1/rad: because of it a wrong scale of [`LEAK_PER_RAD`] times
+/// the limit (0.3 % at 0.008 rad) is never a fault.
 pub const LEAK_PER_RAD: f32 = 0.4;
-/// Share of the deviation that a millisecond takes away.
+/// Share of the deviation that a millisecond removes.
 const LEAK_PER_MS: f32 = 1.0e-6;
 /// Share of a new value in the mean of the noise: the mean of 32 ms.
 const NOISE_SHARE: f32 = 1.0 / 32.0;
-/// Change of speed, in speeds, that a drive's own sampling clock can make of every millisecond.
+/// Change of speed from one millisecond to the next that a drive's own sampling clock can cause, relative to the speed.
 const NOISE_PER_SPEED: f32 = 2.0;
 /// Part of the deviation limit that applies in torque mode: there an error grows with the square of time and faster.
 const TORQUE_LIMIT_SHARE: f32 = 0.25;
 
-/// What is compared; the last three in torque mode only.
+/// Names of the comparisons; the last three apply in torque mode only.
 pub const COMPARISONS: [&str; 5] = ["deviation", "noise", "sudden", "stuck", "pushed"];
 
-/// What is wrong with a feedback.
+/// Why a feedback is implausible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Implausible {
-    /// The motion measured is not the motion commanded.
+    /// The measured motion differs from the commanded motion.
     Deviation {
         /// Commanded less measured motion, rad at the joint.
         deviation_rad: f32,
         /// The limit, rad.
         limit_rad: f32,
     },
-    /// The measured position jumps about.
+    /// The measured position is too noisy.
     Noise {
         /// Mean acceleration measured, rad/s2 at the joint.
         acceleration_rad_s2: f32,
@@ -58,7 +58,7 @@ pub enum Implausible {
     },
 }
 
-/// Prediction by a velocity command.
+/// Prediction from a velocity command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct VelocityModel {
     /// Radians a millisecond for a digit, times the share of a new command in the filtered one.
@@ -128,7 +128,7 @@ impl FeedbackMonitor {
         }
     }
 
-    /// Forgets all that was commanded and measured: the drive holds its axis by other means.
+    /// Discards all commands and measurements; used while the drive does not follow commands.
     #[cold]
     pub fn reset(&mut self) {
         (self.deviation_rad, self.moved_rad, self.noise_rad, self.speed_rad) = (0.0, 0.0, 0.0, 0.0);
@@ -139,8 +139,8 @@ impl FeedbackMonitor {
         }
     }
 
-    /// One millisecond with a position: the command that went to the drive in the one before, digits, and the motion
-    /// measured since the last position, increments. Whether they go together.
+    /// Advances by one millisecond with a position: `sent_digits` is the command that the drive got in the previous
+    /// millisecond, `moved_increments` the motion since the last position. Returns whether they agree.
     #[inline]
     pub fn step(&mut self, sent_digits: i32, moved_increments: i32) -> bool {
         let moved_rad = moved_increments as f32 * self.rad_per_increment;
@@ -160,27 +160,27 @@ impl FeedbackMonitor {
         follows & (self.deviation_rad.abs() <= self.deviation_limit_rad()) & (self.noise_rad <= self.noise_limit_rad())
     }
 
-    /// One millisecond without a position: the motion expected in it is compared with the next position.
+    /// Advances by one millisecond without a position; the motion expected in it is compared with the next position.
     #[cold]
     pub fn step_blind(&mut self, sent_digits: i32) {
         self.blind_ms = self.blind_ms.saturating_add(1);
         self.expect(sent_digits);
     }
 
-    /// The motion of a millisecond, where a position came after some that did not.
+    /// Mean motion of a millisecond, rad, when positions were missing before this one.
     #[cold]
     fn mean_of_gap(&mut self, moved_rad: f32) -> f32 {
         moved_rad / (1.0 + f32::from(core::mem::take(&mut self.blind_ms)))
     }
 
-    /// Tells what the setpoints demand from now on; only a torque axis needs it.
+    /// Sets what the setpoints demand from now on; has an effect in torque mode only.
     pub fn set_demanded(&mut self, demanded: &Demanded) {
         if let Model::Torque(model) = &mut self.model {
             model.set_demanded(demanded);
         }
     }
 
-    /// What is wrong, after [`Self::step`] has found something.
+    /// The comparison that failed; call it after [`Self::step`] has returned false.
     #[cold]
     pub fn implausible(&self) -> Implausible {
         if let Model::Torque(model) = &self.model
@@ -205,7 +205,7 @@ impl FeedbackMonitor {
         }
     }
 
-    /// What each of [`COMPARISONS`] has used of its limit in the last step: 1 is the limit. For tests; nothing on a board asks.
+    /// Value of each of [`COMPARISONS`] in the last step, relative to its limit. For tests; no board calls it.
     pub fn used(&self) -> [f32; COMPARISONS.len()] {
         let deviation = self.deviation_rad.abs() / self.deviation_limit_rad();
         let noise = self.noise_rad / self.noise_limit_rad();
@@ -230,7 +230,7 @@ impl FeedbackMonitor {
         self.noise_limit_rad + NOISE_PER_SPEED * self.speed_rad
     }
 
-    /// Adds the motion that the commands make in a millisecond to the deviation.
+    /// Adds the motion that the command causes in a millisecond to the deviation.
     #[inline]
     fn expect(&mut self, sent_digits: i32) {
         let sent = sent_digits as f32;
@@ -248,7 +248,7 @@ impl FeedbackMonitor {
         }
     }
 
-    /// Takes the measured motion off the deviation, and corrects the prediction by what is left.
+    /// Subtracts the measured motion from the deviation, and corrects the prediction by the remainder.
     #[inline]
     fn compare(&mut self, moved_rad: f32) {
         let deviation_rad = self.deviation_rad - moved_rad;
@@ -325,7 +325,8 @@ mod tests {
         *velocity_rad_s
     }
 
-    /// One axis in closed loop, with what a sound machine has: friction, noise, telegrams lost both ways.
+    /// One axis in closed loop with the imperfections of a sound machine: friction, noise, telegrams lost in both
+    /// directions.
     struct Loop {
         monitor: FeedbackMonitor,
         controller: PositionController,
@@ -343,7 +344,7 @@ mod tests {
         blind_ms: u32,
     }
 
-    /// Friction: a speed by which the drive's loop lags behind until its integral makes up for it, rad/s and ms.
+    /// Friction: a speed by which the drive's loop lags behind until its integral compensates it, rad/s and ms.
     const FRICTION_RAD_S: f64 = 0.016;
     const INTEGRAL_MS: f64 = 20.0;
     /// Noise of the resolver, rad at the joint at most: a tenth of a degree at the motor.
@@ -373,7 +374,7 @@ mod tests {
             }
         }
 
-        /// One millisecond; whether the monitor believes the feedback.
+        /// Advances by one millisecond; returns whether the monitor accepts the feedback.
         fn step(&mut self, random: &mut Random, speed_rad_s: f64) -> bool {
             let sent = self.sent;
             if random.unit() >= LOST {
@@ -407,7 +408,7 @@ mod tests {
         }
     }
 
-    /// So many robot hours of four axes each; `ETHERPEN_SOAK_HOURS` asks for more.
+    /// Runs 0.05 robot hours of four axes; `ETHERPEN_SOAK_HOURS` sets another duration.
     #[test]
     fn a_sound_axis_with_friction_noise_and_lost_telegrams_is_believed_for_hours() {
         let asked = std::env::var("ETHERPEN_SOAK_HOURS").ok();
@@ -504,7 +505,7 @@ mod tests {
         let moved = |monitor: &mut FeedbackMonitor, torque_nm: f64| monitor.step((torque_nm * 10.0) as i32, 0);
         for ms in 0..5_000 {
             let load_nm = 5.0 * libm::sin(f64::from(ms) / 1_000.0);
-            // The torque answers the load; nothing moves.
+            // The torque balances the load; nothing moves.
             assert!(moved(&mut monitor, load_nm), "{:?} at {ms} ms", monitor.implausible());
         }
         let noticed = (0..200).find(|ms| !moved(&mut monitor, -4.8 + f64::from(*ms) * 0.1));

@@ -6,7 +6,8 @@
 //! setpoints. `etherpen identify` finds gains and delays.
 //!
 //! Invariant: the command is the output of the control law, neither clamped nor filtered, so that the supervision sees
-//! a demand beyond the limit or a NaN. `control::robot_axes` clamps the value sent to a drive, and sends 0 instead of a NaN.
+//! a demand beyond the limit or a NaN. `control::robot_axes` clamps the value sent to a drive, and sends 0 instead of a
+//! NaN.
 
 use crate::config::Axis;
 

@@ -1,11 +1,11 @@
 //! The drives of a group as the axes of a robot.
 //!
-//! Positions of single-turn resolvers are unwrapped into 64 bits and, once homed, given as joint angles; what an
-//! axis is told goes to its drive ([`ServoAxis`]), and what the drive then reports is compared with it
+//! Positions of single-turn resolvers are unwrapped into 64 bits and, once homed, returned as joint angles. An
+//! axis's command goes to its drive ([`ServoAxis`]) and is compared with what the drive then reports
 //! ([`FeedbackMonitor`]).
 //!
-//! Invariants: a position is only given in the cycle it came in; an axis whose turns may have been miscounted, whose
-//! feedback cannot be true, or whose drive was configured again, is not homed.
+//! Invariants: a position is available only in the cycle in which it arrived; an axis whose turns may have been
+//! miscounted, whose feedback is implausible, or whose drive was configured again, is not homed.
 
 mod encoder;
 mod findings;
@@ -28,8 +28,8 @@ use encoder::{float, turned};
 pub const GAP_IN_MOTION_MAX_MS: u32 = 8;
 /// Longest gap of positions at rest after which the turns still count as known, ms.
 pub const GAP_AT_REST_MAX_MS: u32 = 500;
-/// How long the feedback is compared with the ramp of a quick stop, ms: long enough to tell a frozen feedback, whose
-/// following error stopped the robot first, and too short for what is not known of the ramp's beginning to matter.
+/// How long the feedback is compared with the ramp of a quick stop, ms: long enough to detect a frozen feedback whose
+/// following error stopped the robot first, and too short for the unknown start of the ramp to matter.
 const RAMP_COMPARED_MS: u8 = 10;
 /// Speed above which a change of the position is a jump of the feedback, as a part of the greatest speed.
 const JUMP_SPEED: f64 = 1.5;
@@ -72,7 +72,7 @@ pub struct AxisCommand {
     pub demand: Demand,
 }
 
-/// One axis: its drive, its unwrapped position, and where its joint stands.
+/// One axis: its drive, its unwrapped position, and its zero.
 #[derive(Clone, Copy, Debug)]
 struct AxisState {
     config: Axis,
@@ -84,10 +84,10 @@ struct AxisState {
     known: bool,
     gap_ms: u32,
     step: i32,
-    /// Whether a position came in this cycle.
+    /// Whether a position arrived in this cycle.
     valid: bool,
     status: StatusWord,
-    /// Of the present drive, and of the last input.
+    /// Number of the present drive's configuration, and of the last input's.
     drive_generation: u8,
     generation: u8,
     /// Unwrapped position at joint angle 0.
@@ -95,9 +95,9 @@ struct AxisState {
     home_lost: bool,
     commanded: bool,
     feedback: FeedbackMonitor,
-    /// What the drive was told last, digits.
+    /// Last demand sent to the drive, digits.
     sent: i32,
-    /// For how long the feedback is still to be compared with what was sent, ms.
+    /// Remaining time for which the feedback is compared with `sent`, ms.
     compared_ms: u8,
     /// Change of `sent` in a millisecond of a quick stop, digits.
     ramp_digits: i32,
@@ -137,7 +137,7 @@ impl AxisState {
         }
     }
 
-    /// The turns are not known any more.
+    /// The axis is no longer homed: the turns are unknown.
     fn lose_home(&mut self) {
         self.home_lost |= self.zero.is_some();
         self.zero = None;
@@ -182,7 +182,7 @@ impl AxisState {
         self.valid = true;
     }
 
-    /// No input came in this cycle.
+    /// Handles a cycle without an input.
     #[cold]
     fn miss(&mut self) {
         self.gap_ms = self.gap_ms.saturating_add(1);
@@ -196,7 +196,7 @@ impl AxisState {
         self.valid = false;
     }
 
-    /// The feedback cannot be true: where the joint is, is not known any more.
+    /// Handles an implausible feedback: stores the reason; the axis is no longer homed.
     #[cold]
     fn distrust(&mut self) {
         self.implausible = Some(self.feedback.implausible());
@@ -204,7 +204,8 @@ impl AxisState {
         self.lose_home();
     }
 
-    /// A joint that nothing drives may be moved by hand, but no faster than its motor can.
+    /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor can
+    /// move.
     #[cold]
     fn look_for_jump(&mut self) {
         if self.step.unsigned_abs() > self.jump_increments {
@@ -218,7 +219,7 @@ impl AxisState {
         self.feedback.reset();
     }
 
-    /// The drive follows no command: it brakes for a moment, then it stands by itself.
+    /// Compares a drive that does not follow commands with its quick-stop ramp for a moment, then ends the comparison.
     #[cold]
     fn follow_ramp(&mut self) {
         let state = self.drive.state();
@@ -265,7 +266,7 @@ impl AxisState {
         }
     }
 
-    /// What the drive is told, which the feedback of the next cycles is compared with.
+    /// The output to the drive; the feedback of the next cycles is compared with it.
     #[inline(always)]
     fn output(&mut self, command: &AxisCommand) -> DriveOutput {
         let output = match command.demand {
@@ -286,7 +287,7 @@ impl AxisState {
 #[derive(Clone, Debug)]
 pub struct RobotAxes {
     axes: [AxisState; AXES],
-    /// Whether the axes have still to take over their drives, whatever the group reports.
+    /// Whether the axes still have to take over their drives, whatever the group reports.
     is_new: bool,
 }
 
@@ -299,7 +300,7 @@ impl RobotAxes {
         }
     }
 
-    /// Starts again with other axes, none of them homed.
+    /// Replaces the axes; none of the new ones is homed.
     pub fn configure(&mut self, axes: &[Axis; AXES]) {
         for (state, axis) in self.axes.iter_mut().zip(axes) {
             *state = AxisState::new(axis);
@@ -307,7 +308,7 @@ impl RobotAxes {
         self.is_new = true;
     }
 
-    /// Takes this cycle's inputs; to be called exactly once a cycle, also when nothing came.
+    /// Takes this cycle's inputs. Call it exactly once a cycle, even if nothing arrived.
     pub fn read(&mut self, group: &mut impl IoGroup) {
         self.renew(group);
         for (member, axis) in self.axes.iter_mut().enumerate() {
@@ -315,7 +316,7 @@ impl RobotAxes {
         }
     }
 
-    /// Takes over the group's drives if they have changed; comes before [`Self::read_axis`].
+    /// Takes over the group's drives if they have changed. Call it before [`Self::read_axis`].
     #[inline]
     pub fn renew(&mut self, group: &mut impl IoGroup) {
         if group.renew() || self.is_new {
@@ -331,7 +332,7 @@ impl RobotAxes {
         }
     }
 
-    /// Takes this cycle's input of one axis, as [`Self::read`] does of all; `None` when nothing came.
+    /// Takes this cycle's input of one axis; [`Self::read`] takes those of all axes. `None` if none arrived.
     #[inline(always)]
     pub fn read_axis<const AXIS: usize>(&mut self, group: &impl IoGroup) -> Option<Reading> {
         const { assert!(AXIS < AXES) };
@@ -366,11 +367,11 @@ impl RobotAxes {
             .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
-    /// Finds the pose from the present positions: each axis stands within half a motor turn of the pose `near`, or of
-    /// its synchronisation mark, and its single-turn resolver tells the angle nearest to it.
+    /// Finds the pose from the present positions: each axis is within half a motor turn of the pose `near`, or of
+    /// its synchronisation mark, and takes the resolver's angle nearest to it.
     ///
     /// # Errors
-    /// [`HomingError`]; then no axis is homed, because the previous pose was what had to be corrected.
+    /// [`HomingError`]; no axis is homed then, because the previous pose was to be corrected.
     pub fn home(&mut self, near: Option<&JointAngles>) -> Result<(), HomingError> {
         if let Some(error) = self.why_not_homed() {
             self.axes.iter_mut().for_each(AxisState::lose_home);
@@ -385,7 +386,7 @@ impl RobotAxes {
         Ok(())
     }
 
-    /// Why the pose cannot be found from the present positions.
+    /// Why the present positions do not give a pose.
     fn why_not_homed(&self) -> Option<HomingError> {
         (0..).zip(&self.axes).find_map(|(number, axis)| match axis {
             _ if !axis.valid => Some(HomingError::NoPosition { axis: number }),
@@ -404,7 +405,7 @@ impl RobotAxes {
         self.axes.each_ref().map(|axis| axis.home_lost)
     }
 
-    /// The first axis whose feedback could not be true since this was last asked, and why.
+    /// The first axis whose feedback was implausible since the last call, and why.
     #[cold]
     pub fn take_implausible(&mut self) -> Option<(u8, Implausible)> {
         let mut found = None;
@@ -415,13 +416,13 @@ impl RobotAxes {
         found
     }
 
-    /// What the comparisons of the axes' feedback have used of their limits, for each the most of any axis. For tests.
+    /// Largest value of each feedback comparison over all axes, relative to its limit. For tests.
     pub fn feedback_used(&self) -> [f32; COMPARISONS.len()] {
         let each = self.axes.each_ref().map(|axis| axis.feedback.used());
         core::array::from_fn(|comparison| each.iter().fold(0.0, |most, used| f32::max(most, used[comparison])))
     }
 
-    /// Tells the axes that take a torque what their setpoints demand: which motion and which change of their load is no
+    /// Sets what the setpoints demand of the axes in torque mode: the motion and the change of load that are not a
     /// fault of the feedback.
     pub fn set_demanded(&mut self, demanded: &[Demanded; AXES]) {
         for (axis, demanded) in self.axes.iter_mut().zip(demanded) {
@@ -437,7 +438,7 @@ impl RobotAxes {
         }
     }
 
-    /// Writes the command of one axis, as [`Self::write`] does those of all.
+    /// Writes the command of one axis; [`Self::write`] writes those of all axes.
     #[inline(always)]
     pub fn write_axis<const AXIS: usize>(&mut self, group: &mut impl IoGroup, command: &AxisCommand) {
         const { assert!(AXIS < AXES) };

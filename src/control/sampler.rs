@@ -1,15 +1,15 @@
 //! The robot sampler: one millisecond of input, control and output.
 //!
-//! `sample` sends the input telegram, `bus_frame` takes its reply, steps the controllers and sends the output
-//! telegram in the same millisecond, `bus_deadline` does the same on predicted positions when the reply has not come.
-//! The three run at one priority and never pre-empt each other; everything that comes from or goes to the slower
-//! tasks passes through lock-free queues.
+//! `sample` sends the input telegram, `bus_frame` takes its reply, steps the controllers and sends the output telegram
+//! in the same millisecond, `bus_deadline` does this with predicted positions if the reply has not arrived. The three
+//! run at one priority and never pre-empt each other; everything that comes from or goes to the slower tasks passes
+//! through lock-free queues.
 //!
 //! When inputs and outputs are exchanged together, there is no output telegram: the outputs go with the next input
 //! telegram.
 //!
-//! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets
-//! a velocity other than zero only while it follows setpoints of the epoch it was told; the first fault makes every
+//! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets a
+//! velocity other than zero only while it follows setpoints of the selected epoch; the first fault makes every
 //! following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
@@ -44,7 +44,7 @@ pub const OUTPUT_LATE_NS: u32 = 500_000;
 pub const FRAMES_PER_RUN: usize = 8;
 /// Samples between two releases of the trajectory task.
 pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
-/// Speed below which an axis stands still, rad/s.
+/// Speed below which an axis is at rest, rad/s.
 pub const STANDSTILL_RAD_S: f64 = 0.01;
 /// How long an axis must be below [`STANDSTILL_RAD_S`], ms.
 pub const STANDSTILL_MS: u16 = 20;
@@ -77,11 +77,11 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     power: Power,
     epoch: Option<u8>,
     window: Window,
-    /// This millisecond, as far as it has come; what is measured is kept here from one to the next.
+    /// Report of this millisecond, filled step by step; measured values are kept from one millisecond to the next.
     now: CycleReport,
     was_enabled: [bool; AXES],
     home_lost: [bool; AXES],
-    /// Whether the last angle counts from the same zero as the next one.
+    /// Whether an axis's last and next angle count from the same zero.
     same_zero: [bool; AXES],
     still_ms: u16,
     late: u16,
@@ -177,7 +177,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
 
     /// Takes frames the MAC has received, at most [`FRAMES_PER_RUN`]; the input reply leads to the output telegram.
     ///
-    /// Returns whether more may be waiting: then this is to be called again, after what is as urgent.
+    /// Returns whether more may be waiting: call it again then, after the other tasks of this priority.
     pub fn bus_frame<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) -> bool {
         for _ in 0..FRAMES_PER_RUN {
             let over_ip = self.bus.transport == Transport::Udp;
@@ -201,22 +201,25 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
     }
 
-    /// Whether the reply to this millisecond's input telegram is still to come, and the output telegram to be sent.
+    /// Whether the reply to this millisecond's input telegram is outstanding, and the output telegram has not been
+    /// sent.
     pub fn awaits_input(&self) -> bool {
         self.phase == Phase::Input
     }
 
-    /// What on the board keeps the drives in quick stop from this millisecond on; to be told before [`Self::sample`].
+    /// Sets the board input that keeps the drives in quick stop from this millisecond on. Call it before
+    /// [`Self::sample`].
     pub fn set_interlock(&mut self, interlock: Option<Interlock>) {
         self.interlock = interlock;
     }
 
-    /// Whether foreign frames have no business on the wire: EtherCAT has it for itself.
+    /// Whether the wire is for EtherCAT alone, so that foreign frames may be dropped.
     pub fn has_the_wire_alone(&self) -> bool {
         self.bus.transport == Transport::Raw
     }
 
-    /// The firmware ends: one last telegram tells drives that have power to stop, velocities zero. Nothing may follow.
+    /// Sends one last telegram when the firmware ends: quick stop for drives that have power, velocities zero. Nothing
+    /// may follow.
     pub fn send_final_telegram<D: Driver>(&mut self, transport: &mut FramePort<D>) {
         let target = match self.power {
             Power::On | Power::QuickStop => DriveTarget::QuickStop,
@@ -230,18 +233,18 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             ExchangeKind::Combined => self.group.trigger_input(),
         };
         if may_send(&self.bus, self.has_path) {
-            // A port without room has frames to send that are as good as this one.
+            // A port without room is still sending earlier telegrams; the drives' watchdogs are the guarantee.
             let _ = transport.send(telegram);
         }
     }
 
-    /// What the exchange with the bus has counted so far; the telegrams of this millisecond are not settled yet.
+    /// Counters of the exchange with the bus; the telegrams of this millisecond are not settled yet.
     pub fn bus_counters(&self) -> BusCounters {
         self.group.counters()
     }
 
-    /// What the comparisons of the feedback have used of their limits in this millisecond, in the order of [`COMPARISONS`].
-    /// For tests; nothing on a board asks.
+    /// Largest value of each feedback comparison in this millisecond, relative to its limit, in the order of
+    /// [`COMPARISONS`]. For tests; no board calls it.
     pub fn feedback_used(&self) -> [f32; COMPARISONS.len()] {
         self.robot.feedback_used()
     }
@@ -265,7 +268,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         });
         let late = match self.group.exchange_kind() {
             ExchangeKind::Split => elapsed_ns > OUTPUT_LATE_NS || sending == Sending::Busy,
-            // The outputs before these went with the input telegram; these are in time for the next one.
+            // The input telegram carried the previous outputs; these are in time for the next one.
             ExchangeKind::Combined => self.first_late || elapsed_ns >= PERIOD_NS,
         };
         self.late = u16::from(late);
@@ -273,8 +276,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.report(following);
     }
 
-    /// Takes what the IP stack has found out. Without addresses nothing is sent, which the bus' other side takes for
-    /// silence, and the supervision too.
+    /// Takes new addresses from the IP stack. Without addresses nothing is sent; the supervisor and the supervision see
+    /// a silent bus.
     #[cold]
     fn take_path(&mut self) {
         while let Some(path) = self.network.next_path() {
@@ -284,14 +287,14 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
     }
 
-    /// By how much the timer's next period is to be longer, ns (negative: shorter), so that the sample keeps its phase to
-    /// the bus clock; to be asked for once a millisecond, at most
-    /// [`CORRECTION_MAX_NS`](crate::ethercat::clock::steering::CORRECTION_MAX_NS) either way.
+    /// Correction of the timer's next period, ns (positive: longer), that keeps the sample's phase to the bus clock; at
+    /// most [`CORRECTION_MAX_NS`](crate::ethercat::clock::steering::CORRECTION_MAX_NS) either way. Call it once a
+    /// millisecond.
     pub fn take_timer_correction_ns(&mut self) -> i32 {
         core::mem::take(&mut self.timer_correction_ns)
     }
 
-    /// Takes this cycle's time of the bus clock. A plan with another reference clock starts the steering again.
+    /// Takes this cycle's time of the bus clock. A plan with another reference clock restarts the steering.
     fn steer(&mut self) {
         let state = self.group.bus_state();
         let clock = state.reference_clock;
@@ -313,7 +316,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             match command {
                 SamplerCommand::Configure { axes, bus } => {
                     self.robot.configure(&axes);
-                    // One at a time: an array of them lies on the stack as often as it is moved.
+                    // One at a time: every move of an array would need its size on the stack again.
                     for (index, axis) in axes.iter().enumerate() {
                         self.controllers[index] = PositionController::new(axis);
                         self.velocity_controllers[index] = VelocityController::new(axis);
@@ -346,11 +349,11 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
     }
 
-    /// Takes the inputs as joint angles and velocities. Counts how long all axes stand still.
+    /// Takes the inputs as joint angles and velocities. Counts how long all axes have been at rest.
     #[inline(never)]
     fn measure(&mut self) {
         self.robot.renew(&mut self.group);
-        // Written out: with its place known, an axis costs a third less.
+        // Unrolled: with a constant index, an axis costs a third less.
         let still = [
             self.measure_axis::<0>(),
             self.measure_axis::<1>(),
@@ -363,7 +366,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         };
     }
 
-    /// Takes an axis's input; a missing one is predicted from the last velocity. Whether the axis stands still.
+    /// Takes an axis's input; a missing one is predicted from the last velocity. Returns whether the axis is at rest.
     #[inline(always)]
     fn measure_axis<const AXIS: usize>(&mut self) -> bool {
         let reading = self.robot.read_axis::<AXIS>(&self.group);
@@ -386,11 +389,11 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         } else {
             now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
-        // Silence is no standstill: the last speed that was seen decides.
+        // Silence does not mean rest: the last measured speed decides.
         now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
     }
 
-    /// Advances to this millisecond's setpoint: whether one is followed, and whether one was missing.
+    /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.
     #[inline]
     fn next_setpoint(&mut self) -> (bool, bool) {
         let Some(epoch) = self.epoch else {
@@ -426,7 +429,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         ]
     }
 
-    /// The velocity command of an axis, rad/s; `around` is what the first axis's lead reads.
+    /// The velocity command of an axis, rad/s; `around` are the velocities around the first axis's lead.
     #[inline(always)]
     fn control_axis<const AXIS: usize>(&mut self, around: &[[f64; AXES]; 2]) -> f64 {
         let (setpoint_rad, measured_rad) = (self.now.setpoint.position_rad[AXIS], self.now.measured_rad[AXIS]);
@@ -478,14 +481,14 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         } else {
             seen.drive_fault = self.look_for_drive_faults(power);
         }
-        // An axis whose feedback cannot be true is no longer homed.
+        // An axis whose feedback is implausible is no longer homed.
         if self.now.homed != [true; AXES] {
             self.look_at_feedback();
         }
         self.supervision.step(&self.axes, &self.bus, &seen);
     }
 
-    /// An axis is not homed: perhaps because its feedback cannot be true.
+    /// Latches the fault of an implausible feedback, if that is why an axis is not homed.
     #[cold]
     fn look_at_feedback(&mut self) {
         if let Some((axis, implausible)) = self.robot.take_implausible() {
@@ -537,7 +540,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.robot.write_axis::<AXIS>(&mut self.group, &command);
     }
 
-    /// Tells the axes what the setpoints demand of them and of the others.
+    /// Passes each axis what the setpoints demand of it and of the other axes.
     #[inline(never)]
     fn tell_demanded(&mut self, moving: bool) {
         let mut demanded = [Demanded::default(); AXES];

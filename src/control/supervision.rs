@@ -156,7 +156,7 @@ impl Supervision {
         } else if let Some(al_state) = seen.al_status
             && al_state != AL_OPERATIONAL
         {
-            // The supervisor finds out which slave it is; until then slave 255 stands for all.
+            // The supervisor determines which slave it is; until then 255 means any slave.
             self.latch(Fault::SlaveState {
                 slave: u8::MAX,
                 al_state,

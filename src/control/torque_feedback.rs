@@ -1,33 +1,35 @@
-//! Whether the position feedback of an axis in torque mode can be true: torque and setpoints against the motion shown.
+//! Plausibility of the position feedback of an axis in torque mode: torque and setpoints against measured motion.
 //!
 //! In torque mode the firmware closes the velocity loop, so a wrong feedback makes a joint run away with the square of
 //! time and faster. Four comparisons, each quick where the others are slow:
 //!
 //! - **Observer.** A disturbance observer with a triple pole at `OBSERVER_PER_S` predicts the position from torque and
-//!   inertia; the load is part of its state. Its position error answers an acceleration `d` that the model lacks with
-//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` is never beyond `t e^(-0.86 w t)`, so that a filter
-//!   with a double pole at `0.86 w` on a bound of `|d|` gives a bound of the error: the *unrest*. The bound of `|d|` is in
-//!   proportion to what the setpoints demand now, not to what they may demand ever.
-//! - **Sudden.** The motion of two milliseconds differs from that of the two before by what the motor can do, or by one
-//!   position that is repeated or left out.
-//! - **Stuck.** While the setpoint moves, the position follows in the same direction.
-//! - **Torque against a position at rest.** The torque less what accelerates the axis as its setpoint demands is the load.
-//!   While the position stands, the load changes by no more than friction, the changing weight, and the *doubt*: what
-//!   inertia, coupling and speed may add to the load that the model does not know. The load is compared with the one of the
-//!   moment at which the position came to where it stands, and that one was in doubt as well: both doubts count.
+//!   inertia; the load is part of its state. An acceleration `d` that is not in the model causes a position error of
+//!   `s / (s + w)^3 d`. The impulse response `(t - w t^2 / 2) e^(-w t)` never exceeds `t e^(-0.86 w t)`, so a filter
+//!   with a double pole at `0.86 w` turns a bound of `|d|` into a bound of the error: the *unrest*. The bound of `|d|`
+//!   is proportional to what the setpoints demand now, not to the most that they may demand.
+//! - **Sudden.** The motion of two milliseconds may differ from that of the two before only by what the motor can do,
+//!   or by one position that is repeated or skipped.
+//! - **Stuck.** While the setpoint moves, the position must follow in the same direction.
+//! - **Torque against a position at rest.** The load is the torque minus the part that accelerates the axis as its
+//!   setpoint demands. While the position is at rest, the load may change only by friction, by the changing weight, and
+//!   by the *doubt*: what inertia, coupling and speed may add to the load without being in the model. The load is
+//!   compared with the load at the moment at which the position came to rest. Both loads are in doubt, so both doubts
+//!   count.
 //!
-//! Where the figures come from: what a constant's comment derives, from the axis's inertia, gains, delays and 0.3 N m of dry
-//! friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other shares by
-//! trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to 7 of
-//! `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen, reversed and
-//! exchanged feedback, and 0 to 4 of `feedback_soak.rs`.
-//! Fresh seeds: with 200 to 205 of `feedback_soak.rs`, one robot hour, *pushed* used at most 0.66 of its limit and *stuck* 0.90,
-//! 0.1 s after enabling in seed 203, for which `ENABLED_SHARE` was made 3. After that, seeds 400 to 513, 700 to 725 and 730 to
-//! 770, 30 robot hours, used at most 0.75 of any limit; sound motions of seeds 100 to 104 of the scan at most 0.72 (before
-//! that change).
+//! Sources of the figures: those derived in a constant's comment follow from the axis's inertia, gains, delays and 0.3
+//! N m of dry friction, and from the mass matrix and the weight of the virtual robot over a paper of 320 mm; the other
+//! shares were found by trial on that cell. The shares of *observer*, *sudden* and *stuck* were chosen with seeds 0 to
+//! 7 of `tests/reactions/feedback_scan.rs`; the load's with seeds 0 to 5 of its sound motions, 1 to 20 of its frozen,
+//! reversed and exchanged feedback, and 0 to 4 of `feedback_soak.rs`.
 //!
-//! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the axis's
-//! own feedback.
+//! Measured with other seeds: 400 to 513, 700 to 725 and 730 to 770 of `feedback_soak.rs`, 30 robot hours, used at most
+//! 0.75 of any limit. With a smaller `ENABLED_SHARE`, seeds 200 to 205, one robot hour, used at most 0.66 of *pushed*
+//! and 0.90 of *stuck* (seed 203, 0.1 s after enabling), and sound motions of seeds 100 to 104 of the scan at most 0.72
+//! of any limit.
+//!
+//! Invariants: bounded work; all values stay finite; what the setpoints demand comes from the plan, never from the
+//! axis's own feedback.
 
 use super::limit::limited;
 use crate::config::Axis;
@@ -43,9 +45,10 @@ const OWN_SHARE: f32 = 0.3;
 const OTHERS_SHARE: f32 = 0.2;
 /// Acceleration that the model lacks for a speed of 1 rad/s, rad/s2: the weight changes with the pose.
 const WEIGHT_PER_S: f32 = 0.4;
-/// Load that is not known when a drive takes its power, rad/s2: 9 N m at 0.3 kg m2 that the opening brake leaves to the motor.
+/// Load that is not known when a drive takes its power, rad/s2: 9 N m at 0.3 kg m2 that the opening brake leaves to the
+/// motor.
 const ENABLING_RAD_S2: f32 = 30.0;
-/// Speed that stands for it in the observer's bound, rad a millisecond.
+/// Speed that represents [`ENABLING_RAD_S2`] in the observer's bound, rad a millisecond.
 const ENABLING_RAD: f32 = 2.0e-3;
 
 /// Change of the speed in two milliseconds that is never sudden, rad/s2, and the part of the setpoints' greatest
@@ -53,46 +56,48 @@ const ENABLING_RAD: f32 = 2.0e-3;
 const SUDDEN_RAD_S2: f32 = 125.0;
 const SUDDEN_SHARE: f32 = 0.75;
 
-/// Motion within which a position counts as standing, rad.
+/// Motion within which a position counts as at rest, rad.
 const STANDING_RAD: f32 = 2.0e-4;
-/// Motion of the setpoint from which a position that goes the other way does not follow, rad.
+/// Motion of the setpoint beyond which a position that moves the other way counts as not following, rad.
 const LED_RAD: f32 = 0.5 * STANDING_RAD;
-/// How far the setpoint may go from a position that stands, beside what follows from the controllers: a part of the
-/// deviation limit.
+/// How far the setpoint may move while the position is at rest, in addition to what follows from the controllers, as a
+/// part of the deviation limit.
 const STUCK_LIMIT_SHARE: f32 = 0.15;
-/// Acceleration that the feed-forward lacks for one of the greatest acceleration of any setpoint: inertia and coupling.
+/// Share of the greatest acceleration of any setpoint that the feed-forward may lack: inertia and coupling.
 const LACKING_SHARE: f64 = 0.55;
-/// What that load counts for an axis that stands: it has sunk, comes back against its setpoint, and then goes with it.
+/// Weight of [`ENABLING_RAD_S2`] for an axis at rest: it has sunk, returns against its setpoint, and then moves with
+/// it.
 const ENABLED_SHARE: f32 = 3.0;
-/// The most that follows from accelerations, in deviation limits: above 1 m/s a feedback that is frozen has to be found soon.
+/// Upper limit of what follows from accelerations, in deviation limits: above 1 m/s a frozen feedback has to be
+/// detected soon.
 const STUCK_MOST_SHARE: f32 = 1.25;
-/// Torque that friction may take up while the position stands, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2, the dry
-/// friction of 0.3 N m from one direction to the other, is four fifths of it.
+/// Torque that friction may take up while the position is at rest, as an acceleration, rad/s2: 0.6 N m at 0.3 kg m2,
+/// the dry friction of 0.3 N m from one direction to the other, is four fifths of it.
 const FRICTION_RAD_S2: f32 = 2.5;
-/// Load that is in doubt for one of the axis's own acceleration: the inertia at the joint is 0.28 to 0.38 kg m2 where the
-/// feed-forward has 0.3.
+/// Doubt of the load as a share of the axis's own acceleration: the inertia at the joint is 0.28 to 0.38 kg m2 where
+/// the feed-forward has 0.3.
 const INERTIA_SHARE: f32 = 0.3;
-/// Load that is in doubt for one of the other axes' accelerations: an element of the mass matrix beside the diagonal is at
+/// Doubt of the load as a share of the other axes' accelerations: an element of the mass matrix off the diagonal is at
 /// most 0.13 kg m2, of 0.3.
 const COUPLING_SHARE: f32 = 0.44;
-/// Load that is in doubt for the square of the greatest speed: the platform's path is bent even where the joints turn
-/// steadily, which puts at most 0.27 N m at 1 rad/s on an axis that stands, of 0.3 kg m2. Half of it: the bend does not
-/// change its sign with the direction, and counts now and at the mark.
+/// Doubt of the load for the square of the greatest speed: the platform's path is curved even at constant joint speeds,
+/// which puts at most 0.27 N m at 1 rad/s on an axis at rest, of 0.3 kg m2. Half of that: the curvature does not change
+/// sign with the direction, and the doubt counts now and at the mark.
 const BENT_SHARE: f32 = 0.45;
-/// Change of the load for each radian that any axis moves, 1/s2: the weight on an axis that stands, at most 2.5 N m/rad, of
+/// Change of the load for each radian that any axis moves, 1/s2: the weight on an axis at rest, at most 2.5 N m/rad, of
 /// 0.3 kg m2.
 const LOAD_PER_RAD_S2: f32 = 9.0;
 /// Share of a new torque in the one that is compared with a position at rest: the mean of 16 ms.
 const TORQUE_SHARE: f32 = 1.0 / 16.0;
 /// Share by which the load of a position at rest is learned in each millisecond while no setpoint moves: 20 ms.
 const REST_SHARE: f32 = 0.05;
-/// Share of a past speed that a millisecond leaves: the motion answers later than the setpoint.
+/// Share of a past speed that remains after a millisecond: the motion lags behind the setpoint.
 const HELD_SHARE: f32 = 0.95;
 
 /// Length of a step, s.
 const STEP_S: f64 = 1.0e-3;
 const STEP_S2: f32 = (STEP_S * STEP_S) as f32;
-/// Stands for an inertia of 0, which switches the torque feed-forward off.
+/// Replaces an inertia of 0, which switches the torque feed-forward off.
 const INERTIA_MIN_KG_M2: f64 = 1.0e-3;
 
 /// What the setpoints demand in this millisecond.
@@ -110,7 +115,7 @@ pub struct Demanded {
     pub greatest_rad_s2: f32,
 }
 
-/// A value beside what it may be.
+/// A value with its limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Margin {
     value: f32,
@@ -135,21 +140,21 @@ struct Following {
     per_rad_s: f32,
     /// For each rad/s2 of the setpoints, s2.
     per_rad_s2: f32,
-    /// The most of that, rad.
+    /// Upper limit of the part that follows from accelerations, rad.
     most_rad: f32,
-    /// Share of a past acceleration that a millisecond leaves.
+    /// Share of a past acceleration that remains after a millisecond.
     kept: f32,
-    /// Share of the way to a smaller doubt that a millisecond makes: the torque settles with the slower of the poles i and f.
+    /// Share by which a doubt approaches a smaller one in a millisecond: the torque settles with the slower of the
+    /// poles i and f.
     settling: f32,
 }
 
 impl Following {
-    /// What the controllers of an axis leave.
-    ///
-    /// With k the velocity controller's gain for the inertia, i its integral gain and f the position controller's gain, a
-    /// load of the acceleration d makes a following error of d / (s^3 + k s^2 + k (i + f) s + k i f). At first the
-    /// integral does nothing: the error is d / (k (i + f)) at most; then it goes with i f / (i + f). From an error on one
-    /// side to one on the other, the setpoint moves by twice that while the position stands.
+    /// The lag that an axis's controllers leave. With k the velocity controller's gain for the inertia, i its integral
+    ///  gain and f the position controller's gain, a load of the acceleration d causes a following error of d / (s^3 +
+    ///  k s^2 + k (i + f) s + k i f). At first the integral does nothing: the error is d / (k (i + f)) at most; then it
+    ///  decays with i f / (i + f). From an error on one side to one on the other, the setpoint moves by twice that
+    ///  while the position is at rest.
     fn of(axis: &Axis) -> Self {
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
@@ -166,7 +171,7 @@ impl Following {
     }
 }
 
-/// Prediction by a torque command.
+/// Prediction from a torque command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TorqueModel {
     /// Change of speed in a millisecond, rad a millisecond, for a digit, times the share of a new command.
@@ -175,7 +180,7 @@ pub(super) struct TorqueModel {
     kept: f32,
     following: Following,
     demanded: Demanded,
-    /// Speed and acceleration of setpoints that were demanded a moment ago, rad/s and rad/s2.
+    /// Fading peak of the demanded speed, rad/s, and of the demanded acceleration, rad/s2.
     held_rad_s: f32,
     lasting_rad_s2: f32,
     /// Filtered command, change of speed in a millisecond.
@@ -189,14 +194,15 @@ pub(super) struct TorqueModel {
     unrest_rad: f32,
     /// Motion measured in the last milliseconds, the newest first, rad.
     recent_rad: [f32; 3],
-    /// Since the position last left its place: motion of the setpoint, of the position, and the longest way of any axis, rad.
+    /// Since the position last left its place: motion of the setpoint, of the position, and the longest path of any
+    /// axis, rad.
     setpoint_rad: f32,
     position_rad: f32,
     way_rad: f32,
-    /// Mean load, and that of when the position last left its place; changes of speed in a millisecond.
+    /// Mean load, and mean load when the position last left its place; changes of speed in a millisecond.
     mean_load_rad: f32,
     mark_load_rad: f32,
-    /// What is in doubt of each.
+    /// Doubt of each of the two loads.
     doubt_rad: f32,
     mark_doubt_rad: f32,
     sudden: Margin,
@@ -214,7 +220,7 @@ impl TorqueModel {
         Self::at_rest(rad_per_digit, (1.0 - share) as f32, Following::of(axis))
     }
 
-    /// Nothing is commanded and measured yet.
+    /// A model without commands and measurements.
     fn at_rest(rad_per_digit: f32, kept: f32, following: Following) -> Self {
         Self {
             rad_per_digit,
@@ -242,12 +248,12 @@ impl TorqueModel {
         }
     }
 
-    /// Forgets all that was commanded and measured.
+    /// Discards all commands and measurements.
     pub(super) fn reset(&mut self) {
         *self = Self::at_rest(self.rad_per_digit, self.kept, self.following);
     }
 
-    /// Tells what the setpoints demand from now on.
+    /// Sets what the setpoints demand from now on.
     pub(super) fn set_demanded(&mut self, demanded: &Demanded) {
         self.demanded = *demanded;
     }
@@ -258,13 +264,13 @@ impl TorqueModel {
         self.speed_rad.abs()
     }
 
-    /// What the observer's error may be, because the model is not the robot, rad.
+    /// Bound of the observer's error that differences between model and robot cause, rad.
     #[inline]
     pub(super) fn unrest_rad(&self) -> f32 {
         self.unrest_rad
     }
 
-    /// One millisecond of the model under this command; gives the motion.
+    /// Advances the model by one millisecond under this command; returns the motion.
     #[inline]
     pub(super) fn expect(&mut self, sent_digits: f32) -> f32 {
         let demanded = &self.demanded;
@@ -294,7 +300,7 @@ impl TorqueModel {
         self.speed_rad
     }
 
-    /// Corrects the model by the observer's error; gives the error that is left.
+    /// Corrects the model by the observer's error; returns the remaining error.
     #[inline]
     pub(super) fn correct(&mut self, deviation_rad: f32) -> f32 {
         self.speed_rad -= 3.0 * OBSERVER_PER_MS * OBSERVER_PER_MS * deviation_rad;
@@ -302,7 +308,8 @@ impl TorqueModel {
         deviation_rad - 3.0 * OBSERVER_PER_MS * deviation_rad
     }
 
-    /// Takes the motion of a millisecond, rad. Whether it goes with the motion before, the setpoints and the torque.
+    /// Takes the motion of a millisecond, rad. Returns whether it agrees with the previous motion, the setpoints and
+    /// the torque.
     #[inline]
     pub(super) fn follows(&mut self, moved_rad: f32) -> bool {
         self.look_for_sudden(moved_rad);
@@ -318,12 +325,12 @@ impl TorqueModel {
         broken.map(|margin| [margin.value, margin.limit])
     }
 
-    /// What sudden, stuck and pushed have used of their limits.
+    /// Values of sudden, stuck and pushed, relative to their limits.
     pub(super) fn used(&self) -> [f32; 3] {
         [self.sudden, self.stuck, self.pushed].map(|margin| margin.value / margin.limit)
     }
 
-    /// The motion of two milliseconds beside that of the two before. One of its positions may be repeated or left out.
+    /// Compares the motion of two milliseconds with that of the two before. One position may be repeated or skipped.
     #[inline]
     fn look_for_sudden(&mut self, moved_rad: f32) {
         let [newest, before, oldest] = self.recent_rad;
@@ -341,7 +348,7 @@ impl TorqueModel {
         };
     }
 
-    /// The setpoint, and the torque, beside a position that stands where it stood.
+    /// Compares setpoint and torque with a position that has stayed at its place.
     #[inline]
     fn look_for_stuck(&mut self, moved_rad: f32) {
         self.position_rad += moved_rad;
@@ -349,7 +356,7 @@ impl TorqueModel {
         let is_led = self.setpoint_rad.abs() > LED_RAD;
         let against = self.position_rad * self.setpoint_rad < 0.0;
         if is_left & is_led & against {
-            // The way back counts as following.
+            // A return counts as following.
             self.position_rad = limited(self.position_rad, STANDING_RAD);
         } else if is_left {
             (self.setpoint_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
@@ -362,7 +369,7 @@ impl TorqueModel {
         let following = &self.following;
         let lasting_rad = limited(following.per_rad_s2 * self.lasting_rad_s2, following.most_rad);
         self.stuck = Margin {
-            // At rest the position controller makes up for what is left.
+            // While the setpoint rests, the position controller corrects the remaining error.
             value: if self.demanded.own_rad_s == 0.0 {
                 0.0
             } else {

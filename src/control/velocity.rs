@@ -84,7 +84,8 @@ mod tests {
     use crate::control::position::PositionController;
     use std::collections::VecDeque;
 
-    /// An axis in torque mode: inertia, load torque, and a millisecond from command to motor and from motor to position.
+    /// An axis in torque mode: inertia, load torque, and a millisecond from command to motor and from motor to
+    /// position.
     struct Plant {
         inertia_kg_m2: f64,
         load_nm: f64,
@@ -106,7 +107,7 @@ mod tests {
             }
         }
 
-        /// Half a millisecond after the command the motor takes the one before.
+        /// Advances by one millisecond, in which the motor obeys the previous command.
         fn step(&mut self, torque_nm: f64) -> f64 {
             self.commands.push_back(torque_nm);
             let torque_nm = self.commands.pop_front().unwrap() + self.load_nm;

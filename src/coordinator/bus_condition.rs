@@ -1,4 +1,4 @@
-//! What an event of the bus means to the operating modes.
+//! Translates events of the bus into conditions for the operating modes.
 //!
 //! The supervisor reports steps, slaves and errors; the operating modes know faults. Invariant: an event that takes the
 //! drives out of operation always has a condition.

@@ -2,9 +2,10 @@
 //!
 //! The host's requests, the bus's events, the critical tasks' reports and the trajectory's progress meet only here.
 //! [`Application`] decides the operating modes. The coordinator checks input from outside, passes the decisions to the
-//! queues of the faster tasks and describes the state. The queues hold what arrives while the trajectory task delays it.
+//! queues of the faster tasks and describes the state. The queues hold what arrives while the trajectory task delays
+//! it.
 //!
-//! It takes requests as plain values and gives plain answers; which bytes carry them is the
+//! It takes requests as plain values and returns plain answers; which bytes carry them is the
 //! [`LinkTask`](crate::link_task::LinkTask)'s work. Each millisecond the caller takes the answers and samples, passes
 //! on the requests that have arrived, and then calls [`Coordinator::step`].
 //!
@@ -49,7 +50,7 @@ pub struct PathProgress {
 pub struct LinkLosses {
     /// Samples that found no room.
     pub samples: u32,
-    /// Damaged frames, and frames that are no message.
+    /// Damaged frames, and frames without a valid message.
     pub frames: u32,
 }
 
@@ -208,8 +209,8 @@ impl<'a> Coordinator<'a> {
         }
     }
 
-    /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices of
-    /// it may be passed on.
+    /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices
+    /// of it may be passed on.
     pub fn take_abandoned(&mut self) -> bool {
         core::mem::take(&mut self.abandoned)
     }

@@ -1,4 +1,4 @@
-//! What the host asks of the coordinator: configuration, commands, path, bus and measurements.
+//! Requests of the host to the coordinator: configuration, commands, path, bus and measurements.
 
 use super::{Coordinator, PathProgress};
 use crate::application::homing::{HomingCheck, positions_arrive};
@@ -21,7 +21,7 @@ impl Coordinator<'_> {
     /// Checks a configuration, passes it to the other tasks and brings the bus up. Returns the configuration's hash.
     ///
     /// # Errors
-    /// Why it was refused; the former configuration stays in force.
+    /// Why it was refused; the previous configuration stays in force.
     pub fn configure(&mut self, config: &Config) -> Result<u64, ConfigRefusal> {
         config.check()?;
         let hash = config.hash().unwrap_or_default();

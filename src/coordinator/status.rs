@@ -1,4 +1,4 @@
-//! What the coordinator tells the host: samples and status; and what a report means to the operating modes.
+//! Reports to the host (samples and status), and the condition that a report is for the operating modes.
 
 use super::Coordinator;
 use crate::application::{Condition, Fault, Mode};
@@ -107,7 +107,7 @@ impl Coordinator<'_> {
     }
 }
 
-/// What a report means to the operating modes.
+/// The condition for the operating modes from a report.
 pub(super) fn condition(report: &CycleReport) -> Condition {
     let status = report.status_word.map(StatusWord);
     let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;

@@ -96,7 +96,7 @@ impl Tasks {
         self.coordinator.take_events();
     }
 
-    /// Whether no task has been given anything.
+    /// Whether all queues to the other tasks are empty.
     fn are_left_alone(&self) -> bool {
         self.sampler_commands.is_empty()
             && self.motion_orders.is_empty()

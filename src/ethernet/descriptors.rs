@@ -111,7 +111,7 @@ impl<'a, const N: usize> Ring<'a, N> {
 pub enum Received {
     /// The DMA has not finished with the descriptor.
     Nothing,
-    /// A whole, undamaged frame of this many bytes without its check sequence.
+    /// A complete, undamaged frame of this many bytes without its check sequence.
     Frame(usize),
     /// A damaged frame, a part of a longer frame, or no frame: the descriptor has to be given back.
     Unusable,
@@ -186,7 +186,7 @@ impl<'a, const N: usize> TransmitRing<'a, N> {
         })
     }
 
-    /// Whether a frame fits beside the one descriptor that stays behind the tail.
+    /// Whether a frame fits besides the one descriptor that stays behind the tail.
     pub fn has_room(&self) -> bool {
         self.0.is_ours(self.0.next) && self.0.is_ours(self.0.next + 1)
     }

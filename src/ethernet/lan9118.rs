@@ -5,8 +5,8 @@
 //! is the first of a frame, so one damaged frame does not affect those behind it. A frame that cannot be received or
 //! sent is counted, never waited for. No waker is kept: the owner of the interrupt polls.
 //!
-//! Register addresses and bits: SMSC LAN9118 data sheet, chapter 5 (system control and status registers, MAC control and
-//! status registers) and sections 3.12 and 3.13 (transmit and receive data path).
+//! Register addresses and bits: SMSC LAN9118 data sheet, chapter 5 (system control and status registers, MAC control
+//! and status registers) and sections 3.12 and 3.13 (transmit and receive data path).
 
 use core::task::Context;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};

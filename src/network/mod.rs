@@ -1,4 +1,4 @@
-//! Addresses for EtherCAT in UDP: an IP stack beside the critical tasks.
+//! Addresses for EtherCAT in UDP: an IP stack alongside the critical tasks.
 //!
 //! The critical tasks' exchange builds and parses its UDP packets by itself, but it needs the addresses. This module
 //! provides them: [`NetworkTask`] runs an embassy-net stack (ARP, DHCP, ICMP echo) in a low-priority task, and passes
@@ -117,7 +117,7 @@ impl NetworkEnd<'_> {
         self.paths.ready()
     }
 
-    /// The change of the headers to use, if any; the inner `None` when there are none any more.
+    /// The change of the headers to use, if any; the inner `None` if they have become invalid.
     pub fn next_path(&mut self) -> Option<Option<UdpRepr>> {
         queue::take(&mut self.paths)
     }

@@ -60,7 +60,7 @@ impl<'a> NetworkTask<'a> {
         self.address = address;
     }
 
-    /// Runs the task for ever; to be polled once a millisecond.
+    /// Runs the task and never returns. Poll the future once a millisecond.
     pub async fn run(&mut self) -> ! {
         let mut settings = None;
         loop {

@@ -44,8 +44,8 @@ fn arp_reply(request: &[u8], address: Ipv4Addr) -> Option<StdVec<u8>> {
     })
 }
 
-/// Runs a task with these settings for some milliseconds; `answer` gives what the network has to say to each frame.
-/// Gives the news about the path with their times.
+/// Runs a task with these settings for some milliseconds; `answer` returns the network's reply to each frame. Returns
+/// the changes of the path with their times.
 fn run(
     settings: NetworkSettings,
     limit_ms: u32,

@@ -1,9 +1,9 @@
-//! A seeded line that spoils bytes and is unplugged, between a job and the firmware, and what a drawing over it must keep.
+//! A seeded bad line between a job and the firmware, and the requirements on a drawing over it.
 //!
-//! The line is good until the drawing has begun (a configuration of a kilobyte has no chance among one percent of damaged
-//! bytes), then bytes are damaged, lost, doubled and swapped, both ways. When the cable is out nothing passes; the program
-//! at its end has lost its port, and greets with another session when the cable is in again. It resumes the drawing, as a
-//! person with `etherpen draw --resume` does.
+//! The line is good until the drawing has begun (a configuration of a kilobyte cannot pass if one percent of the bytes
+//! is damaged), then bytes are damaged, lost, doubled and swapped in both directions. While the cable is unplugged,
+//! nothing passes; the program at its end loses its port, and greets with another session when the cable is plugged in
+//! again. It resumes the drawing, as a person with `etherpen draw --resume` does.
 
 use etherpen::config::Config;
 use etherpen::messages::{Command, Sample};
@@ -21,8 +21,8 @@ use std::collections::{BTreeSet, VecDeque};
 const DAMAGED: u64 = 10_000;
 /// Lost, doubled and swapped bytes in a million, each.
 const OTHERWISE_SPOILT: u64 = 500;
-/// When the cable is pulled, as a share of the path's vertices, and for how long, ms: longer than the firmware waits for a
-/// host, much longer, and shorter, when it goes on with what it has.
+/// When the cable is pulled, as a share of the path's vertices, and for how long, ms: longer than the firmware waits
+/// for a host, much longer, and shorter, so that it continues with the vertices that it has.
 const CUTS: [(f64, u64); 3] = [(0.15, 900), (0.4, 4_000), (0.65, 250)];
 /// Longest distance of a point of ink from the other run's ink, mm.
 const SAME_MM: f64 = 0.03;
@@ -92,11 +92,11 @@ pub(crate) struct BadLine {
     spoils: bool,
     cuts: VecDeque<(f64, u64)>,
     plugged_in_ms: Option<u64>,
-    /// Pen-down strokes in the order in which samples told of them; samples are few on such a line.
+    /// Pen-down strokes in the order in which samples reported them; samples are few on such a line.
     pub(crate) strokes: Vec<u32>,
-    /// Connections that began the drawing, took it up again, or found it at its end.
+    /// Connections that started the drawing, resumed it, or found it finished.
     pub(crate) resumed: BTreeSet<u32>,
-    /// Drawings that were begun from vertex 0.
+    /// Number of drawings that started at vertex 0.
     pub(crate) begun: u32,
     pub(crate) bad_frames: u32,
     pub(crate) outcome: Option<Result<(), JobError>>,
@@ -152,7 +152,7 @@ impl BadLine {
                 self.begun += u32::from(self.session == 1);
                 self.resumed.insert(self.session);
             }
-            // The line is good again at the end: what the firmware measured is long.
+            // At the end the line is good again, because the firmware's measurements are long.
             JobEvent::Phase(Phase::Resting) => {
                 self.spoils = false;
                 self.resumed.insert(self.session);
@@ -197,7 +197,7 @@ impl BadLine {
         self.job = Job::new(self.config.clone(), JobTask::Draw(held), options(self.session));
     }
 
-    /// Asserts that everything happened that was meant to, and that the drawing ended well.
+    /// Asserts that all planned disturbances happened, and that the drawing ended well.
     pub(crate) fn assert_told(&self) {
         assert_eq!(self.outcome, Some(Ok(())));
         assert_eq!((self.begun, self.resumed.len(), self.cuts.len()), (1, 4, 0));
@@ -244,8 +244,8 @@ fn to_segment_mm(point: &[f64; 2], a: &[f64; 2], b: &[f64; 2]) -> f64 {
     distance_mm(point, &[a[0] + share * along[0], a[1] + share * along[1]])
 }
 
-/// The pieces of a stroke that was held in between, put together: a piece that begins where the last one ended goes on
-/// with it.
+/// The pieces of a stroke that was held in between, put together: a piece that begins where the last one ended
+/// continues it.
 fn strokes(ink: &[InkStroke]) -> Vec<Vec<[f64; 2]>> {
     let mut strokes: Vec<Vec<[f64; 2]>> = Vec::new();
     for piece in ink.iter().filter(|piece| !piece.points_mm.is_empty()) {
@@ -269,8 +269,8 @@ fn farthest_mm(line: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
     line.iter().map(nearest).fold(0.0, f64::max)
 }
 
-/// Asserts that two runs drew the same, stroke for stroke: as many, in the same order, each within a few hundredths of a
-/// millimetre of the other both ways, and nothing twice.
+/// Asserts that two runs drew the same strokes: as many, in the same order, each within a few hundredths of a
+/// millimetre of the other in both directions, and nothing twice.
 pub(crate) fn assert_same_ink(undisturbed: &[InkStroke], disturbed: &[InkStroke]) {
     let (whole, broken) = (strokes(undisturbed), strokes(disturbed));
     assert_eq!(whole.len(), broken.len(), "strokes");

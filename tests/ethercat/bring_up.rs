@@ -81,7 +81,7 @@ fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
         rig.millisecond();
         assert!(rig.now_ms - started_ms < 100, "not at rest");
     }
-    // 2 rad/s with 100 rad/s2 take 20 ms, and a few for the way to the drive.
+    // 2 rad/s with 100 rad/s2 take 20 ms, plus a few for the delay to the drive.
     let took_ms = rig.now_ms - started_ms;
     assert!((20..32).contains(&took_ms), "{took_ms} ms");
 }

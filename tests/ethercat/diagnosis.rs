@@ -1,4 +1,4 @@
-//! What the master reports unasked: damaged cables and emergencies.
+//! Unsolicited reports of the master: damaged cables and emergencies.
 
 use crate::rig::rig;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};

@@ -22,7 +22,7 @@ const SETTLED_MS: u32 = 120;
 /// What one fault of a telegram costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Cost {
-    /// Nothing; something else is dropped beside the reply.
+    /// Nothing; something else is dropped in addition to the reply.
     Nothing(Ignored),
     /// The reply, which is never seen.
     Reply,
@@ -49,7 +49,7 @@ const KINDS: [(&str, Fault, Cost); 14] = [
     ("reflect", Fault::Reflect, Cost::Nothing(Ignored::Reflection)),
 ];
 
-/// What was counted in between.
+/// Increase of the counters.
 fn difference(after: &BusCounters, before: &BusCounters) -> ([u32; IGNORED_KINDS], u32, u32) {
     (
         std::array::from_fn(|kind| after.ignored[kind] - before.ignored[kind]),
@@ -65,7 +65,7 @@ fn is_failure(event: &BusEvent) -> bool {
     )
 }
 
-/// Brings the bus up with as many tries as it takes; gives their number.
+/// Brings the bus up with as many tries as it takes; returns their number.
 fn come_up(rig: &mut Rig<'_>) -> u32 {
     let (mut tries, mut from) = (1, rig.log.len());
     let mut retry_at_ms = None;
@@ -78,7 +78,7 @@ fn come_up(rig: &mut Rig<'_>) -> u32 {
             rig.recover();
         }
         if !failed && rig.log[from..].contains(&BusEvent::Operational) {
-            // What the last disturbance has done shows within this time.
+            // The effect of the last disturbance shows within this time.
             rig.run_ms(SETTLED_MS);
             if !rig.log[from..].iter().any(is_failure) {
                 return tries;

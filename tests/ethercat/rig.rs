@@ -34,20 +34,20 @@ pub(crate) struct Rig<'a> {
     pub(crate) robot: RobotAxes,
     pub(crate) inputs: [Option<AxisInput>; AXES],
     pub(crate) command: AxisCommand,
-    /// Happens to the next output telegram.
+    /// Fault of the next output telegram.
     pub(crate) output_fault: Option<Fault>,
     pub(crate) log: Vec<BusEvent>,
     pub(crate) now_ms: u64,
 }
 
-/// A rig with this script of faults, told to start; it lives as long as the program.
+/// A started rig with this script of faults; it lives as long as the program.
 pub(crate) fn rig(script: &str) -> Rig<'static> {
     let mut rig = idle_rig(script);
     rig.start();
     rig
 }
 
-/// A rig whose supervisor has no order yet; the cell follows a fault script.
+/// A rig whose supervisor has no command yet; the cell follows a fault script.
 pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
     idle_rig_of(CellOptions {
         faults: script.parse().expect("the script"),
@@ -55,7 +55,7 @@ pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
     })
 }
 
-/// A rig whose supervisor has no order yet, with these options of the cell.
+/// A rig whose supervisor has no command yet, with these options of the cell.
 pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
     let config = Config::default();
     let queues = Box::leak(Box::new(RobotBusQueues::new()));
@@ -89,7 +89,7 @@ impl Rig<'_> {
         assert!(self.commands.enqueue(BusCommand::Start(setup)).is_ok());
     }
 
-    /// Asks something of the bus and runs until the answer comes; the inputs of the axes in `running` never fail.
+    /// Sends a service request and runs until the answer arrives; the inputs of the axes in `running` must never fail.
     pub(crate) fn ask_while(&mut self, request: ServiceRequest, running: &[usize]) -> ServiceResult {
         assert!(self.services.enqueue(request.clone()).is_ok());
         for _ in 0..10_000 {
@@ -108,7 +108,7 @@ impl Rig<'_> {
         panic!("no answer to {request:?}");
     }
 
-    /// Asks something of the bus.
+    /// Sends a service request and runs until the answer arrives.
     pub(crate) fn ask(&mut self, request: ServiceRequest) -> ServiceResult {
         self.ask_while(request, &[])
     }
@@ -132,7 +132,7 @@ impl Rig<'_> {
         }
     }
 
-    /// One millisecond; gives the events that came.
+    /// Advances by one millisecond; returns the new events.
     pub(crate) fn millisecond(&mut self) -> &[BusEvent] {
         let time_us = self.now_ms * 1000;
         let frame = self.group.trigger_input().to_vec();
@@ -161,7 +161,7 @@ impl Rig<'_> {
         }
     }
 
-    /// Runs until an event is `wanted`; gives how long it took, ms.
+    /// Runs until an event is `wanted`; returns the time that it took, ms.
     pub(crate) fn wait_for(&mut self, limit_ms: u64, wanted: impl Fn(&BusEvent) -> bool) -> u64 {
         for waited_ms in 1..=limit_ms {
             if self.millisecond().iter().any(&wanted) {

@@ -1,4 +1,4 @@
-//! What may be asked of the bus, with and without a bus that was brought up.
+//! Service requests, on a bus that was brought up and on one that was not.
 
 use crate::rig::{Rig, idle_rig, rig};
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
@@ -151,7 +151,7 @@ fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_
     rig.run_ms(10);
     assert!(rig.inputs.iter().all(Option::is_some));
     assert!(rig.log.ends_with(&[BusEvent::Operational]) || rig.log.contains(&BusEvent::Operational));
-    // A repair wants the robot back, whoever brought the slave down.
+    // A repair brings a slave back to OP even if a request brought it down.
     let answer = rig.ask_while(set_state(1, AlState::PreOperational), &others);
     assert_eq!(answer, Ok(ServiceReply::State(in_state(AlState::PreOperational))));
     rig.recover();
@@ -192,7 +192,7 @@ fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
     println!("noticed after {took_ms} ms");
     rig.run_ms(5);
     assert_eq!(rig.answers.dequeue(), Some(Err(ServiceError::Interrupted)));
-    // The reply that was owed to the dropped request belongs to nobody.
+    // The reply to the dropped request is skipped.
     rig.run_ms(5_000);
     let answer = rig.ask(upload(1, STATUS_WORD));
     assert!(matches!(answer, Ok(ServiceReply::Piece { total: 2, .. })), "{answer:?}");

@@ -1,4 +1,4 @@
-//! What slaves do wrong at every stage: states, information memory, mailbox, and the chain itself.
+//! Faults of slaves at every stage: states, information memory, mailbox, and the chain itself.
 
 use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
@@ -24,7 +24,7 @@ fn name_of(slave: u8) -> ServiceRequest {
     }
 }
 
-/// Runs until the bring-up is refused or done; gives the refusal.
+/// Runs until the bring-up is refused or done; returns the refusal.
 fn refusal(rig: &mut Rig<'_>) -> Option<(Option<u8>, BusError)> {
     let from = rig.log.len();
     rig.wait_for(REFUSED_MAX_MS, |event| {
@@ -155,9 +155,9 @@ fn an_information_memory_that_fails_is_named_and_one_that_is_whole_again_is_read
         match (fault, found) {
             (SiiFault::Busy, Some((Some(1), BusError::SiiBusy { .. })))
             | (SiiFault::Acknowledge, Some((Some(1), BusError::Sii { .. }))) => {}
-            // A slave that nobody knows is no drive.
+            // An unknown slave is not a drive.
             (SiiFault::Blank | SiiFault::Damaged, Some((_, BusError::MemberCount { expected: 4, actual: 3 }))) => {}
-            // The master takes it from the slave's own processor.
+            // The master takes the memory from the slave's own processor.
             (SiiFault::Owned, _) => {}
             other => panic!("{other:?}: {:#?}", rig.log),
         }

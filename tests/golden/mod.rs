@@ -1,9 +1,9 @@
-//! The short drawing, what every run of it must keep, and the values it is compared with.
+//! The short drawing, the requirements on every run, and the values that runs are compared with.
 //!
 //! The golden file beside this one is a table that a person can read: figures of the report, then where the pen was ten
-//! times a second. The tasks in virtual time and the firmware image in the emulator are compared with the same file. A
-//! change that is meant to change it is followed by `ETHERPEN_RENEW_GOLDEN=1 cargo test --test simulated_drawing` and a
-//! look at the difference. Values are compared within a tolerance, so that another machine's sine is no change.
+//! times a second. The tasks in virtual time and the firmware image in the emulator are compared with the same file.
+//! After an intended change, run `ETHERPEN_RENEW_GOLDEN=1 cargo test --test simulated_drawing` and review the
+//! difference. Values are compared within a tolerance, because the sine of another machine may differ.
 
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -37,7 +37,7 @@ pub(crate) fn strokes() -> (Prepared, RunTask) {
     (prepared, task)
 }
 
-/// Asserts that a run drew everything, in time and without a loss; gives its report.
+/// Asserts that a run drew everything, in time and without a loss; returns its report.
 pub(crate) fn assert_clean(prepared: &Prepared, task: &RunTask, drawn: &Drawn) -> Report {
     let report = conclude(task, prepared, drawn, String::new(), None).expect("the drawing was drawn");
     let counted = [
@@ -67,7 +67,7 @@ pub(crate) fn assert_clean(prepared: &Prepared, task: &RunTask, drawn: &Drawn) -
     report
 }
 
-/// Compares a run with the golden file, or writes the file when that is asked for.
+/// Compares a run with the golden file, or writes the file if [`RENEW`] is set.
 pub(crate) fn compare(task: &RunTask, drawn: &Drawn, report: &Report) {
     let table = table(task, drawn, report);
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(GOLDEN);
@@ -127,8 +127,8 @@ fn table(task: &RunTask, drawn: &Drawn, report: &Report) -> String {
     text
 }
 
-/// From the first to the last sample in which a reference moves, so that it does not matter in which millisecond of the
-/// planner's period the drawing was asked for.
+/// From the first to the last sample in which a setpoint moves, so that it does not matter in which millisecond of the
+/// planner's period the drawing was requested.
 fn motion(samples: &[Sample]) -> &[Sample] {
     let moves = |sample: &Sample| sample.mode == Mode::Drawing && sample.setpoint_rad_s != [0.0; AXES];
     let first = samples.iter().position(moves).unwrap_or(samples.len());

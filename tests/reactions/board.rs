@@ -1,4 +1,4 @@
-//! What the board itself sees: its emergency-stop input and its Ethernet port.
+//! Reactions to the board's own inputs: emergency stop and Ethernet port.
 
 use crate::robot::{Overrun, Robot, path};
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};

@@ -1,7 +1,7 @@
-//! Bursts of faults of every kind, by seed: once the world is whole again, the operator gets back to a drawing.
+//! Bursts of faults of every kind, by seed: once all faults have ended, the operator can draw again.
 //!
 //! A seed decides whether the clocks run, what the robot does when it begins, which faults come when, what the operator
-//! presses meanwhile, and when the world is healed. `ETHERPEN_BURSTS=FIRST..LAST` runs other seeds than the fixed ones.
+//! presses meanwhile, and when all faults end. `ETHERPEN_BURSTS=FIRST..LAST` runs other seeds.
 
 use crate::liveness::{come_back, with};
 use crate::robot::{Robot, path};
@@ -18,11 +18,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 const SEEDS: std::ops::Range<u64> = 0..12;
 /// Longest time from the first to the last fault of a burst, ms.
 const BURST_MAX_MS: u64 = 2_000;
-/// Longest time that a fault lasts which ends by itself, ms.
+/// Longest duration of a fault that ends by itself, ms.
 const LASTS_MAX_MS: u64 = 1_500;
 /// Time in which everything that ends by itself has ended, ms.
 const QUIET_MS: u32 = 1_600;
-/// Acknowledgements that a whole world may need; each fault that waits for the next request of its kind may cost one more.
+/// Most acknowledgements needed once all faults have ended; each fault that waits for the next request of its kind may
+/// cost one more.
 const ACKNOWLEDGEMENTS_MAX: u32 = 2;
 
 /// Choices by chance.
@@ -43,14 +44,14 @@ impl Random {
     }
 }
 
-/// What happens in a burst.
+/// An event of a burst.
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Cell(Fault),
-    /// A fault of frames hits so many of them.
+    /// A fault hits this many frames.
     Frames(Fault, u64),
     EmergencyStop,
-    /// Someone asks for a state.
+    /// Someone requests a state of a slave.
     State(u8, Wanted),
     Press(Command),
 }
@@ -172,7 +173,7 @@ fn waits(event: &Event) -> bool {
     matches!(event, Event::Cell(Fault::Refuse(..) | Fault::Mailbox(..)))
 }
 
-/// The world is whole: what was cut, taken out, swapped or spoilt is as it was.
+/// Ends all faults: what was cut, removed, swapped or damaged is restored.
 fn heal(robot: &mut Robot, events: &[(u64, Event)]) {
     robot.emergency_stop(false);
     robot.inject(Fault::Join);
@@ -190,7 +191,7 @@ fn heal(robot: &mut Robot, events: &[(u64, Event)]) {
     }
 }
 
-/// One burst; gives how often was acknowledged.
+/// Runs one burst; returns the number of acknowledgements.
 fn burst(seed: u64) -> u32 {
     let mut random = Random::new(seed);
     let clocks = random.below(2) == 0;

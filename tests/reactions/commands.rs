@@ -1,4 +1,4 @@
-//! Commands without sense, several in one millisecond: whatever was pressed, the robot can be brought to draw.
+//! Random commands, several in one millisecond: whatever was pressed, the robot can draw afterwards.
 
 use crate::bursts::Random;
 use crate::liveness::{come_back, with};

@@ -1,7 +1,7 @@
-//! Position feedback that is not true: how soon it is noticed, and how far the pen has gone by then.
+//! False position feedback: how soon it is detected, and how far the pen has moved by then.
 //!
-//! One case is a motion with a fault, drawn by chance from a seed. The truth is the cell's: the moment at which a drive
-//! begins to brake, and where the motors have brought the pen. `feedback_scan.rs` tries many.
+//! One case is a motion with a fault, chosen at random from a seed. The truth is the cell's: the moment at which a
+//! drive begins to brake, and where the motors have brought the pen. `feedback_scan.rs` tries many.
 
 use super::STILL_RAD_S;
 use super::robot::{Robot, path};
@@ -73,7 +73,7 @@ impl Kind {
         }
     }
 
-    /// The cell's fault of an axis, from 0; with 0 ms the one that puts it right.
+    /// The cell's fault for an axis, from 0; a duration of 0 ms ends the fault.
     fn injected(self, axis: usize, milliseconds: u64) -> CellFault {
         let drive = axis + 1;
         let resolver = |fault| CellFault::Resolver(drive, fault, milliseconds);
@@ -102,14 +102,14 @@ pub(crate) struct Case {
     moving: bool,
 }
 
-/// What came of it.
+/// Result of a case.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Outcome {
     /// From the fault, or from the first motion after it, to the first drive that brakes, ms.
     pub(crate) noticed_ms: Option<u32>,
     /// Largest distance of the pen from its line, mm.
     pub(crate) deviation_mm: f64,
-    /// How far the pen has gone along its line, mm.
+    /// How far the pen has moved along its line, mm.
     pub(crate) way_mm: f64,
 }
 
@@ -136,7 +136,7 @@ pub(crate) fn case(kind: Option<Kind>, speed_mm_s: f64, seed: u64) -> Case {
     }
 }
 
-/// Distance from the start along a direction, and from the line that begins there and ends after so many mm.
+/// Distance from the start along a direction, and from the line that begins there and ends after `end_mm`.
 fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: f64) -> (f64, f64) {
     let offset = [at.x_mm - start.x_mm, at.y_mm - start.y_mm, at.z_mm - start.z_mm];
     let along: f64 = offset.iter().zip(direction).map(|(a, b)| a * b).sum();
@@ -145,7 +145,7 @@ fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: 
     (along, beside.sqrt())
 }
 
-/// How a motion is made: a jog that is repeated, or a move to a point so many mm away.
+/// Starts the move of a fast case; a slow case is a jog that the caller repeats. Returns the distance, mm.
 fn set_out(robot: &mut Robot, case: &Case, start: Position) -> f64 {
     if case.speed_mm_s <= JOG_MAX_MM_S {
         return JOG_DISTANCE_MM;
@@ -183,7 +183,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     let is_jog = case.speed_mm_s <= JOG_MAX_MM_S;
     let velocity_mm_s = case.direction.map(|part| (part * case.speed_mm_s) as f32);
     let limit_ms = (2_000.0 + distance_mm / case.speed_mm_s * 1_000.0) as u32;
-    // A jog goes on for its dead man's time; a move ends at its point.
+    // A jog continues for its dead-man time; a move ends at its point.
     let end_mm = if is_jog { f64::INFINITY } else { distance_mm };
     let mut outcome = Outcome::default();
     let (mut injected, mut moved_ms, mut still_ms, mut before) = (!case.moving, None, 0, 0.0);
@@ -226,7 +226,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     outcome
 }
 
-/// The fault is mended, acknowledged, and the reference taken where the joints truly stand.
+/// Ends and acknowledges the fault, and takes the reference at the true joint angles.
 pub(crate) fn recover(robot: &mut Robot, case: &Case) {
     if let Some(kind) = case.kind {
         robot.inject(kind.injected(case.axis, 0));

@@ -1,7 +1,7 @@
 //! A scan over faults of the position feedback, speeds, axes, directions and poses, in both drive modes.
 //!
-//! The tables are part of `docs/faults.md`; the tests compare. A change that is meant to change them is followed by
-//! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and a look at the difference.
+//! The tables are part of `docs/faults.md`; the tests compare. To renew them after an intended change, run
+//! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and review the difference.
 
 use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, drive, recover, with};
 use crate::robot::{Robot, Used};
@@ -21,8 +21,8 @@ const CASES: u64 = 8;
 /// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
 const SLOW_MAX_MM: f64 = 5.0;
 const MEDIUM_MAX_MM: f64 = 20.0;
-/// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, for the way that the pen has gone:
-/// a joint that shows 0.9 of its motion moves by 1 / 0.9.
+/// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, relative to the distance that
+/// the pen has moved: a joint that shows 0.9 of its motion moves by 1 / 0.9.
 const SLIP_MAX_OF_WAY: f64 = 1.0 / 0.9 - 1.0;
 const HALF_SLIP_MAX_OF_WAY: f64 = 1.0 / 0.5 - 1.0;
 /// Most deviation of a sound robot, mm. In torque mode gravity, friction and coupling are left to the feedback.
@@ -30,7 +30,7 @@ const SOUND_MAX_MM: f64 = 0.1;
 const SOUND_TORQUE_MAX_MM: f64 = 5.0;
 /// Noise of a sound resolver, increments at most: 17 bits of 20.
 const NOISE_INCREMENTS: f64 = 8.0;
-/// The most of its limit that a comparison may use on a sound robot.
+/// Largest part of its limit that a comparison may use on a sound robot.
 const USED_MAX: f32 = 0.8;
 /// Seeds that the limits were not chosen with; those of 0 to 7 were.
 const HELD_OUT: Range<u64> = 8..16;
@@ -45,7 +45,7 @@ const RENEW: &str = "ETHERPEN_RENEW_FAULTS";
 struct Worst {
     noticed_ms: u32,
     deviation_mm: f64,
-    /// Deviation for the way that the pen has gone.
+    /// Deviation relative to the distance that the pen has moved.
     of_way: f64,
     unnoticed: u32,
 }
@@ -160,7 +160,7 @@ fn untrue_feedback_in_torque_mode_is_noticed_before_the_pen_has_gone_far() {
     compare("\n### Torque mode\n", &rendered(&table));
 }
 
-/// Drives a sound robot through some cases at a speed; what the comparisons have used of their limits.
+/// Drives a sound robot through some cases at a speed; returns the parts of their limits that the comparisons used.
 fn drive_sound(config: &Config, speed_mm_s: f64, options: CellOptions, seeds: Range<u64>) -> Used {
     let mode = config.axes[0].mode;
     let limit_mm = match mode {

@@ -1,7 +1,7 @@
-//! A sound robot, with friction and noise, draws, moves and jogs as chance has it: its feedback is believed.
+//! A sound robot with friction and noise draws, moves and jogs at random: its feedback is accepted.
 //!
-//! `ETHERPEN_SOAK_HOURS` asks for so many robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is the
-//! first seed instead of 0. A seed lasts ten minutes of robot time.
+//! `ETHERPEN_SOAK_HOURS` sets the robot hours in each drive mode instead of a minute; `ETHERPEN_SOAK_SEED` is the first
+//! seed instead of 0. A seed lasts ten minutes of robot time.
 
 use crate::feedback::with;
 use crate::robot::{Robot, Used};
@@ -20,16 +20,16 @@ const HOURS: f64 = 1.0 / 60.0;
 const SLICE_MS: u64 = 600_000;
 /// Noise of the resolvers, increments.
 const NOISE_INCREMENTS: f64 = 8.0;
-/// The most of its limit that a comparison may use.
+/// Largest part of its limit that a comparison may use.
 const USED_MAX: f32 = 0.8;
 /// Time between two signs of life in a jog, ms.
 const SIGN_OF_LIFE_MS: u32 = 40;
-/// Strokes stay within so much of the middle, mm.
+/// Strokes stay within this distance of the middle, mm.
 const PAPER_MM: f64 = 80.0;
 /// Fastest jog along each axis, mm/s.
 const JOG_MAX_MM_S: f64 = 140.0;
 
-/// Numbers by chance.
+/// Random numbers.
 struct Chance(Random);
 
 impl Chance {
@@ -83,7 +83,7 @@ fn strokes(chance: &mut Chance) -> Vec<PathVertex> {
     path
 }
 
-/// Does something; gives how long it took, ms.
+/// Performs a random action; returns its duration, ms.
 fn act(robot: &mut Robot, chance: &mut Chance) -> u64 {
     let from_ms = robot.now_ms();
     match chance.one_of(3) {

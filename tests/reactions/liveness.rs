@@ -1,4 +1,4 @@
-//! Whatever happened: once the world is whole, an acknowledgement leads back to a drawing, or to what is wrong.
+//! Once all faults have ended, an acknowledgement leads to a drawing or to the remaining cause.
 
 use crate::STILL_RAD_S;
 use crate::robot::{Robot, path};
@@ -28,7 +28,7 @@ fn acknowledge(robot: &mut Robot) -> Option<Fault> {
     for _ in 0..ANSWER_MAX_MS {
         match robot.command(Command::Acknowledge) {
             Ok(()) => break,
-            // An earlier one has just come to its end.
+            // An earlier acknowledgement has just ended.
             Err(Refusal::NotInMode(_)) => break,
             Err(Refusal::Moving | Refusal::Recovering) => robot.run(10),
             Err(other) => panic!("{other:?}, {:?}", robot.status),
@@ -44,7 +44,7 @@ fn acknowledge(robot: &mut Robot) -> Option<Fault> {
     panic!("no answer within {ANSWER_MAX_MS} ms: {:?}", robot.status);
 }
 
-/// Gives a command as an operator would: again, as long as the robot is said to be moving.
+/// Gives a command as an operator would: again, as long as the robot is reported as moving.
 fn insist(robot: &mut Robot, command: Command) {
     for _ in 0..100 {
         match robot.command(command) {
@@ -55,7 +55,7 @@ fn insist(robot: &mut Robot, command: Command) {
     panic!("{command:?} is refused for ever: {:?}", robot.status);
 }
 
-/// From rest without a fault: reference and power. False when a fault comes on the way.
+/// From rest without a fault: takes the reference and enables. Returns false if a fault occurs meanwhile.
 fn gets_up(robot: &mut Robot) -> bool {
     if !robot.status.as_ref().is_some_and(|status| status.referenced) {
         // The joints are not at the marks: the operator measures the pose.
@@ -76,7 +76,7 @@ fn gets_up(robot: &mut Robot) -> bool {
     panic!("neither rest nor a fault: {:?}", robot.status);
 }
 
-/// Draws, and looks at the ink.
+/// Draws, and checks the ink.
 fn draws(robot: &mut Robot) {
     let before = inked(robot).len();
     robot.draw(path());
@@ -96,7 +96,7 @@ fn inked(robot: &Robot) -> Vec<[f64; 2]> {
     robot.ink().iter().flat_map(|stroke| stroke.points_mm.clone()).collect()
 }
 
-/// The ink behind so many points is the path's: each vertex has ink within 0.2 mm, in order.
+/// Asserts that the ink after `from` points is the path's: each vertex has ink within 0.2 mm, in order.
 fn assert_ink(robot: &Robot, from: usize) {
     let drawn = inked(robot).split_off(from);
     let mut at = 0;
@@ -114,7 +114,7 @@ fn assert_ink(robot: &Robot, from: usize) {
     }
 }
 
-/// Acknowledges as an operator would, at most so often, gets up and draws; gives how often.
+/// Acknowledges as an operator would, at most `most` times, enables and draws; returns the number of acknowledgements.
 pub(crate) fn come_back(robot: &mut Robot, most: u32) -> u32 {
     for tries in 0..=most {
         if robot.mode() == Mode::Stopping {

@@ -1,7 +1,7 @@
-//! What goes wrong, and what happens then: the reactions of the operating modes, with firmware tasks and virtual cell.
+//! Faults and the reactions of the operating modes, with firmware tasks and virtual cell.
 //!
-//! Everything runs in virtual time. The cell tells the truth about the drives; the operator knows only what the
-//! firmware says over the link.
+//! Everything runs in virtual time. The cell gives the true state of the drives; the operator knows only what the
+//! firmware reports over the link.
 
 mod board;
 mod bursts;
@@ -23,10 +23,10 @@ use etherpen::robots::Position;
 use host_tools::cell::{AlState, DriveState, Fault as CellFault, ResolverFault};
 use robot::{Robot, path};
 
-/// A speed at which a joint stands, rad/s.
+/// Speed below which a joint is at rest, rad/s.
 const STILL_RAD_S: f64 = 1.0e-3;
 
-/// The one way every fault takes: standstill, brakes, power off, refusal of motion until acknowledged.
+/// Asserts the one reaction to every fault: standstill, brakes, power off, refusal of motion until acknowledged.
 fn assert_described_standstill(robot: &mut Robot, expected: impl Fn(&Fault) -> bool) {
     robot.run_until("a fault is told", |robot| robot.fault().is_some());
     robot.run(150);

@@ -1,5 +1,5 @@
-//! A robot that stands outside its work area, over the link: what leads inwards is done, everything else is refused with
-//! the reason. The truth is the cell's: where the motors have brought the platform.
+//! A robot outside its work area, over the link: commands that lead inwards are carried out, all others are refused
+//! with the reason. The truth is the cell's: where the motors have brought the platform.
 
 use crate::STILL_RAD_S;
 use crate::liveness::come_back;
@@ -41,7 +41,7 @@ fn jog(angle_rad: f64) -> Command {
     }
 }
 
-/// A robot with power that stands outside its work area, in this direction from the middle.
+/// A robot with power, at rest outside its work area, in this direction from the middle.
 fn beside(angle_rad: f64) -> Robot {
     let mut config = Config::default();
     let mut robot = Robot::idle_with(&config);

@@ -23,7 +23,7 @@ const WAIT_MAX_MS: u32 = 60_000;
 /// Bytes on the line in a millisecond.
 const LINE_BYTES_PER_MS: usize = simulation::LINE_BYTES_PER_MS;
 
-/// Number from which commands beside the session count, far from its own.
+/// First number of commands outside the session, far from the session's own.
 const FIRST_BESIDE: u16 = 0x8000;
 
 struct Bridge {
@@ -34,7 +34,7 @@ struct Bridge {
     over: bool,
 }
 
-/// The most that each comparison of the position feedback has used of its limit.
+/// Largest part of its limit that each comparison of the position feedback has used.
 pub(crate) type Used = [f32; COMPARISONS.len()];
 
 impl Host for Bridge {
@@ -66,12 +66,12 @@ impl Link for Bridge {
     }
 }
 
-/// A line that brings so many bytes fewer, from its first on, in each so manieth millisecond.
+/// A line that periodically loses the first bytes of a millisecond.
 #[derive(Clone, Copy)]
 pub(crate) struct Overrun {
-    /// Bytes that are lost at once.
+    /// Bytes lost in one such millisecond.
     pub(crate) bytes: usize,
-    /// How often, ms.
+    /// Period, ms.
     pub(crate) period_ms: u32,
 }
 
@@ -79,7 +79,7 @@ pub(crate) struct Overrun {
 pub(crate) struct Robot {
     up: Receiver<(u32, Vec<u8>)>,
     down: SyncSender<Vec<u8>>,
-    /// What the firmware says next: it waits for the answer, so that the cell stands still between two milliseconds.
+    /// The firmware's next message; it waits for the answer, so the cell stops between two milliseconds.
     next: Option<(u32, Vec<u8>)>,
     cell: Arc<Mutex<Cell>>,
     config: Config,
@@ -88,10 +88,10 @@ pub(crate) struct Robot {
     session: Session,
     /// Whether the operator's cable is plugged in.
     pub(crate) plugged: bool,
-    /// What the firmware's serial port loses of what the operator sends.
+    /// Bytes of the operator that the firmware's serial port loses.
     pub(crate) overrun: Option<Overrun>,
     job: u16,
-    /// Number of the last command beside the session, and what of them is still to be sent.
+    /// Number of the last command outside the session, and the bytes of such commands still to be sent.
     beside: u16,
     at_once: Vec<u8>,
     /// The last status.
@@ -105,7 +105,7 @@ pub(crate) struct Robot {
     /// Refused vertices.
     pub(crate) refused: Vec<etherpen::motion::Refusal>,
     answers: Vec<(u16, Result<(), Refusal>)>,
-    /// The last one: it ends when nobody answers it any more.
+    /// The last field: the emulator ends when nobody answers it.
     _emulator: Option<Emulator>,
 }
 
@@ -217,7 +217,7 @@ impl Robot {
         Self::emulated().enabled().in_a_drawing()
     }
 
-    /// Asks the board to meet something: a sum of `etherpen::measurement::disturbance`'s bits.
+    /// Requests artificial loads from the board: a sum of `etherpen::measurement::disturbance`'s bits.
     pub(crate) fn disturb(&mut self, bits: u8) {
         self.session.measure(MeasurementRequest::Disturb { bits });
     }
@@ -241,13 +241,13 @@ impl Robot {
         self.ack.finished && self.ack.job == self.job && self.mode() == Mode::Idle
     }
 
-    /// Sends a command without waiting; the number of the request.
+    /// Sends a command without waiting; returns the number of the request.
     pub(crate) fn send(&mut self, command: Command) -> u16 {
         self.session.command(command)
     }
 
-    /// Sends a command beside the session, which gives one after the other: all of a millisecond come at once. Nobody hears
-    /// the answer.
+    /// Sends a command outside the session, which sends one after the other: all commands of a millisecond arrive at
+    /// once. The answer is ignored.
     pub(crate) fn send_at_once(&mut self, command: Command) {
         self.beside = self.beside.wrapping_add(1).max(FIRST_BESIDE);
         let message = HostMessage::Command {
@@ -259,7 +259,7 @@ impl Robot {
         self.at_once.extend_from_slice(&frame[..length]);
     }
 
-    /// Asks something of the bus without waiting.
+    /// Sends a bus request without waiting.
     pub(crate) fn ask(&mut self, request: ServiceRequest) {
         self.session.bus(request);
     }
@@ -280,12 +280,12 @@ impl Robot {
         self.session.command(command);
     }
 
-    /// Lets a fault happen in the cell.
+    /// Injects a fault into the cell.
     pub(crate) fn inject(&mut self, fault: CellFault) {
         self.cell.lock().unwrap().inject(fault);
     }
 
-    /// Changes what the board meets.
+    /// Changes the board's surroundings.
     pub(crate) fn surround(&mut self, change: impl FnOnce(&mut Surroundings)) {
         change(&mut self.surroundings.lock().unwrap());
     }
@@ -295,17 +295,17 @@ impl Robot {
         self.surround(|around| around.stop_shows_open = open);
     }
 
-    /// Changes what the PHY of the board's Ethernet port says.
+    /// Changes the state that the PHY of the board's Ethernet port reports.
     pub(crate) fn port(&mut self, state: PortState) {
         self.surround(|around| around.board.port = state);
     }
 
-    /// The cell as it is.
+    /// Present state of the cell.
     pub(crate) fn cell(&self) -> CellState {
         self.cell.lock().unwrap().state()
     }
 
-    /// The most that the comparisons of the feedback have used of their limits since this was last asked.
+    /// Largest parts of their limits that the comparisons of the feedback have used since the last call.
     pub(crate) fn take_used(&mut self) -> Used {
         std::mem::take(&mut self.used.lock().unwrap())
     }
@@ -324,12 +324,12 @@ impl Robot {
             .fold(0.0, |most, speed| most.max(speed.abs()))
     }
 
-    /// The mode last told.
+    /// The mode last reported.
     pub(crate) fn mode(&self) -> Mode {
         self.status.as_ref().map_or(Mode::Startup, |status| status.mode)
     }
 
-    /// The fault last told.
+    /// The fault last reported.
     pub(crate) fn fault(&self) -> Option<Fault> {
         self.status.as_ref().and_then(|status| status.fault)
     }
@@ -380,7 +380,7 @@ impl Robot {
         panic!("{what}: not within {WAIT_MAX_MS} ms; status {:?}", self.status);
     }
 
-    /// Lets time pass until the firmware tells this mode.
+    /// Lets time pass until the firmware reports this mode.
     pub(crate) fn wait_for(&mut self, mode: Mode) {
         self.run_until(&format!("{mode:?}"), |robot| robot.mode() == mode);
     }

@@ -1,7 +1,7 @@
-//! A drive whose processor stands still while its slave controller goes on answering: inputs that are old.
+//! A drive whose processor stops while its slave controller continues to answer: stale inputs.
 //!
-//! What the drive shows is then as it was, however long it takes. Every such standstill either becomes a fault with a name,
-//! or was too short to leave a trace in the ink.
+//! The drive's inputs then stay unchanged. Every such stop either causes a specific fault or is too short to leave a
+//! trace in the ink.
 
 use super::feedback::apart_mm;
 use super::robot::{Robot, path};
@@ -10,9 +10,9 @@ use etherpen::config::Config;
 use etherpen::messages::PathVertex;
 use host_tools::cell::{Fault as CellFault, InkStroke};
 
-/// How long the processor stands still, ms.
+/// How long the processor is stopped, ms.
 const STALLS_MS: [u64; 5] = [5, 20, 50, 100, 900];
-/// Standstills up to this one are as if they had not been, ms: the drive's power stage does not notice them either.
+/// Stops up to this duration have no effect, ms: the drive's power stage does not notice them either.
 const HARMLESS_MS: u64 = 5;
 /// How far the ink may be from that of an undisturbed robot without a fault, mm.
 const INK_APART_MAX_MM: f64 = 0.2;
@@ -54,7 +54,7 @@ fn drawn(robot: &mut Robot) -> Vec<InkStroke> {
     robot.ink().split_off(before)
 }
 
-/// Draws while the processor stands still; gives the fault, or else how far the ink is from the undisturbed one.
+/// Draws while the processor is stopped; returns the fault, or else how far the ink is from the undisturbed ink.
 fn stalled(config: &Config, stall_ms: u64, expected: &[InkStroke]) -> Result<f64, Fault> {
     let mut robot = Robot::idle_with(config);
     robot.draw(stroke());

@@ -1,4 +1,4 @@
-//! Feedback that cannot be true while the robot has power and no reference, in both modes of the drives. The truth is the
+//! Implausible feedback while the robot has power and no reference, in both modes of the drives. The truth is the
 //! cell's: how far a joint has turned.
 
 use crate::STILL_RAD_S;

@@ -1,7 +1,7 @@
-//! In which order a start-up of the STM32H743 has to do things, and what it must not touch.
+//! Rules for the order of a start-up of the STM32H743, and for what it must not touch.
 //!
-//! Each rule is of the reference manual (RM0433), reads a trace, and says what breaks it. Each comes with a way to break it,
-//! so that a test can show that the rule notices.
+//! Each rule comes from the reference manual (RM0433) and reports what breaks it in a trace. Each has a way to break
+//! it, so that a test can show that the rule detects it.
 
 use crate::trace::Event;
 use std::collections::{HashMap, HashSet};
@@ -127,7 +127,7 @@ const KEPT: [(&str, u32, u32); 15] = [
     ("SCB.CCR", 0x0004_0200, 0x0004_0200),
 ];
 
-/// What was last written to each register, after a reset nothing.
+/// Last value written to each register; empty after a reset.
 #[derive(Default)]
 struct Chip<'a>(HashMap<&'a str, u32>);
 
@@ -137,7 +137,7 @@ impl<'a> Chip<'a> {
         match event {
             Event::Reset(_) => self.0.clear(),
             Event::Write(name, value) => drop(self.0.insert(name, *value)),
-            // The reset of MAC and DMA takes their settings along.
+            // The reset of MAC and DMA clears their settings.
             Event::Read(name, value) if name == "ETH.DMAMR" && value & 1 == 0 => {
                 self.0.retain(|name, _| !name.starts_with("ETH."));
             }

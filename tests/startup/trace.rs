@@ -13,13 +13,13 @@ pub(crate) enum Event {
     Reset(String),
     /// A write to a register.
     Write(String, u32),
-    /// What was read of a register since the write before, the last time.
+    /// Last value read of a register since the previous write.
     Read(String, u32),
     /// The chip did not take the write.
     Ignored(String),
     /// What went out on the serial line.
     Serial(Vec<u8>),
-    /// What the PHY was told.
+    /// A command to the PHY.
     Phy(String),
     /// A sent Ethernet frame.
     Frame(Vec<u8>),
@@ -75,7 +75,7 @@ impl Run {
     }
 }
 
-/// The program's Python and the image; `None`, said aloud, where unicorn is not to be had.
+/// The program's Python and the image; prints a note and returns `None` if unicorn cannot be installed.
 fn prepared() -> Option<&'static (std::path::PathBuf, std::path::PathBuf)> {
     static PREPARED: OnceLock<Option<(std::path::PathBuf, std::path::PathBuf)>> = OnceLock::new();
     let prepared = PREPARED.get_or_init(|| match setup::ensure_unicorn() {
@@ -96,18 +96,18 @@ pub(crate) fn image() -> Option<&'static Path> {
 /// Virtual time in which the tasks run some periods, as an option of [`run`].
 pub(crate) const TASKS_RUN: [&str; 2] = ["--until-ms", "60"];
 
-/// A run with nothing wrong, into the tasks' periods; made once for all tests.
+/// An undisturbed run into the tasks' periods; made once for all tests.
 pub(crate) fn run_of_tasks() -> Option<&'static Run> {
     static RUN: OnceLock<Option<Run>> = OnceLock::new();
     RUN.get_or_init(|| run(&TASKS_RUN)).as_ref()
 }
 
-/// Runs the shipped image with options of `run.py`; `None`, said aloud, where that is not to be had.
+/// Runs the shipped image with options of `run.py`; `None` if unicorn cannot be installed.
 pub(crate) fn run(options: &[&str]) -> Option<Run> {
     let (python, image) = prepared()?;
     let program = setup::workspace().join("tests/startup/run.py");
     let mut command = Command::new(python);
-    // No byte code is left among the sources.
+    // `-B` leaves no byte code among the sources.
     command.arg("-B").arg(program).arg(image).args(options);
     let output = command.output().expect("Python starts");
     let said = String::from_utf8_lossy(&output.stderr);

@@ -3,8 +3,8 @@
 //! The state is decoded with the masks 0x4F and 0x6F of the profile's table. [`step`] is pure: every millisecond it
 //! returns the control word that leads one state further towards the target.
 //!
-//! Invariants: a drive in quick stop is never enabled on the way: it has to be switched off first; a fault is reset only
-//! on request, by the 0 to 1 edge of bit 7 between [`DriveTarget::Off`] and [`DriveTarget::FaultReset`].
+//! Invariants: a drive in quick stop is never enabled on the way: it has to be switched off first; a fault is reset
+//! only on request, by the 0 to 1 edge of bit 7 between [`DriveTarget::Off`] and [`DriveTarget::FaultReset`].
 
 /// Status word of the drive (object 0x6041).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub enum DriveState {
     ReadyToSwitchOn,
     /// Power is on, the motor is free.
     SwitchedOn,
-    /// The motor follows the set-points.
+    /// The motor follows the setpoints.
     OperationEnabled,
     /// Braking, or stopped by a quick stop.
     QuickStopActive,
@@ -157,7 +157,7 @@ pub const fn step_from(state: DriveState, target: DriveTarget) -> ControlWord {
 mod tests {
     use super::*;
 
-    /// What a drive of the profile does on a control word, transitions numbered as in its diagram.
+    /// The state of a drive after a control word; transitions are numbered as in the profile's diagram.
     fn drive(state: DriveState, before: u16, control: u16) -> DriveState {
         use DriveState::*;
         let reset = control & !before & 0x80 != 0;

@@ -14,7 +14,7 @@ use etherpen_ethercat::error::BusError;
 
 /// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
 ///
-/// If the drive accepts the choice that its twin accepted, it has the lists of its twin.
+/// A drive that accepts the choice of its twin gets the twin's layout; its lists are not read.
 ///
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],
@@ -44,8 +44,8 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     }
 }
 
-/// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout. Mode
-/// and settings of the drive are not written.
+/// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout.
+/// Mode and settings of the drive are not written.
 ///
 /// # Errors
 /// As [`used`], except errors of mode and settings.

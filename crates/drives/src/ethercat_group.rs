@@ -1,6 +1,6 @@
 //! A group of drives on an EtherCAT bus.
 //!
-//! Invariant: a member's input is only given in the cycle it came in.
+//! Invariant: a member's input is available only in the cycle in which it arrived.
 
 use crate::factory::ServoDrives;
 use crate::io::{BusState, GroupDrive, IoGroup, IoTrigger};
@@ -84,7 +84,7 @@ where
         Some(GroupDrive {
             kind: role.device,
             mode: role.layout.mode,
-            // The slave is watched from when it has reached OP until it is seen elsewhere.
+            // The slave is watched from OP on, until it is seen in another state.
             operational: share.watched,
             generation: share.generation,
         })
@@ -134,7 +134,7 @@ where
         BusState {
             al_status: self.exchange.al_status().map(|al| al.status as u8),
             reference_clock: self.exchange.plan().clock.map(|clock| clock.station),
-            // The low half is enough for a phase, and all that narrow clocks have.
+            // The low half is enough for a phase; 32-bit clocks have no other.
             clock_ns: self.exchange.clock_ns().map(|time_ns| time_ns as u32),
         }
     }

@@ -2,8 +2,8 @@
 //!
 //! The names are those of the paper: an [`IoTrigger`] moves all values between memory and wire at one moment, an
 //! [`IoGroup`] holds the inputs and outputs of drives that belong together, and an axis is a [`VelocityIo`] or a
-//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT ([`EtherCatGroup`](crate::EtherCatGroup)),
-//! and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
+//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT
+//! ([`EtherCatGroup`](crate::EtherCatGroup)), and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
 //!
 //! Invariant: reading and writing values only accesses memory; only a trigger moves them to and from the wire.
 
@@ -12,14 +12,14 @@ use crate::{AxisMode, DriveInput, DriveKind, DriveOutput};
 use etherpen_ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use etherpen_ethercat::encapsulation::Encapsulation;
 
-/// What the bus tells in a cycle, beside the drives' inputs.
+/// State of the bus in a cycle, besides the drives' inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusState {
     /// AL states of the slaves in use OR-ed together, with the error flag; `None` when the broadcast did not return.
     pub al_status: Option<u8>,
     /// Station of the reference clock; `None` without distributed clocks.
     pub reference_clock: Option<u16>,
-    /// The reference clock's time, ns, low 32 bits; `None` when it did not come in this cycle.
+    /// The reference clock's time, ns, low 32 bits; `None` if it did not arrive in this cycle.
     pub clock_ns: Option<u32>,
 }
 
@@ -38,10 +38,10 @@ pub trait IoTrigger {
     /// When inputs are read and outputs are written.
     fn exchange_kind(&self) -> ExchangeKind;
 
-    /// What the bus told in this cycle.
+    /// State of the bus in this cycle.
     fn bus_state(&self) -> BusState;
 
-    /// What was counted since start-up.
+    /// Counters since start-up.
     fn counters(&self) -> BusCounters;
 
     /// Sends the following frames in another encapsulation; frames in flight are lost.
@@ -53,9 +53,9 @@ pub trait IoTrigger {
 pub struct GroupDrive {
     /// Its type.
     pub kind: DriveKind,
-    /// What it is commanded by.
+    /// Kind of demand that it takes.
     pub mode: AxisMode,
-    /// Whether it may be enabled: it is in OP and was not seen elsewhere since.
+    /// Whether it may be enabled: it reached OP and has not been seen in another state since.
     pub operational: bool,
     /// Number of its last configuration, wrapping: a new number means that it may have been switched off in between.
     pub generation: u8,
@@ -63,14 +63,14 @@ pub struct GroupDrive {
 
 /// Drives that are read and written together. Members are numbered from 0.
 pub trait IoGroup {
-    /// Takes over the bus's present configuration; true when a member's drive may be another one than before. To be
-    /// called once a cycle, before the first [`Self::read`].
+    /// Takes over the bus's present configuration; returns true if a member's drive may have changed. Call it once a
+    /// cycle, before the first [`Self::read`].
     fn renew(&mut self) -> bool;
 
     /// The drive of a member; `None` while it has none.
     fn drive(&self, member: usize) -> Option<GroupDrive>;
 
-    /// This cycle's input of a member; `None` when none came.
+    /// This cycle's input of a member; `None` if none arrived.
     fn read(&self, member: usize) -> Option<DriveInput>;
 
     /// Sets the output of a member for the next trigger; does nothing while the member has no drive.
@@ -79,14 +79,12 @@ pub trait IoGroup {
 
 /// An axis that is commanded by a velocity.
 pub trait VelocityIo {
-    /// The output that brings the drive nearer to a state and, once it is there, lets it run at a velocity at the joint,
-    /// rad/s.
+    /// The output that leads the drive towards `target` and, in operation, demands this velocity at the joint, rad/s.
     fn set_velocity(&mut self, target: DriveTarget, velocity_rad_s: f64) -> DriveOutput;
 }
 
 /// An axis that is commanded by a torque.
 pub trait TorqueIo {
-    /// The output that brings the drive nearer to a state and, once it is there, lets it exert a torque at the joint,
-    /// N m.
+    /// The output that leads the drive towards `target` and, in operation, demands this torque at the joint, N m.
     fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) -> DriveOutput;
 }

@@ -116,7 +116,7 @@ impl Wanted {
                 bit: at,
             });
         }
-        // An offset beyond the longest process data is refused because of their length.
+        // `finish` refuses process data that are long enough for an offset above 255.
         self.offset = u8::try_from(at / 8).unwrap_or(ABSENT);
         Ok(())
     }

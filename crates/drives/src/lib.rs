@@ -61,7 +61,7 @@ pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
 /// Quick-stop deceleration, 32 bits.
 pub const QUICK_STOP_DECELERATION: Object = Object::new(0x6085, 0);
 
-/// What the demand of a drive is.
+/// Kind of demand that a drive takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "lowercase"))]
@@ -73,10 +73,10 @@ pub enum AxisMode {
     Torque,
 }
 
-/// What is written to a drive, and what its digits are worth.
+/// Settings of a drive, and the scale of its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveSettings {
-    /// What the drive is commanded by.
+    /// Kind of demand.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
     pub gear: f64,

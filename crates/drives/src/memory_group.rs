@@ -1,6 +1,6 @@
-//! A group of drives in memory, for control code without a bus: its tests set the inputs and look at the outputs.
+//! A group of drives in memory, for control code without a bus: its tests set the inputs and read the outputs.
 //!
-//! A trigger returns a frame of one byte, so that a test's port has something to send; any frame that is
+//! A trigger returns a frame of one byte, so that a test's port has something to send; a frame equal to
 //! [`ARRIVED`](MemoryGroup::ARRIVED) brings the inputs.
 
 use crate::io::{BusState, GroupDrive, IoGroup, IoTrigger};
@@ -15,9 +15,9 @@ pub struct MemoryGroup<const MEMBERS: usize> {
     pub drives: [Option<GroupDrive>; MEMBERS],
     /// What the drives report in the next cycles; `None` for silence.
     pub inputs: [Option<DriveInput>; MEMBERS],
-    /// What the drives were told last.
+    /// Last outputs of the drives.
     pub outputs: [DriveOutput; MEMBERS],
-    /// What the bus tells in the next cycles.
+    /// State of the bus in the next cycles.
     pub state: BusState,
     arrived: bool,
     known: [Option<GroupDrive>; MEMBERS],

@@ -8,7 +8,7 @@ use crate::cia402::{self, ControlWord, DriveState, DriveTarget, StatusWord};
 use crate::io::{GroupDrive, TorqueIo, VelocityIo};
 use crate::{AxisMode, DriveInput, DriveKind, DriveOutput, DriveSettings};
 
-/// What is asked of an axis beside the settings of its drive.
+/// Largest demands on an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLimits {
     /// Largest velocity, rad/s at the joint.
@@ -17,7 +17,7 @@ pub struct AxisLimits {
     pub torque_nm: f64,
 }
 
-/// What a drive's digits are worth on an axis.
+/// Scale and limit of an axis's demand.
 #[derive(Clone, Copy, Debug)]
 struct Scale {
     kind: DriveKind,
@@ -72,8 +72,8 @@ impl ServoAxis {
         }
     }
 
-    /// Takes over the axis's drive in the group; without one the axis takes no demand. True when it is another drive, or
-    /// another mode, than before.
+    /// Takes over the axis's drive in the group; without one the axis takes no demand. Returns true if the drive or its
+    /// mode has changed.
     pub fn adopt(&mut self, drive: Option<&GroupDrive>, settings: &DriveSettings, limits: &AxisLimits) -> bool {
         self.operational = drive.is_some_and(|drive| drive.operational);
         let same = match (&self.scale, drive) {
@@ -87,7 +87,7 @@ impl ServoAxis {
         !same
     }
 
-    /// Takes what the drive reported.
+    /// Takes the values that the drive reported.
     #[inline(always)]
     pub fn take(&mut self, input: &DriveInput) {
         self.position = input.position;
@@ -101,7 +101,7 @@ impl ServoAxis {
         self.state
     }
 
-    /// What the drive takes, and its digits for 1 rad/s or 1 N m at the joint; `None` without a drive.
+    /// Kind of demand that the drive takes, and its digits for 1 rad/s or 1 N m at the joint; `None` without a drive.
     pub fn demand_scale(&self) -> Option<(AxisMode, f64)> {
         self.scale.as_ref().map(|scale| (scale.mode, scale.digits_per_unit))
     }
@@ -125,7 +125,7 @@ impl ServoAxis {
         } else {
             0.0
         };
-        // To the nearest whole number; the conversion cuts off and saturates.
+        // Rounds to the nearest integer: the conversion truncates and saturates.
         let digits = value * scale.digits_per_unit;
         (digits + if digits < 0.0 { -0.5 } else { 0.5 }) as i32
     }
@@ -134,7 +134,7 @@ impl ServoAxis {
     fn output(&mut self, target: DriveTarget, mode: AxisMode, wanted: f64) -> DriveOutput {
         let may_run = self.operational && self.mode_in_effect;
         let target = match target {
-            // A drive that still moves brakes, any other one stays without power.
+            // A drive that is still moving brakes; any other one stays without power.
             DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
             target => target,
         };

@@ -49,7 +49,7 @@ impl<const LENGTH: usize> Request<LENGTH> {
         }
     }
 
-    /// Writes `data`, of which at most `LENGTH` bytes are taken.
+    /// Writes `data`, truncated to `LENGTH` bytes.
     pub fn write(command: Command, address: Address, data: &[u8]) -> Self {
         Self {
             command,
@@ -118,8 +118,8 @@ impl<'a, const LENGTH: usize> Lane<'a, LENGTH> {
         sent
     }
 
-    /// Takes the next reply and leaves `later` replies for the requests behind it. Replies owed to a caller that went
-    /// away are skipped.
+    /// Takes the next reply and leaves `later` replies for the requests behind it. Skips replies to callers whose
+    /// futures were dropped.
     fn take(&mut self, later: usize) -> Option<Reply<LENGTH>> {
         while let Some(reply) = self.replies.dequeue() {
             let abandoned = self.owed > later;
@@ -309,7 +309,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         Ok(super::wire::read_u16(&bytes, 0))
     }
 
-    /// Writes one slave's memory; `data` beyond [`REGISTER_BYTES_MAX`] bytes are cut off.
+    /// Writes one slave's memory; `data` is truncated to [`REGISTER_BYTES_MAX`] bytes.
     ///
     /// # Errors
     /// As [`Self::insist`].
@@ -374,15 +374,15 @@ pub(super) fn no_room(needed: usize, room: u16) -> BusError {
     }
 }
 
-/// `length` zeros, at most as many as there is room for.
+/// `length` zeros, at most `LENGTH`.
 pub(crate) fn zeros<const LENGTH: usize>(length: usize) -> Bytes<LENGTH> {
     let mut data = Bytes::new();
-    // The length asked for never exceeds the capacity.
+    // The length requested never exceeds the capacity.
     let _ = data.resize(length.min(LENGTH), 0);
     data
 }
 
-/// A copy of `data`, as far as there is room for them.
+/// A copy of `data`, truncated to `LENGTH` bytes.
 pub(crate) fn bytes<const LENGTH: usize>(data: &[u8]) -> Bytes<LENGTH> {
     Bytes::from_slice(data.get(..data.len().min(LENGTH)).unwrap_or(&[])).unwrap_or_default()
 }

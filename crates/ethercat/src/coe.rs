@@ -26,7 +26,8 @@ const EXPEDITED_MAX: usize = 4;
 
 /// Device type (CiA 301), which every slave with a dictionary has.
 pub const DEVICE_TYPE: Object = Object::new(0x1000, 0);
-/// Time for a slave to answer to a counter that may equal its last one, ms. A slower slave is asked twice.
+/// Longest wait for the answer to a message whose counter may equal the slave's last one, ms. A slower slave is asked
+/// twice.
 const JOIN_WAIT_MS: u32 = 100;
 
 const ABORT_TOGGLE: u32 = 0x0503_0000;
@@ -127,7 +128,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     async fn upload_segments(&mut self, object: Object, value: &mut [u8], filled: usize) -> Result<(), BusError> {
         let mut filled = filled;
         let mut toggle = false;
-        // Each iteration adds a byte at least, or is the last.
+        // Each iteration adds at least one byte, or is the last.
         for _ in 0..=value.len() {
             let answer = self.ask(object, &Sdo::UploadSegment { toggle }).await?;
             let (actual, last, data) = match Sdo::parse_response(&answer) {
@@ -277,9 +278,8 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
     /// Passes the indices of a list to `take` and returns how many there were. [`ObjectList::Lengths`] gives the
     /// lengths of the five lists instead.
     ///
-    /// # Errors
-    /// [`BusError::SdoAbort`] when the slave refuses, [`BusError::SdoAnswer`] for an answer that is no such list, or
-    /// errors of the mailbox. The object of both is 0:0.
+    /// # Errors [`BusError::SdoAbort`] when the slave refuses, [`BusError::SdoAnswer`] for an answer that is not a
+    /// list, or errors of the mailbox. The object of both is 0:0.
     pub async fn list(&mut self, list: ObjectList, mut take: impl FnMut(u16)) -> Result<usize, BusError> {
         const NUMBER_LEN: usize = 2;
         let object = Object::new(0, 0);
@@ -372,7 +372,7 @@ impl<'c, 'q, const MESSAGE: usize> ObjectDictionary<'c, 'q, MESSAGE> {
                 break;
             }
             let answer = self.next_fragment(object).await?;
-            // The highest bit of the operation, in the first byte behind the two headers, tells whether more fragments
+            // The highest bit of the operation, in the first byte behind the two headers, is set if more fragments
             // follow.
             incomplete = InformationRepr::parse(&answer).is_ok_and(|repr| repr.incomplete);
         }

@@ -29,7 +29,7 @@ const OBJECT: Object = Object::new(0x2F00, 0);
 /// What the master has to send next, and what the slave answers.
 type Step = (Vec<u8>, Vec<Vec<u8>>);
 
-/// A whole mailbox with a message of some protocol.
+/// A complete mailbox with a message of `protocol`.
 fn message(protocol: Protocol, data: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0; usize::from(WINDOW)];
     let header = MailboxRepr {
@@ -72,7 +72,7 @@ fn information(fragments_left: u16, body: Information<'_>) -> Vec<u8> {
 struct Slave {
     script: VecDeque<Step>,
     waiting: VecDeque<Vec<u8>>,
-    /// Answers to messages beyond the script; without them such a message is a failure.
+    /// Answers to messages beyond the script; `None` makes such a message a failure.
     anything: Option<Vec<Vec<u8>>>,
 }
 
@@ -81,7 +81,7 @@ impl Slave {
         let manager = register::sync_manager(1);
         let input_status = manager + register::SYNC_MANAGER_STATUS_OFFSET;
         let activate = manager + register::SYNC_MANAGER_ACTIVATE_OFFSET;
-        // It has nothing to repeat when it is asked for that.
+        // A request to repeat is counted, but there is nothing to repeat.
         let asks = (Command::Fpwr, activate) == (request.command, request.address.register());
         assert!(request.command == Command::Fprd || asks, "{request:?}");
         let full = request.address.register() == input_status && !self.waiting.is_empty();
@@ -119,7 +119,7 @@ impl Slave {
     }
 }
 
-/// Runs `work` against a slave that follows a script to its end; gives the result and the mailbox.
+/// Runs `work` against a slave that follows a script to its end; returns the result and the mailbox.
 fn run<T>(script: Vec<Step>, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T) -> (T, Mailbox) {
     let slave = Slave {
         script: script.into(),

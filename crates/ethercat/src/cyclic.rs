@@ -28,7 +28,7 @@ pub const SILENT_CYCLES: u8 = 10;
 /// Most acyclic datagrams in a frame while drives are in operation, which keeps the cycle as short as possible.
 const IN_OPERATION_MAX: usize = 1;
 
-/// Age in frames up to which an index still counts as late and not as foreign.
+/// Largest age of an index that counts as late, frames; an older index counts as foreign.
 const LATE_FRAMES: u8 = 64;
 
 /// The critical side's ends of the queues to the supervisor.
@@ -66,7 +66,7 @@ pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usi
     outputs: [OutputPlace; SLAVES],
     images: [Image; SLAVES],
     input_valid: u32,
-    /// Slaves that only answer to the second telegram.
+    /// Slaves that answer only the second telegram, one bit each.
     second_only: u32,
     answered: u32,
     al: Option<AlStatus>,

@@ -59,8 +59,8 @@ pub enum ServiceRequest {
         /// First byte of the piece wanted.
         offset: u16,
     },
-    /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes the
-    /// value.
+    /// Write an object by SDO; answered by [`ServiceReply::Done`]. The transfer begins with the piece that completes
+    /// the value.
     Download {
         /// The slave.
         slave: u8,
@@ -68,7 +68,7 @@ pub enum ServiceRequest {
         object: Object,
         /// All sub-indices in one value (complete access).
         complete: bool,
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         total: u16,
         /// Offset of this piece; pieces come in order.
         offset: u16,
@@ -290,7 +290,7 @@ pub enum ServiceReply {
     State(AlReport),
     /// A part of a value.
     Piece {
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         total: u16,
         /// The requested part.
         piece: Piece,

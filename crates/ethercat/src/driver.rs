@@ -1,8 +1,8 @@
 //! The seam between the master and the application's drivers: which devices it knows, and how it uses them.
 //!
-//! The master finds, addresses and watches slaves of any kind. A [`SlaveFactory`] tells it for which of them there is a
-//! driver, and configures such a slave in PREOP: objects, process data and the layout of the values in them. The master
-//! moves the process data, and passes the layout unchanged to the critical side with the plan.
+//! The master finds, addresses and watches slaves of any kind. A [`SlaveFactory`] reports which of them have a driver,
+//! and configures such a slave in PREOP: objects, process data and the layout of the values in them. The master moves
+//! the process data, and passes the layout unchanged to the critical side with the plan.
 //!
 //! Slaves that the application uses are its *members*, numbered from 0.
 //!
@@ -21,7 +21,7 @@ pub trait SlaveFactory: Copy + Default + Eq + Debug + 'static {
     type Device: Copy + Eq + Debug + 'static;
     /// Where a slave's values are in its process data; for the critical side.
     type Layout: Copy + Eq + Debug + 'static;
-    /// What the application asks of its members.
+    /// Settings that the application requires of its members.
     type Settings: Clone + Default + PartialEq + Debug;
 
     /// The device type of a product; `None` if no driver knows the product.
@@ -31,14 +31,14 @@ pub trait SlaveFactory: Copy + Default + Eq + Debug + 'static {
     /// for products that [`Self::by_identity`] does not know.
     fn by_device_type(device_type: u32) -> Option<Self::Device>;
 
-    /// What the master needs to know of a device type.
+    /// Properties of a device type that the master needs.
     fn describe(device: Self::Device) -> DeviceDescription;
 
     /// Configures a slave in PREOP, and returns its process data; `None` for a slave that exchanges none.
     ///
     /// `member` is the slave's number among the application's members, `None` if it is not used: then its process data
-    /// are found, and nothing else is changed. `twin` are the process data of a slave of equal product and revision that
-    /// has already been configured.
+    /// are found, and nothing else is changed. `twin` are the process data of a slave of equal product and revision
+    /// that has already been configured.
     ///
     /// # Errors
     /// Any error; the slave then stays in PREOP, and the error is reported with the slave's place.
@@ -57,7 +57,7 @@ pub fn is_asked_for_device_type<F: SlaveFactory>(fixed: &FixedPart) -> bool {
     F::by_identity(&fixed.identity).is_none() && fixed.protocols & PROTOCOL_COE != 0
 }
 
-/// What the master needs to know of a device type.
+/// Properties of a device type that the master needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DeviceDescription {
     /// Name for messages.

@@ -123,8 +123,8 @@ fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool)
     Ok((content, differs != 0))
 }
 
-/// Checks the headers of Ethernet, IPv4 and UDP. Returns the UDP payload of an answer, or of an own packet that slave
-/// controllers passed on unchanged.
+/// Checks the headers of Ethernet, IPv4 and UDP. Returns the UDP payload of an answer, or of one of our own packets
+/// that slave controllers passed on unchanged.
 #[inline(never)]
 fn open_udp<'f>(frame: &'f [u8], own: &UdpRepr) -> Result<&'f [u8], Ignored> {
     let (found, payload) = UdpRepr::parse(frame).map_err(|error| match error {

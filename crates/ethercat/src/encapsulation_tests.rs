@@ -56,7 +56,7 @@ fn plan(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
     }
 }
 
-/// As [`plan`], with no slave in operation: acyclic datagrams share frames.
+/// A [`plan`] with no slave in operation: acyclic datagrams share frames.
 fn starting(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
     let mut plan = plan(exchange);
     plan.slaves.iter_mut().for_each(|slave| slave.watched = false);
@@ -98,7 +98,7 @@ impl Rig {
         }
     }
 
-    /// What the slaves make of a telegram: the inputs of slave 2 are 20, 21, 22 and so on.
+    /// The slaves' reply to a telegram: the inputs of slave 2 are 20, 21, 22 and so on.
     fn answered(&self, mut frame: Vec<u8>) -> Vec<u8> {
         self.each(&mut frame, |number, datagram| {
             let counter = match Command::from_number(datagram.command_number()).unwrap() {
@@ -132,7 +132,7 @@ impl Rig {
         frame
     }
 
-    /// Whether all slaves' inputs are there, and right; either all are or none is.
+    /// Whether all slaves' inputs arrived; they must be correct, and either all or none.
     fn valid(&self) -> bool {
         let valid: Vec<_> = (0..SLAVES).map(|slave| self.exchange.input(slave).is_some()).collect();
         assert!(valid.iter().all(|one| *one == valid[0]), "{valid:?}");
@@ -211,7 +211,7 @@ fn combined_outputs_go_with_the_next_input_telegram_and_one_slaves_failure_is_it
     let mut reply = rig.answered(telegram);
     rig.each(&mut reply, |number, datagram| {
         if number == 1 {
-            // It took its outputs, but gave no inputs.
+            // The slave took its outputs but returned no inputs.
             datagram.set_working_counter(2);
         }
     });
@@ -277,7 +277,7 @@ fn the_reference_clocks_time_is_read_spread_and_refused_unless_all_have_it() {
         assert_eq!(rig.exchange.clock_ns(), None, "a time is good for its cycle");
         rig.each(&mut telegram, |number, datagram| {
             if number == SLAVES + 1 {
-                // Slaves that the reference does not answer for get the last time, not 0.
+                // Without an answer of the reference the slaves get the last time, not 0.
                 assert_eq!(datagram.data(), &TIME_NS.to_le_bytes()[..if wide { 8 } else { 4 }]);
                 assert_eq!(datagram.address(), Address::station(0x1001, 0x0910));
             }
@@ -311,7 +311,7 @@ fn one_message_shares_a_cycle_with_requests_for_registers_and_none_without_room_
         let reply = rig.answered(telegram);
         assert_eq!(rig.exchange.receive(&reply), Arrival::Input);
         assert!(rig.valid());
-        // The second one waits until there is room for its reply.
+        // The second request waits until there is room for its reply.
         assert_eq!(rig.input().len(), idle);
         let reply = rig.end.port.messages.replies.dequeue().unwrap();
         assert_eq!(
@@ -397,7 +397,7 @@ fn several_requests_share_a_frame_and_only_lost_ones_are_sent_again() {
         assert_eq!(result, Ok(()));
     }
     assert_eq!(answers, vec![1; 20]);
-    // Three frames, one of them lost and held against the next for a cycle, and a fourth for what was in it.
+    // Three frames; one is lost, which is known a cycle later, and a fourth repeats its datagrams.
     assert_eq!(cycles, 1 + 3 + 1 + 1);
     let mut future = pin!(port.insist_all(&requests[..3], 2, |_, _| ()));
     let result = loop {

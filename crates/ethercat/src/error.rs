@@ -95,7 +95,7 @@ pub enum BusError {
     },
     /// The slave's answer does not belong to the request.
     SdoAnswer {
-        /// The object asked for.
+        /// The object requested.
         object: Object,
     },
     /// The slave's toggle bit did not alternate: a segment was lost or repeated.

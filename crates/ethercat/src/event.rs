@@ -10,12 +10,12 @@ use super::state::AlReport;
 use super::wire::coe::Emergency;
 use super::wire::sii::Identity;
 
-/// The bus that a bring-up expects, and how it is to run.
+/// The bus that a bring-up expects, and how to run it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BusSetup<F: SlaveFactory> {
     /// Members expected: the first slaves in the chain that have a driver, in chain order.
     pub members: u8,
-    /// What the application asks of them.
+    /// Settings of the members.
     pub settings: F::Settings,
     /// When inputs are read and outputs are written.
     pub exchange: ExchangeKind,
@@ -44,7 +44,7 @@ impl<F: SlaveFactory> Default for BusSetup<F> {
     }
 }
 
-/// An order to the supervisor.
+/// A command to the supervisor.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant)] // few are alive at a time, in static memory
 pub enum BusCommand<F: SlaveFactory> {
@@ -154,7 +154,7 @@ pub enum BusEvent {
         /// Increase of the port's counters.
         count: u16,
     },
-    /// A slave's processor stopped for longer than its watchdog allows, while its slave controller went on answering.
+    /// A slave's processor stopped for longer than its watchdog allows, while its slave controller continued to answer.
     ProcessorStopped {
         /// Place in the chain, from 0.
         position: u8,

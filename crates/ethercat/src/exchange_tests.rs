@@ -64,7 +64,7 @@ fn each_datagram(frame: &mut [u8], mut change: impl FnMut(usize, &mut Datagram<&
     }
 }
 
-/// What four slaves in OP make of a telegram: inputs are 10 times the slave's number plus the byte's.
+/// The reply of four slaves in OP to a telegram: inputs are 10 times the slave's number plus the byte's.
 fn answered(mut frame: Vec<u8>) -> Vec<u8> {
     each_datagram(&mut frame, |number, datagram| match datagram.command_number() {
         7 => {
@@ -150,7 +150,7 @@ fn one_slaves_wrong_counter_costs_only_its_own_inputs() {
         });
         assert_eq!(exchange.receive(&reply), Arrival::Input);
         assert_eq!(valid(&exchange), [true, false, true, true]);
-        // A slave that is known to be lost is no error any more.
+        // A slave that is known to be lost is not an error.
         assert_eq!(exchange.counters().working_counter_errors, 1);
     }
 }
@@ -184,7 +184,7 @@ fn what_is_not_this_cycles_reply_is_told_apart() {
         assert_eq!(exchange.receive(&changed), Arrival::Ignored(kind));
         assert_eq!(valid(&exchange), [false; SLAVES], "{kind:?}");
         assert_eq!(exchange.counters().ignored[kind as usize], 1);
-        // The true one still counts.
+        // The genuine reply still counts.
         assert_eq!(exchange.receive(&reply), Arrival::Input, "after {kind:?}");
     }
 }
@@ -198,7 +198,7 @@ fn a_reflected_frame_is_no_reply_and_replies_without_the_source_bit_are() {
     reply[6] &= !SOURCE_BIT;
     assert_eq!(exchange.receive(&reply), Arrival::Input);
 
-    // Where slaves are known to mark replies, an untouched output telegram is told apart too.
+    // If slaves are known to mark replies, an unprocessed output telegram is recognised too.
     let reply = answered(input(&mut exchange));
     assert_eq!(exchange.receive(&reply), Arrival::Input);
     let telegram = output(&mut exchange);
@@ -249,7 +249,7 @@ fn in_operation_a_frame_carries_one_acyclic_datagram_and_none_is_lost() {
         let request = Request::read(Command::Fprd, address(register), 2);
         assert!(end.port.registers.requests.enqueue(request).is_ok());
     }
-    // A request for a register, the message, the other requests; the last frame has nothing left to carry.
+    // A register request, the message, the other register requests; the last frame carries none.
     let in_order = [0, 0x1C00].into_iter().chain(registers.clone().skip(1));
     for expected in in_order.map(Some).chain([None]) {
         let mut reply = answered(input(&mut exchange));
@@ -285,7 +285,7 @@ fn in_operation_neither_requests_nor_messages_wait_for_more_than_one_datagram_of
             let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0110), 2);
             assert!(end.port.registers.requests.enqueue(request).is_ok());
         }
-        // Messages pause now and then, and never wait where only requests have come before.
+        // In every seventh cycle no message is queued.
         if cycle % 7 != 0 && end.port.messages.requests.ready() {
             let message = Request::read(Command::Fprd, Address::station(0x1001, 0x1C00), 64);
             assert!(end.port.messages.requests.enqueue(message).is_ok());
@@ -417,7 +417,7 @@ fn no_frame_whatever_its_bytes_panics_or_passes_unless_it_is_the_reply() {
         reply.truncate(reply.len() - (random() % 3) as usize * (random() as usize % reply.len()) / 2);
         if exchange.receive(&reply) == Arrival::Input {
             inputs += 1;
-            // Whatever passed has the headers of the original.
+            // Every accepted frame has the original's headers.
             let view = FrameView::new_checked(&reply).unwrap();
             let sent = FrameView::new_checked(&original).unwrap();
             assert!(view.datagrams().zip(sent.datagrams()).all(|(got, want)| {

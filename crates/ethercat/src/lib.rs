@@ -87,7 +87,7 @@ pub struct BusQueues<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize>
 
 /// The application's ends of the queues.
 pub struct ApplicationEnd<'a, F: SlaveFactory> {
-    /// Orders to the supervisor.
+    /// Commands to the supervisor.
     pub commands: Producer<'a, BusCommand<F>>,
     /// Events of the supervisor; take them at least every few milliseconds.
     pub events: Consumer<'a, BusEvent>,

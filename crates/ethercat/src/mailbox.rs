@@ -73,7 +73,7 @@ pub struct Mailbox {
     /// Counter of the slave's last message; 0 if the slave does not count.
     received: Option<u8>,
     unexpected: u16,
-    /// Whether the last exchange ended with its answer: no stale message can be taken for the next one.
+    /// Whether the last exchange ended with its answer: a stale message cannot be mistaken for the next answer.
     settled: bool,
     emergencies: Emergencies,
 }
@@ -131,7 +131,7 @@ impl Mailbox {
                 break;
             }
             let message = self.fetch(port).await?;
-            // Nothing waits for this message any more.
+            // No request waits for this message.
             if !matches!(self.dispatch(Protocol::Coe, &message), Ok(None)) {
                 self.unexpected = self.unexpected.saturating_add(1);
             }
@@ -175,7 +175,7 @@ impl Mailbox {
         self.receive_within(port, protocol, MAILBOX_TIMEOUT_MS, accept).await
     }
 
-    /// Receives like [`Self::receive`] with the caller's time limit, ms.
+    /// Waits at most `limit_ms` for a message that [`Self::receive`] would return.
     ///
     /// # Errors
     /// As [`Self::receive`].
@@ -213,7 +213,7 @@ impl Mailbox {
             if waited_ms > limit_ms {
                 return Err(BusError::MailboxTimeout { waited_ms });
             }
-            // If the slave does not count, a repeated message could not be told from a new one.
+            // If the slave does not count, a repeated message could not be distinguished from a new one.
             if !repeated && waited_ms > REPEAT_AFTER_MS && self.received != Some(0) {
                 repeated = true;
                 match self.ask_again(port, REPEAT_WAIT_MS).await {

@@ -67,7 +67,7 @@ pub struct BusCounters {
     pub frames_sent: u32,
     /// Telegrams whose reply had not come when the next cycle began.
     pub frames_lost: u32,
-    /// Replies that came in a later cycle; each was also counted as lost.
+    /// Replies that arrived in a later cycle; each was also counted as lost.
     pub frames_late: u32,
     /// Datagrams of watched slaves that came back with an unexpected working counter.
     pub working_counter_errors: u32,

@@ -111,8 +111,8 @@ pub enum PlanError {
 }
 
 impl<F: SlaveFactory, const SLAVES: usize> CyclicPlan<F, SLAVES> {
-    /// Checks that the plan can be exchanged in any encapsulation, with room for an acyclic datagram of `message` bytes of
-    /// data.
+    /// Checks that the plan can be exchanged in any encapsulation, with room for an acyclic datagram of `message` bytes
+    /// of data.
     ///
     /// # Errors
     /// The first [`PlanError`] found. Slaves without a valid share, and those beyond the end of the frame, are not

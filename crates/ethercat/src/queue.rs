@@ -1,9 +1,9 @@
 //! Operations on lock-free queues for the critical tasks.
 //!
 //! Two gaps of heapless are closed here. `Consumer::peek` compares the ends of the queue with relaxed loads, so by
-//! itself it does not order the producer's write of the entry before the consumer's read; `dequeue` does. And the ends
-//! do not know the queue's length at compile time: the remainder keeps the panic for a division by zero in the code,
-//! unless the length is known not to be zero.
+//! itself it does not order the producer's write of the entry before the consumer's read; `dequeue` does. The ends do
+//! not know the queue's length at compile time, so the compiler keeps the division-by-zero panic of the remainder
+//! unless it can see that the length is not zero.
 //!
 //! Invariants: an entry is only read after it has been written completely; no function here panics.
 

@@ -1,12 +1,12 @@
-//! Random numbers of the tests: xorshift with 32 bits of state (Marsaglia, 2003).
+//! Random numbers for the tests: xorshift with 32 bits of state (Marsaglia, 2003).
 
 use std::println;
 
-/// The generator; it prints its first state, so that a failing test names it.
+/// The generator; it prints its first state, so that a failing test can be repeated.
 pub(crate) struct Random(u32);
 
 impl Random {
-    /// A generator that begins with this state, which is not 0.
+    /// A generator that starts with `state`, which must not be 0.
     pub(crate) fn new(state: u32) -> Self {
         println!("seed {state:#x}");
         Self(state)

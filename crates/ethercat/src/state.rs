@@ -1,7 +1,7 @@
 //! The application layer's state machine: INIT, PREOP, SAFEOP, OP, and the reasons for a refusal.
 //!
-//! Upwards only one step is requested at a time. A slave may answer with another state and the error flag; the AL
-//! status code gives the reason. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
+//! On the way up, only one step is requested at a time. A slave may answer with another state and the error flag; the
+//! AL status code gives the reason. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
 //!
 //! Invariant: a change either ends in the requested state without error flag, or is an error with state and code.
 
@@ -9,7 +9,7 @@ use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
 use super::wire::{Address, Command, register};
 
-/// Longest wait for a state, ms: the standard's default time-out.
+/// Longest wait for a state, ms: the standard's default timeout.
 pub const STATE_TIMEOUT_MS: u32 = 3_000;
 /// Longest wait for OP, ms.
 pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
@@ -142,7 +142,7 @@ pub async fn acknowledge<const MESSAGE: usize>(
 
 /// Requests `target` and waits until the slave has reached it. A pending error is acknowledged first.
 ///
-/// Upwards, `target` has to be the next state.
+/// On the way up, `target` has to be the next state.
 ///
 /// # Errors
 /// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state, or as

@@ -28,7 +28,7 @@ const MORE_HEADER: u64 = (MORE_BIT as u64) << 48;
 /// Device half of the address in the first eight bytes of a header: slaves increment it in broadcasts.
 const POSITION_HEADER: u64 = 0xFFFF_0000;
 
-/// Inputs of one slave, in two pieces that are copied as a whole.
+/// Inputs of one slave, in two pieces, each copied at once.
 pub(super) type Image = [[u8; PIECE_LEN]; 2];
 
 const PIECE_LEN: usize = PROCESS_BYTES_MAX / 2;
@@ -81,7 +81,7 @@ pub(super) struct Taken {
     pub(super) answered: u32,
     /// Number of datagrams of watched slaves with an unexpected working counter.
     pub(super) errors: u32,
-    /// The slaves' AL status, if the frame asks for it.
+    /// The slaves' AL status, if the frame reads it.
     pub(super) al: Option<AlStatus>,
     /// Time of the reference clock, ns, if the frame distributes it and all slaves took it.
     pub(super) clock_ns: Option<u64>,
@@ -255,7 +255,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.length = encapsulation.close(&mut self.frame.0, self.chain.end);
     }
 
-    /// Longest data of an acyclic datagram beside the cyclic ones, bytes.
+    /// Longest data of an acyclic datagram besides the cyclic ones, bytes.
     pub(super) fn room(&self) -> usize {
         FRAME_LEN_MAX.saturating_sub(self.cyclic.end + DATAGRAM_OVERHEAD)
     }
@@ -457,7 +457,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
     }
 
-    /// Walks what was sent and what came back from a place in the frame on.
+    /// Walks the sent frame and its reply in parallel, from a place in the frame on.
     fn walk<'a>(&'a self, payload: &'a [u8], from: usize) -> Walk<'a> {
         Walk {
             sent: self.frame.0.get(from..self.chain.end).unwrap_or(&[]),
@@ -489,7 +489,7 @@ fn count(bits: u32) -> u32 {
     bits.count_ones()
 }
 
-/// Walks what was sent and what came back in parallel, and collects the differences of their headers.
+/// Walks a sent frame and its reply in parallel, and collects the differences of their headers.
 struct Walk<'a> {
     sent: &'a [u8],
     received: &'a [u8],

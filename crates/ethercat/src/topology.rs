@@ -43,7 +43,7 @@ pub fn entry(dl_status: u16) -> Option<u8> {
     PORT_ORDER.into_iter().find(|port| communicates(dl_status, *port))
 }
 
-/// The ports through which frames go on to other slaves, in their order.
+/// The ports through which frames continue to other slaves, in their order.
 fn exits(dl_status: u16) -> impl Iterator<Item = u8> {
     let in_use = PORT_ORDER
         .into_iter()

@@ -1,16 +1,16 @@
-//! The SII of a real Kollmorgen AKD, whole and damaged.
+//! The SII of a real Kollmorgen AKD, intact and damaged.
 //!
 //! The dumps are not part of the project: `ETHERPEN_REAL_DEVICES` names the folder with `akd.hex` and
-//! `akd_null_strings.hex` of ethercrab's `dumps/eeprom`. Without it these tests say that they were left out.
+//! `akd_null_strings.hex` of ethercrab's `dumps/eeprom`. Without it these tests print that they were skipped.
 
 use etherpen_ethercat::wire::sii::*;
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// A dump; `None`, said aloud, when the folder of the dumps is not known.
+/// A dump; prints a note and returns `None` if `ETHERPEN_REAL_DEVICES` is not set.
 fn dump(name: &str) -> Option<Vec<u8>> {
     let Some(folder) = std::env::var_os("ETHERPEN_REAL_DEVICES").map(PathBuf::from) else {
-        // Not by a macro: these are shown only for tests that fail.
+        // Not `eprintln!`: the test harness shows its output only for failing tests.
         let _ = writeln!(
             std::io::stderr(),
             "ETHERPEN_REAL_DEVICES is not set: the test with {name} is left out"
@@ -21,9 +21,9 @@ fn dump(name: &str) -> Option<Vec<u8>> {
     Some(std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// The image of the drive, whole.
+/// The intact image of the drive.
 const AKD: &str = "akd.hex";
-/// The image with names padded by NUL, whose chain of categories runs past the end.
+/// The image with NUL-padded names; its category chain runs past the end.
 const DAMAGED: &str = "akd_null_strings.hex";
 
 fn header(bytes: &[u8]) -> Header {

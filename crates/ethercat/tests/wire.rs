@@ -1,4 +1,5 @@
-//! Properties of everything that travels on the wire: parse of emit is identity, and no bytes panic or loop for ever.
+//! Properties of everything that travels on the wire: `parse` inverts `emit`, and no bytes cause a panic or an endless
+//! loop.
 //!
 //! The generator's seed is fixed: every run tries the same cases.
 
@@ -26,7 +27,7 @@ const CASES: u32 = 300;
 /// Seed of the generator.
 const SEED: [u8; 32] = *b"etherpen: wire properties, seed.";
 
-/// Tries a property on values of a strategy, the same ones in every run.
+/// Checks a property for values of a strategy, the same values in every run.
 fn check<S: Strategy>(strategy: S, property: impl Fn(S::Value) -> Result<(), TestCaseError>) {
     let config = Config {
         cases: CASES,
@@ -153,7 +154,7 @@ fn mailbox_headers_survive() {
     });
 }
 
-/// A message made of free choices; `kind` picks which.
+/// A message with arbitrary content; `kind` selects the variant.
 fn sdo<'a>(kind: u8, object: Object, [toggle, last]: [bool; 2], number: u32, data: &'a [u8]) -> Sdo<'a> {
     let few = data
         .get(..data.len().min(4))
@@ -314,7 +315,7 @@ fn registers_survive() {
     );
 }
 
-/// Parsed, emitted and parsed again, a record is the same.
+/// A record that is parsed, emitted and parsed again is unchanged.
 fn survives<R: Record + PartialEq + core::fmt::Debug>(raw: &[u8]) -> Result<(), TestCaseError> {
     let record = R::parse(raw).unwrap();
     let mut buffer = [0xAA; 32];
@@ -387,7 +388,7 @@ fn walk(sii: Sii<'_>) -> Result<(), TestCaseError> {
 #[test]
 fn a_real_sii_with_damaged_bytes_is_walked_to_an_end() {
     let Some(folder) = std::env::var_os("ETHERPEN_REAL_DEVICES") else {
-        // Not by a macro: these are shown only for tests that fail.
+        // Not `eprintln!`: the test harness shows its output only for failing tests.
         let _ = writeln!(
             std::io::stderr(),
             "ETHERPEN_REAL_DEVICES is not set: the test with akd.hex is left out"

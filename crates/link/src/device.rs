@@ -2,10 +2,10 @@
 //!
 //! A serial line may lose, damage, repeat and delay bytes, and the host may restart at any time. The application must
 //! not be affected. Invariants: a request is handed out once however often it arrives, and its answer is kept and
-//! repeated; the path comes out complete, in order, and never longer than the application has room for; a frame that
-//! has been started is finished, unless another port takes the link; the endpoint owns all its memory. Frames enter
-//! through [`DeviceEndpoint::receive`], each from a port's decoder; bytes leave through [`DeviceEndpoint::transmit`];
-//! the caller passes the time in milliseconds.
+//! repeated; the path arrives complete and in order, and never exceeds the application's room; a frame that has been
+//! started is finished, unless another port takes the link; the endpoint owns all its memory. Frames enter through
+//! [`DeviceEndpoint::receive`], each from a port's decoder; bytes leave through [`DeviceEndpoint::transmit`]; the
+//! caller passes the time in milliseconds.
 
 use crate::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
 use crate::message::{DeviceMessage, HostMessage, PathVertices, SAMPLES_PER_MESSAGE, Welcome};
@@ -68,14 +68,14 @@ pub enum DeviceEvent<P: Protocol> {
     Bus {
         /// Number of the request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::BusRequest,
     },
     /// Pass this request to the measurements, then call [`DeviceEndpoint::measured`].
     Measure {
         /// Number of the request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::MeasurementRequest,
     },
 }
@@ -83,7 +83,7 @@ pub enum DeviceEvent<P: Protocol> {
 /// Counters of the endpoint since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounts {
-    /// Frames with a correct CRC whose content was no message.
+    /// Frames with a correct CRC whose content was not a message.
     pub not_understood: u32,
     /// Messages received before a greeting of the right version.
     pub refused: u32,
@@ -304,7 +304,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
         }
     }
 
-    /// Answers a configuration: its hash, or why it was refused. A refused configuration leaves the former one in
+    /// Answers a configuration: its hash, or why it was refused. A refused configuration leaves the previous one in
     /// force.
     pub fn configured(&mut self, id: u16, result: Result<u64, P::ConfigRefusal>) {
         if let Ok(hash) = &result {

@@ -22,7 +22,7 @@ pub(crate) enum Refusal {
     NotReady,
 }
 
-/// State of the machine: the number of its state, and what makes the message as long as a real one.
+/// State of the machine: the number of its state, and padding that makes the message as long as a real one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Status {
     pub(crate) state: u8,

@@ -15,7 +15,7 @@ use serde::{Serialize, de::DeserializeOwned};
 pub const CRC_BYTES: usize = 4;
 /// Longest message with its CRC, before COBS, bytes.
 pub const PAYLOAD_BYTES_MAX: usize = MESSAGE_BYTES_MAX + CRC_BYTES;
-/// Longest frame on the wire, bytes: COBS adds one byte for each 254 begun, then the 0x00 follows.
+/// Longest frame on the wire, bytes: COBS adds one byte for every 254 bytes or part thereof, then the 0x00 follows.
 pub const FRAME_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + PAYLOAD_BYTES_MAX / 254 + 2;
 
 /// CRC-32/ISO-HDLC, as in Ethernet and zip (catalogue of parametrised CRC algorithms).
@@ -46,7 +46,7 @@ pub enum LinkError {
         /// CRC received in the frame.
         received: u32,
     },
-    /// The CRC is correct, but the bytes are no message of this protocol.
+    /// The CRC is correct, but the bytes are not a message of this protocol.
     NoMessage {
         /// Length of the message, bytes.
         length_bytes: usize,
@@ -78,7 +78,7 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, LinkError> {
 /// [`Welcome`](crate::message::Welcome) to the host) of any version: both are the first variant of their enum, and
 /// the version is their first field.
 ///
-/// Returns `None` when the payload is no greeting.
+/// Returns `None` if the payload is not a greeting.
 pub fn greeting_version(payload: &[u8]) -> Option<u16> {
     let (0u8, rest) = postcard::take_from_bytes(payload).ok()? else {
         return None;

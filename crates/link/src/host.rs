@@ -2,8 +2,8 @@
 //!
 //! A pure state machine: the caller passes bytes and milliseconds (firmware milliseconds in lockstep) and takes bytes
 //! and [`Event`]s. Invariants: requests are carried out in the order they were made, one at a time, except
-//! [`CommandEffect::Stops`], which drops all earlier ones; the path never exceeds the firmware's credit and goes back to the
-//! first unacknowledged vertex after a loss; nothing is sent after a refused version.
+//! [`CommandEffect::Stops`], which drops all earlier ones; the path never exceeds the firmware's credit and goes back
+//! to the first unacknowledged vertex after a loss; nothing is sent after a refused version.
 
 use crate::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
 use crate::message::{DeviceMessage, Hello, HostMessage, PathAck, Welcome};
@@ -69,7 +69,7 @@ pub enum Event<P: Protocol> {
 pub struct SessionCounts {
     /// Frames received, by their CRC.
     pub frames: FrameCounts,
-    /// Frames with a correct CRC whose content was no message.
+    /// Frames with a correct CRC whose content was not a message.
     pub not_understood: u32,
     /// Repeated requests and greetings.
     pub requests_repeated: u32,
@@ -188,8 +188,8 @@ impl<P: Protocol> Session<P> {
         self.request(Body::Configure(Box::new(config)));
     }
 
-    /// Sends a command and returns its number; the answer is [`Event::Answered`]. [`CommandEffect::Stops`] is sent at once;
-    /// earlier requests without an answer are dropped.
+    /// Sends a command and returns its number; the answer is [`Event::Answered`]. [`CommandEffect::Stops`] is sent at
+    /// once; earlier requests without an answer are dropped.
     pub fn command(&mut self, command: P::Command) -> u16 {
         if P::effect(&command) == CommandEffect::Stops {
             self.requests.clear();
@@ -247,9 +247,9 @@ impl<P: Protocol> Session<P> {
         self.inquire = true;
     }
 
-    /// Streams a path as the firmware gives credit, once the firmware has accepted a command that [opens the path](CommandEffect::OpensPath) of this job
-    /// If the firmware already has the path from another session, continues with the next vertex that it
-    /// expects.
+    /// Streams a path within the firmware's credit, once the firmware has accepted a command that [opens the
+    /// path](CommandEffect::OpensPath) of this job. If the firmware already has the path from another session,
+    /// continues with the next vertex that it expects.
     pub fn start_path(&mut self, job: u16, vertices: Arc<[P::Vertex]>) {
         let mut path = PathSender::new(job, vertices);
         if let Some(ack) = self.early.take_if(|ack| ack.job == job) {
@@ -286,7 +286,7 @@ impl<P: Protocol> Session<P> {
         }
     }
 
-    /// The oldest event that was not taken yet.
+    /// The oldest event that has not been taken yet.
     pub fn next_event(&mut self) -> Option<Event<P>> {
         self.events.pop_front()
     }

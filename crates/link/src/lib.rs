@@ -89,6 +89,6 @@ pub enum CommandEffect {
     },
     /// No more vertices of the path are taken.
     ClosesPath,
-    /// As [`ClosesPath`](Self::ClosesPath); the host also drops all requests that it made before.
+    /// Closes the path like [`ClosesPath`](Self::ClosesPath); the host also drops all its earlier requests.
     Stops,
 }

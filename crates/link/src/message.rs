@@ -27,7 +27,7 @@ pub struct Hello {
     pub session: u32,
 }
 
-/// Answer of the firmware to [`Hello`], also when the versions differ.
+/// Answer of the firmware to [`Hello`], sent even if the versions differ.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(bound = "")]
 pub struct Welcome<P: Protocol> {
@@ -87,14 +87,14 @@ pub enum HostMessage<P: Protocol> {
     Bus {
         /// Number of this request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::BusRequest,
     },
     /// Request to the measurements. Repeated until an answer with this `id` arrives. One at a time.
     Measure {
         /// Number of this request.
         id: u16,
-        /// What is asked.
+        /// The request.
         request: P::MeasurementRequest,
     },
 }

@@ -93,7 +93,7 @@ impl<P: Protocol> PathReceiver<P> {
         self.ack_due = true;
     }
 
-    /// Takes no more vertices; sends the reason now and whenever the host goes on sending.
+    /// Takes no more vertices; sends the reason now and whenever the host continues to send.
     pub(crate) fn refuse(&mut self, refusal: P::VertexRefusal) {
         self.close();
         self.refusal = Some(refusal);

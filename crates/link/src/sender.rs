@@ -20,8 +20,8 @@ pub(crate) struct PathSender<P: Protocol> {
     next: usize,
     /// First vertex beyond the credit.
     limit: usize,
-    /// Vertices in a message: halved at every loss, doubled at every progress, so that short frames get through where
-    /// long ones are always damaged.
+    /// Vertices in a message: halved at every loss and doubled at every progress, so that short frames get through
+    /// where long ones are always damaged.
     part: usize,
     end_sent: bool,
     complete: bool,

@@ -20,8 +20,8 @@ use crate::settings::{Orientation, Settings};
 pub const LEG_CHECK_MM: f64 = 5.0;
 /// Shortest leg, mm: half of the wire's resolution.
 pub const LEG_MIN_MM: f64 = 0.0005;
-/// Margin kept from the joints' limits beside the tolerance, mm: between two checked points of a leg the limits can
-/// be nearer than at both.
+/// Margin kept from the joints' limits in addition to the tolerance, mm: between two checked points of a leg the limits
+/// can be nearer than at either point.
 const LEG_ROOM_MM: f64 = 0.05;
 /// Most points checked on one leg; more than any leg inside a work area needs.
 const LEG_CHECKS_MAX: u32 = 4_000;
@@ -128,7 +128,8 @@ impl Admission {
             .map_err(refused)
     }
 
-    /// Checks that a jog from a pose, mm/s, is possible: at a border not outwards, outside the work area only inwards.
+    /// Checks that a jog from a pose, mm/s, is possible: at a border it must not lead outwards, outside the work area
+    /// it must lead inwards.
     ///
     /// # Errors
     /// Index 0 with the limit that blocks the jog.
@@ -141,7 +142,7 @@ impl Admission {
             })
     }
 
-    /// Position of the platform at a pose.
+    /// Position of the platform for a pose.
     fn standing(&self, pose: &JointAngles) -> Result<Position, Outside> {
         self.area.kinematics().forward(pose).map_err(Outside::Kinematics)
     }

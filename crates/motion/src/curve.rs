@@ -16,9 +16,9 @@ const GAUSS_OUTER: f64 = 5.0 / 9.0;
 const GAUSS_INNER: f64 = 8.0 / 9.0;
 /// Shape of a blend by turn angle, 30 degrees a row from 0: distances of the second and third control point from the
 /// corner, as parts of the first's. Of the shapes in steps of 0.05, these are the shortest in time whose 1 ms setpoints
-/// keep every limit, on zigzags and stars at 2 and 10 m/s2 and under the joints' limits alone: 0.3 to 1.3 % shorter than
-/// the shapes with the smallest peak of curvature. The first two rows are the shortest in steps of 0.01 on strokes of short
-/// legs that turn by 0.3 rad and less, as portraits have them.
+/// keep every limit, on zigzags and stars at 2 and 10 m/s2 and under the joints' limits alone: 0.3 to 1.3 % shorter
+/// than the shapes with the smallest peak of curvature. The first two rows are the shortest in steps of 0.01 on strokes
+/// of short legs that turn by 0.3 rad and less, as in portraits.
 const BLEND_SHAPES: [(f64, f64); 7] = [
     (0.82, 0.27),
     (0.81, 0.24),

@@ -3,7 +3,7 @@
 //! The velocity approaches the wanted one with a bounded acceleration. Before each millisecond the point at which the
 //! motion would come to rest is checked. If that point lies outside the work area the motion slows down instead, unless
 //! the robot is outside already and moves inwards. When the command is not repeated within the dead-man time, the
-//! wanted velocity becomes zero. A jog whose direction is blocked is refused at its begin.
+//! wanted velocity becomes zero. A jog whose direction is blocked is refused at the start.
 
 use super::limits::Limits;
 use super::micro_interpolator::{PathSample, TICK_S};

@@ -6,8 +6,9 @@
 //!
 //! 1. `bounds`, `ring`: bounds of a value; a ring buffer
 //! 2. `robots`: kinds of robots and their kinematics
-//! 3. `settings`, `curve`: what motion depends on; lines and blends
-//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded corners
+//! 3. `settings`, `curve`: settings of motion; lines and blends
+//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
+//!    corners
 //! 5. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
 //! 6. `grid`, `averaging`, `progress`, `jog`, `straight`: points of a path; moving average; motions without a path
 //! 7. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
@@ -139,7 +140,7 @@ pub enum MotionCommand {
     Start,
     /// Decelerate on the path, lift the pen and wait; the path can be resumed.
     Hold,
-    /// Go on with a held path.
+    /// Continue a held path.
     Resume,
     /// Decelerate on the path, lift the pen, discard the rest.
     Cancel,
@@ -192,7 +193,7 @@ pub enum MotionRefusal {
     Full,
     /// An override outside 10 to 200 percent.
     Override {
-        /// The percentage asked for.
+        /// The percentage requested.
         percent: u8,
     },
     /// The target cannot be reached.

@@ -1,4 +1,5 @@
-//! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the platform's.
+//! Limits of motion as the scan uses them: squared speeds, accelerations of the axes as linear rows, and the
+//! platform's.
 //!
 //! The platform's acceleration is bounded by a circle in the plane of path acceleration and centripetal acceleration.
 //! The scan uses slightly less than the configured limits, because its bounds are exact only at the points of the grid
@@ -11,8 +12,8 @@ use crate::settings::MotionLimits;
 const ACCELERATION_PART: f64 = 0.9998;
 /// Part of the speed limits that the scan uses.
 const SPEED_PART: f64 = 0.9998;
-/// Part of the pen's vertical limits that the scan uses: on 250 random paths with lifts the 1 ms setpoints exceed the
-/// part by 0.4 % of the limit at most.
+/// Part of the pen's vertical limits that the scan uses: on 250 random paths with lifts the 1 ms setpoints exceed this
+/// part by at most 0.4 % of the limit.
 const PEN_PART: f64 = 0.985;
 
 /// Limits at one point of the grid, in terms of the path.
@@ -114,7 +115,7 @@ impl Limits {
             if slope_squared * cap > *speed_squared {
                 cap = speed_squared / slope_squared;
             }
-            // Where the slope vanishes only the bend bounds the speed.
+            // Where the slope vanishes, only the bend bounds the speed.
             if bend.abs() * cap > *acceleration && slope_squared < SLOPE_SMALL * SLOPE_SMALL {
                 cap = acceleration / bend.abs();
             }
@@ -133,7 +134,7 @@ impl Limits {
         if slope * slope * cap > self.turn_speed_squared {
             cap = self.turn_speed_squared / (slope * slope);
         }
-        // Where the coefficient of the path acceleration vanishes only the change bounds the speed.
+        // Where the coefficient of the path acceleration vanishes, only the change bounds the speed.
         let vanishing = start.min((3.0 * slopes[1] - 2.0 * slopes[0]).abs());
         if change * cap > self.turn_acceleration && vanishing < SLOPE_SMALL {
             cap = self.turn_acceleration / change;

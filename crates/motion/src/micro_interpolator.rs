@@ -161,7 +161,7 @@ pub(crate) trait Profile {
 pub(crate) struct MicroInterpolator {
     kinematics: Kinematics,
     window: [([i64; AXES], Label); WINDOW_MAX],
-    /// Number of averaged angles beside the newest.
+    /// Number of averaged angles besides the newest.
     beside: usize,
     newest: usize,
     sums: [i64; AXES],

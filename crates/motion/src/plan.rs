@@ -34,8 +34,8 @@ pub(crate) const GROWTH: usize = 64;
 const GROWTH_RESCALING: usize = 16;
 /// Relative change of a squared speed that counts as none.
 const UNCHANGED: f64 = 1.0e-12;
-/// Squared speed that counts as rest, mm2/s2: a tenth of a nanometre a second. Even where the fourth axis makes a half
-/// turn within 10 nm of the path, that is a thousandth of its slowest motion.
+/// Squared speed that counts as rest, mm2/s2: a tenth of a picometre a second. Even where the fourth axis makes a half
+/// turn within 10 nm of the path, that is a few thousandths of its slowest motion.
 const REST_SQUARED: f64 = 1.0e-20;
 /// Addition to the curvature in the middle of an interval, as a part of the bulge of its second difference: the
 /// centripetal acceleration may be largest between the middle and an end.
@@ -47,7 +47,7 @@ const BULGE_PART: f64 = 0.25;
 const STEEP_PART: f64 = 0.25;
 /// Duration of a peak of the acceleration that does not show in the differences of 1 ms setpoints, s.
 const SMOOTHED_S: f64 = 0.5e-3;
-/// Points needed to begin the grid or to continue it from a stop, beside the end of the next interval.
+/// Points needed to begin the grid or to continue it from a stop, besides the end of the next interval.
 const STOP_POINTS: usize = 2;
 
 const _: () = assert!(GROWTH < POINTS && PIECES_PER_LEG < PIECES);

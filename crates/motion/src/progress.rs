@@ -32,7 +32,7 @@ impl Watch {
         }
     }
 
-    /// Takes the state at the end of a period; `moves` says whether progress is required.
+    /// Takes the state at the end of a period; `moves` is true if progress is required.
     pub(super) fn step(&mut self, here: &PathSample, moves: bool) {
         let mark = &self.mark;
         let progress = here.label.vertex != mark.label.vertex

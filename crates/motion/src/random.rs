@@ -1,8 +1,8 @@
-//! Seeded random numbers of the tests: xorshift with 64 bits of state (Marsaglia, 2003).
+//! Seeded random numbers for the tests: xorshift with 64 bits of state (Marsaglia, 2003).
 
 use std::println;
 
-/// The generator; it prints its seed, so that a failing test names it.
+/// The generator; it prints its seed, so that a failing test can be repeated.
 pub(crate) struct Random(u64);
 
 impl Random {
@@ -24,7 +24,7 @@ impl Random {
         low + (high - low) * self.next()
     }
 
-    /// A whole number below `end`, which is not 0.
+    /// An integer below `end`, which must not be 0.
     pub(crate) fn below(&mut self, end: usize) -> usize {
         ((self.next() * end as f64) as usize).min(end - 1)
     }

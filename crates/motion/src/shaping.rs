@@ -20,7 +20,8 @@ pub(crate) const QUEUE: usize = 128;
 pub(crate) const PIECES_PER_LEG: usize = 3;
 /// Cosine of the largest turn that the spline takes: 60 degrees.
 const SPLINE_TURN_COSINE: f64 = 0.5;
-/// Longest leg of a spline, in lengths of its neighbour: beyond, the curvature has peaks and a blend is shorter in time.
+/// Longest leg of a spline, in lengths of its neighbour: beyond it, the curvature has peaks and a blend takes less
+/// time.
 const SPLINE_RATIO_MAX: f64 = 3.0;
 /// Cosine of the turn beyond which the path stops: 165 degrees.
 const STOP_TURN_COSINE: f64 = -0.965_925_826_289_068_3;
@@ -28,13 +29,14 @@ const STOP_TURN_COSINE: f64 = -0.965_925_826_289_068_3;
 const STRAIGHT_SINE: f64 = 1.0e-7;
 /// Part of a leg that each of its two blends may take.
 const BLEND_LEG_PART: f64 = 0.5 * (1.0 - 1.0e-9);
-/// Part of the way between two control points by which a knot may be before the one between them through rounding.
+/// Distance that rounding may put a knot before its control point, as a part of the chord between the neighbouring
+/// points.
 const KNOT_ROUNDING: f64 = 1.0e-9;
 /// Lines shorter than this are left out, mm.
 const LINE_MIN_MM: f64 = 1.0e-6;
-/// Length that one interval of the grid spans at most on a curve, mm.
+/// Longest interval of the grid on a curve, mm.
 const CURVE_STEP_MM: f64 = 2.0;
-/// Intervals of a blend and of a span at least.
+/// Least intervals of a blend; [`SPAN_INTERVALS`] is that of a span.
 const BLEND_INTERVALS: u16 = 10;
 /// Least intervals of a blend that is long enough for the joints' derivatives to change along it.
 const LONG_BLEND_INTERVALS: u16 = 18;
@@ -55,7 +57,7 @@ const SPAN_EVEN: f64 = 1.5;
 /// Least intervals of a line; even, so that a move from rest to rest can change from accelerating to decelerating in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
-/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small beside the
+/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small compared with the
 /// acceleration along the path, whose vertical part changes between two points.
 const LIFT_REFINEMENT: u16 = 2;
 /// Length of an interval on a line, mm.

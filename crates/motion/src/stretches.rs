@@ -90,7 +90,7 @@ pub(super) fn over_the_middle(interval: &Interval<'_>, offset_mm: f64, x: f64, c
     let half_mm = 0.5 * length_mm;
     let acceleration = acceleration_to_middle(interval, half_mm, x).min(cap / length_mm);
     let slow = x.max(end_squared) <= SLOW_PART * length_mm * acceleration;
-    // What is gained in the first half is lost in the second, with the speed at the beginning.
+    // The second half loses the speed gained in the first half, and the speed at the beginning.
     slow.then(|| Stretch::to(offset_mm, half_mm, x, acceleration - x / length_mm))
 }
 

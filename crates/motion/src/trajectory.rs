@@ -1,6 +1,6 @@
 //! The 12 ms trajectory stage: takes vertices and commands, returns the setpoints of a period.
 //!
-//! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over the shaped path. Everything beside
+//! Vertices wait in a queue until they are shaped; the plan keeps a look-ahead over the shaped path. Everything besides
 //! the path (lifting and lowering the pen, moves, jogs) is a separate motion from rest to rest. When path data stop
 //! arriving the motion ends at rest on the path; that counts as an underrun if the motion had begun.
 //!
@@ -117,8 +117,8 @@ impl Trajectory {
         }
     }
 
-    /// A stage with the limits of a configuration and without a pose. About 64 KiB pass over the stack; a board keeps
-    /// an [`Trajectory::unconfigured`] stage in a static instead.
+    /// A stage with the limits of a configuration and without a pose. About 64 KiB pass over the stack; a board keeps a
+    /// [`Trajectory::unconfigured`] stage in a static instead.
     ///
     /// # Errors
     /// The dimensions do not form a valid robot.
@@ -256,13 +256,13 @@ impl Trajectory {
         self.motion.here.point.into()
     }
 
-    /// Times that path data did not arrive in time, since the firmware started.
+    /// Underruns since start-up: how often path data did not arrive in time.
     pub fn underruns(&self) -> u32 {
         self.motion.underruns
     }
 
-    /// How long a motion that should go on has made no progress, ms; 0 up to two seconds. A planner that stalls is an
-    /// error of the firmware: the path has to be discarded.
+    /// How long a motion that should progress has made no progress, ms; 0 up to two seconds. A planner that stalls is
+    /// an error of the firmware: the path has to be discarded.
     pub fn stalled_ms(&self) -> u32 {
         self.motion.watch.stalled_ms()
     }
@@ -334,7 +334,7 @@ impl Motion {
 
     /// Shapes the vertices that have arrived, grows the grid, looks back, and detects starvation.
     fn feed(&mut self) {
-        // Every leg adds an interval to the grid at least, so more legs would only wait for the grid.
+        // Every leg adds at least one interval to the grid, so more legs would only wait for the grid.
         for _ in 0..GROWTH {
             if !self.plan.has_room() {
                 break;

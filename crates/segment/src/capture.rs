@@ -130,7 +130,7 @@ fn pad(body: &mut Vec<u8>) {
 mod tests {
     use super::*;
 
-    /// Type and whole length of each block.
+    /// Type and total length of each block.
     fn blocks(mut file: &[u8]) -> Vec<(u32, usize)> {
         let mut found = Vec::new();
         while file.len() >= 12 {

@@ -30,7 +30,7 @@ const FOREIGN_FRAME: [u8; 60] = {
     frame
 };
 
-/// The present time: whole steps of the segment, and the true arrival time of a frame.
+/// The present time: steps of the segment, and the true arrival time of a frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Now {
     /// Milliseconds since the start.

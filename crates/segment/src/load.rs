@@ -1,8 +1,8 @@
 //! What the motors turn: the seam between the drives and a machine.
 //!
-//! Every millisecond the drives move their motors as their velocity loops and ramps say, or only set a torque; then the
-//! load has the shafts. It moves those whose drive only sets a torque, and stops those that meet an end stop. Without a
-//! machine a [`Flywheel`] on each motor will do.
+//! Every millisecond the drives move their motors according to their velocity loops and ramps, or only set a torque.
+//! Then the load gets the shafts: it moves those whose drive only sets a torque, and stops those that hit an end stop.
+//! Without a machine, use a [`Flywheel`] on each motor.
 
 use crate::drive::Drive;
 
@@ -11,8 +11,8 @@ pub use crate::drive::motor::STEP_S;
 
 /// A machine that the motors of a segment turn.
 pub trait Load {
-    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for each
-    /// drive, already moved by the drives that are not in torque mode.
+    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for
+    /// each drive, already moved by the drives that are not in torque mode.
     fn step(&mut self, time_ms: u64, shafts: &mut [Shaft<'_>]);
 }
 

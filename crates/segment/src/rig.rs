@@ -1,14 +1,14 @@
-//! A rig for tests of slaves: hand-made frames, one a millisecond, no code of a master.
+//! A rig for tests of slaves: hand-made frames, one a millisecond, without a master.
 //!
-//! [`frame_of`] and [`content`] make and read frames. A [`Rig`] sends them and does the steps of a bring-up by hand; those
-//! that configure slaves are for four AX2000 in a row. Everything that does not answer as expected is a panic.
+//! [`frame_of`] and [`content`] make and read frames. A [`Rig`] sends them and performs the steps of a bring-up; the
+//! steps that configure slaves expect four AX2000 in a row. An unexpected answer causes a panic.
 
 use crate::capture::{Capture, Direction};
 use crate::random::Random;
 
 /// Something that answers EtherCAT frames.
 pub trait Bus {
-    /// Lets an Ethernet frame pass at this time; gives the replies.
+    /// Passes an Ethernet frame at this time; returns the replies.
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>>;
 }
 
@@ -45,7 +45,7 @@ pub const DATA: usize = 14 + 2 + 10;
 /// A datagram to be sent: command, device address, register or high half, data.
 pub type Ask<'a> = (u8, u16, u16, &'a [u8]);
 
-/// An Ethernet frame with these datagrams, their position being their index.
+/// An Ethernet frame with these datagrams; each datagram's index is its position.
 #[must_use]
 pub fn frame_of(asks: &[Ask]) -> Vec<u8> {
     let mut chain = Vec::new();
@@ -70,7 +70,7 @@ pub fn frame_of(asks: &[Ask]) -> Vec<u8> {
 /// Data and working counter of the only datagram of a reply.
 ///
 /// # Panics
-/// The reply is shorter than its data.
+/// If the reply is shorter than its data.
 #[must_use]
 pub fn content(reply: &[u8], length: usize) -> (Vec<u8>, u16) {
     let end = DATA + length;
@@ -222,7 +222,7 @@ impl<B: Bus> Rig<B> {
         self.fetch(station)[2..].to_vec()
     }
 
-    /// Writes an object of up to four bytes; gives the abort code, 0 for success.
+    /// Writes an object of up to four bytes; returns the abort code, 0 for success.
     pub fn download(&mut self, station: u16, index: u16, sub: u8, value: &[u8]) -> u32 {
         let [low, high] = index.to_le_bytes();
         let mut sdo = vec![0x23 | (4 - value.len() as u8) << 2, low, high, sub];

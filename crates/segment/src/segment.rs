@@ -1,10 +1,10 @@
 //! The segment in virtual time: frames go in at a time of the caller's clock, replies come out.
 //!
 //! Time: the first call sets the start. Drives, watchdogs and load advance once a millisecond, at boundaries half a
-//! millisecond beside the first frame (and beside the first one after a long silence), so frames that come once a
-//! millisecond may jitter by almost half of one without any effect. At each boundary a drive takes the outputs of
-//! `output_delay_ms` ago, moves its motor over one millisecond, and shows the position of `input_delay_ms` ago: with
-//! delays of zero a command in one frame is seen, a millisecond long, in the next frame's position.
+//! millisecond away from the first frame (and from the first one after a long silence), so frames that come once a
+//! millisecond may jitter by almost half a millisecond without any effect. At each boundary a drive takes the outputs
+//! of `output_delay_ms` ago, moves its motor over one millisecond, and shows the position of `input_delay_ms` ago: with
+//! delays of zero, the next frame's position shows one millisecond of motion under the previous frame's command.
 //!
 //! Invariant: the same options and frames give the same replies and motions, and no input panics.
 
@@ -37,9 +37,9 @@ pub const CATCH_UP_MS_MAX: u64 = 600_000;
 const ENVELOPE: [u8; 14] = [
     0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x10, 0x10, 0x10, 0x10, 0x10, 0x10, 0x88, 0xA4,
 ];
-/// Makes the clocks' chances others than the rest.
+/// Gives the clocks random numbers of their own.
 const CLOCK_SEED: u64 = 0xC10C;
-/// Makes the resolvers' noise another than the rest.
+/// Gives the resolvers' noise random numbers of its own.
 const RESOLVER_SEED: u64 = 0x5EED_0000;
 /// Longest time a slave's clock has run at the start, ns.
 const CLOCK_AGE_MAX_NS: u64 = 10_000_000_000;
@@ -50,18 +50,18 @@ const TRAVEL_MAX_NS: u64 = 1_000_000;
 /// Longest time of a command of an information memory, microseconds.
 const SII_BUSY_MAX_US: u64 = 10_000_000;
 
-/// What a segment is made of.
+/// Slaves, drives, clocks, faults and seeds of a segment.
 #[derive(Clone, Debug)]
 pub struct SegmentOptions {
     /// The slaves in the order of the chain.
     pub slaves: Vec<SlaveKind>,
     /// The drives in the order of the chain; drives beyond them have the default options.
     pub drives: Vec<DriveOptions>,
-    /// Distributed clocks and the way of the frames.
+    /// Distributed clocks and propagation times of the frames.
     pub clocks: ClockOptions,
     /// How long a command of an information memory is busy, microseconds; at most 10 s.
     pub sii_busy_us: u64,
-    /// What goes wrong.
+    /// Scripted faults.
     pub faults: Script,
     /// Seed of clocks and resolvers.
     pub seed: u64,
@@ -107,7 +107,7 @@ impl Default for ClockOptions {
     }
 }
 
-/// One slave as it is, for tests and displays.
+/// State of one slave, for tests and displays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SlaveState {
     /// State of the application layer.
@@ -122,7 +122,7 @@ pub struct SlaveState {
     pub powered: bool,
 }
 
-/// One motor as it is.
+/// State of one motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorState {
     /// The slave that has it, from 1.
@@ -178,7 +178,7 @@ impl<L: Load> Segment<L> {
         }
     }
 
-    /// Lets time pass up to `time_us` on the caller's clock; an earlier time than before does nothing.
+    /// Lets time pass up to `time_us` on the caller's clock; an earlier time has no effect.
     pub fn advance_to(&mut self, time_us: u64) {
         let earliest_us = time_us.saturating_sub(CATCH_UP_MS_MAX * STEP_US);
         let first_us = time_us.saturating_add(BOUNDARY_US);
@@ -190,8 +190,8 @@ impl<L: Load> Segment<L> {
         self.boundary_us = Some(boundary_us);
     }
 
-    /// Lets an Ethernet frame pass at this time; gives what comes back, in order: usually one reply, none for a lost
-    /// or foreign frame, more where the script says so.
+    /// Passes an Ethernet frame at this time; returns the replies in order: usually one, none for a lost or foreign
+    /// frame, more if the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.frame_at_ns(time_us.saturating_mul(1000), frame)
     }
@@ -212,7 +212,7 @@ impl<L: Load> Segment<L> {
         replies
     }
 
-    /// Lets the payload of an EtherCAT datagram in UDP pass: EtherCAT header and datagrams in, the same out.
+    /// Passes the payload of an EtherCAT packet in UDP: EtherCAT header and datagrams, in both directions.
     pub fn payload(&mut self, time_us: u64, payload: &[u8]) -> Vec<Vec<u8>> {
         let mut frame = ENVELOPE.to_vec();
         frame.extend_from_slice(payload);
@@ -225,7 +225,7 @@ impl<L: Load> Segment<L> {
             .collect()
     }
 
-    /// Lets a fault happen: to the next frame, or at the next millisecond. Slaves count from 1.
+    /// Injects a fault: into the next frame, or at the next millisecond. Slaves count from 1.
     pub fn inject(&mut self, fault: Fault) {
         self.schedule.inject(fault);
     }
@@ -249,7 +249,7 @@ impl<L: Load> Segment<L> {
         self.chain.frames()
     }
 
-    /// The slaves as they are now, in the order of the chain.
+    /// Present states of the slaves, in the order of the chain.
     #[must_use]
     pub fn slaves(&self) -> Vec<SlaveState> {
         let states = self.chain.slaves().iter().map(|slave| SlaveState {
@@ -262,7 +262,7 @@ impl<L: Load> Segment<L> {
         states.collect()
     }
 
-    /// The motors as they are now, in the order of the chain.
+    /// Present states of the motors, in the order of the chain.
     pub fn motors(&self) -> impl Iterator<Item = MotorState> {
         let slaves = (1..).zip(self.chain.slaves());
         slaves.filter_map(|(number, slave)| {
@@ -275,13 +275,13 @@ impl<L: Load> Segment<L> {
         })
     }
 
-    /// What the motors turn.
+    /// The load that the motors turn.
     #[must_use]
     pub fn load(&self) -> &L {
         &self.load
     }
 
-    /// Puts the boundaries half a millisecond beside a frame that is the first or comes after a long silence.
+    /// Puts the boundaries half a millisecond away from a frame that is the first or comes after a long silence.
     fn follow(&mut self, time_us: u64) {
         let silent = self
             .last_frame_us

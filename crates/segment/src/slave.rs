@@ -21,7 +21,7 @@ use etherpen_ethercat::wire::sii::MailboxWindow;
 const SWAPPED_SERIAL: u32 = 1000;
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
-/// How long the drive's power stage runs on without its processor, ms; then it stops the motor.
+/// How long the drive's power stage keeps running without its processor, ms; then it stops the motor.
 const POWER_STAGE_WATCHDOG_MS: u64 = 10;
 /// Error code of the emergencies of a flood.
 const FLOOD_CODE: u16 = 0xFF00;

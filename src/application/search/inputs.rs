@@ -1,4 +1,4 @@
-//! What may come from outside in the search: commands, the supervisor's news, changes of a millisecond's report.
+//! External inputs of the search: commands, the supervisor's reports, changes of a millisecond's report.
 
 use super::super::*;
 use crate::motion::Pen;
@@ -24,7 +24,7 @@ const PLACE: Position = Position {
     z_mm: -840.0,
 };
 
-/// Commands, those of which the operands decide twice.
+/// All commands, several times where an operand makes a difference.
 pub(super) const COMMANDS: [Command; 18] = [
     Command::Home,
     Command::HomeAt {
@@ -55,7 +55,7 @@ pub(super) const COMMANDS: [Command; 18] = [
     Command::Acknowledge,
 ];
 
-/// What the bus's supervisor may say by itself, and when it was asked for something.
+/// Reports of the bus's supervisor: [`NEWS`] at any time, [`ANSWERS`] after a request.
 pub(super) const NEWS: [BusCondition; 3] = [
     BusCondition::Failed(Fault::SlaveLost { slave: 1 }),
     BusCondition::Failed(LEFT),
@@ -65,7 +65,7 @@ pub(super) const NEWS: [BusCondition; 3] = [
 ];
 pub(super) const ANSWERS: [BusCondition; 2] = [BusCondition::Operational, BusCondition::Refused(UNEXPECTED)];
 
-/// A deviation of a millisecond's report from the one before, or of what else is told with it.
+/// A change of the millisecond's report, of the host's silence or of the trajectory's progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     Nothing,

@@ -1,12 +1,13 @@
-//! Every way through the operating modes that there is.
+//! Exhaustive search through the operating modes.
 //!
-//! Breadth first from the start: all commands, any number of them in one millisecond, all that the bus, the drives, the
-//! trajectory and the host may do meanwhile, until no state is new. Time is told apart only where the state machine does: a
-//! state holds which of its thresholds each timer has passed, and time goes on by a millisecond or up to the next threshold.
-//! At most one of the long timers runs at a time (asserted), so that nothing is lost by that.
+//! The search is breadth first from the start, with all commands, any number of them in one millisecond, and with
+//! everything that the bus, the drives, the trajectory and the host may do meanwhile, until no new state is found.
+//! Times are distinguished only where the state machine does so: a state holds which of its thresholds each timer has
+//! passed, and time advances by a millisecond or up to the next threshold. This loses nothing, because at most one of
+//! the long timers runs at a time (asserted).
 //!
-//! From each state that was found, the world is then whole and the operator does what is sensible, without a stop: the robot
-//! has to get to [`Idle`](super::Mode::Idle).
+//! From each state found, the world is then free of faults and the operator acts sensibly, without a stop: the robot
+//! has to reach [`Idle`](super::Mode::Idle).
 
 extern crate std;
 
@@ -20,19 +21,19 @@ use std::println;
 use std::vec::Vec;
 use world::{Move, State};
 
-/// Longest way from any state to Idle in a whole world, ms of virtual time.
+/// Longest time from any state to Idle in a world without faults, ms of virtual time.
 const WAY_MAX_MS: u32 = 15_000;
-/// Most commands that the operator gives on it.
+/// Most commands that the operator gives in this time.
 const COMMANDS_MAX: u32 = 6;
 
-/// What was found.
+/// Result of the search.
 struct Found {
     states: Vec<State>,
     transitions: usize,
     modes: HashMap<std::string::String, usize>,
 }
 
-/// All states, each with its transitions checked.
+/// Finds all states and checks all their transitions.
 fn search() -> Found {
     let (mut seen, mut open) = (HashSet::new(), VecDeque::new());
     let mut found = Found {
@@ -62,7 +63,7 @@ fn search() -> Found {
     found
 }
 
-/// How far it is from a state to Idle, or where the way ends.
+/// Time, ms, and commands from a state to Idle; the state that repeats if Idle is not reached.
 fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Result<(u32, u32), Box<State>> {
     let mut state = from.clone();
     state.heal();

@@ -1,8 +1,8 @@
-//! The trajectory task as the operating modes see it, small enough to be searched; held against the real one.
+//! A model of the trajectory task, small enough to be searched, and its comparison with the real task.
 //!
-//! A [`Model`] takes the same orders at once, and moves only when it is let: how long a motion takes is left open. Orders that
-//! come between two releases meet no step of the real task, so that taking them at once is exact. Invariant: whatever the
-//! real task reports is among what the model allows.
+//! A [`Model`] takes the task's orders at once and ends a motion only on request, so a motion may take any time. The
+//! real task makes no step between two releases, so taking orders at once is exact. Invariant: the model allows
+//! everything that the real task reports.
 
 extern crate std;
 
@@ -11,21 +11,21 @@ use crate::motion::MotionCommand;
 use crate::trajectory_task::MotionOrder;
 use std::vec::Vec;
 
-/// What the trajectory does.
+/// Motion of the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) enum Doing {
     #[default]
     Rest,
-    /// A jog, a move, or the way to a rest after which nothing follows.
+    /// A jog, a move, or a deceleration to rest after which nothing follows.
     Moving,
-    /// The path; behind it nothing, whatever was planned.
+    /// On the path; nothing follows it.
     Path,
-    /// On the way to a hold.
+    /// Decelerating to a hold.
     Braking,
     Held,
 }
 
-/// How far the path has come that was announced.
+/// State of the announced path's data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) enum Data {
     #[default]
@@ -34,24 +34,24 @@ pub(super) enum Data {
     Awaited,
     /// Announced, and held before it began.
     Held,
-    /// All of it has come.
+    /// All of it has arrived.
     Come,
 }
 
 /// The trajectory task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(super) struct Model {
-    /// Start to which the setpoints belong that it gives.
+    /// Number of the start to which its setpoints belong.
     pub(super) epoch: Option<u8>,
-    /// It was told where it is.
+    /// Whether it has a pose.
     pub(super) placed: bool,
     pub(super) doing: Doing,
     pub(super) data: Data,
 }
 
 impl Model {
-    /// Takes an order. `otherwise` chooses where the real task may do one thing or the other: a target may be outside the work
-    /// area, and a brake may have come to its end already.
+    /// Takes an order. `otherwise` selects the second outcome where the real task has two: a target may be outside the
+    /// work area, and a deceleration may have ended already.
     pub(super) fn take(&mut self, order: &MotionOrder, otherwise: bool) {
         match order {
             MotionOrder::Configure(_) => *self = Self::default(),
@@ -88,7 +88,7 @@ impl Model {
         };
     }
 
-    /// All of the path has come.
+    /// Brings the complete path.
     pub(super) fn bring_path(&mut self) {
         if self.data == Data::Awaited {
             let begins = self.placed && self.doing == Doing::Rest;
@@ -99,7 +99,7 @@ impl Model {
         }
     }
 
-    /// Comes to the end of what it does; only while its setpoints are taken.
+    /// Ends the present motion; call it only while the sampler takes the setpoints.
     pub(super) fn arrive(&mut self) {
         self.doing = match self.doing {
             Doing::Rest | Doing::Moving => Doing::Rest,
@@ -120,7 +120,7 @@ impl Model {
     }
 }
 
-/// What may be, as far as it was seen.
+/// All states of the model that agree with the reports so far.
 struct Guesses(Vec<Model>);
 
 impl Guesses {
@@ -178,7 +178,7 @@ mod real {
             }
         }
 
-        /// A release; the sampler takes the setpoints of this start and of no other.
+        /// Releases the task; the sampler takes the setpoints of this start and of no other.
         fn release(&mut self, followed: Option<u8>) -> MotionReport {
             self.task.release();
             for _ in 0..PERIOD_MS {
@@ -235,7 +235,7 @@ mod real {
         })
     }
 
-    /// Orders that the operating modes never give in this state are left out: another start, path or motion while one runs.
+    /// Whether the operating modes may give this order: they never start another path or motion while one runs.
     fn is_given(order: &MotionOrder, guesses: &Guesses) -> bool {
         let all = |holds: fn(&Model) -> bool| guesses.0.iter().all(holds);
         let at_rest = all(|guess| guess.doing == Doing::Rest && guess.data == Data::None);
@@ -287,7 +287,7 @@ mod real {
             if random.below(30) == 0 {
                 followed = None;
             }
-            // A path does not come between two releases that also forget one.
+            // The path arrives only in a period without orders, which could discard it.
             let quiet = taken == before;
             if quiet && random.below(4) == 0 && guesses.0.iter().all(|guess| guess.data == Data::Awaited) {
                 for _ in 0..4 {
@@ -315,7 +315,7 @@ mod real {
             };
             guesses.each(|guess| {
                 let mut after = vec![guess];
-                // What is not followed fills the ring and stands, but for what fits in there.
+                // Setpoints that are not followed fill the ring; a short motion may end in it.
                 if guess.epoch.is_some() {
                     let mut arrived = guess;
                     arrived.arrive();
@@ -333,7 +333,7 @@ mod real {
                 &story[last..]
             );
         }
-        // What is followed and left alone comes to an end.
+        // A motion that is followed and not disturbed ends.
         if followed == Some(epoch) && guesses.0.iter().all(|guess| guess.epoch == followed) {
             let awaits = guesses
                 .0

@@ -1,8 +1,8 @@
-//! What surrounds the operating modes in the search: drives, bus, trajectory, host, operator.
+//! The world around the operating modes in the search: drives, bus, trajectory, host, operator.
 //!
-//! Anything may happen at any time, except what cannot be: drives do not get power that nobody asked for, an angle is not
-//! referenced by itself, a motion whose setpoints nobody takes does not end. [`State::check`] holds every transition to
-//! what the operating modes promise.
+//! Anything may happen at any time, except the impossible: drives do not take power that nobody requested, an angle is
+//! not referenced by itself, and a motion whose setpoints nobody takes does not end. [`State::check`] checks every
+//! transition against the guarantees of the operating modes.
 
 extern crate std;
 
@@ -20,16 +20,16 @@ pub(super) enum Move {
     Configure,
     Command(Command),
     Bus(BusCondition),
-    /// The trajectory task runs; it refuses what it was asked for, or not.
+    /// The trajectory task runs and reports.
     Release,
     PathComes,
     Arrives,
-    /// So much time, then a report with up to two changes.
+    /// This time passes, ms, then a report with up to two changes.
     Time(u32, Change, Change),
 }
 
 impl Move {
-    /// What may happen in a state.
+    /// All transitions that are possible in a state.
     pub(super) fn all(state: &State) -> Vec<Self> {
         let mut moves: Vec<Self> = COMMANDS.into_iter().map(Self::Command).collect();
         if state.application.may_configure() {
@@ -61,7 +61,7 @@ impl Move {
     }
 }
 
-/// What tells states apart.
+/// Two states with equal keys are the same state of the search.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Key {
     mode: u8,
@@ -77,21 +77,21 @@ pub(super) struct Key {
     trajectory: Model,
 }
 
-/// The operating modes and what surrounds them.
+/// The operating modes and the world around them.
 #[derive(Clone, Debug)]
 pub(super) struct State {
     pub(super) application: Application,
     now_ms: u32,
     /// The last report.
     condition: Condition,
-    /// Homing was ordered, and may succeed from the next millisecond on.
+    /// Whether homing was requested and may succeed from the next millisecond on.
     taking: bool,
-    /// The start that the sampler follows.
+    /// Number of the start that the sampler follows.
     followed: Option<u8>,
     trajectory: Model,
-    /// The trajectory has taken all orders, and told so.
+    /// Whether the trajectory task has reported that it took all orders.
     up_to_date: bool,
-    /// The supervisor owes an answer.
+    /// Whether the supervisor owes an answer.
     supervisor_asked: bool,
     /// Actions of the last transition.
     actions: Vec<Action>,
@@ -146,7 +146,7 @@ impl State {
         }
     }
 
-    /// The timers with their thresholds: the first state in which something happens.
+    /// The timers with their thresholds, ms: waiting times at which something happens.
     fn timers(&self) -> [(Option<u32>, &'static [u32]); 4] {
         let application = &self.application;
         let enabling = match application.enabling {
@@ -221,7 +221,7 @@ impl State {
             ],
             power: application.power as u8,
             epochs: [newest(self.followed), newest(self.trajectory.epoch)],
-            // What it does matters only where something may be moving: it is placed again before anything moves again.
+            // Its motion matters only where something may move: otherwise it is placed again before anything moves.
             trajectory: Model {
                 epoch: None,
                 doing: if self.may_move() {
@@ -242,7 +242,7 @@ impl State {
         }
     }
 
-    /// Times after which something may be different.
+    /// Times, ms, after which the state may change.
     fn times_ms(&self) -> Vec<u32> {
         let mut times_ms: Vec<u32> = std::vec![1];
         for (since_ms, thresholds_ms) in self.timers() {
@@ -256,7 +256,7 @@ impl State {
         times_ms
     }
 
-    /// Whether a change can come with the next report.
+    /// Whether the next report can contain a change.
     fn may(&self, change: Change) -> bool {
         let condition = &self.condition;
         let power = self.application.power;
@@ -358,7 +358,7 @@ impl State {
         self.now_ms += ms;
         self.change(first);
         self.change(second);
-        // What was ordered is done, or was refused, before the second report.
+        // Homing has succeeded or failed before the second report.
         self.taking = false;
         let silent = first == Change::HostSilent || second == Change::HostSilent;
         let silence_ms = if silent { 501 } else { 0 };
@@ -377,7 +377,7 @@ impl State {
         self.up_to_date = false;
     }
 
-    /// What the tasks do that the actions go to.
+    /// Applies actions as the tasks that receive them do.
     fn take(&mut self, actions: &[Action]) {
         for action in actions {
             self.actions.push(*action);
@@ -401,7 +401,7 @@ impl State {
         }
     }
 
-    /// Holds a transition to what the operating modes promise.
+    /// Checks a transition against the guarantees of the operating modes.
     pub(super) fn check(&self, before: &Self, step: Move) {
         let (application, old) = (&self.application, &before.application);
         let told = || std::format!("{step:?}\nfrom {before:?}\nto {self:?}");
@@ -444,12 +444,12 @@ impl State {
             "it stops for nothing: {}",
             told()
         );
-        // What moves was referenced when it was last looked at.
+        // A mode that may move requires a reference in the last report.
         let moves = |mode| matches!(mode, Mode::Idle | Mode::Moving | Mode::Drawing | Mode::Holding);
         if moves(application.mode) && matches!(step, Move::Time(..)) {
             assert!(self.condition.unreferenced.is_none(), "without a reference: {}", told());
         }
-        // Nothing begins while the sampler follows nothing.
+        // No motion starts while the sampler follows no setpoints.
         let begins = matches!(application.mode, Mode::Moving | Mode::Drawing) && old.mode == Mode::Idle;
         assert!(!begins || self.is_followed(), "nobody follows: {}", told());
         let latched = old.fault.is_none_or(|_| application.fault.is_some());
@@ -464,15 +464,15 @@ impl State {
         self.application.mode == Mode::Idle && self.application.enabling == Enabling::No && self.is_followed()
     }
 
-    /// The world is whole from now on.
+    /// Ends all faults of the world.
     pub(super) fn heal(&mut self) {
         let condition = &mut self.condition;
         (condition.silent, condition.interlock) = (None, None);
         condition.powered = false;
     }
 
-    /// The operator does what is sensible in this mode, or waits; the world does what it was asked for. Time that passed and
-    /// commands that were given.
+    /// The operator acts sensibly in this mode, or waits; the world carries out what was requested. Returns the time
+    /// that passed, ms, and the number of commands.
     pub(super) fn go_on_sensibly(&mut self) -> (u32, u32) {
         self.make(Move::Release);
         if self.is_followed() && self.trajectory.data != Data::Awaited {
@@ -520,7 +520,7 @@ impl State {
         self.pass(1, Change::Nothing, Change::Nothing);
         let mut ms = 1;
         if !given && self.key() == before {
-            // Nothing but time has to pass.
+            // Only time has to pass.
             let more_ms = self.times_ms().last().copied().unwrap_or(1);
             self.pass(more_ms, Change::Nothing, Change::Nothing);
             ms += more_ms;

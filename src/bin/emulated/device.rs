@@ -31,7 +31,7 @@ pub(crate) use Interrupt as interrupt;
 
 /// The interrupts that tasks can bind, by their number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(dead_code, non_camel_case_types)] // the whole machine is listed, also what no task binds; RTIC wants vector names
+#[allow(dead_code, non_camel_case_types)] // lists every interrupt, bound or not; RTIC wants vector names
 #[repr(u16)]
 pub(crate) enum Interrupt {
     UART0_RX = 0,

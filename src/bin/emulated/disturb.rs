@@ -13,14 +13,14 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use etherpen::ethercat::frame_port::FramePort;
 use etherpen::measurement::disturbance::{LOG, SERIAL};
 
-/// Counts between two ticks: 92,000 ticks a second, as the bytes of a line of 921,600 baud.
+/// Counts between two ticks: 92,000 ticks a second, the byte rate of a line at 921,600 baud.
 const TICK_COUNTS: u32 = 271;
 /// Lines logged at a tick: half of the core's time goes into them.
 const LINES_PER_TICK: u32 = 2;
 /// Bytes of a message of noise, end included.
 const NOISE_BYTES: u32 = 60;
-/// Delivery of foreign frames: this many counts before the release at first, later by a step every millisecond, and from
-/// the beginning again behind the release.
+/// Delivery of foreign frames: first this many counts before the release, then later by a step every millisecond; after
+/// the release the sweep starts over.
 const SWEEP_BEFORE: u32 = 400;
 const SWEEP_COUNTS: u32 = 470;
 const SWEEP_STEP: u32 = 7;

@@ -73,9 +73,9 @@ impl Registers for Mmio {
     fn read_data(&mut self, words: &mut [[u8; WORD_BYTES]]) {
         let (blocks, rest) = words.as_chunks_mut::<BLOCK_WORDS>();
         if !blocks.is_empty() && blocks.as_ptr().addr().is_multiple_of(WORD_BYTES) {
-            // SAFETY: the buffer is borrowed for writing, aligned, and as long as the number of blocks says; the FIFO answers
-            // at the eight addresses from the register's on, `self` is its only owner, and the frame's status has told
-            // that so many words are in it. No interrupt is above the tasks that come here, so none repeats a load.
+            // SAFETY: the buffer is borrowed for writing, aligned, and as long as the number of blocks says; the FIFO
+            // answers at the eight addresses from the register's on, `self` is its only owner, and the frame's status
+            // has announced that many words. No interrupt is above the tasks that come here, so none repeats a load.
             unsafe { etherpen_fifo_read(blocks.as_mut_ptr(), blocks.len(), BASE + Register::RxData as usize) }
             read_words(rest);
         } else {
@@ -87,7 +87,7 @@ impl Registers for Mmio {
         let (blocks, rest) = words.as_chunks::<BLOCK_WORDS>();
         let aligned = blocks.as_ptr().addr().is_multiple_of(WORD_BYTES);
         let rest = if !blocks.is_empty() && aligned {
-            // SAFETY: as for reading; the FIFO's level has told that there is room.
+            // SAFETY: as for reading; the FIFO's level has shown that there is room.
             unsafe { etherpen_fifo_write(blocks.as_ptr(), blocks.len(), BASE + Register::TxData as usize) }
             rest
         } else {

@@ -2,8 +2,8 @@
 //!
 //! After every Ethernet frame the firmware waits for the host's token; every millisecond it exchanges the serial link's
 //! bytes. Neither wait takes virtual time (see `semihosting`). The host answers in that order, so the firmware's
-//! behaviour never depends on the host's speed. If the host has made no `link.down`, the firmware runs free: the link
-//! uses UART0, and the firmware does not wait for tokens.
+//! behaviour never depends on the host's speed. If the host has not created `link.down`, the firmware runs free: the
+//! link uses UART0, and the firmware does not wait for tokens.
 //!
 //! | file | direction | record |
 //! |---|---|---|

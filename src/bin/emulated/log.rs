@@ -1,6 +1,6 @@
 //! Log output to the host: a defmt logger that writes into a ring, which a task of the lowest priority empties.
 //!
-//! A frame is entered whole or not at all. A frame that finds no room is counted, and the count is logged when there is
+//! A frame is stored completely or not at all. A frame without room is counted, and the count is logged when there is
 //! room again. The logger never waits. Critical tasks must not log: a frame is written inside a critical section, which
 //! does not mask them.
 
@@ -19,11 +19,11 @@ pub(crate) static MILLISECONDS: AtomicU32 = AtomicU32::new(0);
 
 defmt::timestamp!("{=u32:ms}", MILLISECONDS.load(Ordering::Relaxed));
 
-/// Bytes between the logger and the drain. Positions count on and are reduced when the array is accessed.
+/// Bytes between the logger and the drain. Positions keep counting and are reduced when the array is accessed.
 struct Ring {
     bytes: [u8; RING_BYTES],
     read: usize,
-    /// End of the last whole frame.
+    /// End of the last complete frame.
     committed: usize,
     /// End of the frame being written.
     written: usize,
@@ -94,8 +94,8 @@ static STATE: Shared = Shared(UnsafeCell::new(State {
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: `acquire` enters a critical section that `release` leaves, so one frame is written at a time; a second `acquire`
-// inside a frame, which would need two references to the state, panics.
+// SAFETY: `acquire` enters a critical section that `release` leaves, so one frame is written at a time; a second
+// `acquire` inside a frame, which would need two references to the state, panics.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: left by `release`, which defmt calls once for each `acquire`.

@@ -10,8 +10,8 @@ use critical_section::RawRestoreState;
 struct Everything;
 critical_section::set_impl!(Everything);
 
-// SAFETY: between `acquire` and `release` no interrupt is taken at all; `release` unmasks only if the matching `acquire`
-// found the mask clear, so an inner section does not end an outer one.
+// SAFETY: between `acquire` and `release` no interrupt is taken at all; `release` unmasks only if the matching
+// `acquire` found the mask clear, so an inner section does not end an outer one.
 unsafe impl critical_section::Impl for Everything {
     unsafe fn acquire() -> RawRestoreState {
         let was_clear = primask::read().is_active(); // "active" are the interrupts, not the mask

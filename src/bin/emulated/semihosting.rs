@@ -126,8 +126,8 @@ impl Write for Text {
 /// `parameter` must be what `operation` expects, and what it points to must be valid for the call.
 unsafe fn call(operation: u32, parameter: u32) -> u32 {
     let mut result = operation;
-    // SAFETY: the breakpoint hands r0 and r1 to the emulator, which changes r0 and the memory the parameter names; memory
-    // is assumed clobbered (no `nomem`), the stack is not used.
+    // SAFETY: the breakpoint hands r0 and r1 to the emulator, which changes r0 and the memory the parameter names;
+    // memory is assumed clobbered (no `nomem`), the stack is not used.
     unsafe {
         core::arch::asm!("bkpt 0xab", inout("r0") result, in("r1") parameter, options(nostack));
     }

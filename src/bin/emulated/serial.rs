@@ -35,7 +35,7 @@ impl Serial {
         }
     }
 
-    /// The exchange of millisecond `ms`; `flood` fills the capacity that the firmware leaves free.
+    /// Exchanges the bytes of millisecond `ms`; `flood` fills the capacity that the firmware leaves free.
     pub(crate) fn exchange(&mut self, ms: u32, flood: bool) {
         let Self {
             bytes,

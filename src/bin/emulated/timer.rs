@@ -93,8 +93,8 @@ impl Alarm {
     }
 
     fn write(&self, register: usize, value: u32) {
-        // SAFETY: the layouts above name registers of timers, which reach no memory; each timer has one `Alarm`, made by
-        // `Clock::start`, and alarms are used by tasks of one priority.
+        // SAFETY: the layouts above name registers of timers, which reach no memory; each timer has one `Alarm`, made
+        // by `Clock::start`, and alarms are used by tasks of one priority.
         unsafe { core::ptr::write_volatile((self.layout.base + register) as *mut u32, value) };
     }
 

@@ -4,7 +4,7 @@
 //! the number of replies; then all alarms are removed and the core sleeps. Without an alarm the emulator cannot advance
 //! its clock, so it only delivers the replies to the controller, however long a busy host takes. Then the alarms are
 //! restored, and one more releases `bus_frame` after a fixed delay of the wire. A reply is therefore never late, and
-//! every run has the identical times to the count.
+//! all runs have identical times, to the count.
 //!
 //! All of this is owned by the tasks of the critical priority and takes no critical section.
 

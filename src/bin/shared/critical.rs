@@ -1,10 +1,10 @@
 //! Critical sections that never delay the critical tasks.
 //!
 //! The default implementation masks every interrupt. This one raises BASEPRI to the level just below the tasks of the 1
-//! kHz loop, so that logging, queues, wakers and drivers of lower tasks cannot make a frame late. The price is a rule: a
-//! critical task must not use anything that takes a critical section; a test reads the machine code of the
-//! NUCLEO's image for that. `start_up_check` enforces the other half: it refuses to run if an interrupt that is not critical could preempt a
-//! critical section.
+//! kHz loop, so that logging, queues, wakers and drivers of lower tasks cannot make a frame late. The price is a rule:
+//! a critical task must not use anything that takes a critical section; a test reads the machine code of the NUCLEO's
+//! image for that. `start_up_check` enforces the other half: it refuses to run if an interrupt that is not critical
+//! could preempt a critical section.
 //!
 //! Revision r0p1 of the Cortex-M7 has an erratum: a write to BASEPRI takes effect late. The STM32H743 has r1p1, and the
 //! emulator models no erratum.
@@ -57,8 +57,8 @@ unsafe impl critical_section::Impl for BelowCritical {
 /// Checks the priorities of all interrupts; call it in `init`, when RTIC has enabled them.
 ///
 /// # Panics
-/// When an interrupt of [`CRITICAL`] is disabled or lacks the critical priority, or when another enabled interrupt cannot
-/// be masked by a critical section.
+/// When an interrupt of [`CRITICAL`] is disabled or lacks the critical priority, or when another enabled interrupt
+/// cannot be masked by a critical section.
 pub(crate) fn start_up_check() {
     assert!(
         CRITICAL.iter().all(|interrupt| NVIC::is_enabled(*interrupt)),

@@ -33,8 +33,9 @@ pub(crate) unsafe fn send(before: impl FnOnce(&mut Port)) -> bool {
     }
     let sampler = SAMPLER.swap(ptr::null_mut(), Ordering::Relaxed);
     let frame_port = FRAME_PORT.swap(ptr::null_mut(), Ordering::Relaxed);
-    // SAFETY: both are null or come from `prepare`, of statics. Their owners, the critical tasks, are not active, as was
-    // just asked, and with interrupts masked until the end none will be again: these are the only references in use.
+    // SAFETY: both are null or come from `prepare`, of statics. Their owners, the critical tasks, are not active, as
+    // was just checked, and with interrupts masked until the end none will become active: these are the only references
+    // in use.
     let (Some(sampler), Some(frame_port)) = (unsafe { sampler.as_mut() }, unsafe { frame_port.as_mut() }) else {
         return false;
     };

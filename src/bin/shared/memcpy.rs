@@ -9,10 +9,10 @@
 
 use core::arch::global_asm;
 
-// SAFETY: the names are those of the "Run-time ABI for the Arm Architecture" and of the C library, the arguments and the
-// registers kept those of the procedure call standard: r0 to r3 and r12 may be changed, the others are saved. All callers
-// hand over memory of their own, `length` bytes of it; unaligned accesses are single loads and stores, which the core
-// makes wherever it does not trap them (CCR.UNALIGN_TRP, clear after reset and left so).
+// SAFETY: the names are those of the "Run-time ABI for the Arm Architecture" and of the C library, the arguments and
+// the registers kept those of the procedure call standard: r0 to r3 and r12 may be changed, the others are saved. All
+// callers hand over memory of their own, `length` bytes of it; unaligned accesses are single loads and stores, which
+// the core makes wherever it does not trap them (CCR.UNALIGN_TRP, clear after reset and left so).
 global_asm!(
     ".syntax unified",
     ".thumb",
@@ -22,7 +22,7 @@ global_asm!(
     "    .thumb_func",
     "    \\name:",
     ".endm",
-    // r0: destination, which is given back; r1: source; r2: length.
+    // r0: destination, which is also the result; r1: source; r2: length.
     ".section .text.memcpy, \"ax\", %progbits",
     "etherpen_function __aeabi_memcpy8",
     "etherpen_function __aeabi_memcpy4",

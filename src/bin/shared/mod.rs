@@ -1,9 +1,9 @@
-//! What the boards share: everything around the tasks that depends on a Cortex-M7 but on no chip.
+//! Code that the boards share: everything around the tasks that depends on a Cortex-M7 but not on a chip.
 //!
-//! A board is a binary `src/bin/NAME.rs` with a folder of the same name. These modules know it as `crate::board`, a module
-//! of that folder that says: `CRITICAL`, the interrupts of the critical tasks; `INTERRUPT_LINES` and `NVIC_PRIO_BITS`,
-//! lines and priority bits of the interrupt controller; `Port`, the driver of the EtherCAT port; and `free_run`, a counter
-//! that never stops.
+//! A board is a binary `src/bin/NAME.rs` with a folder of the same name. These modules use `crate::board`, a module of
+//! that folder with these items: `CRITICAL`, the interrupts of the critical tasks; `INTERRUPT_LINES` and
+//! `NVIC_PRIO_BITS`, lines and priority bits of the interrupt controller; `Port`, the driver of the EtherCAT port; and
+//! `free_run`, a counter that never stops.
 
 pub(crate) mod critical;
 pub(crate) mod final_telegram;

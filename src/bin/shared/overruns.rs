@@ -12,8 +12,8 @@ pub(crate) fn trajectory_released() {
     TRAJECTORIES_DUE.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Completes the releases that were due when the task began. Releases that came meanwhile, or that were due beside the
-/// first one, are overruns.
+/// Completes the releases that were due when the task began. Releases that arrived meanwhile, or that were due in
+/// addition to the first one, are overruns.
 pub(crate) fn trajectory_completed(due: u32) {
     let before = TRAJECTORIES_DUE.fetch_sub(due, Ordering::Relaxed);
     TRAJECTORY_OVERRUNS.fetch_add(before.saturating_sub(1), Ordering::Relaxed);

@@ -6,11 +6,11 @@
 //! change. Revision Y cannot run at scale 0 and is rejected by its identity before the clocks change.
 //!
 //! The source is a clock that the board puts on OSC_IN (HSE in bypass), on a NUCLEO the 8 MHz of the ST-LINK: the bus
-//! master's cycle is then as precise as a crystal, unlike the internal oscillator (1 %). A NUCLEO powered through E5V gets
-//! the clock late, or only when a computer is plugged in. The start-up therefore waits two seconds for it, then runs on
-//! the internal oscillator, reports that, and keeps the drives without power. When the clock appears later, the firmware
-//! restarts on it: no drive has power then, and the start-up is the only path into this clock tree, tested at every
-//! power-up. When it stops, the clock security system ends the firmware (`panic.rs`).
+//! master's cycle is then as precise as a crystal, unlike the internal oscillator (1 %). A NUCLEO powered through E5V
+//! gets the clock late, or only when a computer is plugged in. The start-up therefore waits two seconds for it, then
+//! runs on the internal oscillator, reports that, and keeps the drives without power. When the clock appears later, the
+//! firmware restarts on it: no drive has power then, and the start-up is the only path into this clock tree, tested at
+//! every power-up. When it stops, the clock security system ends the firmware (`panic.rs`).
 //!
 //! Every register is written before the unit that depends on it runs, and every wait is bounded (`start_up.rs`).
 //! CSI feeds the compensation cell of fast outputs, HSI48 the USB.
@@ -83,13 +83,13 @@ pub(crate) fn start(waits: &mut Waits) -> Source {
     start_pll(waits, source);
     switch_over(waits);
     if source == Source::External {
-        // From here on a clock that stops is a non-maskable interrupt.
+        // From here on a clock that stops causes a non-maskable interrupt.
         RCC.cr().modify(|control| control.set_hsecsson(true));
     }
     source
 }
 
-/// Whether the firmware runs on the internal oscillator and the external clock has come since.
+/// Whether the firmware runs on the internal oscillator and the external clock has appeared since.
 pub(crate) fn external_clock_has_come() -> bool {
     RCC.pllckselr().read().pllsrc() == Pllsrc::HSI && RCC.cr().read().hserdy()
 }

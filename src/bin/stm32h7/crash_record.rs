@@ -26,15 +26,15 @@ struct Record<const BYTES: usize> {
     written: u32,
     length: u32,
     bytes: [u8; BYTES],
-    /// Written once more after the rest: the RAM's error correction holds the latest write that is shorter than its word
-    /// back until the next one, and a reset would lose it (ST AN5342).
+    /// Written once more after the rest: the RAM's error correction holds the latest write that is shorter than its
+    /// word back until the next one, and a reset would lose it (ST AN5342).
     flush: u32,
 }
 
 struct Slot<const BYTES: usize>(UnsafeCell<MaybeUninit<Record<BYTES>>>);
 
-// SAFETY: `take`, `step_begins` and `start_up_completed` run before interrupts are enabled; after that one context at a time reaches a record:
-// the link task the last fault, and whoever has masked all interrupts for good the cause.
+// SAFETY: `take`, `step_begins` and `start_up_completed` run before interrupts are enabled; after that one context at a
+// time reaches a record: the link task the last fault, and whoever has masked all interrupts for good the cause.
 unsafe impl<const BYTES: usize> Sync for Slot<BYTES> {}
 
 impl<const BYTES: usize> Slot<BYTES> {
@@ -49,8 +49,8 @@ impl<const BYTES: usize> Slot<BYTES> {
     /// # Safety
     /// No other context may reach the record meanwhile.
     unsafe fn is_written(&self) -> bool {
-        // SAFETY: any bit pattern is valid; volatile, because it comes from before the reset and the compiler must not take
-        // the static for undefined. The caller keeps others away.
+        // SAFETY: any bit pattern is valid; volatile, because it comes from before the reset and the compiler must not
+        // take the static for undefined. The caller keeps others away.
         unsafe { ptr::read_volatile(&raw const (*self.record()).written) == WRITTEN }
     }
 
@@ -106,11 +106,11 @@ impl<const BYTES: usize> Slot<BYTES> {
     unsafe fn clean(&self) {
         let record = self.record();
         cortex_m::asm::dsb();
-        // SAFETY: as the caller promises. The core's peripherals are stolen for the cache's maintenance of these lines alone,
-        // which nobody else does after the start.
+        // SAFETY: as the caller promises. The core's peripherals are stolen for the cache's maintenance of these lines
+        // alone, which nobody else does after the start.
         unsafe {
             ptr::write_volatile(&raw mut (*record).flush, 0);
-            // A cache that is off is not valid either, and what is cleaned from it would be made up.
+            // A cache that is off holds no valid data; cleaning it would write garbage.
             if SCB::dcache_enabled() {
                 let mut core = cortex_m::Peripherals::steal();
                 core.SCB
@@ -140,7 +140,7 @@ pub(crate) fn take() -> (PreviousRun, bool) {
         (None, Some((bytes, length))) if failed => {
             let mut text = Text::new();
             let step = readable(bytes.get(..length).unwrap_or_default());
-            // It is shorter than the text's room.
+            // The text has room for it.
             let _ = fmt::write(&mut text, format_args!("start-up: step \"{step}\" did not end"));
             PreviousRun::panicked(text.as_str())
         }
@@ -185,7 +185,7 @@ fn readable(bytes: &[u8]) -> &str {
 ///
 /// All interrupts are masked and stay so until the reset.
 pub(crate) unsafe fn store_cause(cause: fmt::Arguments) {
-    // SAFETY: nothing preempts this any more, and what was interrupted never goes on.
+    // SAFETY: nothing preempts this code, and what it interrupted never continues.
     if unsafe { CAUSE.is_written() } {
         return;
     }

@@ -118,7 +118,7 @@ impl Ethernet {
     /// Clocks the MAC, selects RMII and starts its reset; the pins must be assigned already.
     ///
     /// The reset ends only when the PHY's reference clock runs. Nothing waits for it: the rings start at the first
-    /// [`Driver::transmit`] or [`Driver::receive`] after it, so a board without a PHY runs on with the link down.
+    /// [`Driver::transmit`] or [`Driver::receive`] after it, so a board without a PHY keeps running with the link down.
     pub(crate) fn new(hardware_address: [u8; 6]) -> Self {
         // The interface is selected while the MAC is held in reset (RM0433, SYSCFG_PMCR).
         RCC.ahb1rstr().modify(|reset| reset.set_ethrst(true));
@@ -149,7 +149,7 @@ impl Ethernet {
         }
     }
 
-    /// Accepts the own address and broadcast, which EtherCAT frames use; if requested, only frames whose sender is the
+    /// Accepts its own address and broadcast, which EtherCAT frames use; if requested, only frames whose sender is the
     /// master. A slave sets a bit of the sender's first byte, so that byte is not compared. Multicast is not needed,
     /// and the check sequence is always verified.
     fn filter(&self) {
@@ -206,7 +206,7 @@ impl Ethernet {
             .write(|low| low.set_addrlo(u32::from_le_bytes([0, b, c, d])));
         self.filter();
         let [a, b, c, d, e, f] = self.hardware_address;
-        // The write of the low half takes both over, so it is the last.
+        // The write of the low half activates both halves, so it comes last.
         mac.maca0hr().modify(|high| high.set_addrhi(u16::from_le_bytes([e, f])));
         mac.maca0lr()
             .write(|low| low.set_addrlo(u32::from_le_bytes([a, b, c, d])));

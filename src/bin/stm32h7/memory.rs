@@ -1,15 +1,16 @@
 //! Memory attributes: memory shared with the Ethernet DMA is not cached, the rest is.
 //!
-//! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain D2,
-//! and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere, unaligned
-//! access still allowed. It must be in force before the D-cache is on and before the first descriptor is written.
+//! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain
+//! D2, and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere,
+//! unaligned access still allowed. It must be in force before the D-cache is on and before the first descriptor is
+//! written.
 //!
-//! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to go.
-//! A third one forbids the addresses of external memories, of which no board here has any: the default map calls them normal
-//! memory, which the core may read ahead of need, and a controller that is not set up may never answer.
+//! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to
+//! go. A third one forbids the addresses of external memories, of which no board here has any: the default map treats
+//! them as normal memory, which the core may read ahead of need, and a controller that is not set up may never answer.
 //!
-//! The Ethernet's SRAM is cleared once: its error correction makes up a word's check bits only when the word is written
-//! whole, and the DMA writes bytes (RM0433, RAM ECC).
+//! The Ethernet's SRAM is cleared once: its error correction computes a word's check bits only when the complete word
+//! is written, and the DMA writes bytes (RM0433, RAM ECC).
 
 use core::ptr;
 use cortex_m::peripheral::{CPUID, MPU, SCB};
@@ -46,8 +47,8 @@ const NO_ACCESS: u32 = 1 << 28;
 /// MPU_CTRL: on, with the default map for everything outside the region.
 const MPU_ENABLE: u32 = 0b101;
 
-/// Clocks the D2 SRAM, makes it non-cacheable, the ITCM read-only and external memories unreachable, clears the Ethernet's
-/// SRAM and turns both caches on.
+/// Clocks the D2 SRAM, makes it non-cacheable, the ITCM read-only and external memories unreachable, clears the
+/// Ethernet's SRAM and turns both caches on.
 pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     RCC.ahb2enr().modify(|enable| {
         enable.set_sram1en(true);
@@ -57,8 +58,8 @@ pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     // The clock enable takes effect two bus cycles later; a read back spends them.
     let _ = RCC.ahb2enr().read();
     cortex_m::asm::dmb();
-    // SAFETY: no D2 SRAM is in use yet, so no access changes its meaning under way, and ITCM has been filled before; the
-    // default map stays in force for all other memory, and the barriers end every access under the old attributes.
+    // SAFETY: no D2 SRAM is in use yet, so no access in progress changes its meaning, and ITCM has been filled before;
+    // the default map stays in force for all other memory, and the barriers end every access under the old attributes.
     unsafe {
         mpu.ctrl.write(0);
         mpu.rnr.write(0);
@@ -78,8 +79,8 @@ pub(crate) fn start(mpu: &mut MPU, scb: &mut SCB, cpuid: &mut CPUID) {
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
     for word in (ETHERNET_SRAM_START..ETHERNET_SRAM_START + ETHERNET_SRAM_SIZE).step_by(4) {
-        // SAFETY: the memory has just been clocked, and the one static in it, the Ethernet's, is not used before the driver
-        // exists, which begins by writing what it reads.
+        // SAFETY: the memory has just been clocked, and the one static in it, the Ethernet's, is not used before the
+        // driver exists, which writes everything before it reads it.
         unsafe { ptr::write_volatile(word as *mut u32, 0) };
     }
     scb.enable_icache();

@@ -1,9 +1,9 @@
 //! Drivers of the STM32H743 and its relatives, for any board with this chip.
 //!
-//! The board gives what differs: `crate::board` has `HSE_HZ`, the frequency of the clock on OSC_IN in Hz, and
-//! `EXTERNAL_CLOCK`, the name of that clock in messages, beside what `shared` asks for. The board's pins, lamps and
-//! interrupts' names are its own; it assigns the pins before it starts the drivers. The serial line is USART3, which every
-//! NUCLEO-144 wires to its ST-LINK.
+//! The board provides what differs: `crate::board` has `HSE_HZ`, the frequency of the clock on OSC_IN in Hz, and
+//! `EXTERNAL_CLOCK`, the name of that clock in messages, in addition to what `shared` requires. Pins, lamps and the
+//! names of interrupts belong to the board; it assigns the pins before it starts the drivers. The serial line is
+//! USART3, which every NUCLEO-144 wires to its ST-LINK.
 //!
 //! Another chip of the family: `eth` serves every MAC that stm32-metapac calls `eth_v2` (STM32H5 and STM32H7), `timer`
 //! needs a timer with separate update and compare vectors, `crash_record` and `watchdog` use the reset flags and the

@@ -2,8 +2,8 @@
 //!
 //! No logger and no lock is used, because the failed code may hold any of them. The reset ends the cyclic frames, and
 //! the drives' own watchdogs stop the motors. These watchdogs are the guarantee; this code only reports the cause and
-//! stops the drives earlier. The first cause is stored until the next start-up reads it: a second one during start-up does not replace
-//! it.
+//! stops the drives earlier. The first cause is stored until the next start-up reads it: a second one during start-up
+//! does not replace it.
 
 use super::clocks::CORE_HZ;
 use super::crash_record;

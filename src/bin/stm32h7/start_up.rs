@@ -1,10 +1,10 @@
 //! Start-up: bounded waits, and the indication of a failed start.
 //!
-//! No step of the start-up can hang for ever. The firmware's own waits have a limit in milliseconds and panic with a
-//! name. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs from the
-//! first lines on. In both cases the chip is reset, and the crash record names the step that failed (`crash_record.rs`). The next start-up
-//! reports that before it tries again: at that moment the chip runs on its internal oscillator with everything else
-//! off, so lamps and serial line do not depend on the failed part.
+//! No step of the start-up can hang forever. The firmware's own waits have a limit in milliseconds and panic with the
+//! name of the part. Any other hang (a driver's wait, a bus that does not answer) is ended by the watchdog, which runs
+//! from the first lines on. In both cases the chip is reset, and the crash record names the step that failed
+//! (`crash_record.rs`). The next start-up reports that before it tries again: at that moment the chip runs on its
+//! internal oscillator with everything else off, so lamps and serial line do not depend on the failed part.
 
 use super::clocks::HSI_HZ;
 use super::{serial, watchdog};
@@ -66,7 +66,8 @@ impl<'a> Waits<'a> {
         self.timer.clear_current();
     }
 
-    /// Waits until `ready` holds, at most `ms` milliseconds, and feeds the watchdog meanwhile. Returns whether it holds.
+    /// Waits until `ready` holds, at most `ms` milliseconds, and feeds the watchdog meanwhile. Returns whether it
+    /// holds.
     pub(crate) fn wait(&mut self, ms: u32, ready: impl Fn() -> bool) -> bool {
         let mut left = ms;
         while !ready() {

@@ -1,19 +1,19 @@
 //! Fills the tightly coupled memories before anything runs from them.
 //!
 //! The critical tasks' code is in ITCM and their own data in DTCM, where every access takes a constant time,
-//! independent of the caches and the other bus masters. `build.rs` lists the content. The code is stored in flash memory
-//! and copied by the start code before Rust's memory is initialised, because the functions that copy and clear memory
-//! are part of it. The log memory that a debug probe reads is in DTCM too, because no cache is between it and the
-//! probe.
+//! independent of the caches and the other bus masters. `build.rs` lists the content. The code is stored in flash
+//! memory and copied by the start code before Rust's memory is initialised, because the functions that copy and clear
+//! memory are part of it. The log memory that a debug probe reads is in DTCM too, because no cache is between it and
+//! the probe.
 //!
 //! Invariant: no code in ITCM is called, and nothing in DTCM but the stack is read, before this function has run.
 
 use core::arch::global_asm;
 
-// SAFETY: `cortex-m-rt` calls this function once, before any Rust code; it uses no stack and changes none of the registers
-// that a callee has to keep. The linker's symbols are aligned to eight bytes, the stack lies outside of both ranges, and
-// the barriers let the copied instructions be fetched. ITCMCR and DTCMCR (0xE000EF90, 0xE000EF94) have their enabling bit
-// set on this chip after a reset; setting it again costs nothing and leaves their other bits.
+// SAFETY: `cortex-m-rt` calls this function once, before any Rust code; it uses no stack and changes none of the
+// registers that a callee has to keep. The linker's symbols are aligned to eight bytes, the stack lies outside of both
+// ranges, and the barriers let the copied instructions be fetched. ITCMCR and DTCMCR (0xE000EF90, 0xE000EF94) have
+// their enabling bit set on this chip after a reset; setting it again costs nothing and leaves their other bits.
 global_asm!(
     ".syntax unified",
     ".thumb",

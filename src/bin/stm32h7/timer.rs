@@ -57,7 +57,7 @@ pub(crate) fn start() {
     TIM2.cr1().write(|control| control.set_cen(true));
     TIM1.psc().write_value((PRESCALER - 1) as u16);
     TIM1.arr().write(|reload| reload.set_arr((TICKS_PER_SAMPLE - 1) as u16));
-    // Compare mode stays "frozen" and the channel is no output: a match sets the flag and nothing else.
+    // Compare mode stays "frozen" and the channel is not an output: a match sets the flag and nothing else.
     TIM1.ccr(0).write(|compare| compare.set_ccr(TICKS_TO_DEADLINE as u16));
     TIM1.cr1().write(|control| control.set_urs(Urs::COUNTER_ONLY));
     // Loads the prescaler and clears the counter; with URS set it raises no update flag.

@@ -4,9 +4,10 @@
 //! names, and the transfer of bytes between packets and the link's queues are here. All of it runs at the link's
 //! priority. At most `EVENTS_PER_MS_MAX` events reported by the controller's flag registers are served in a
 //! millisecond: if the host sends more, the rest waits in the controller, which makes the host retry. A packet is taken
-//! only when the queue has room for it, so nothing is lost; data for a host that has gone are discarded. The driver
-//! waits for the controller without a limit only while it empties a FIFO or is reset, for a few clocks. If such a wait
-//! never ended, the watchdog would reset the chip, as for any task that hangs, also during start-up (`start_up.rs`).
+//! only when the queue has room for it, so nothing is lost; data for a host that has disconnected are discarded. The
+//! driver waits for the controller without a limit only while it empties a FIFO or is reset, for a few clocks. If such
+//! a wait never ended, the watchdog would reset the chip, as for any task that hangs, also during start-up
+//! (`start_up.rs`).
 //!
 //! Clock: HSI48, trimmed by the host's start of frame, which comes every millisecond. It needs neither a PLL nor the
 //! ST-LINK's 8 MHz, so a board without these can report that over USB. The connector's supply is not monitored (its
@@ -31,7 +32,7 @@ use usbd_serial::{CdcAcmClass, USB_CLASS_CDC};
 /// Vendor and product number: the first test number of pid.codes. It is not assigned to any product, so it must not be
 /// used outside of development.
 const VENDOR_PRODUCT: UsbVidPid = UsbVidPid(0x1209, 0x0001);
-/// What the host shows. `etherpen doctor` knows the port by them and the numbers above.
+/// Names that the host shows. `etherpen doctor` recognises the port by them and by the numbers above.
 const MANUFACTURER: &str = "etherpen";
 const PRODUCT: &str = "etherpen robot controller";
 /// Largest current drawn from the connector, mA; the board has its own supply.
@@ -61,8 +62,8 @@ static EVENTS_LEFT: AtomicU32 = AtomicU32::new(0);
 /// The controller.
 struct Otg;
 
-// SAFETY: the register block is that of OTG_FS, which `Usb` alone uses but for its global interrupt switch, written at the
-// same priority; it is there as long as the chip runs. What `enable` does is done before, by `Usb::start`.
+// SAFETY: the register block is that of OTG_FS, which only `Usb` uses, except for its global interrupt switch, written
+// at the same priority; it exists as long as the chip runs. `Usb::start` has already done the work of `enable`.
 unsafe impl UsbPeripheral for Otg {
     const REGISTERS: *const () = USB_OTG_FS.as_ptr().cast_const().cast();
     // The chip's OTG_FS has the register layout of OTG_HS (RM0433: OTG_HS2) with only the internal full-speed PHY.
@@ -112,7 +113,7 @@ pub(crate) struct Usb {
 }
 
 impl Usb {
-    /// Starts clock, supply and controller; the pins must be assigned already. `unique` tells one board from another.
+    /// Starts clock, supply and controller; the pins must be assigned already. `unique` distinguishes boards.
     ///
     /// Never inlined: what it builds would lie in the frame of the start-up, the deepest of all stacks.
     #[inline(never)]
@@ -211,7 +212,8 @@ impl Usb {
     }
 }
 
-/// Gives the port a new millisecond's events and releases its task; called by the link, whose priority it has.
+/// Renews the port's events for a new millisecond and releases its task; called by the link task, which has the same
+/// priority.
 pub(crate) fn release() {
     EVENTS_LEFT.store(EVENTS_PER_MS_MAX, Ordering::Relaxed);
     set_interrupt(true);

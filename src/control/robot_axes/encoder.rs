@@ -3,7 +3,7 @@
 use crate::config::Axis;
 use core::f64::consts::TAU;
 
-/// Takes an encoder's difference over a cycle for the nearest one within half a revolution.
+/// Maps an encoder's difference over a cycle to the nearest one within half a revolution.
 #[inline]
 pub(super) fn turned(difference: i32, revolution: i32) -> i32 {
     let half = revolution / 2;

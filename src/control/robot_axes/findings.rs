@@ -1,4 +1,4 @@
-//! What an axis reports: its reading of a cycle, and why it could not be homed.
+//! Reports of an axis: its reading of a cycle, and why it could not be homed.
 
 use crate::drives::cia402::StatusWord;
 
@@ -7,7 +7,7 @@ use crate::drives::cia402::StatusWord;
 pub struct Reading {
     /// Motor position, unwrapped.
     pub increments: i64,
-    /// Joint angle, rad; before homing from where the unwrapping began, good for differences.
+    /// Joint angle, rad. Before homing it counts from where the unwrapping began, and only differences are valid.
     pub angle_rad: f64,
     /// Whether the axis is homed.
     pub homed: bool,
@@ -18,12 +18,12 @@ pub struct Reading {
 /// Why an axis could not be homed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HomingError {
-    /// No position came in this cycle.
+    /// No position arrived in this cycle.
     NoPosition {
         /// Axis, from 0.
         axis: u8,
     },
-    /// The axis moves.
+    /// The axis is moving.
     Moving {
         /// Axis, from 0.
         axis: u8,

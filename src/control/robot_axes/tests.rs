@@ -1,4 +1,4 @@
-//! Requirements on the robot on the bus: scaling, turns, sharing of slaves, and what a lost drive does.
+//! Requirements on the robot on the bus: scaling, turns, sharing of slaves, and the effect of a lost drive.
 
 use super::*;
 use crate::drives::cia402::ControlWord;

@@ -14,7 +14,7 @@ use std::vec::Vec;
 
 type Group = MemoryGroup<AXES>;
 
-/// A port that swallows what is sent and gives back one reply a cycle.
+/// A port that discards what is sent and returns one reply a cycle.
 #[derive(Default)]
 struct Port {
     reply: Option<Vec<u8>>,
@@ -116,7 +116,7 @@ impl Rig {
         self.reports.dequeue().expect("a report each millisecond")
     }
 
-    /// The drives take their control words, and the motors turn at once as they are told.
+    /// The drives take their control words, and the motors follow their demands at once.
     fn drives(&mut self) {
         let group = &mut self.sampler.group;
         for (axis, motor) in self.motors.iter_mut().enumerate() {

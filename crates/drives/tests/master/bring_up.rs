@@ -1,4 +1,4 @@
-//! Whole bring-ups and losses of the master against a small chain of drives.
+//! Bring-up, loss and recovery of drives: the master against a small chain.
 
 use super::fake::{FakeSegment, FakeSlave};
 use super::rig::{Bench, Drives, Losses, MAC, MESSAGE, Next, SLAVES, run};

@@ -62,7 +62,7 @@ fn operational(mode: AxisMode, segment: FakeSegment, look: impl Fn(&mut Bench<'_
     });
 }
 
-/// Runs until the bring-up is refused and gives the error of the first slave.
+/// Runs until the bring-up is refused and returns the error of the first slave.
 fn refusal(mode: AxisMode, segment: FakeSegment) -> BusError {
     let mut found = None;
     run_with(
@@ -142,7 +142,7 @@ fn a_drive_that_keeps_its_assignment_is_used_as_it_is() {
     operational(AxisMode::Velocity, segment(fixed), |bench| {
         assert_eq!(encoded(bench), [0x34, 0x12, 0, 0, 0x0F, 0]);
     });
-    // The same with another object, whose content nobody tells.
+    // Another fixed object, whose content is not listed anywhere.
     let other = || {
         let mut slave = fixed();
         slave.objects.insert((0x1C12, 1), vec![0x01, 0x17]);

@@ -1,6 +1,7 @@
 //! A small chain of drives for tests of the master: registers, SII, mailbox, and nothing that moves.
 //!
-//! It answers at once and does exactly what the master's steps need; a whole virtual segment lives in the host tools.
+//! It answers at once and does exactly what the master's steps need; `etherpen-segment` is the complete virtual
+//! segment.
 
 use etherpen_ethercat::wire::coe::{Object, SDO_LEN, Sdo};
 use etherpen_ethercat::wire::mailbox::{self, MAILBOX_HEADER_LEN, MailboxRepr, Protocol};
@@ -60,7 +61,7 @@ impl FakeSlave {
         slave
     }
 
-    /// Forgets everything but SII and product.
+    /// Resets everything except SII and product.
     pub(crate) fn power_up(&mut self) {
         self.memory = vec![0; MEMORY];
         self.memory[usize::from(register::AL_STATUS)] = 1;

@@ -1,4 +1,4 @@
-//! Slaves that are swapped, inserted, missing or come back, against a small chain of drives.
+//! Repair of slaves that are swapped, inserted, missing or returned, in a small chain of drives.
 
 use super::fake::{FakeSegment, FakeSlave};
 use super::rig::{Bench, Next, run};
@@ -22,8 +22,8 @@ fn assert_inputs(bench: &Bench<'_>, slaves: &[usize]) {
     }
 }
 
-/// Brings four drives up, does `harm`, recovers when all of `lost` are reported lost, and gives the events behind that
-/// until `enough`; the inputs of the others never fail.
+/// Brings four drives up, does `harm`, recovers when all of `lost` are reported lost, and returns the events from then
+/// on until `enough`; the inputs of the others never fail.
 fn after_harm(
     lost: &[u8],
     harm: fn(&mut FakeSegment),

@@ -1,4 +1,4 @@
-//! A master, and a small chain of drives that it works on.
+//! A master and the small chain of drives that it controls.
 
 use super::fake::FakeSegment;
 use core::pin::pin;
@@ -24,7 +24,7 @@ pub(crate) const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 pub(crate) const SLAVES: usize = 16;
 pub(crate) const MESSAGE: usize = 1024;
 
-/// What a cycle's frame meets on the wire: the frame's number, to be lost or not.
+/// Whether the frame with this number is lost.
 pub(crate) type Losses = fn(u32) -> bool;
 
 pub(crate) struct Bench<'a> {
@@ -60,12 +60,12 @@ impl Bench<'_> {
     }
 }
 
-/// Runs `script` with a supervisor that has been told to start; the script gets each millisecond's events.
+/// Runs `script` with a supervisor that has received a start command; the script gets each millisecond's events.
 pub(crate) fn run(segment: FakeSegment, losses: Losses, script: impl FnMut(u32, &mut Bench<'_>, &[BusEvent]) -> Next) {
     run_with(setup(), segment, losses, script);
 }
 
-/// Runs `script` with a supervisor that has been told to start with a configuration.
+/// Runs `script` with a supervisor that has received a start command with this configuration.
 pub(crate) fn run_with(
     setup: BusSetup<Drives>,
     segment: FakeSegment,

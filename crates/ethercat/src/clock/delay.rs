@@ -156,7 +156,8 @@ mod tests {
 
     #[test]
     fn a_branch_is_measured_behind_what_the_frame_visited_before_it() {
-        // Slave 0 has slave 1 at port 3 (300 ns one way) with slave 2 behind it (200 ns), and slave 3 at port 1 (700 ns).
+        // Slave 0 has slave 1 at port 3 (300 ns one way) with slave 2 behind it (200 ns), and slave 3 at port 1 (700
+        // ns).
         let bus = [
             slave(0b1011, [5_000, 5_000 + 1_000 + 1_400, 0, 5_000 + 1_000]),
             slave(0b0011, [90, 90 + 400, 0, 0]),

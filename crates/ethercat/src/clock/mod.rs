@@ -118,7 +118,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     }
 }
 
-/// Finds out which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
+/// Determines which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -158,7 +158,7 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
         slave.measured = false;
         let status = match port.read_u16(*station, register::DL_STATUS).await {
-            // Another lost slave: the frames pass its place.
+            // Another slave is lost; the frames bypass it.
             Err(BusError::WorkingCounter { actual: 0, .. }) => continue,
             status => status?,
         };
@@ -197,7 +197,7 @@ fn open_ports(status: u16) -> u8 {
 }
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
-/// loops have begun to follow. Does nothing on a bus without clocks.
+/// loops start to follow. Does nothing on a bus without clocks.
 ///
 /// # Errors
 /// As [`AcyclicPort::insist`].
@@ -226,7 +226,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Gives a slave that was switched off the bus's time again; the other slaves keep theirs, even if this slave is the
+/// Sets the bus time of a slave that was switched off. The other slaves keep their time, even if this slave is the
 /// reference.
 ///
 /// # Errors

@@ -35,7 +35,7 @@ const _: () = {
 /// Fault of the bus clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockFault {
-    /// No clock value came for too many cycles.
+    /// No clock value arrived for too many cycles.
     Lost {
         /// Consecutive cycles without a value.
         missing_cycles: u8,
@@ -74,8 +74,8 @@ pub struct ClockSteering {
 }
 
 impl ClockSteering {
-    /// A loop for cycles of `period_ns`, at most 2^31 ns, that keeps the phase of the first time it receives. A period of
-    /// 0 counts as 1 ns.
+    /// A loop for cycles of `period_ns`, at most 2^31 ns, that keeps the phase of the first time it receives. A period
+    /// of 0 counts as 1 ns.
     pub const fn new(period_ns: u32) -> Self {
         Self {
             period_ns: match NonZeroU32::new(period_ns) {
@@ -284,7 +284,7 @@ mod tests {
         for _ in 0..2_000 {
             assert!(bench.cycle(400_000, true).abs() <= CORRECTION_MAX_NS);
         }
-        // The push is over: the phase comes back without swinging far to the other side.
+        // After the push the phase returns with little overshoot.
         let before_ns = bench.release_ns;
         let mut farthest_ns = 0;
         for _ in 0..3_000 {
@@ -372,7 +372,7 @@ mod tests {
             let off_ns = off_ns.min(i64::from(PERIOD_NS) - off_ns);
             println!("jump of {jump_ns} ns: within 1 us after {longest} ms, {off_ns} ns off its phase at the end");
             assert!(bench.steering.is_locked() && longest < 1_500);
-            // Beyond what 32 bits tell apart, any phase is as good.
+            // A jump of more than half the 32-bit range leaves the phase unknown.
             assert!(off_ns < 200 || jump_ns.unsigned_abs() > 1 << 31, "{off_ns}");
         }
     }

@@ -1,7 +1,7 @@
 //! Slave discovery: counts the slaves, assigns addresses, and resets them to INIT without any configuration.
 //!
-//! Positions count from 0 along the chain; a station address is given to a position and stays with the slave until it is
-//! switched off. Datagrams for several slaves share frames.
+//! Positions count from 0 along the chain; a station address is given to a position and stays with the slave until it
+//! is switched off. Datagrams for several slaves share frames.
 //!
 //! Invariant: no function here takes a slave out of INIT, and only [`reset_all`] takes a slave to INIT.
 

@@ -102,7 +102,7 @@ async fn take_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, sta
     }
 }
 
-/// Reads 4 or 8 bytes of each slave from word `words[slave]` on; nothing of slaves with `None`.
+/// Reads 4 or 8 bytes of each slave from word `words[slave]` on; skips slaves with `None`.
 async fn read_each<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     first_station: u16,

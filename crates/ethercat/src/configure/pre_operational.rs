@@ -1,7 +1,7 @@
 //! A slave in PREOP, as its driver sees it: objects, lists of process data, and where these lie in its memory.
 //!
-//! The process data of the driver's choice are assigned and mapped; a device that refuses keeps its own. Then the lists
-//! are read back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
+//! The driver's choice of process data is assigned and mapped; a device that refuses keeps its own. Then the lists are
+//! read back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
 //! entries). Where such an object is missing, the SII's lists are used, or else those of the driver.
 //!
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
@@ -78,8 +78,8 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         ObjectDictionary::new(self.port, self.mailbox)
     }
 
-    /// Assigns a process data object, and writes its entries unless they are fixed; false when the device refused any of
-    /// it.
+    /// Assigns a process data object, and writes its entries unless they are fixed; returns false if the device refused
+    /// any part.
     ///
     /// # Errors
     /// Errors of the mailbox.
@@ -105,7 +105,7 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         Ok(taken)
     }
 
-    /// Writes an object, and reads it back if the setting asks for it.
+    /// Writes an object, and reads it back if the setting requires it.
     ///
     /// # Errors
     /// [`BusError::SdoAbort`] unless the setting is optional, [`BusError::ReadBack`], or errors of the mailbox.
@@ -132,12 +132,11 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         })
     }
 
-    /// Passes the entries of one direction's actual process data to `take`, in their order. `choice` stands for lists that
-    /// the device does not have.
+    /// Passes the entries of one direction's actual process data to `take`, in their order. `choice` replaces lists
+    /// that the device does not have.
     ///
-    /// # Errors
-    /// Those of `take`, [`BusError::Range`] for a list longer than any, [`BusError::SdoAbort`] for an object without
-    /// readable entries, or errors of the mailbox and the SII.
+    /// # Errors Those of `take`, [`BusError::Range`] for a list that is too long, [`BusError::SdoAbort`] for an object
+    /// without readable entries, or errors of the mailbox and the SII.
     pub async fn entries(
         &mut self,
         direction: Direction,

@@ -32,7 +32,7 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) setup: BusSetup<F>,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     pub(super) clocks: BusClocks<SLAVES>,
-    /// How many of the slaves were in the chain when the bus was brought up; these keep its order.
+    /// Number of slaves that were in the chain at bring-up; they come first, in chain order.
     pub(super) ordered: usize,
     pub(super) generation: u8,
     worked_on: Option<usize>,

@@ -120,8 +120,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
-    /// Reads how often the processor watchdog of the last inspected slave has expired, and reports an expiry of a slave
-    /// in OP, because its process data were stale since. Controllers without that watchdog never count.
+    /// Reads how often the processor watchdog of the last inspected slave has expired, and reports an expiry in OP: the
+    /// slave's process data were stale. Controllers without that watchdog never count.
     pub(super) async fn look_at_processor(&mut self) {
         let number = self.cable_next.saturating_sub(1);
         let Some(slave) = self.slaves.get(number) else { return };
@@ -134,7 +134,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return;
         };
         let is_operational = slave.condition == Condition::Operational;
-        // A slave that was reset or repaired counts from anywhere.
+        // After a reset or a repair the counter may start at any value.
         slave.processor_stops = is_operational.then_some(expiries);
         if is_operational && before.is_some_and(|before| expiries != before) {
             let position = number as u8;

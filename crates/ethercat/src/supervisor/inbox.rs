@@ -18,10 +18,10 @@ use core::pin::Pin;
 use core::task::Poll;
 use heapless::spsc::{Consumer, Producer};
 
-/// How long something has to look wrong before the slaves are asked, ms.
+/// How long the bus has to look wrong before the slaves are queried, ms.
 pub(super) const SUSPICION_MS: u32 = 3;
-/// How long something has to look wrong before the slaves are asked while bus work is in progress, ms. The work itself
-/// may disturb the bus briefly.
+/// How long the bus has to look wrong before the slaves are queried while work is in progress, ms. The work itself may
+/// disturb the bus briefly.
 pub(super) const WORK_SUSPICION_MS: u32 = 20;
 
 /// State and error flag of an AL status register.

@@ -1,11 +1,11 @@
 //! The supervisor: brings the bus up, watches it, repairs it, and answers service requests.
 //!
-//! One `async` function runs for ever, polled once a millisecond at low priority. It configures the slaves of the
-//! chain, passes the critical side its plan, takes the drives to OP while cyclic data already run, and then watches for
-//! slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a slave
-//! back while the others continue. In between, the supervisor carries out service requests
-//! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with slave, step
-//! and reason.
+//! One endless `async` function is polled once a millisecond at low priority. It configures the slaves of the chain,
+//! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
+//! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
+//! slave back while the others continue. In between, the supervisor carries out service requests
+//! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
+//! slave, step and reason.
 //!
 //! Invariants: a slave in use is only repaired on command; a slave is only taken back if it is the product that was
 //! there before; every wait ends; while work on one slave is in progress, a change of another is detected within 100
@@ -162,7 +162,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.events_dropped
     }
 
-    /// Runs the supervisor for ever; to be polled once a millisecond.
+    /// Runs the supervisor and never returns. Poll the future once a millisecond.
     pub async fn run(&mut self) -> ! {
         loop {
             match (self.inbox.commands.dequeue(), self.phase) {
@@ -299,7 +299,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
-    /// Queries all slaves for their state, and takes a rescan if their number has changed.
+    /// Queries all slaves for their state, and rescans the chain if their number has changed.
     async fn inspect_all(&mut self) {
         self.bus.inspect(0..SLAVES).await;
         let there = self.inbox.slaves();

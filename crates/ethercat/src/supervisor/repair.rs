@@ -2,7 +2,7 @@
 //!
 //! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
 //! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
-//! kept their addresses tells between which of them it belongs.
+//! kept their addresses shows between which of them it belongs.
 //!
 //! Invariant: a slave is only taken back at its place in the order, with the expected product, and with a serial number
 //! that does not belong to another slave of this bus.
@@ -180,7 +180,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Brings a slave back that only left OP: acknowledges the error and requests OP again.
+    /// Brings back a slave that only left OP: acknowledges the error and requests OP again.
     async fn resume(&mut self, number: usize) -> Result<(), Failure> {
         let Some(slave) = self.slaves.get(number).copied() else {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Service requests: carries out requests of people and tools to the bus.
+//! Service requests: carries out bus requests from people and tools.
 //!
 //! If the bus was not brought up, the slaves are first found and identified whenever their number or their addresses
 //! have changed; nothing is configured. Values longer than a piece stay in one buffer.

@@ -1,6 +1,6 @@
 //! One datagram: a command to the slaves' memory, and the working counter of its executions.
 //!
-//! A frame carries a chain of datagrams. Each datagram's More bit tells whether another one follows. Every slave that
+//! A frame carries a chain of datagrams. Each datagram's More bit is set if another one follows. Every slave that
 //! executes the command adds to the working counter at the datagram's end (+1 for a read, +1 for a write, +2 for the
 //! write half of a combined command).
 //!
@@ -55,7 +55,7 @@ pub enum Command {
     Lwr = 11,
     /// Logical memory read and write.
     Lrw = 12,
-    /// Read by position, write to all slaves behind.
+    /// Read by position, write to all other slaves.
     Armw = 13,
     /// Read by station address, write to all other slaves.
     Frmw = 14,
@@ -185,7 +185,7 @@ impl DatagramRepr {
         }
     }
 
-    /// Length of the whole datagram, bytes: header, data and working counter.
+    /// Length of the complete datagram, bytes: header, data and working counter.
     pub const fn len(&self) -> usize {
         DATAGRAM_OVERHEAD + self.length as usize
     }
@@ -298,7 +298,7 @@ impl<T: AsRef<[u8]>> Datagram<T> {
         read_u16(self.buffer.as_ref(), self.data_range().end)
     }
 
-    /// Length of the whole datagram, bytes.
+    /// Length of the complete datagram, bytes.
     pub fn total_len(&self) -> usize {
         self.data_range().end + 2
     }

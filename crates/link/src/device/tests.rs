@@ -237,7 +237,7 @@ proptest! {
     }
 }
 
-/// Mostly the small numbers of which valid messages consist.
+/// Mostly small numbers, which valid messages consist of.
 fn small_or_any() -> impl Strategy<Value = u8> {
     prop_oneof![9 => 0..5u8, 1 => any::<u8>()]
 }
@@ -296,7 +296,7 @@ fn a_second_host_at_the_other_port_changes_nothing_while_the_first_one_speaks() 
 fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone() {
     let mut endpoint = drawing();
     let gone_ms = crate::ports::HELD_MS;
-    // A frame that had begun on the old port is not continued on the other one.
+    // A frame that was started on the old port is not continued on the new one.
     endpoint.answer(1, Ok(()));
     let mut begun = [0; 3];
     assert_eq!(endpoint.transmit(0, &mut begun), 3);
@@ -310,7 +310,7 @@ fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone(
     );
     let mut out = [0; 2 * FRAME_BYTES_MAX];
     let length = endpoint.transmit(gone_ms, &mut out);
-    // What the line had kept of the cut frame costs nothing behind it.
+    // The start of the cut frame, still in the line, does not damage the frames behind it.
     let mut decoder: Decoder = Decoder::new();
     let heard = begun.iter().chain(&out[..length]).filter_map(|byte| {
         let payload = decoder.push(*byte)?.ok()?;

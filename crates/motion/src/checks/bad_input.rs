@@ -1,4 +1,4 @@
-//! Requirements on input that nobody should send: a refusal that names it, or a plan within the limits.
+//! Requirements on bad input: a refusal that names the vertex, or a plan within the limits.
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
@@ -9,7 +9,7 @@ fn down(x_mm: f64, y_mm: f64) -> Vertex {
     vertex([x_mm, y_mm, -850.0], Pen::Down, 0)
 }
 
-/// Draws a path with both orientations and checks what holds always.
+/// Draws a path with both orientations and checks what must always hold.
 fn draw(name: &str, path: &[Vertex]) {
     for orientation in [Orientation::Constant, Orientation::Path] {
         let mut settings = Settings::default();

@@ -27,7 +27,7 @@ fn a_hold_anywhere_stays_on_the_path_lifts_the_pen_and_goes_on() {
         run.command(MotionCommand::Resume);
         run.until(MotionState::Idle);
         run.check_limits(&name);
-        // Off the path the pen is up: the retract is reported so.
+        // The deviation counts only with the pen down, and the retract is reported as pen up.
         assert!(
             run.deviation().0 <= settings.motion.tolerance_mm * (1.0 + EXCESS),
             "{name}"
@@ -325,7 +325,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
             "{outside:?}: outwards"
         );
         assert!(admission.check_jog(&pose, &away).is_err());
-        // Along a border of one kind the way neither leads in nor out.
+        // Along a single border a jog leads neither inwards nor outwards.
         if outside[0] == 0.0 {
             assert!(
                 run.trajectory.command(MotionCommand::Jog(along)).is_err() || along[2] < 0.0,
@@ -339,7 +339,7 @@ fn a_jog_from_outside_leads_inwards_and_nowhere_else() {
         );
         assert_eq!(admission.check_jog(&pose, &inwards), Ok(()), "{outside:?}");
         let came_in = (0..2_000).find(|_| {
-            // Near a border of several kinds the direction may have to change.
+            // Near several borders the direction may have to change.
             let _ = run.trajectory.command(MotionCommand::Jog(inwards));
             run.step();
             area.check(&run.trajectory.position()).is_ok()

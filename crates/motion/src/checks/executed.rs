@@ -1,10 +1,10 @@
 //! Requirements on the count of executed vertices: none counts before the path has reached it.
 //!
-//! A job that goes on after a fault begins at the vertex counted last, so a count that comes early leaves a gap.
+//! A job that continues after a fault starts at the last counted vertex, so an early count leaves a gap.
 
 use super::*;
 
-/// Distance before a vertex that counts as none, mm: what angles in parts of a radian and their kinematics round.
+/// Distance before a vertex that counts as zero, mm: rounding of the setpoints' angles and of the kinematics.
 const ROUNDED_MM: f64 = 1.0e-6;
 
 fn unaveraged() -> Settings {
@@ -13,7 +13,7 @@ fn unaveraged() -> Settings {
     settings
 }
 
-/// Largest way that is left to a vertex where it is first counted, along the line from the vertex before to the one after.
+/// Largest distance to a vertex when it is first counted, mm, along the line from the vertex before to the one after.
 fn earliest_mm(run: &Run) -> f64 {
     let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
     let mut worst = f64::MIN;
@@ -30,7 +30,7 @@ fn earliest_mm(run: &Run) -> f64 {
     worst
 }
 
-/// Legs as uneven as a spline takes, straight on or with turns that the tolerance lets it take.
+/// Legs as uneven as a spline accepts, straight or with turns that the tolerance allows.
 fn uneven(random: &mut Random, straight: bool) -> Vec<Vertex> {
     let (mut at, mut heading, mut leg) = ([-100.0, 0.0, -850.0], 0.0_f64, random.between(0.5, 10.0));
     let mut path = std::vec![vertex(at, Pen::Down, 0)];

@@ -1,7 +1,7 @@
 //! Requirements on the whole trajectory stage, checked on every 1 ms setpoint.
 //!
-//! Here is the harness: a run of the stage over a path, and the checks of its setpoints. Paths and commands have
-//! their requirements in files of their own.
+//! This file holds the harness: a run of the stage over a path, and the checks of its setpoints. The requirements are
+//! in the other files of this folder.
 
 mod bad_input;
 mod commands;
@@ -26,7 +26,7 @@ use core::f64::consts::{PI, TAU};
 use std::vec::Vec;
 use std::{format, println};
 
-/// Relative excess over a limit that counts as none.
+/// Relative excess over a limit that is tolerated.
 const EXCESS: f64 = 1.0e-3;
 /// Kinds of limits: joint speed and acceleration, Cartesian speed and acceleration, jerk.
 const KINDS: usize = 5;
@@ -134,7 +134,8 @@ impl Run {
         moving.map_or(0.0, |index| (index + 2).saturating_sub(still) as f64 * TICK_S)
     }
 
-    /// Speeds and accelerations of every sample, and rest at the end; with what is worst, as parts of the limits.
+    /// Checks speeds and accelerations of every sample, and rest at the end. Returns the largest values as parts of the
+    /// limits.
     fn check_limits(&self, name: &str) -> [f64; KINDS] {
         let motion = &self.settings.motion;
         let kinematics = Kinematics::new(&self.settings.geometry).unwrap();

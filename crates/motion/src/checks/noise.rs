@@ -1,22 +1,23 @@
-//! Requirements on noise: what a digitiser or a rounding makes of a line ends at its last vertex, in bounded time.
+//! Requirements on noise: a line with the noise of a digitiser or of rounding ends at its last vertex, in bounded time.
 //!
-//! A walk has steps of one scale or of all, from 1 nm to 1 mm, reversals, repeated vertices, straight runs; as it is, or
-//! rounded to the link's micrometre. The time it may take follows from its length and its limits alone.
+//! A walk has steps of one scale or of all scales from 1 nm to 1 mm, reversals, repeated vertices and straight runs.
+//! Some walks are rounded to the link's micrometre. The time that a walk may take follows from its length and its
+//! limits alone.
 
 use super::*;
 use crate::settings::Orientation;
 
-/// Variable that asks for another number of walks than the one of the test suite, which takes seconds.
+/// Environment variable for the number of walks; the default of the test suite takes seconds.
 const WALKS: &str = "ETHERPEN_NOISE_WALKS";
 const WALKS_OF_THE_SUITE: u64 = 240;
-/// Times that a walk may take as long as one that rests at each of its vertices: a blend's curvature slows more than a rest
-/// where the turn is nearly a reversal. The longest of 1,200 walks took 0.85 of its bound.
+/// Largest duration of a walk relative to a walk that rests at each vertex: where the turn is nearly a reversal, a
+/// blend's curvature costs more time than a rest. The longest of 1,200 walks took 0.85 of its bound.
 const SLOWER: f64 = 4.0;
-/// What a walk takes beside its motion, s: averaging, and periods at its ends.
+/// Time that a walk takes besides its motion, s: averaging, and periods at its ends.
 const BESIDE_S: f64 = 0.12;
 
-/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a slow
-/// blend's interval, and a fast average past repeated vertices.
+/// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a
+/// slow blend's interval, and a fast average past repeated vertices.
 const FARTHER: [u64; 3] = [4517, 2013, 7682];
 
 fn walks() -> impl Iterator<Item = u64> {
@@ -87,7 +88,7 @@ pub(super) fn walk(random: &mut Random) -> Vec<Vertex> {
     path
 }
 
-/// How long a path takes that rests at each vertex, with half of what the joints allow, s.
+/// Duration of a path that rests at each vertex and uses half of the joints' limits, s.
 pub(super) fn duration_with_rests_s(settings: &Settings, path: &[Vertex]) -> f64 {
     let kinematics = Kinematics::new(&settings.geometry).unwrap();
     let motion = &settings.motion;
@@ -111,7 +112,7 @@ pub(super) fn duration_with_rests_s(settings: &Settings, path: &[Vertex]) -> f64
     path.windows(2).map(leg_s).sum()
 }
 
-/// Runs a path to its end; the part of the time that it may take.
+/// Runs a path to its end; also returns the part of the allowed time that it took.
 pub(super) fn run_to_its_end(settings: &Settings, path: &[Vertex], name: &str) -> (Run, f64) {
     let bound_s = SLOWER * duration_with_rests_s(settings, path) + BESIDE_S;
     let mut run = Run::new(settings, path);
@@ -134,7 +135,7 @@ pub(super) fn run_to_its_end(settings: &Settings, path: &[Vertex], name: &str) -
     );
 }
 
-/// Checks all that holds at a walk's end; gives the largest parts of its limits and of its tolerance.
+/// Checks what must hold at a walk's end. Returns the largest values as parts of its limits and of its tolerance.
 pub(super) fn check_end(run: &Run, name: &str) -> ([f64; KINDS], (f64, f64)) {
     let parts = run.check_limits(name);
     let distances = tolerance::check_distances(run, name);
@@ -178,8 +179,8 @@ fn a_recorded_walk_of_ten_micrometres_with_reversals_ends() {
     println!("{:.3} s, {part:.3} of its bound", run.duration_s());
 }
 
-/// A walk with an override and a hold or a cancel somewhere in it; what it took to come to rest, ms, and the largest parts
-/// of its limits. None where it had ended before.
+/// Runs a walk with an override and a hold or a cancel. Returns the time to come to rest, ms, and the largest values as
+/// parts of the limits; `None` if the walk ended before.
 pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
     let mut random = Random::new(seed);
     let settings = limits(&mut random);
@@ -207,7 +208,7 @@ pub(super) fn commanded(seed: u64) -> Option<(usize, [f64; KINDS])> {
         return None;
     }
     run.command(command);
-    // From the fastest that there is to a rest, the turn of the fourth axis at a stop, and the lift of the pen.
+    // Braking from the highest speed, the turn of the fourth axis at a stop, and the lift of the pen.
     let motion = &settings.motion;
     let turn_acceleration = motion.joint_acceleration_rad_s2[3];
     let brake_s = 2.0 * motion.speed_mm_s / motion.acceleration_mm_s2 + 4.0 * libm::sqrt(PI / turn_acceleration) + 3.0;
@@ -247,7 +248,7 @@ fn resume_to_the_end(run: &mut Run, periods: usize, name: &str) {
     assert_eq!(run.trajectory.executed() as usize, run.path.len(), "{name}");
 }
 
-/// What is commanded in the middle of a walk comes to its end as if the walk were a line.
+/// A command in the middle of a walk completes as it does on a line.
 #[test]
 fn hold_cancel_and_override_act_in_the_middle_of_noise() {
     let (mut count, mut slowest_ms, mut worst) = (0, 0, [0.0_f64; KINDS]);

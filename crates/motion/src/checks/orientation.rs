@@ -63,7 +63,7 @@ fn on_a_straight_leg_the_fourth_axis_has_its_direction() {
         let (mut point, mut heading) = ([0.0, 0.0, -850.0], 0.0);
         let mut path = std::vec![vertex([0.0, 0.0, -847.0], Pen::Up, 0), vertex(point, Pen::Up, 0)];
         for _ in 0..8 {
-            // Gentle turns would be rounded all along.
+            // Gentle turns would be rounded along their full length.
             let turn = random.between(-2.2, 2.2);
             heading += turn + turn.signum() * 0.3;
             let leg = random.between(8.0, 20.0);

@@ -1,4 +1,4 @@
-//! Requirements on a thousand random paths with random limits: what holds always.
+//! Requirements on a thousand random paths with random limits: what must always hold.
 
 use super::super::plan::{GROWTH, POINTS};
 use super::*;

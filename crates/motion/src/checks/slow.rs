@@ -1,4 +1,4 @@
-//! Requirements on small acceleration limits: where the path is passed slowly, nothing is smoothed by the millisecond.
+//! Requirements on small acceleration limits: at low speed, differences over a millisecond smooth nothing.
 
 use super::*;
 
@@ -70,7 +70,7 @@ fn small_acceleration_limits_hold_as_exactly_as_large_ones() {
     println!("worst parts of the acceleration limit, without and with an average: {worst:?}");
 }
 
-/// Runs with a speed that is asked for again and again; `change` gives it for a period, if it changes there.
+/// Runs a path with speed overrides; `change` returns the override for a period, `None` for no change.
 fn run_with_overrides(settings: &Settings, path: &[Vertex], mut change: impl FnMut(usize) -> Option<u8>) -> Run {
     let mut run = Run::new(settings, path);
     run.command(MotionCommand::Start);
@@ -87,7 +87,7 @@ fn run_with_overrides(settings: &Settings, path: &[Vertex], mut change: impl FnM
     panic!("{} of {} executed", run.trajectory.executed(), path.len());
 }
 
-/// Where the limits are used up, a new choice of the acceleration finds almost nothing left of them.
+/// Where the limits are used up, a new choice of the acceleration has almost no room.
 #[test]
 fn speeds_that_change_all_the_time_keep_the_acceleration() {
     let mut worst = 0.0_f64;

@@ -1,15 +1,14 @@
 //! Requirements on the tolerance, both ways: no setpoint far from its leg, no vertex far from the setpoints.
 //!
-//! The distances are found by looking at all candidates near a place, with arithmetic of their own: nothing here knows
-//! how the path is shaped.
+//! The distances are minima over all candidates near a place. The arithmetic is independent of how the path is shaped.
 
 use super::*;
 
-/// Variable that asks for another number of drawings than the one of the test suite.
+/// Environment variable for the number of drawings.
 const DRAWINGS: &str = "ETHERPEN_TOLERANCE_DRAWINGS";
 const DRAWINGS_OF_THE_SUITE: u64 = 150;
-/// Places around that of the vertex which a setpoint reports, among which its leg is looked for, and the reverse. Vertices
-/// that repeat one another are one place.
+/// A setpoint's leg is searched this many places around the vertex that it reports, and a vertex's setpoints likewise.
+/// Vertices that repeat one another are one place.
 const NEAR: usize = 3;
 
 /// Distance of a point from the line between two others.
@@ -26,7 +25,7 @@ fn apart(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     libm::sqrt(dx * dx + dy * dy + dz * dz)
 }
 
-/// Number of the place of each vertex, and of what is behind the last one.
+/// Number of each vertex's place, then that of the place behind the last vertex.
 fn places(vertices: &[[f64; 3]]) -> Vec<usize> {
     let (mut number, mut place) = (0, vertices[0]);
     let mut numbers: Vec<usize> = vertices
@@ -84,7 +83,7 @@ fn distances(run: &Run) -> (f64, f64) {
     (off_legs, missed)
 }
 
-/// Checks both distances; gives them as parts of the tolerance.
+/// Checks both distances; returns them as parts of the tolerance.
 pub(super) fn check_distances(run: &Run, name: &str) -> (f64, f64) {
     let motion = &run.settings.motion;
     let (off_legs, missed) = distances(run);

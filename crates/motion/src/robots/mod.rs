@@ -1,12 +1,13 @@
 //! Robots: kinematics and joints.
 //!
-//! [`Kinematics`] is the seam between a kind of robot and everything that moves one. Every kind is a file or folder
-//! of its own here; planner, controller and host programs ask [`Kinematics`] alone and know no kind.
+//! [`Kinematics`] is the seam between a kind of robot and everything that moves one. Every kind is a file or folder of
+//! its own here; planner, controller and host programs use only [`Kinematics`] and depend on no kind.
 //!
 //! Lengths are millimetres, angles radians. The frame's origin is the centre of the base, and z points up.
 //!
-//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the virtual
-//! cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the delta's.
+//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the
+//! virtual cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the
+//! delta's.
 
 pub(crate) mod angle_range;
 mod delta;

@@ -10,7 +10,7 @@ impl Settings {
     /// Number of rows in [`Settings::bounds`].
     pub const BOUNDS: usize = Geometry::BOUNDS + 24;
 
-    /// Hard bounds of every value but the dead man's time, which the bus's settings bound.
+    /// Hard bounds of every value except the dead-man time, which is bounded by the settings of the bus.
     #[must_use]
     pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
         let (geometry, area, paper, motion) = (&self.geometry, &self.work_area, &self.paper, &self.motion);

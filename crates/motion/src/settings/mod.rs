@@ -1,4 +1,4 @@
-//! What motion depends on: the robot's shape, its work area, the paper, and the limits of motion.
+//! Settings of motion: the robot's shape, its work area, the paper, and the limits of motion.
 
 mod bounds;
 
@@ -91,9 +91,9 @@ pub struct MotionLimits {
     pub joint_speed_rad_s: [f64; AXES],
     /// Joint acceleration, rad/s2, per axis.
     pub joint_acceleration_rad_s2: [f64; AXES],
-    /// Deviation of the reference from the polyline with the pen down, mm.
+    /// Largest deviation of the setpoints from the polyline with the pen down, mm.
     pub tolerance_mm: f64,
-    /// Deviation of the reference from the polyline on travel moves (pen up), mm.
+    /// Largest deviation of the setpoints from the polyline on travel moves (pen up), mm.
     pub travel_tolerance_mm: f64,
     /// Length of the moving average that bounds jerk, ms; 0 switches it off.
     pub jerk_window_ms: u16,

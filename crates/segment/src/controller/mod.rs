@@ -53,7 +53,7 @@ const WORD_ALIAS: usize = 4;
 /// Individual properties of a controller.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Nature {
-    /// How much the crystal is too fast, 1e-9.
+    /// Rate error of the crystal, 1e-9; positive if it is fast.
     pub(crate) drift_ppb: i64,
     /// Running time of the clock at the start, ns.
     pub(crate) local_ns: u64,

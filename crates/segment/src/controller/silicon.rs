@@ -1,4 +1,4 @@
-//! Which slave controller it is, as its first registers say.
+//! Type of a slave controller, as its first registers report it.
 
 /// The slave controller's silicon, registers 0x0000 to 0x0009.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

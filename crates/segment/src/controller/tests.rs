@@ -4,7 +4,7 @@ use super::*;
 use crate::controller::datagram::Datagrams;
 use crate::rig::*;
 
-/// Lets one datagram pass; gives its data and working counter afterwards.
+/// Passes one datagram; returns its data and working counter.
 fn pass(controller: &mut Controller, command: u8, device: u16, register: u16, data: &[u8]) -> (Vec<u8>, u16) {
     let mut frame = frame_of(&[(command, device, register, data)]);
     let mut datagrams = Datagrams::of_frame(&mut frame).expect("a frame");

@@ -73,7 +73,7 @@ pub(crate) struct Model {
     pub(crate) windows: Windows,
     /// Details of the mailbox protocol in the information image.
     pub(crate) details: u8,
-    /// Objects beside those of every drive.
+    /// Objects in addition to those of every drive.
     pub(crate) objects: &'static [ObjectRow],
     pub(crate) profile: Profile,
     pub(crate) process_data: fn() -> ProcessData,

@@ -101,7 +101,7 @@ pub(crate) struct Demand {
     pub(crate) control: u16,
 }
 
-/// A servo drive and its motor as they are built and set; angles, speeds and decelerations are the motor's.
+/// Properties and settings of a servo drive and its motor; angles, speeds and decelerations are those of the motor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveOptions {
     /// Position increments of one motor revolution; 0 counts as 1.
@@ -169,7 +169,7 @@ pub(crate) struct Drive {
 }
 
 impl Drive {
-    /// A drive at rest; the seed is of its resolver's noise.
+    /// A drive at rest; the seed is that of its resolver's noise.
     pub(crate) fn new(options: &DriveOptions, noise_seed: u64) -> Self {
         let motor = Motor::new(options.angle_rad, options.bandwidth_hz).with_friction(options.friction_rad_s);
         let mut drive = Self {
@@ -241,7 +241,7 @@ impl Drive {
         &mut self.motor
     }
 
-    /// Whether the load decides how the motor moves: the current loop only keeps a torque.
+    /// Whether the load decides how the motor moves: the current loop only controls the torque.
     pub(crate) fn is_in_torque_mode(&self) -> bool {
         self.state == DriveState::OperationEnabled
             && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE)
@@ -272,7 +272,7 @@ impl Drive {
         self.resolver.set_fault(fault, milliseconds, self.motor.angle_rad());
     }
 
-    /// Makes the resolver slip on its shaft by so many increments, permanently.
+    /// Makes the resolver slip on its shaft by this many increments, permanently.
     pub(crate) fn slip(&mut self, increments: i32) {
         self.resolver.slip(f64::from(increments) / self.increments_per_rad());
     }
@@ -300,7 +300,7 @@ impl Drive {
         self.state = DriveState::FaultReactionActive;
     }
 
-    /// Handles the loss of cyclic data: a switched-on drive faults, with its emergency ramp.
+    /// Handles the loss of cyclic data: a switched-on drive goes into fault, with its emergency ramp.
     pub(crate) fn cyclic_data_lost(&mut self) {
         match self.state {
             DriveState::SwitchOnDisabled | DriveState::Fault | DriveState::FaultReactionActive => {}

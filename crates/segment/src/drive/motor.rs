@@ -38,7 +38,7 @@ const INTEGRAL_S: f64 = 0.02;
 const FRICTION_SPEED_RAD_S: f64 = 0.2;
 
 impl Motor {
-    /// A motor at rest. The bandwidth of the loop is in hertz; a value that is not positive counts as a tenth.
+    /// A motor at rest. The bandwidth of the loop is in hertz; a value below 0.1 counts as 0.1.
     pub(crate) fn new(angle_rad: f64, bandwidth_hz: f64) -> Self {
         let bandwidth_hz = if bandwidth_hz > 0.1 { bandwidth_hz } else { 0.1 };
         Self {

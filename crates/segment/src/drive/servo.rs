@@ -41,7 +41,7 @@ pub(crate) struct Servo {
 }
 
 impl Servo {
-    /// A drive behind delays of whole milliseconds; the seed is of its resolver's noise.
+    /// A drive behind delays of whole milliseconds; the seed is that of its resolver's noise.
     pub(crate) fn new(options: &DriveOptions, noise_seed: u64) -> Self {
         let output_delay = options.output_delay_ms.min(DELAY_MAX_MS);
         let input_delay = options.input_delay_ms.min(DELAY_MAX_MS);

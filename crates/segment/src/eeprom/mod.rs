@@ -1,8 +1,8 @@
 //! The slave information memory behind registers 0x0500 to 0x050F.
 //!
-//! A command is busy for some of the segment's time; the word address counts 16-bit words; a read returns eight bytes.
-//! While the slave's processor owns the memory, or the memory is offered to it, commands are refused. Register layout:
-//! EEPROM interface of the slave controller's register description.
+//! A command keeps the interface busy for some of the segment's time; the word address counts 16-bit words; a read
+//! returns eight bytes. While the slave's processor owns the memory, or the memory is offered to it, commands are
+//! refused. Register layout: EEPROM interface of the slave controller's register description.
 
 pub(crate) mod sii;
 pub(crate) mod windows;

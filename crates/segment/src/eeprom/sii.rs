@@ -37,7 +37,7 @@ pub(crate) struct Description<'a> {
     pub(crate) ports: u8,
 }
 
-/// The whole image.
+/// The complete image.
 pub(crate) fn image(description: &Description) -> Vec<u8> {
     let mut image = vec![0; 2 * usize::from(WORD_CATEGORIES)];
     let identity = description.identity;

@@ -71,7 +71,7 @@ pub enum Fault {
     Mains(usize, u64),
     /// A fault of a drive's resolver for some milliseconds.
     Resolver(usize, ResolverFault, u64),
-    /// A drive's resolver slips on its shaft by so many increments, permanently.
+    /// A drive's resolver slips on its shaft by this many increments, permanently.
     Jump(usize, i32),
     /// The resolvers of two drives are exchanged for some milliseconds.
     Exchange(usize, usize, u64),

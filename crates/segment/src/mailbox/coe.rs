@@ -3,7 +3,7 @@
 //! Takes one mailbox message and queues the answers. Supports SDO upload and download in expedited, normal and
 //! segmented form, of one entry or of a whole object (complete access), SDO information, and emergencies. Unsupported
 //! requests are refused with an abort or a mailbox error, never ignored. Layout: IEC 61158-6-12, CoE coding; abort
-//! codes: CiA 301. Written from the slave's side, byte by byte, so that it can judge a master.
+//! codes: CiA 301. Written from the slave's side, byte by byte, so that it tests a master independently.
 
 use crate::mailbox::abort::Abort;
 use crate::mailbox::dictionary::Dictionary;

@@ -101,7 +101,8 @@ pub trait SegmentPort {
     /// The transport no longer exists.
     fn receive(&mut self, wait: Duration) -> io::Result<Option<(Master, Vec<u8>)>>;
 
-    /// Answers a master; the answer is lost if it does not fit into the socket at once, or if the master has gone.
+    /// Answers a master; the answer is lost if it does not fit into the socket at once, or if the master has
+    /// disconnected.
     ///
     /// # Errors
     /// The transport no longer exists.

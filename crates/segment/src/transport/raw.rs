@@ -75,7 +75,7 @@ impl Raw {
         Ok(raw)
     }
 
-    /// Until it is bound a packet socket hears every interface.
+    /// Until it is bound, a packet socket receives from every interface.
     fn forget_what_came_before_binding(&self) {
         let mut frame = [0; FRAME_LEN_MAX];
         for _ in 0..PASSED_OVER_MAX {

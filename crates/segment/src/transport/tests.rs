@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const WAIT: Duration = Duration::from_secs(10);
 const SOURCE: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 
-/// A path of a test's own.
+/// A path that only one test uses.
 struct Place(PathBuf);
 
 impl Place {
@@ -35,7 +35,7 @@ fn request() -> Vec<u8> {
     frame[..length].to_vec()
 }
 
-/// Sends a frame to a segment, which answers with the same; gives what both saw.
+/// Sends a frame to a segment, which echoes it; returns what both received.
 fn there_and_back(port: &mut dyn SegmentPort, frame: &[u8]) -> (Vec<u8>, Vec<u8>) {
     let mut transport = open(&port.endpoint()).expect("the segment listens");
     transport.send(frame).expect("it is sent");

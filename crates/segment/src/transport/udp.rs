@@ -149,7 +149,7 @@ impl SegmentPort for UdpPort {
             &SocketAddrAny::from(master),
         );
         match unless_blocked(sent) {
-            // The next call reports a master that has gone.
+            // The next call reports a master that has disconnected.
             Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
             sent => sent.map(|_| ()),
         }

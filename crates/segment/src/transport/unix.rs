@@ -100,7 +100,7 @@ impl UnixPort {
         }
     }
 
-    /// A frame that is already there; masters that have gone are forgotten.
+    /// A frame that is already there; masters that have disconnected are removed.
     fn receive_now(&mut self) -> Option<(Master, Vec<u8>)> {
         let mut frame = vec![0; FRAME_LEN_MAX];
         let mut found = None;
@@ -119,7 +119,7 @@ impl UnixPort {
         });
         let (number, length) = found?;
         frame.truncate(length);
-        // The others come first next time.
+        // The other masters come first in the next call.
         if let Some(place) = self.masters.iter().position(|(other, _)| *other == number) {
             self.masters.rotate_left(place + 1);
         }
@@ -147,7 +147,7 @@ impl SegmentPort for UnixPort {
     fn send(&mut self, master: Master, frame: &[u8]) -> io::Result<()> {
         let is_it = |(number, _): &&(u64, OwnedFd)| master == Master::Unix(*number);
         if let Some((_, socket)) = self.masters.iter().find(is_it) {
-            // The next call finds out that a master has gone.
+            // The next call notices that a master has disconnected.
             let _ = send(socket, frame, SendFlags::NOSIGNAL);
         }
         Ok(())

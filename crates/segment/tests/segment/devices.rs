@@ -1,4 +1,4 @@
-//! The kinds of slaves on one segment, driven by hand-made frames.
+//! All kinds of slaves on one segment, driven by hand-made frames.
 
 use crate::{TestRig, motors, rig_of};
 use etherpen_segment::rig::*;

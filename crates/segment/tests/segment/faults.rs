@@ -1,4 +1,4 @@
-//! Clocks, cables, processors, memories and scripted faults on the whole segment.
+//! Clocks, cables, processors, memories and scripted faults on the complete segment.
 
 use crate::{TestRig, motors, rig, rig_of, script};
 use etherpen_segment::rig::*;

@@ -1,4 +1,4 @@
-//! Recorded traffic of other people's masters and slaves, replayed as requests against the segment.
+//! Recorded traffic of third-party masters and slaves, replayed as requests against the segment.
 //!
 //! Every request of a capture passes the segment, one a millisecond; what comes back is compared with what the
 //! recorded slaves answered: the working counter of every datagram, and the data of registers that both define.
@@ -9,7 +9,7 @@ use std::io::Write as _;
 
 /// Bit of the first byte of a source address that the first slave controller sets.
 const SOURCE_MARK: u8 = 0x02;
-/// Exchanges in which a recorded slave may take its time for a change of state.
+/// Most exchanges that a recorded slave may take for a change of state.
 const CHANGE_EXCHANGES_MAX: usize = 20;
 
 /// One datagram of a frame.
@@ -120,7 +120,7 @@ fn recorded_images(exchanges: &[(Vec<u8>, Vec<u8>)], slaves: u16) -> Vec<Vec<u8>
     images
 }
 
-/// Why the data behind this register need not be the recorded ones; nothing where they must be.
+/// Why the data of this register may differ from the recording; `None` if they must not.
 fn data_excused(register: u16) -> Option<&'static str> {
     match register {
         0x0000..=0x000F => Some("silicon: another controller"),
@@ -152,7 +152,7 @@ struct Outcome {
     excused: BTreeMap<&'static str, usize>,
 }
 
-/// Replays a recording; `takes_any_length` says that the recorded slaves went to SAFEOP with process data of lengths
+/// Replays a recording; `takes_any_length` is true if the recorded slaves went to SAFEOP with process data of lengths
 /// that are not in their images.
 fn replay(file: &[u8], images: Vec<Vec<u8>>, takes_any_length: bool) -> Outcome {
     let slaves = images.into_iter().map(|image| SlaveKind::Sii(image.into())).collect();
@@ -223,7 +223,7 @@ fn replay(file: &[u8], images: Vec<Vec<u8>>, takes_any_length: bool) -> Outcome 
 #[test]
 fn requests_to_a_real_akd_are_answered_as_the_akd_did() {
     let Some(folder) = std::env::var_os("ETHERPEN_REAL_DEVICES").map(std::path::PathBuf::from) else {
-        // Not by a macro: these are shown only for tests that fail.
+        // Not `eprintln!`: the test harness shows its output only for failing tests.
         let _ = writeln!(
             std::io::stderr(),
             "ETHERPEN_REAL_DEVICES is not set: the replay of soem-sdinfo-akd.pcapng is left out"

@@ -34,7 +34,7 @@ pub enum Sdo<'a> {
         object: Object,
         /// All sub-indices from the object's on.
         complete: bool,
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         size: u32,
         /// The first bytes of the value.
         data: &'a [u8],
@@ -76,7 +76,7 @@ pub enum Sdo<'a> {
     UploadNormal {
         /// The object that was read.
         object: Object,
-        /// Bytes of the whole value.
+        /// Length of the complete value, bytes.
         size: u32,
         /// The first bytes of the value.
         data: &'a [u8],

@@ -263,7 +263,7 @@ impl Header {
         Ok(())
     }
 
-    /// Size of the whole memory, bytes; at least 128.
+    /// Size of the memory, bytes; at least 128.
     pub const fn memory_bytes(&self) -> u32 {
         (self.size as u32 + 1) * 128
     }

@@ -3,7 +3,7 @@
 //! A master that reads through registers parses records one by one; [`Records`] walks the bytes of a slice. Layouts:
 //! IEC 61158-6-12 (slave information interface), ETG.2010 for the extended FMMUs and the sync units.
 //!
-//! Invariant: a record is parsed whole or not at all; excess bytes at a category's end are padding.
+//! Invariant: a record is parsed completely or not at all; excess bytes at a category's end are padding.
 
 use crate::wire::{Error, check_len, check_room, read_u8, read_u16, read_u32, write_bytes};
 use core::marker::PhantomData;

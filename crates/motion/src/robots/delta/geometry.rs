@@ -208,7 +208,7 @@ impl Measured {
         self.arm_range_rad
     }
 
-    /// The geometry; what the file does not give is the default's.
+    /// The geometry; values that the file does not give are the default's.
     ///
     /// # Errors
     /// A size is missing, given twice or negative.

@@ -26,7 +26,8 @@ pub(super) const WORDS: Words = Words {
     last_links: "forearms",
 };
 /// Smallest distance from the singularities in the work area. The ratio D/A is in effect the sine of the angle between
-/// an upper arm and its forearm's projection into the arm's plane; the determinant is the forearms' unit vectors'.
+/// an upper arm and its forearm's projection into the arm's plane; the determinant is that of the forearms' unit
+/// vectors.
 pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
     ratio: 0.35,
     determinant: 0.2,
@@ -406,7 +407,7 @@ mod tests {
                 let moved = add_scaled(&add_scaled(&point, &tangent, s), &bend, 0.5 * s * s);
                 robot.inverse(&moved.into()).ok()
             };
-            // Near a singularity the angles bend the more sharply, the smaller the ratio D/A.
+            // Near a singularity, the angles bend more sharply the smaller the ratio D/A is.
             let ratio = robot.conditioning(&position).ratio.1;
             let step = 0.2 * ratio.min(1.0);
             let around = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|n| at(n * step));
