@@ -33,7 +33,7 @@ fn assert_same_over_a_bad_line(task: &RunTask, image: &Path, undisturbed: &Drawn
         thread::sleep(Duration::from_millis(50));
     }
     emulator.stop().expect("the emulator runs to the end");
-    line.lock().expect("nobody panics with the line").assert_told();
+    line.lock().expect("nobody panics with the line").assert_reported();
     assert_same_ink(
         undisturbed.cell.ink(),
         cell.lock().expect("nobody panics with the cell").ink(),

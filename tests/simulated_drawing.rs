@@ -28,7 +28,7 @@ fn over_a_bad_line_unplugged_three_times_the_resumed_drawing_is_the_undisturbed_
         let mut line = BadLine::new(&task, seed);
         let passed_ms = simulation::run(&mut cell, &mut line, LIMIT_MS);
         println!("{passed_ms} ms, {} spoilt frames", line.bad_frames);
-        line.assert_told();
+        line.assert_reported();
         assert_same_ink(undisturbed.cell.ink(), cell.ink());
     }
 }

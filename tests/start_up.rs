@@ -246,7 +246,7 @@ fn lamps(run: &Run) -> Vec<[bool; 3]> {
 }
 
 /// Asserts that a start failed, reported why on lamps and serial line, and was tried again.
-fn assert_told(run: &Run, by: &str, why: &str) {
+fn assert_reported(run: &Run, by: &str, why: &str) {
     let resets = run.resets();
     assert!(
         resets.len() >= 3 && resets[1..].iter().all(|cause| *cause == by),
@@ -270,7 +270,7 @@ fn a_ready_bit_that_never_comes_is_told_by_lamps_and_serial_line_and_tried_again
         };
         println!("{bit}: {:?}, {}", run.resets(), run.end);
         let by = if bit == "CSRST" { "watchdog" } else { "software" };
-        assert_told(&run, by, why);
+        assert_reported(&run, by, why);
     }
     for bit in SPARED {
         let Some(run) = run(&["--stuck", bit, TASKS_RUN[0], TASKS_RUN[1]]) else {
@@ -286,7 +286,7 @@ fn revision_y_is_refused_by_lamps_and_serial_line_before_the_clocks_change() {
     let Some(run) = run(&["--revision", "Y", FAILS_TWICE[0], FAILS_TWICE[1]]) else {
         return;
     };
-    assert_told(&run, "software", "silicon revision Y");
+    assert_reported(&run, "software", "silicon revision Y");
     let touched = |event: &&Event| matches!(event, Event::Write(name, _) if name.starts_with("RCC.PLL") || name.starts_with("PWR."));
     assert_eq!(run.events.iter().find(touched), None);
 }

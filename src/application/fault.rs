@@ -217,7 +217,7 @@ impl Fault {
     /// Whether this fault describes the event for which `known` was latched more precisely. The supervisor knows which
     /// slave failed and why; the critical tasks know only that something failed. A slave reported in OP names no cause;
     /// it only waits for its repair.
-    pub(super) fn names_better(&self, known: &Self) -> bool {
+    pub(super) fn is_more_precise_than(&self, known: &Self) -> bool {
         let slave_of = |fault: &Self| match fault {
             Self::SlaveLost { slave } | Self::SlaveState { slave, .. } => Some(*slave),
             _ => None,

@@ -178,7 +178,7 @@ impl Application {
             (BusCondition::Failed(_), Some(_)) if self.recovering_since_ms.is_some() && was_whole => self.recover_bus(),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), None) => self.enter_fault(fault),
             (BusCondition::Failed(fault) | BusCondition::Refused(fault), Some(known)) => {
-                if fault.names_better(&known) {
+                if fault.is_more_precise_than(&known) {
                     self.fault = Some(fault);
                 }
             }

@@ -141,7 +141,7 @@ fn enabling_before_homing_holds_the_pose_and_draws_nothing() {
 }
 
 #[test]
-fn homing_under_power_starts_the_setpoints_anew() {
+fn homing_under_power_restarts_the_setpoints() {
     let mut plant = Plant::bus_up();
     plant.order(Command::Enable).unwrap();
     plant.run(50);

@@ -370,7 +370,7 @@ mod app {
             defmt::info!("PHY: {}", defmt::Debug2Format(&event));
         }
         context.local.health.step();
-        if clocks::external_clock_has_come() {
+        if clocks::external_clock_appeared() {
             panic::end(format_args!("{EXTERNAL_CLOCK} have come: started again on them"));
         }
     }

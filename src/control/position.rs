@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn setpoints_that_end_early_go_on_with_the_last_one() {
+    fn setpoints_that_end_early_repeat_the_last_one() {
         let mut controller = PositionController::new(&axis(1.0, 3.1));
         assert_eq!(controller.step(1.0, 1.0, [0.5, 0.25]), 0.25);
         assert_eq!(controller.step(1.0, 1.0, []), 0.0);

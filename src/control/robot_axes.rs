@@ -168,7 +168,7 @@ impl AxisState {
             if self.compared_ms == 0 {
                 self.look_for_jump();
             } else if !self.feedback.step(self.sent, difference) {
-                self.distrust();
+                self.reject_feedback();
             }
         } else {
             self.position = i64::from(input.position);
@@ -198,7 +198,7 @@ impl AxisState {
 
     /// Handles an implausible feedback: stores the reason; the axis is no longer homed.
     #[cold]
-    fn distrust(&mut self) {
+    fn reject_feedback(&mut self) {
         self.implausible = Some(self.feedback.implausible());
         self.end_comparison();
         self.lose_home();

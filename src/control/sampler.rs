@@ -343,7 +343,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 }
                 SamplerCommand::ClearFault => {
                     self.supervision.clear();
-                    self.steering.begin_anew();
+                    self.steering.restart();
                 }
             }
         }
@@ -483,14 +483,14 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
         // An axis whose feedback is implausible is no longer homed.
         if self.now.homed != [true; AXES] {
-            self.look_at_feedback();
+            self.check_feedback();
         }
         self.supervision.step(&self.axes, &self.bus, &seen);
     }
 
     /// Latches the fault of an implausible feedback, if that is why an axis is not homed.
     #[cold]
-    fn look_at_feedback(&mut self) {
+    fn check_feedback(&mut self) {
         if let Some((axis, implausible)) = self.robot.take_implausible() {
             self.supervision.latch(Fault::feedback(axis, implausible));
         }

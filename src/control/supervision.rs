@@ -104,16 +104,16 @@ impl Supervision {
             self.count_blind(&seen.valid);
         }
         if seen.home_lost != [false; AXES] && seen.following {
-            self.look_at_homes(&seen.home_lost);
+            self.check_homes(&seen.home_lost);
         }
         if seen.power {
             self.look_at_bus(bus, seen);
             if seen.drive_fault != [false; AXES] {
-                self.look_at_drives(seen);
+                self.check_drives(seen);
             }
         }
         if seen.following {
-            self.look_at_axes(axes, seen);
+            self.check_axes(axes, seen);
         } else {
             self.clamped = [0; AXES];
         }
@@ -143,7 +143,7 @@ impl Supervision {
     }
 
     #[cold]
-    fn look_at_homes(&mut self, lost: &[bool; AXES]) {
+    fn check_homes(&mut self, lost: &[bool; AXES]) {
         for axis in (0u8..).zip(lost).filter_map(|(axis, lost)| lost.then_some(axis)) {
             self.latch(Fault::ReferenceLost { axis });
         }
@@ -185,7 +185,7 @@ impl Supervision {
     }
 
     #[cold]
-    fn look_at_drives(&mut self, seen: &Observation) {
+    fn check_drives(&mut self, seen: &Observation) {
         for (axis, number) in (0..AXES).zip(0u8..) {
             if seen.drive_fault[axis] {
                 self.latch(Fault::Drive {
@@ -197,7 +197,7 @@ impl Supervision {
     }
 
     #[inline]
-    fn look_at_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
+    fn check_axes(&mut self, axes: &[Axis; AXES], seen: &Observation) {
         let (mut near, mut below) = (true, true);
         for (axis, limits) in axes.iter().enumerate() {
             // A NaN counts as neither near nor below its limit.

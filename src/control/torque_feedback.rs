@@ -57,9 +57,9 @@ const SUDDEN_RAD_S2: f32 = 125.0;
 const SUDDEN_SHARE: f32 = 0.75;
 
 /// Motion within which a position counts as at rest, rad.
-const STANDING_RAD: f32 = 2.0e-4;
+const AT_REST_RAD: f32 = 2.0e-4;
 /// Motion of the setpoint beyond which a position that moves the other way counts as not following, rad.
-const LED_RAD: f32 = 0.5 * STANDING_RAD;
+const LED_RAD: f32 = 0.5 * AT_REST_RAD;
 /// How far the setpoint may move while the position is at rest, in addition to what follows from the controllers, as a
 /// part of the deviation limit.
 const STUCK_LIMIT_SHARE: f32 = 0.15;
@@ -352,12 +352,12 @@ impl TorqueModel {
     #[inline]
     fn look_for_stuck(&mut self, moved_rad: f32) {
         self.position_rad += moved_rad;
-        let is_left = self.position_rad.abs() > STANDING_RAD;
+        let is_left = self.position_rad.abs() > AT_REST_RAD;
         let is_led = self.setpoint_rad.abs() > LED_RAD;
         let against = self.position_rad * self.setpoint_rad < 0.0;
         if is_left & is_led & against {
             // A return counts as following.
-            self.position_rad = limited(self.position_rad, STANDING_RAD);
+            self.position_rad = limited(self.position_rad, AT_REST_RAD);
         } else if is_left {
             (self.setpoint_rad, self.position_rad, self.way_rad) = (0.0, 0.0, 0.0);
             (self.mark_load_rad, self.mark_doubt_rad) = (self.mean_load_rad, self.doubt_rad);

@@ -97,7 +97,7 @@ impl Tasks {
     }
 
     /// Whether all queues to the other tasks are empty.
-    fn are_left_alone(&self) -> bool {
+    fn queues_are_empty(&self) -> bool {
         self.sampler_commands.is_empty()
             && self.motion_orders.is_empty()
             && self.bus_commands.is_empty()
@@ -123,7 +123,7 @@ fn a_configuration_that_the_mode_forbids_changes_nothing() {
     other.bus.host_silence_ms += 1;
     let refused = ConfigRefusal::NotInMode(Mode::BusConfiguring);
     assert_eq!(tasks.coordinator.configure(&other), Err(refused));
-    assert!(tasks.are_left_alone());
+    assert!(tasks.queues_are_empty());
     assert_eq!(tasks.coordinator.status(), before);
     assert_eq!(
         tasks.coordinator.path(&[vertex(150_000)], false),
@@ -201,7 +201,7 @@ fn a_command_is_refused_without_a_configuration_and_changes_nothing() {
     for command in [Command::Enable, Command::Home, Command::Draw { job: 1 }] {
         assert_eq!(tasks.coordinator.command(command), Err(Refusal::NotConfigured));
     }
-    assert!(tasks.are_left_alone());
+    assert!(tasks.queues_are_empty());
     assert_eq!(tasks.coordinator.command(Command::Stop), Ok(()));
     assert_eq!(tasks.coordinator.mode(), Mode::Fault);
 }

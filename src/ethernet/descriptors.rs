@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn rings_that_start_anew_after_an_error_of_the_bus_forget_what_was_under_way_and_work() {
+    fn rings_restarted_after_a_bus_error_discard_frames_in_progress_and_work() {
         let memory = descriptors();
         for frames in 0..N {
             // The DMA stops in the middle of whatever it does: some frames received, none fetched, one half written.

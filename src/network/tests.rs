@@ -94,7 +94,7 @@ fn the_path_is_known_as_soon_as_the_segment_answers_and_lost_when_it_stays_silen
 }
 
 #[test]
-fn nothing_is_told_while_nobody_answers() {
+fn nothing_is_reported_while_nobody_answers() {
     assert!(run(settings(), 3_000, |_, _| None).is_empty());
 }
 

@@ -198,7 +198,7 @@ impl BadLine {
     }
 
     /// Asserts that all planned disturbances happened, and that the drawing ended well.
-    pub(crate) fn assert_told(&self) {
+    pub(crate) fn assert_reported(&self) {
         assert_eq!(self.outcome, Some(Ok(())));
         assert_eq!((self.begun, self.resumed.len(), self.cuts.len()), (1, 4, 0));
         assert!(self.bad_frames > 50, "{} frames were spoilt", self.bad_frames);

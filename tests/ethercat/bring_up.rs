@@ -10,7 +10,7 @@ use etherpen::robots::AXES;
 use host_tools::cell::Fault;
 
 #[test]
-fn four_drives_come_to_op_take_power_and_turn_as_told() {
+fn four_drives_reach_op_enable_and_follow_their_demands() {
     turn_as_told(ExchangeKind::Split);
 }
 

@@ -174,7 +174,7 @@ fn waits(event: &Event) -> bool {
 }
 
 /// Ends all faults: what was cut, removed, swapped or damaged is restored.
-fn heal(robot: &mut Robot, events: &[(u64, Event)]) {
+fn clear_faults(robot: &mut Robot, events: &[(u64, Event)]) {
     robot.emergency_stop(false);
     robot.inject(Fault::Join);
     for slave in 1..=4 {
@@ -219,7 +219,7 @@ fn burst(seed: u64) -> u32 {
         happen(&mut robot, *event);
     }
     robot.run(healed_ms as u32);
-    heal(&mut robot, &events);
+    clear_faults(&mut robot, &events);
     robot.run(QUIET_MS);
     if matches!(robot.mode(), Mode::Drawing | Mode::Moving | Mode::Holding) {
         robot.send(Command::Cancel);

@@ -137,7 +137,7 @@ pub(crate) fn case(kind: Option<Kind>, speed_mm_s: f64, seed: u64) -> Case {
 }
 
 /// Distance from the start along a direction, and from the line that begins there and ends after `end_mm`.
-fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: f64) -> (f64, f64) {
+fn along_and_across(start: Position, direction: [f64; 3], at: Position, end_mm: f64) -> (f64, f64) {
     let offset = [at.x_mm - start.x_mm, at.y_mm - start.y_mm, at.z_mm - start.z_mm];
     let along: f64 = offset.iter().zip(direction).map(|(a, b)| a * b).sum();
     let along = along.clamp(0.0, end_mm);
@@ -146,7 +146,7 @@ fn along_and_beside(start: Position, direction: [f64; 3], at: Position, end_mm: 
 }
 
 /// Starts the move of a fast case; a slow case is a jog that the caller repeats. Returns the distance, mm.
-fn set_out(robot: &mut Robot, case: &Case, start: Position) -> f64 {
+fn start_motion(robot: &mut Robot, case: &Case, start: Position) -> f64 {
     if case.speed_mm_s <= JOG_MAX_MM_S {
         return JOG_DISTANCE_MM;
     }
@@ -179,7 +179,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     if let (Some(kind), false) = (case.kind, case.moving) {
         robot.inject(kind.injected(case.axis, LONG_MS));
     }
-    let distance_mm = set_out(robot, case, start);
+    let distance_mm = start_motion(robot, case, start);
     let is_jog = case.speed_mm_s <= JOG_MAX_MM_S;
     let velocity_mm_s = case.direction.map(|part| (part * case.speed_mm_s) as f32);
     let limit_ms = (2_000.0 + distance_mm / case.speed_mm_s * 1_000.0) as u32;
@@ -190,7 +190,7 @@ pub(crate) fn drive(robot: &mut Robot, case: &Case) -> Outcome {
     for ms in 0..limit_ms {
         let cell = robot.cell();
         let at = cell.platform.unwrap_or(start);
-        let (along, beside) = along_and_beside(start, case.direction, at, end_mm);
+        let (along, beside) = along_and_across(start, case.direction, at, end_mm);
         let is_fast = (along - before) * 1_000.0 >= 0.95 * case.speed_mm_s || along > 0.3 * distance_mm;
         before = along;
         let braking = cell

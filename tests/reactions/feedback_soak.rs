@@ -159,11 +159,11 @@ fn soak(mode: AxisMode) {
 }
 
 #[test]
-fn strokes_moves_and_jogs_of_a_sound_robot_in_velocity_mode_are_believed() {
+fn strokes_moves_and_jogs_of_a_sound_robot_in_velocity_mode_are_accepted() {
     soak(AxisMode::Velocity);
 }
 
 #[test]
-fn strokes_moves_and_jogs_of_a_sound_robot_in_torque_mode_are_believed() {
+fn strokes_moves_and_jogs_of_a_sound_robot_in_torque_mode_are_accepted() {
     soak(AxisMode::Torque);
 }

@@ -56,7 +56,7 @@ fn insist(robot: &mut Robot, command: Command) {
 }
 
 /// From rest without a fault: takes the reference and enables. Returns false if a fault occurs meanwhile.
-fn gets_up(robot: &mut Robot) -> bool {
+fn home_and_enable(robot: &mut Robot) -> bool {
     if !robot.status.as_ref().is_some_and(|status| status.referenced) {
         // The joints are not at the marks: the operator measures the pose.
         let pose = robot.cell().joints;
@@ -120,7 +120,7 @@ pub(crate) fn come_back(robot: &mut Robot, most: u32) -> u32 {
         if robot.mode() == Mode::Stopping {
             robot.run_until("it stands", |robot| robot.mode() != Mode::Stopping);
         }
-        if robot.mode() != Mode::Fault && gets_up(robot) {
+        if robot.mode() != Mode::Fault && home_and_enable(robot) {
             draws(robot);
             return tries;
         }

@@ -131,7 +131,7 @@ fn stalled_frames_stop_the_motors_by_the_drives_own_watchdog() {
 }
 
 #[test]
-fn motors_that_answer_no_more_are_stopped_by_the_quick_stop_that_they_still_hear() {
+fn motors_that_stop_answering_are_stopped_by_the_quick_stop_that_still_arrives() {
     let mut robot = Robot::drawing();
     let mut quick_stop_seen = false;
     for _ in 0..400 {

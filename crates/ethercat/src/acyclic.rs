@@ -22,7 +22,7 @@ pub const REGISTER_BYTES_MAX: usize = 64;
 pub const IN_FLIGHT_MAX: usize = 8;
 /// Most repetitions of a harmless datagram after a loss or a wrong working counter.
 pub const TRIES_MAX: u8 = 8;
-/// Most requests of one [`AcyclicPort::insist_all`].
+/// Most requests of one [`AcyclicPort::send_all_until_counted`].
 pub const INSIST_MAX: usize = 32;
 
 /// Data of an acyclic datagram.
@@ -233,7 +233,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     ///
     /// # Errors
     /// [`BusError::Lost`] or [`BusError::WorkingCounter`] after [`TRIES_MAX`] tries, or [`BusError::NoRoom`].
-    pub async fn insist(&mut self, request: &Request, expected: u16) -> Result<Bytes, BusError> {
+    pub async fn send_until_counted(&mut self, request: &Request, expected: u16) -> Result<Bytes, BusError> {
         let mut error = BusError::Lost { tries: TRIES_MAX };
         for _ in 0..TRIES_MAX {
             let reply = self.transact(request).await;
@@ -253,8 +253,8 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     /// Only for datagrams that may be executed more than once and in any order.
     ///
     /// # Errors
-    /// As [`Self::insist`], for the last one that failed.
-    pub async fn insist_all(
+    /// As [`Self::send_until_counted`], for the last one that failed.
+    pub async fn send_all_until_counted(
         &mut self,
         requests: &[Request],
         expected: u16,
@@ -294,16 +294,16 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     /// Reads `length` bytes (at most [`REGISTER_BYTES_MAX`]) of one slave's memory.
     ///
     /// # Errors
-    /// As [`Self::insist`].
+    /// As [`Self::send_until_counted`].
     pub async fn read(&mut self, station: u16, register: u16, length: usize) -> Result<Bytes, BusError> {
         let request = Request::read(Command::Fprd, Address::station(station, register), length);
-        self.insist(&request, 1).await
+        self.send_until_counted(&request, 1).await
     }
 
     /// Reads a 16-bit register of one slave.
     ///
     /// # Errors
-    /// As [`Self::insist`].
+    /// As [`Self::send_until_counted`].
     pub async fn read_u16(&mut self, station: u16, register: u16) -> Result<u16, BusError> {
         let bytes = self.read(station, register, 2).await?;
         Ok(super::wire::read_u16(&bytes, 0))
@@ -312,10 +312,10 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
     /// Writes one slave's memory; `data` is truncated to [`REGISTER_BYTES_MAX`] bytes.
     ///
     /// # Errors
-    /// As [`Self::insist`].
+    /// As [`Self::send_until_counted`].
     pub async fn write(&mut self, station: u16, register: u16, data: &[u8]) -> Result<(), BusError> {
         let request = Request::write(Command::Fpwr, Address::station(station, register), data);
-        self.insist(&request, 1).await.map(|_| ())
+        self.send_until_counted(&request, 1).await.map(|_| ())
     }
 
     /// Writes one register of all slaves; returns how many slaves executed it.

@@ -361,7 +361,7 @@ fn a_whole_object_is_read_by_complete_access() {
 }
 
 #[test]
-fn what_comes_between_request_and_answer_is_dispatched_and_waiting_goes_on() {
+fn messages_between_request_and_answer_are_dispatched_and_the_wait_continues() {
     let emergency = Emergency {
         code: 0x8130,
         register: 0x11,

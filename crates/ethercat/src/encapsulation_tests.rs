@@ -387,7 +387,7 @@ fn several_requests_share_a_frame_and_only_lost_ones_are_sent_again() {
     let mut answers = vec![0; 20];
     let mut cycles = 0;
     {
-        let mut future = pin!(port.insist_all(&requests, 1, |number, _| answers[number] += 1));
+        let mut future = pin!(port.send_all_until_counted(&requests, 1, |number, _| answers[number] += 1));
         let result = loop {
             cycles += 1;
             if let Poll::Ready(result) = rig.poll(cycles == 3, future.as_mut()) {
@@ -399,7 +399,7 @@ fn several_requests_share_a_frame_and_only_lost_ones_are_sent_again() {
     assert_eq!(answers, vec![1; 20]);
     // Three frames; one is lost, which is known a cycle later, and a fourth repeats its datagrams.
     assert_eq!(cycles, 1 + 3 + 1 + 1);
-    let mut future = pin!(port.insist_all(&requests[..3], 2, |_, _| ()));
+    let mut future = pin!(port.send_all_until_counted(&requests[..3], 2, |_, _| ()));
     let result = loop {
         if let Poll::Ready(result) = rig.poll(false, future.as_mut()) {
             break result;

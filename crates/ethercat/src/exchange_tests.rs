@@ -156,7 +156,7 @@ fn one_slaves_wrong_counter_costs_only_its_own_inputs() {
 }
 
 #[test]
-fn what_is_not_this_cycles_reply_is_told_apart() {
+fn frames_other_than_this_cycles_reply_are_classified() {
     use Ignored::*;
     type Change = fn(&mut Vec<u8>);
     let changes: [(Ignored, Change); 13] = [

@@ -124,7 +124,7 @@ impl Mailbox {
     /// Discards old messages of the slave; emergencies are kept.
     ///
     /// # Errors
-    /// As [`AcyclicPort::insist`].
+    /// As [`AcyclicPort::send_until_counted`].
     pub async fn drain<const MESSAGE: usize>(&mut self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
         for _ in 0..DRAIN_MAX {
             if !self.is_full(port, 1).await? {
@@ -165,7 +165,7 @@ impl Mailbox {
     /// other kinds that arrive meanwhile are dispatched.
     ///
     /// # Errors
-    /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], or as [`AcyclicPort::insist`].
+    /// [`BusError::MailboxTimeout`], [`BusError::Mailbox`], or as [`AcyclicPort::send_until_counted`].
     pub async fn receive<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
@@ -239,7 +239,7 @@ impl Mailbox {
     /// Sends `length` bytes of service data written by `emit`, as soon as the slave has taken the previous message.
     ///
     /// # Errors
-    /// [`BusError::MailboxTimeout`], [`BusError::MailboxLength`], [`BusError::NoRoom`], or as [`AcyclicPort::insist`].
+    /// [`BusError::MailboxTimeout`], [`BusError::MailboxLength`], [`BusError::NoRoom`], or as [`AcyclicPort::send_until_counted`].
     pub async fn send<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
@@ -282,7 +282,7 @@ impl Mailbox {
                 Outcome::Processed { working_counter: 0 } => {}
                 Outcome::NoRoom { room } => return Err(no_room(self.out.length.into(), room)),
                 Outcome::Processed { .. } | Outcome::Lost => {
-                    if self.is_full(port, 0).await? || self.answer_comes(port).await? {
+                    if self.is_full(port, 0).await? || self.await_answer(port).await? {
                         return Ok(());
                     }
                 }
@@ -295,7 +295,7 @@ impl Mailbox {
     }
 
     /// Waits briefly for the answer to a request that may not have arrived.
-    async fn answer_comes<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<bool, BusError> {
+    async fn await_answer<const MESSAGE: usize>(&self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<bool, BusError> {
         let started_ms = port.now_ms();
         while port.now_ms().wrapping_sub(started_ms) < UNKNOWN_FATE_MS {
             if self.is_full(port, 1).await? {

@@ -45,7 +45,7 @@ pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
 /// `watchdog_ms` is the sync managers' watchdog; 0 switches it off.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &Slave<F>,
@@ -95,5 +95,5 @@ async fn watchdogs<const MESSAGE: usize>(
         (register::WATCHDOG_SYNC_MANAGER, units),
     ]
     .map(|(at, value)| Request::write(Command::Fpwr, Address::station(station, at), &value.to_le_bytes()));
-    port.insist_all(&requests, 1, |_, _| {}).await
+    port.send_all_until_counted(&requests, 1, |_, _| {}).await
 }

@@ -100,7 +100,7 @@ impl AlReport {
 /// Reads a slave's state, error flag and code in one datagram.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn report<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -112,7 +112,7 @@ pub async fn report<const MESSAGE: usize>(
 /// Acknowledges a pending error: requests the present state with the acknowledge bit.
 ///
 /// # Errors
-/// [`BusError::State`] when the flag stays, or as [`AcyclicPort::insist`].
+/// [`BusError::State`] when the flag stays, or as [`AcyclicPort::send_until_counted`].
 pub async fn acknowledge<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -146,7 +146,7 @@ pub async fn acknowledge<const MESSAGE: usize>(
 ///
 /// # Errors
 /// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state, or as
-/// [`AcyclicPort::insist`].
+/// [`AcyclicPort::send_until_counted`].
 pub async fn change<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -171,7 +171,7 @@ pub async fn change<const MESSAGE: usize>(
         }
     };
     let started_ms = port.now_ms();
-    port.insist_all(&requests, 1, take).await?;
+    port.send_all_until_counted(&requests, 1, take).await?;
     let timeout_ms = if target == AlState::Operational {
         OPERATIONAL_TIMEOUT_MS
     } else {

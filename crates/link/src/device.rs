@@ -9,7 +9,7 @@
 
 use crate::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
 use crate::message::{DeviceMessage, HostMessage, PathVertices, SAMPLES_PER_MESSAGE, Welcome};
-use crate::ports::{Hearing, LinkPort, PortHold};
+use crate::ports::{LinkPort, PortDecision, PortHold};
 use crate::receiver::PathReceiver;
 use crate::requests::{Request, Single};
 use crate::{CommandEffect, Protocol};
@@ -180,8 +180,8 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
     #[inline(never)] // generic code is inlined at every call otherwise, which costs flash
     pub fn receive(&mut self, port: LinkPort, payload: &[u8], now_ms: u64, free: usize) -> Option<DeviceEvent<P>> {
         match self.hold.hear(port, now_ms) {
-            Hearing::Held => {}
-            Hearing::Taken => {
+            PortDecision::Held => {}
+            PortDecision::Taken => {
                 // A host at a new port has to greet. A 0x00 ends any frame that was cut off on the line.
                 self.session = None;
                 self.welcome_due = false;
@@ -190,7 +190,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
                     *first = 0;
                 }
             }
-            Hearing::Dropped => {
+            PortDecision::Dropped => {
                 self.counts.other_port = self.counts.other_port.wrapping_add(1);
                 return None;
             }

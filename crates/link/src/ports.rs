@@ -26,7 +26,7 @@ impl LinkPort {
 
 /// How a message is treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hearing {
+pub enum PortDecision {
     /// Its port already holds the link.
     Held,
     /// The link was free; the message's port holds it from now on.
@@ -57,12 +57,12 @@ impl PortHold {
     }
 
     /// Decides how to treat a message with a correct CRC.
-    pub fn hear(&mut self, port: LinkPort, now_ms: u64) -> Hearing {
+    pub fn hear(&mut self, port: LinkPort, now_ms: u64) -> PortDecision {
         let held = |heard_ms: u64| now_ms.saturating_sub(heard_ms) < HELD_MS;
         let hearing = match self.heard_ms {
-            _ if port == self.port => Hearing::Held,
-            Some(heard_ms) if held(heard_ms) => return Hearing::Dropped,
-            _ => Hearing::Taken,
+            _ if port == self.port => PortDecision::Held,
+            Some(heard_ms) if held(heard_ms) => return PortDecision::Dropped,
+            _ => PortDecision::Taken,
         };
         *self = Self {
             port,
@@ -81,18 +81,18 @@ mod tests {
     fn the_first_to_speak_has_the_link_whichever_port_it_is() {
         for port in LinkPort::ALL {
             let mut hold = PortHold::new();
-            assert_ne!(hold.hear(port, 5), Hearing::Dropped);
-            assert_eq!((hold.port(), hold.hear(port, 6)), (port, Hearing::Held));
+            assert_ne!(hold.hear(port, 5), PortDecision::Dropped);
+            assert_eq!((hold.port(), hold.hear(port, 6)), (port, PortDecision::Held));
         }
     }
 
     #[test]
     fn a_port_keeps_the_link_as_long_as_it_is_not_silent() {
         let mut hold = PortHold::new();
-        assert_eq!(hold.hear(Usb, 0), Hearing::Taken);
+        assert_eq!(hold.hear(Usb, 0), PortDecision::Taken);
         for now_ms in (1..100_000).step_by(HELD_MS as usize - 1) {
-            assert_eq!(hold.hear(Serial, now_ms), Hearing::Dropped);
-            assert_eq!(hold.hear(Usb, now_ms), Hearing::Held);
+            assert_eq!(hold.hear(Serial, now_ms), PortDecision::Dropped);
+            assert_eq!(hold.hear(Usb, now_ms), PortDecision::Held);
         }
     }
 
@@ -100,10 +100,13 @@ mod tests {
     fn a_silent_port_gives_the_link_away_but_only_to_one_that_speaks() {
         let mut hold = PortHold::new();
         hold.hear(Serial, 100);
-        assert_eq!(hold.hear(Usb, 100 + HELD_MS - 1), Hearing::Dropped);
+        assert_eq!(hold.hear(Usb, 100 + HELD_MS - 1), PortDecision::Dropped);
         assert_eq!(hold.port(), Serial);
-        assert_eq!(hold.hear(Usb, 100 + HELD_MS), Hearing::Taken);
-        assert_eq!((hold.port(), hold.hear(Serial, 101 + HELD_MS)), (Usb, Hearing::Dropped));
+        assert_eq!(hold.hear(Usb, 100 + HELD_MS), PortDecision::Taken);
+        assert_eq!(
+            (hold.port(), hold.hear(Serial, 101 + HELD_MS)),
+            (Usb, PortDecision::Dropped)
+        );
     }
 
     #[test]
@@ -111,8 +114,8 @@ mod tests {
         let mut hold = PortHold::new();
         hold.hear(Serial, 0);
         for now_ms in 1..HELD_MS {
-            assert_eq!(hold.hear(Usb, now_ms), Hearing::Dropped);
+            assert_eq!(hold.hear(Usb, now_ms), PortDecision::Dropped);
         }
-        assert_eq!(hold.hear(Usb, HELD_MS), Hearing::Taken);
+        assert_eq!(hold.hear(Usb, HELD_MS), PortDecision::Taken);
     }
 }

@@ -275,7 +275,7 @@ fn sixteen_signals_are_plotted_and_the_page_fits_a_phone() {
 }
 
 #[test]
-fn the_documentations_pictures_are_taken_anew_when_asked() {
+fn the_documentations_pictures_are_renewed_when_asked() {
     if std::env::var_os(RENEW).is_none() {
         println!("SKIPPED: {RENEW} is not set");
         return;

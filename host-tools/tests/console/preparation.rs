@@ -97,7 +97,7 @@ fn wish(browser: &mut Browser, wishes: [&str; 3]) {
 }
 
 #[test]
-fn every_wish_plans_the_file_anew_and_the_last_one_wins() {
+fn every_wish_replans_the_file_and_the_last_one_wins() {
     let Some(mut browser) = Browser::start() else { return };
     let rig = Rig::start();
     let browser = &mut browser;

@@ -53,7 +53,7 @@ fn page_with_lists(browser: &mut Browser, rig: &Rig) {
 }
 
 #[test]
-fn no_press_is_lost_while_the_page_is_shown_anew() {
+fn no_press_is_lost_while_the_page_is_updated() {
     let Some(mut browser) = Browser::start() else { return };
     let rig = Rig::start();
     let browser = &mut browser;

@@ -81,7 +81,7 @@ fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Res
             return Err(Box::new(state));
         }
         way.push((key, waited_ms, commands));
-        let (ms, given) = state.go_on_sensibly();
+        let (ms, given) = state.operate_sensibly();
         (waited_ms, commands) = (waited_ms + ms, commands + given);
     };
     let total = (waited_ms + rest.0, commands + rest.1);
@@ -92,7 +92,7 @@ fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Res
 }
 
 #[test]
-fn from_every_state_there_is_a_way_back_to_idle_and_no_command_does_half_of_what_it_says() {
+fn every_state_leads_back_to_idle_and_no_refused_command_has_an_effect() {
     let found = search();
     println!("{} states, {} transitions", found.states.len(), found.transitions);
     println!("{:?}", found.modes);

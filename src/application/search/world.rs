@@ -473,7 +473,7 @@ impl State {
 
     /// The operator acts sensibly in this mode, or waits; the world carries out what was requested. Returns the time
     /// that passed, ms, and the number of commands.
-    pub(super) fn go_on_sensibly(&mut self) -> (u32, u32) {
+    pub(super) fn operate_sensibly(&mut self) -> (u32, u32) {
         self.make(Move::Release);
         if self.is_followed() && self.trajectory.data != Data::Awaited {
             self.make(Move::Arrives);

@@ -90,7 +90,7 @@ pub(crate) fn start(waits: &mut Waits) -> Source {
 }
 
 /// Whether the firmware runs on the internal oscillator and the external clock has appeared since.
-pub(crate) fn external_clock_has_come() -> bool {
+pub(crate) fn external_clock_appeared() -> bool {
     RCC.pllckselr().read().pllsrc() == Pllsrc::HSI && RCC.cr().read().hserdy()
 }
 

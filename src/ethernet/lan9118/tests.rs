@@ -264,7 +264,7 @@ fn a_frame_that_is_too_long_is_counted_and_not_sent() {
 }
 
 #[test]
-fn without_room_no_frame_is_begun() {
+fn without_room_no_frame_is_started() {
     let mut chip = Model::new();
     let mut driver = started(&mut chip);
     model(&mut driver).tx_free = 256;

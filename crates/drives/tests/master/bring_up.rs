@@ -162,11 +162,11 @@ fn a_refused_state_is_reported_with_slave_step_and_code() {
     );
 }
 
-/// Brings four drives up, does `harm`, waits for `noticed`, does `heal`, recovers, and checks the others' inputs.
+/// Brings four drives up, does `harm`, waits for `noticed`, does `clear_faults`, recovers, and checks the others' inputs.
 fn repair(
     harm: fn(&mut FakeSlave),
     noticed: fn(&BusEvent) -> bool,
-    heal: fn(&mut FakeSlave),
+    clear_faults: fn(&mut FakeSlave),
     verdict: fn(&BusEvent) -> bool,
 ) {
     let (mut harmed_ms, mut recovering, mut judged) = (None, false, false);
@@ -188,7 +188,7 @@ fn repair(
             }
             if harmed_ms.is_some() && !recovering && events.iter().any(noticed) {
                 recovering = true;
-                heal(&mut bench.segment.slaves[1]);
+                clear_faults(&mut bench.segment.slaves[1]);
                 return Next::Recover;
             }
             judged |= recovering && events.iter().any(verdict);

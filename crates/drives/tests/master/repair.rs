@@ -27,7 +27,7 @@ fn assert_inputs(bench: &Bench<'_>, slaves: &[usize]) {
 fn after_harm(
     lost: &[u8],
     harm: fn(&mut FakeSegment),
-    heal: fn(&mut FakeSegment),
+    clear_faults: fn(&mut FakeSegment),
     enough: fn(&[BusEvent]) -> bool,
 ) -> Vec<BusEvent> {
     let others: Vec<usize> = (0..4_u8)
@@ -56,7 +56,7 @@ fn after_harm(
             if harmed && missing.is_empty() && !recovering {
                 recovering = true;
                 log.clear();
-                heal(&mut bench.segment);
+                clear_faults(&mut bench.segment);
                 return Next::Recover;
             }
             if recovering && enough(&log) {

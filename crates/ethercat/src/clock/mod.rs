@@ -121,7 +121,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
 /// Determines which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -146,7 +146,7 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
 /// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -200,7 +200,7 @@ fn open_ports(status: u16) -> u8 {
 /// loops start to follow. Does nothing on a bus without clocks.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -230,7 +230,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
 /// reference.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -290,7 +290,7 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     let (mut first_ns, mut sum_ns, mut readings) = (None, 0_i64, 0_i64);
     let period_ns = i64::from(clocks.period_ns.max(1));
     for _ in 0..SETTLING_FRAMES {
-        let time_ns = read_u64(&port.insist(&request, expected).await?, 0);
+        let time_ns = read_u64(&port.send_until_counted(&request, expected).await?, 0);
         let phase_ns = (time_ns % period_ns.unsigned_abs()) as i64;
         let first_ns = *first_ns.get_or_insert(phase_ns);
         // Takes the difference by the shorter way round the period.
@@ -305,7 +305,7 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
 /// A slave's difference from the reference, ns: positive when it is ahead.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn difference_ns<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -318,7 +318,7 @@ pub async fn difference_ns<const MESSAGE: usize>(
 /// carry the time datagram meanwhile.
 ///
 /// # Errors
-/// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::insist`].
+/// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::send_until_counted`].
 pub async fn await_agreement<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -346,7 +346,7 @@ pub async fn await_agreement<const MESSAGE: usize>(
 /// Returns the start time.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -369,7 +369,7 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
 /// Stops SYNC0 and SYNC1 of a slave.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn stop_sync<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,

@@ -92,7 +92,7 @@ impl ClockSteering {
 
     /// Clears a fault and locks again. Meanwhile the sample returns to its phase by the shorter way, at most half a
     /// period: the slaves' SYNC0 keeps that phase, whatever happens to the time.
-    pub fn begin_anew(&mut self) {
+    pub fn restart(&mut self) {
         (self.missing_cycles, self.locked_cycles) = (0, 0);
     }
 
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_stays_away_is_a_fault_and_single_gaps_are_none() {
+    fn a_missing_clock_is_a_fault_and_single_gaps_are_not() {
         let mut bench = Bench::new(50_000);
         for cycle in 0..3_999 {
             bench.cycle(0, cycle % 3 != 0);
@@ -355,7 +355,7 @@ mod tests {
             bench.cycle(jump_ns, true);
             let jumped = jump_ns.unsigned_abs() > 20_000;
             assert_eq!(bench.steering.fault(20_000).is_some(), jumped, "{jump_ns}");
-            bench.steering.begin_anew();
+            bench.steering.restart();
             // A repair may set the time once more.
             for _ in 0..50 {
                 bench.cycle(3 * jump_ns, true);

@@ -59,7 +59,7 @@ pub async fn count<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) ->
 /// Reads the station addresses of the first `count` slaves of the chain; 0 where no slave answers.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist_all`].
+/// As [`AcyclicPort::send_all_until_counted`].
 pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     count: u16,
@@ -76,7 +76,7 @@ pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
         let before = stations.len();
         // Slaves that do not fit are not among the first.
         let _ = stations.resize(before + requests.len(), 0);
-        port.insist_all(&requests, 1, |number, bytes| {
+        port.send_all_until_counted(&requests, 1, |number, bytes| {
             if let Some(station) = stations.get_mut(before + number) {
                 *station = read_u16(bytes, 0);
             }
@@ -89,19 +89,21 @@ pub async fn stations<const MESSAGE: usize, const PLACES: usize>(
 /// Assigns a station address to the slave at a place in the chain.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn assign_station<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     position: u16,
     station: u16,
 ) -> Result<(), BusError> {
-    port.insist(&assignment(position, station), 1).await.map(|_| ())
+    port.send_until_counted(&assignment(position, station), 1)
+        .await
+        .map(|_| ())
 }
 
 /// Assigns station addresses to the first `count` slaves of the chain, from [`STATION_BASE`] on.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist_all`].
+/// As [`AcyclicPort::send_all_until_counted`].
 pub async fn assign_stations<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     count: u16,
@@ -110,7 +112,7 @@ pub async fn assign_stations<const MESSAGE: usize>(
         let places = first..count.min(first + IN_FLIGHT_MAX as u16);
         let requests = places.map(|position| assignment(position, STATION_BASE.wrapping_add(position)));
         let requests: Vec<Request, IN_FLIGHT_MAX> = requests.collect();
-        port.insist_all(&requests, 1, |_, _| {}).await?;
+        port.send_all_until_counted(&requests, 1, |_, _| {}).await?;
     }
     Ok(())
 }
@@ -123,7 +125,7 @@ fn assignment(position: u16, station: u16) -> Request {
 /// Sets up the mailbox's sync managers, in INIT.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn mailbox_managers<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -164,12 +166,12 @@ fn mailbox_manager(window: MailboxWindow, control: u8) -> SyncManagerRepr {
 /// Clears all of a slave's sync managers and FMMUs, in INIT.
 ///
 /// # Errors
-/// As [`AcyclicPort::insist_all`].
+/// As [`AcyclicPort::send_all_until_counted`].
 pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
     let write = |register, data: &[u8]| Request::write(Command::Fpwr, Address::station(station, register), data);
     let requests = [
         write(register::FMMU, &[0; CLEARED * FMMU_LEN]),
         write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN]),
     ];
-    port.insist_all(&requests, 1, |_, _| {}).await
+    port.send_all_until_counted(&requests, 1, |_, _| {}).await
 }

@@ -98,7 +98,7 @@ async fn take_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, sta
         });
         let requests: Each<Request> = requests.collect();
         // A slave that does not answer will not be read either.
-        let _ = port.insist_all(&requests, 1, |_, _| {}).await;
+        let _ = port.send_all_until_counted(&requests, 1, |_, _| {}).await;
     }
 }
 
@@ -122,7 +122,7 @@ async fn read_each<const MESSAGE: usize>(
         };
         let commands: Each<Request> = asked().map(|(station, word)| command(station, word)).collect();
         // The answer shows whether the command arrived.
-        let _ = port.insist_all(&commands, 1, |_, _| {}).await;
+        let _ = port.send_all_until_counted(&commands, 1, |_, _| {}).await;
         let numbers: Each<usize> = open
             .iter()
             .enumerate()
@@ -137,7 +137,7 @@ async fn read_each<const MESSAGE: usize>(
                 .collect();
             let asked = waiting.clone();
             let lost = port
-                .insist_all(&questions, 1, |index, bytes| {
+                .send_all_until_counted(&questions, 1, |index, bytes| {
                     let Some(number) = asked.get(index) else { return };
                     let word = words.get(*number).copied().flatten().unwrap_or(0);
                     let result = match answer(bytes, word) {
@@ -210,7 +210,7 @@ pub async fn fixed_parts<const MESSAGE: usize>(
 /// Reads the fixed part of one slave's SII: identity and mailboxes.
 ///
 /// # Errors
-/// [`BusError::SiiBusy`], [`BusError::Sii`], or as [`AcyclicPort::insist`].
+/// [`BusError::SiiBusy`], [`BusError::Sii`], or as [`AcyclicPort::send_until_counted`].
 pub async fn fixed_part<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,

@@ -246,7 +246,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
-        let result = self.inputs_come(&slave).await;
+        let result = self.await_inputs(&slave).await;
         result.map_err(at(Step::CyclicData))?;
         if self.clocks.has_clock(usize::from(slave.position)) {
             let result = clock::await_agreement(&mut self.port, slave.station()).await;
@@ -265,7 +265,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.
-    pub(super) async fn inputs_come(&mut self, slave: &Slave<F>) -> Result<(), BusError> {
+    pub(super) async fn await_inputs(&mut self, slave: &Slave<F>) -> Result<(), BusError> {
         let share = process_data::cyclic_slave(slave);
         let started_ms = self.port.now_ms();
         let request = Request::read(

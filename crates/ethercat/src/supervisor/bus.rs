@@ -120,7 +120,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         // A slave that does not answer has no report, whatever the reason.
         let _ = self
             .port
-            .insist_all(&requests, 1, |number, bytes| {
+            .send_all_until_counted(&requests, 1, |number, bytes| {
                 if let Some(report) = reports.get_mut(number) {
                     *report = Some(AlReport::parse(bytes));
                 }

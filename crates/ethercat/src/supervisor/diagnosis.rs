@@ -32,7 +32,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             // The ports of a slave that does not answer keep their last state.
             let _ = port
-                .insist_all(&requests, 1, |number, bytes| {
+                .send_all_until_counted(&requests, 1, |number, bytes| {
                     if let Some(slave) = chunk.get_mut(number) {
                         slave.dl_status = read_u16(bytes, 0);
                     }
@@ -87,7 +87,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Reads the next slave's counters and reports the cables whose error counts have grown.
-    pub(super) async fn look_at_cables(&mut self) {
+    pub(super) async fn check_cables(&mut self) {
         let number = self.cable_next % self.slaves.len().max(1);
         self.cable_next = number + 1;
         let Some(slave) = self.slaves.get(number) else { return };
@@ -143,7 +143,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Fetches unsolicited messages from the mailbox of the last inspected slave, and reports its emergencies.
-    pub(super) async fn look_at_mailbox(&mut self) {
+    pub(super) async fn check_mailbox(&mut self) {
         let number = self.cable_next.saturating_sub(1);
         let Some(slave) = self.slaves.get_mut(number) else {
             return;

@@ -172,7 +172,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     self.start().await;
                 }
                 (Some(BusCommand::Port(port)), _) => self.inbox.port = port,
-                (Some(BusCommand::Recover), Phase::Running) if self.inbox.port.is_down() => self.miss_link().await,
+                (Some(BusCommand::Recover), Phase::Running) if self.inbox.port.is_down() => {
+                    self.report_missing_link().await
+                }
                 (Some(BusCommand::Recover), Phase::Running) => self.recover().await,
                 (Some(BusCommand::Recover), Phase::Failed) => self.start().await,
                 (Some(BusCommand::Recover), Phase::Stopped) => {}
@@ -195,10 +197,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Brings the whole bus up.
     async fn start(&mut self) {
         self.phase = Phase::Failed;
-        if self.link_stays_away().await {
+        if self.link_missing_after_wait().await {
             // A command that arrived meanwhile is carried out instead.
             if !self.inbox.commands.ready() {
-                self.miss_link().await;
+                self.report_missing_link().await;
             }
             return;
         }
@@ -211,7 +213,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             }
             Ok(Err(failure)) => self.bus.refuse(failure).await,
             Err(Interruption::Command) => {}
-            Err(Interruption::Bus) if self.inbox.port.is_down() => self.miss_link().await,
+            Err(Interruption::Bus) if self.inbox.port.is_down() => self.report_missing_link().await,
             Err(Interruption::Bus) => {
                 self.bus.inspect(0..SLAVES).await;
                 let error = BusError::SlaveCount {
@@ -225,7 +227,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Waits for the port's link, which takes some seconds after a common power-up; returns early when another command
     /// arrives. Returns whether the link is still missing.
-    async fn link_stays_away(&mut self) -> bool {
+    async fn link_missing_after_wait(&mut self) -> bool {
         let began_ms = self.bus.port.now_ms();
         while self.inbox.port.is_down()
             && !self.inbox.commands.ready()
@@ -238,7 +240,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 
     /// Reports that the port has no link.
-    async fn miss_link(&mut self) {
+    async fn report_missing_link(&mut self) {
         let error = BusError::NoLink { port: self.inbox.port };
         self.bus.refuse(Failure::bus(Step::Discover)(error)).await;
     }
@@ -286,7 +288,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.inbox.observe(&expected);
         let missed = self.inbox.port.is_down();
         if missed && !self.port_missed {
-            self.miss_link().await;
+            self.report_missing_link().await;
         }
         self.port_missed = missed;
         let now_ms = self.bus.port.now_ms();
@@ -332,11 +334,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let last = (first + bus::LOOK_MAX).min(slaves);
         self.look_next = last;
         self.bus.inspect(first..last).await;
-        self.bus.look_at_cables().await;
+        self.bus.check_cables().await;
         self.bus.look_at_processor().await;
         let expected = self.bus.expectation(None);
         let Self { bus, inbox, .. } = self;
-        let work = pin!(bus.look_at_mailbox());
+        let work = pin!(bus.check_mailbox());
         // After an interruption the mailbox is read again in the next round.
         let _ = inbox.guard(expected, false, work).await;
     }

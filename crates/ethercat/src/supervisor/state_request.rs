@@ -121,7 +121,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match self.slaves.get(number).copied() {
             Some(slave) if slave.member.is_none() => {
                 if slave.process_data.is_some() {
-                    self.inputs_come(&slave).await?;
+                    self.await_inputs(&slave).await?;
                 }
                 state::change(&mut self.port, station, AlState::Operational).await?;
             }

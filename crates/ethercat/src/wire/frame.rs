@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn other_protocols_types_and_cut_frames_are_told_apart() {
+    fn other_protocols_types_and_cut_frames_are_distinguished() {
         let mut bytes = [0; 60];
         let mut builder = FrameBuilder::new(&mut bytes, SOURCE).unwrap();
         builder.push(Command::Brd, 0, Address::broadcast(0), 40 - 12).unwrap();

@@ -119,7 +119,7 @@ fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_r
 }
 
 #[test]
-fn every_greeting_is_told_how_the_run_before_ended() {
+fn every_greeting_is_answered_with_the_end_of_the_previous_run() {
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
     for (session, previous) in [(1, Example::NO_PREVIOUS_RUN), (2, 9), (3, 9)] {
         if previous != Example::NO_PREVIOUS_RUN {

@@ -148,7 +148,7 @@ fn draw(line: Line, count: usize) -> (Rig, SessionCounts, u64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
     #[test]
-    fn over_any_line_the_path_arrives_whole_and_in_order_and_each_command_once(
+    fn over_any_line_the_path_arrives_complete_and_in_order_and_each_command_once(
         seed in any::<u32>(),
         one_in in prop_oneof![Just(0u32), 60..5_000u32],
         count in 0..800usize,

@@ -18,11 +18,11 @@ const BESIDE_S: f64 = 0.12;
 
 /// Walks beyond those of the suite: repeated vertices behind a knot of the spline, an override in the second half of a
 /// slow blend's interval, and a fast average past repeated vertices.
-const FARTHER: [u64; 3] = [4517, 2013, 7682];
+const EXTRA_SEEDS: [u64; 3] = [4517, 2013, 7682];
 
 fn walks() -> impl Iterator<Item = u64> {
     let asked = std::env::var(WALKS).ok().and_then(|text| text.parse().ok());
-    (1..=asked.unwrap_or(WALKS_OF_THE_SUITE)).chain(FARTHER)
+    (1..=asked.unwrap_or(WALKS_OF_THE_SUITE)).chain(EXTRA_SEEDS)
 }
 
 /// Limits of a walk: mostly the default ones, some far from them.

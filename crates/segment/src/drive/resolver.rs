@@ -54,7 +54,7 @@ impl Resolver {
     /// Sets a fault for some milliseconds; 0 repairs the resolver, including its mounting angle.
     pub(crate) fn set_fault(&mut self, fault: ResolverFault, milliseconds: u64, motor_rad: f64) {
         let shown_rad = self.shown_rad(motor_rad);
-        self.heal(motor_rad);
+        self.clear_faults(motor_rad);
         if milliseconds > 0 {
             (self.motor_rad, self.shown_rad) = (motor_rad, shown_rad);
             (self.fault, self.left_ms) = (Some(fault), milliseconds);
@@ -79,7 +79,7 @@ impl Resolver {
         if self.left_ms > 0 {
             self.left_ms -= 1;
             if self.left_ms == 0 {
-                self.heal(motor_rad);
+                self.clear_faults(motor_rad);
             }
         }
         let amplitude_rad = match self.fault {
@@ -105,7 +105,7 @@ impl Resolver {
         shown_rad + self.error_rad
     }
 
-    fn heal(&mut self, motor_rad: f64) {
+    fn clear_faults(&mut self, motor_rad: f64) {
         if let Some(ResolverFault::Slip(percent)) = self.fault {
             self.slipped_rad -= (motor_rad - self.motor_rad) * (100 - percent) as f64 / 100.0;
         }

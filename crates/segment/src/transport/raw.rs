@@ -71,12 +71,12 @@ impl Raw {
             interface: interface.into(),
             socket,
         };
-        raw.forget_what_came_before_binding();
+        raw.discard_frames_before_binding();
         Ok(raw)
     }
 
     /// Until it is bound, a packet socket receives from every interface.
-    fn forget_what_came_before_binding(&self) {
+    fn discard_frames_before_binding(&self) {
         let mut frame = [0; FRAME_LEN_MAX];
         for _ in 0..PASSED_OVER_MAX {
             if recv(&self.socket, &mut frame[..], RecvFlags::empty()).is_err() {
