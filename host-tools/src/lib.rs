@@ -4,21 +4,22 @@
 //!
 //! A module imports modules of lower layers only; the test of [`layers`] reads this list and the sources.
 //!
-//! 1. `error`, `hash`, `random`, `terminal`, `plot_scale`, `layers`: what every module may use
+//! 1. `error`, `hash`, `random`, `terminal`, `layers`: what every module may use
 //! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`: files,
 //!    programs and computations
 //! 3. `drawing`, `link`, `cell`, `emulator`, `master`, `probe::flash`: strokes of a file; the host's end of the link to
 //!    the firmware; the virtual cell; firmware in the emulator; an EtherCAT master in this process; writing firmware to a
 //!    board
-//! 4. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `segment`, `simulation`: from a file to an
+//! 4. `plot`: panels with scales and curves, as SVG or PNG
+//! 5. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `segment`, `simulation`: from a file to an
 //!    admitted path; recordings of telemetry; configuration files; the cell with a capture of its bus; the cell for any
 //!    master; firmware in virtual time
-//! 5. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
-//! 6. `machine`, `run`, `report`, `doctor`: one machine with several users; one drawing against the virtual cell; its
+//! 6. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
+//! 7. `machine`, `run`, `report`, `doctor`: one machine with several users; one drawing against the virtual cell; its
 //!    figures; checks of what the commands need
-//! 7. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
-//! 8. `bench`: measurements of the project and of its peers
-//! 9. `commands`: options, calls and printed results of the program's commands
+//! 8. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
+//! 9. `bench`: measurements of the project and of its peers
+//! 10. `commands`: options, calls and printed results of the program's commands
 #![forbid(unsafe_code)]
 
 pub mod bench;
@@ -43,7 +44,7 @@ pub mod master;
 pub mod matching;
 pub mod output_file;
 pub mod planning;
-pub mod plot_scale;
+pub mod plot;
 pub mod probe;
 pub mod random;
 pub mod recording;

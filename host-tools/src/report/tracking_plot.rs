@@ -1,17 +1,16 @@
-//! `tracking.svg`: reference, actual position and their difference for each axis.
+//! `tracking.svg`: setpoint, actual position and their difference for each axis.
 //!
 //! The picture shows the two seconds around the largest difference, so it shows the worst case. One row for each axis:
-//! on the left the reference as a broad band with the actual position on it, on the right the difference between the
-//! reference of the measurement's age and the measurement, which is the input of the controller.
+//! on the left the setpoint as a broad band with the actual position on it, on the right the difference between the
+//! setpoint of the measurement's age and the measurement, which is the input of the controller.
 //!
 //! Invariant: every scale has its unit, and the axes of one column have one scale for the time.
 
 use super::drawn_part;
-use crate::plot_scale::{marks, number};
+use crate::plot::{Anchor, Frame, INK, Pen, Picture, Scale, legend_entry, round_marks};
 use etherpen::config::Config;
 use etherpen::messages::Sample;
 use etherpen::robots::{AXES, Words};
-use std::fmt::Write as _;
 use std::io::{self, Write};
 
 /// Length of the window, ms.
@@ -27,21 +26,31 @@ const TOP: f64 = 92.0;
 const BOTTOM: f64 = 14.0;
 const LEFT: [f64; 2] = [84.0, 646.0];
 
-const INK: &str = "#222222";
-const FAINT: &str = "#d9d9d9";
-const REFERENCE: &str = "#9ecae1";
-const ACTUAL: &str = "#08306b";
-const ERROR: &str = "#b2182b";
+const SETPOINT: Pen = Pen {
+    colour: [158, 202, 225],
+    width: 5.0,
+    dashes: &[],
+};
+const ACTUAL: Pen = Pen {
+    colour: [8, 48, 107],
+    width: 1.4,
+    dashes: &[],
+};
+const ERROR: Pen = Pen {
+    colour: [178, 24, 43],
+    width: 1.0,
+    dashes: &[],
+};
 
 /// Values of one panel over the window.
-struct Panel<'a> {
+struct Panel {
     column: usize,
     row: usize,
     title: String,
     /// Low and high end of the scale.
     range: [f64; 2],
-    /// Colour, width and points of each line, ms and value.
-    lines: Vec<(&'a str, f64, Vec<[f64; 2]>)>,
+    /// Each line with its points: time, s, and value.
+    lines: Vec<(Pen, Vec<[f64; 2]>)>,
 }
 
 /// Writes the picture; without a drawing its panels are empty.
@@ -68,28 +77,17 @@ pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) 
         first,
         seconds: [first as f64 / 1_000.0, last as f64 / 1_000.0],
     };
-    let height = TOP + ROW_HEIGHT * AXES as f64 + BOTTOM;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" height=\"{height}\" \
-         font-family=\"Helvetica, Arial, sans-serif\" font-size=\"13\" fill=\"{INK}\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n\
-         <text x=\"{:.0}\" y=\"30\" font-size=\"18\" font-weight=\"bold\">Tracking of the four axes, {:.2} to {:.2} s of the \
-         drawing, around its largest error</text>\n",
-        LEFT[0], window.seconds[0], window.seconds[1]
+    let mut picture = Picture::new(WIDTH, TOP + ROW_HEIGHT * AXES as f64 + BOTTOM);
+    let title = format!(
+        "Tracking of the four axes, {:.2} to {:.2} s of the drawing, around its largest error",
+        window.seconds[0], window.seconds[1]
     );
-    legend(&mut svg);
+    picture.text([LEFT[0], 30.0], Anchor::Start, title, INK);
+    legend(&mut picture);
     for (axis, errors) in errors.iter().enumerate() {
-        axis_panels(&mut svg, &window, axis, &errors[first..last], error_span);
+        axis_panels(&mut picture, &window, axis, &errors[first..last], error_span);
     }
-    for left in LEFT {
-        let (x, y) = (left + 0.5 * PANEL_WIDTH, height - 12.0);
-        let _ = writeln!(
-            svg,
-            "<text x=\"{x:.0}\" y=\"{y:.0}\" text-anchor=\"middle\">time since the drawing began, s</text>"
-        );
-    }
-    svg.push_str("</svg>\n");
-    out.write_all(svg.as_bytes())
+    out.write_all(picture.svg().as_bytes())
 }
 
 /// The part of a drawing that is shown.
@@ -102,13 +100,13 @@ struct Window<'a> {
 }
 
 /// Draws position and error of one axis. `error_span` is the end of the error's scale, micro-radians.
-fn axis_panels(svg: &mut String, window: &Window, axis: usize, errors: &[f64], error_span: f64) {
+fn axis_panels(picture: &mut Picture, window: &Window, axis: usize, errors: &[f64], error_span: f64) {
     let at = |k: usize, value: f64| [(window.first + k) as f64 / 1_000.0, value];
     let positions = |of: &dyn Fn(&Sample) -> f32| -> Vec<[f64; 2]> {
         let points = window.samples.iter().enumerate().step_by(POSITION_EVERY);
         points.map(|(k, sample)| at(k, of(sample).into())).collect()
     };
-    let (reference, actual) = (
+    let (setpoint, actual) = (
         positions(&|s| s.setpoint_rad[axis]),
         positions(&|s| s.measured_rad[axis]),
     );
@@ -118,37 +116,37 @@ fn axis_panels(svg: &mut String, window: &Window, axis: usize, errors: &[f64], e
         format!("{} {}", Words::default().joint, axis + 1)
     };
     panel(
-        svg,
+        picture,
         window.seconds,
         &Panel {
             column: 0,
             row: axis,
             title: format!("{name}: position, rad"),
-            range: range(&reference),
-            lines: vec![(REFERENCE, 5.0, reference), (ACTUAL, 1.4, actual)],
+            range: range(&setpoint),
+            lines: vec![(SETPOINT, setpoint), (ACTUAL, actual)],
         },
     );
     let points = errors.iter().enumerate().map(|(k, error)| at(k, *error)).collect();
     panel(
-        svg,
+        picture,
         window.seconds,
         &Panel {
             column: 1,
             row: axis,
-            title: format!("{name}: reference minus actual, µrad"),
+            title: format!("{name}: setpoint minus actual, µrad"),
             range: [-error_span, error_span],
-            lines: vec![(ERROR, 1.0, points)],
+            lines: vec![(ERROR, points)],
         },
     );
 }
 
-/// Differences between the reference of the measurement's age and the measurement, micro-radians.
+/// Differences between the setpoint of the measurement's age and the measurement, micro-radians.
 fn differences(config: &Config, samples: &[Sample], axis: usize) -> Vec<f64> {
     let age = config.axes[axis].measurement_age_ms.round() as usize;
     let before = |index: usize| samples.get(index.saturating_sub(age));
     let difference = |(index, sample): (usize, &Sample)| {
-        let reference = before(index).map_or(0.0, |cause| f64::from(cause.setpoint_rad[axis]));
-        (reference - f64::from(sample.measured_rad[axis])) * 1e6
+        let setpoint = before(index).map_or(0.0, |cause| f64::from(cause.setpoint_rad[axis]));
+        (setpoint - f64::from(sample.measured_rad[axis])) * 1e6
     };
     samples.iter().enumerate().map(difference).collect()
 }
@@ -171,71 +169,34 @@ fn range(points: &[[f64; 2]]) -> [f64; 2] {
     [low - room, high + room]
 }
 
-fn legend(svg: &mut String) {
-    let mut entry = |x: f64, colour: &str, width: f64, text: &str| {
-        let (end, label) = (x + 34.0, x + 42.0);
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{x}\" y1=\"52\" x2=\"{end}\" y2=\"52\" stroke=\"{colour}\" stroke-width=\"{width}\"/>\
-             <text x=\"{label}\" y=\"57\">{text}</text>"
-        );
-    };
-    entry(LEFT[0], REFERENCE, 5.0, "reference");
-    entry(LEFT[0] + 130.0, ACTUAL, 1.4, "actual position");
-    entry(
-        LEFT[1],
-        ERROR,
-        1.0,
-        "error, with the reference as old as the measurement",
-    );
+fn legend(picture: &mut Picture) {
+    let y = 54.0;
+    let width = legend_entry(picture, [LEFT[0], y], SETPOINT, "setpoint");
+    legend_entry(picture, [LEFT[0] + width, y], ACTUAL, "actual position");
+    legend_entry(picture, [LEFT[1], y], ERROR, "error against the setpoint of that time");
 }
 
-fn panel(svg: &mut String, [begin, end]: [f64; 2], panel: &Panel) {
-    let (left, top) = (LEFT[panel.column], TOP + ROW_HEIGHT * panel.row as f64);
-    let [low, high] = panel.range;
-    let across = |t: f64| left + PANEL_WIDTH * (t - begin) / (end - begin).max(1e-9);
-    let down = |value: f64| top + PANEL_HEIGHT * (high - value) / (high - low);
-    let (right, bottom) = (left + PANEL_WIDTH, top + PANEL_HEIGHT);
-    let _ = writeln!(
-        svg,
-        "<text x=\"{left}\" y=\"{:.1}\" font-weight=\"bold\">{}</text>",
-        top - 8.0,
-        panel.title
-    );
-    for value in marks(low, high) {
-        let (y, x) = (down(value), left - 8.0);
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{left}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\" stroke=\"{FAINT}\"/>\
-             <text x=\"{x}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            y + 4.5,
-            number(value, high - low)
-        );
+fn panel(picture: &mut Picture, times: [f64; 2], panel: &Panel) {
+    // Without a drawing the window is empty.
+    let times = [times[0], times[1].max(times[0] + 1e-3)];
+    let frame = Frame {
+        left: LEFT[panel.column],
+        top: TOP + ROW_HEIGHT * panel.row as f64,
+        width: PANEL_WIDTH,
+        height: PANEL_HEIGHT,
+        across: Scale::Linear(times),
+        up: Scale::Linear(panel.range),
+    };
+    picture.text([frame.left, frame.top - 8.0], Anchor::Start, &panel.title, INK);
+    frame.marks_up(picture, round_marks(panel.range));
+    frame.marks_across(picture, round_marks(times));
+    if panel.row + 1 == AXES {
+        frame.name_across(picture, "time since the drawing began, s");
     }
-    for t in marks(begin, end) {
-        let x = across(t);
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{x:.1}\" y1=\"{top}\" x2=\"{x:.1}\" y2=\"{bottom}\" stroke=\"{FAINT}\"/>\
-             <text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-            bottom + 17.0,
-            number(t, end - begin)
-        );
+    for (pen, points) in &panel.lines {
+        frame.curve(picture, points, *pen);
     }
-    for (colour, width, points) in &panel.lines {
-        let _ = write!(
-            svg,
-            "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width}\" stroke-linejoin=\"round\" points=\""
-        );
-        for [t, value] in points {
-            let _ = write!(svg, "{:.1},{:.1} ", across(*t), down(*value));
-        }
-        svg.push_str("\"/>\n");
-    }
-    let _ = writeln!(
-        svg,
-        "<rect x=\"{left}\" y=\"{top}\" width=\"{PANEL_WIDTH}\" height=\"{PANEL_HEIGHT}\" fill=\"none\" stroke=\"{INK}\"/>"
-    );
+    frame.border(picture);
 }
 
 #[cfg(test)]
@@ -266,7 +227,7 @@ mod tests {
         let text = String::from_utf8(svg).unwrap();
         assert!(text.contains("2.00 to 4.00 s"), "{}", &text[..600]);
         assert_eq!(text.matches("position, rad").count(), AXES);
-        assert_eq!(text.matches("reference minus actual, µrad").count(), AXES);
+        assert_eq!(text.matches("setpoint minus actual, µrad").count(), AXES);
         assert!(!text.contains("NaN") && !text.contains("inf"));
     }
 

@@ -4,15 +4,15 @@
 //! Invariant: every scale has its unit.
 
 mod curves;
-mod picture;
 
 use super::Playback;
 use super::mcap::Source;
 use super::signals::Signal;
-use crate::plot_scale::{marks, number};
+use crate::plot::{
+    Anchor, COLOURS, Colour, Frame, INK, Pen, Picture, Scale, legend_entry, legend_width, marks, number, round_marks,
+};
 use curves::Curves;
 use etherpen::application::Mode;
-use picture::{Anchor, Colour, LETTER_WIDTH, Picture};
 use std::io;
 
 const WIDTH: f64 = 1_120.0;
@@ -24,27 +24,12 @@ const PANEL_HEIGHT: f64 = 210.0;
 const LINE: f64 = 20.0;
 /// Below a panel, for its time axis.
 const FOOT: f64 = 40.0;
-/// Length of the line in a legend's entry.
-const LEGEND_LINE: f64 = 26.0;
 /// Width of a curve.
 const CURVE: f64 = 1.3;
 /// Narrowest gap shown, units of the picture.
 const GAP_WIDTH_MIN: f64 = 1.5;
 
-const INK: Colour = [34, 34, 34];
-const FAINT: Colour = [222, 222, 222];
 const MISSING: Colour = [250, 214, 208];
-/// Colours that differ for most eyes and in grey print (Okabe and Ito, 2008).
-const COLOURS: [Colour; 7] = [
-    [0, 114, 178],
-    [213, 94, 0],
-    [0, 158, 115],
-    [204, 121, 167],
-    [230, 159, 0],
-    [86, 180, 233],
-    [0, 0, 0],
-];
-
 /// Form of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
@@ -117,16 +102,12 @@ fn draw(curves: &Curves, signals: &[Signal]) -> Picture {
     picture
 }
 
-fn entry_width(name: &str) -> f64 {
-    LEGEND_LINE + (name.len() as f64 + 4.0) * LETTER_WIDTH
-}
-
 /// Indices of the panel's signals in the rows of its legend.
 fn legend_rows(panel: &Panel) -> Vec<Vec<usize>> {
     let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
     let mut used = 0.0;
     for (place, (_, signal)) in panel.signals.iter().enumerate() {
-        let width = entry_width(&signal.name);
+        let width = legend_width(&signal.name);
         if used > 0.0 && used + width > PANEL_WIDTH {
             rows.push(Vec::new());
             used = 0.0;
@@ -139,8 +120,12 @@ fn legend_rows(panel: &Panel) -> Vec<Vec<usize>> {
     rows
 }
 
-fn colour(place: usize) -> Colour {
-    COLOURS.get(place % COLOURS.len()).copied().unwrap_or(INK)
+fn pen(place: usize) -> Pen {
+    Pen {
+        colour: COLOURS.get(place % COLOURS.len()).copied().unwrap_or(INK),
+        width: CURVE,
+        dashes: &[],
+    }
 }
 
 fn legend(picture: &mut Picture, panel: &Panel, rows: &[Vec<usize>], top: f64) {
@@ -150,12 +135,9 @@ fn legend(picture: &mut Picture, panel: &Panel, rows: &[Vec<usize>], top: f64) {
         y += LINE;
         let mut x = LEFT;
         for place in row {
-            let Some((_, signal)) = panel.signals.get(*place) else {
-                continue;
-            };
-            picture.curve(vec![[x, y - 4.5], [x + LEGEND_LINE, y - 4.5]], 2.5, colour(*place));
-            picture.text([x + LEGEND_LINE + LETTER_WIDTH, y], Anchor::Start, &signal.name, INK);
-            x += entry_width(&signal.name);
+            if let Some((_, signal)) = panel.signals.get(*place) {
+                x += legend_entry(picture, [x, y], pen(*place), &signal.name);
+            }
         }
     }
 }
@@ -183,48 +165,33 @@ fn with_room([low, high]: [f64; 2]) -> [f64; 2] {
 fn draw_panel(picture: &mut Picture, curves: &Curves, panel: &Panel, top: f64) {
     let [low, high] = range(curves, panel);
     let [begin, end] = curves.span_s;
-    let length = (end - begin).max(1e-3);
-    let across = |time_s: f64| LEFT + PANEL_WIDTH * (time_s - begin) / length;
-    let down = |value: f64| top + PANEL_HEIGHT * (high - value) / (high - low);
+    let times = [begin, end.max(begin + 1e-3)];
+    let frame = Frame {
+        left: LEFT,
+        top,
+        width: PANEL_WIDTH,
+        height: PANEL_HEIGHT,
+        across: Scale::Linear(times),
+        up: Scale::Linear([low, high]),
+    };
     for gap in &curves.gaps_s {
-        let (from, to) = (across(gap[0]), across(gap[1]).min(LEFT + PANEL_WIDTH));
+        let (from, to) = (frame.x(gap[0]), frame.x(gap[1]).min(LEFT + PANEL_WIDTH));
         picture.fill([from, top, (to - from).max(GAP_WIDTH_MIN), PANEL_HEIGHT], MISSING);
     }
-    for (value, text) in scale(panel, low, high) {
-        picture.fill([LEFT, down(value) - 0.5, PANEL_WIDTH, 1.0], FAINT);
-        picture.text([LEFT - LETTER_WIDTH, down(value) + 4.5], Anchor::End, text, INK);
-    }
-    let bottom = top + PANEL_HEIGHT;
-    for time_s in marks(begin, begin + length) {
-        picture.fill([across(time_s) - 0.5, top, 1.0, PANEL_HEIGHT], FAINT);
-        let text = number(time_s, length);
-        picture.text([across(time_s), bottom + 16.0], Anchor::Middle, text, INK);
-    }
-    let middle = LEFT + 0.5 * PANEL_WIDTH;
-    let axis = if curves.gaps_s.is_empty() {
+    frame.marks_up(picture, scale(panel, low, high));
+    frame.marks_across(picture, round_marks(times));
+    let name = if curves.gaps_s.is_empty() {
         "time since the recording began, s"
     } else {
         "time since the recording began, s (shaded: samples are missing)"
     };
-    picture.text([middle, bottom + 33.0], Anchor::Middle, axis, INK);
+    frame.name_across(picture, name);
     for (place, (k, signal)) in panel.signals.iter().enumerate() {
         for piece in curves.pieces(*k, signal.is_state()) {
-            let mut points: Vec<[f64; 2]> = piece.iter().map(|[t, value]| [across(*t), down(*value)]).collect();
-            // A single sample is a dot.
-            if let [only] = points.as_slice() {
-                points.push([only[0] + 0.5, only[1]]);
-            }
-            picture.curve(points, CURVE, colour(place));
+            frame.curve(picture, &piece, pen(place));
         }
     }
-    for [x, y, width, height] in [
-        [LEFT, top, PANEL_WIDTH, 1.0],
-        [LEFT, bottom, PANEL_WIDTH, 1.0],
-        [LEFT, top, 1.0, PANEL_HEIGHT],
-        [LEFT + PANEL_WIDTH, top, 1.0, PANEL_HEIGHT],
-    ] {
-        picture.fill([x - 0.5, y - 0.5, width, height], INK);
-    }
+    frame.border(picture);
 }
 
 /// Marks of a panel's scale and their texts; marks of the mode are names.

@@ -1,4 +1,24 @@
-//! Scales of plots: round marks and their texts.
+//! Scales of plots: where values are, round marks and their texts.
+
+/// A scale from its low end to its high end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// Equal differences are equally long.
+    Linear([f64; 2]),
+    /// Equal ratios are equally long; the ends are positive.
+    Logarithmic([f64; 2]),
+}
+
+impl Scale {
+    /// Place of a value: 0 at the low end, 1 at the high end.
+    #[must_use]
+    pub fn share(self, value: f64) -> f64 {
+        match self {
+            Self::Linear([low, high]) => (value - low) / (high - low),
+            Self::Logarithmic([low, high]) => (value / low).log10() / (high / low).log10(),
+        }
+    }
+}
 
 /// Approximate number of marks on a scale.
 const MARKS: f64 = 4.0;

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use std::io::{self, Cursor};
 
 /// A colour: red, green, blue.
-pub(super) type Colour = [u8; 3];
+pub type Colour = [u8; 3];
 
 /// Pixels of a PNG in a unit of the picture.
 const SCALE: f64 = 2.0;
@@ -20,7 +20,7 @@ const RASTER: RasterHeight = RasterHeight::Size32;
 /// Distance from the top of a letter's raster to the baseline, pixels.
 const RASTER_ASCENT: f64 = 25.0;
 /// Width of a letter, units.
-pub(super) const LETTER_WIDTH: f64 = get_raster_width(FontWeight::Regular, RASTER) as f64 / SCALE;
+pub const LETTER_WIDTH: f64 = get_raster_width(FontWeight::Regular, RASTER) as f64 / SCALE;
 /// Size of the font in SVG: letters of common fixed-pitch fonts are 0.6 of it wide.
 const FONT_SIZE: f64 = LETTER_WIDTH / 0.6;
 
@@ -29,9 +29,12 @@ const LINE_REACH: f64 = 8.0;
 
 /// Part of a text that is at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Anchor {
+pub enum Anchor {
+    /// Its left end.
     Start,
+    /// Its middle.
     Middle,
+    /// Its right end.
     End,
 }
 
@@ -43,7 +46,7 @@ enum Shape {
 }
 
 /// Shapes, the later over the earlier.
-pub(super) struct Picture {
+pub struct Picture {
     width: f64,
     height: f64,
     shapes: Vec<Shape>,
@@ -51,28 +54,38 @@ pub(super) struct Picture {
 
 impl Picture {
     /// A white picture.
-    pub(super) fn new(width: f64, height: f64) -> Self {
+    pub fn new(width: f64, height: f64) -> Self {
         let shapes = vec![Shape::Filled([0.0, 0.0, width, height], [255; 3])];
         Self { width, height, shapes }
     }
 
     /// A box: left, top, width, height.
-    pub(super) fn fill(&mut self, area: [f64; 4], colour: Colour) {
+    pub fn fill(&mut self, area: [f64; 4], colour: Colour) {
         self.shapes.push(Shape::Filled(area, colour));
     }
 
     /// A line along points.
-    pub(super) fn curve(&mut self, points: Vec<[f64; 2]>, width: f64, colour: Colour) {
+    pub fn curve(&mut self, points: Vec<[f64; 2]>, width: f64, colour: Colour) {
         self.shapes.push(Shape::Curve(points, width, colour));
     }
 
+    /// A dashed line along points: the lengths of dashes and gaps in turn; none for an unbroken line.
+    pub fn dashed(&mut self, points: Vec<[f64; 2]>, width: f64, colour: Colour, pattern: &[f64]) {
+        if pattern.is_empty() {
+            return self.curve(points, width, colour);
+        }
+        for dash in dashes(&points, pattern) {
+            self.curve(dash, width, colour);
+        }
+    }
+
     /// A line of text on a baseline.
-    pub(super) fn text(&mut self, place: [f64; 2], anchor: Anchor, text: impl Into<String>, colour: Colour) {
+    pub fn text(&mut self, place: [f64; 2], anchor: Anchor, text: impl Into<String>, colour: Colour) {
         self.shapes.push(Shape::Text(place, anchor, text.into(), colour));
     }
 
     /// The picture as an SVG document.
-    pub(super) fn svg(&self) -> String {
+    pub fn svg(&self) -> String {
         let (width, height) = (self.width, self.height);
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
@@ -122,7 +135,7 @@ impl Picture {
     ///
     /// # Errors
     /// The picture cannot be encoded.
-    pub(super) fn png(&self) -> io::Result<Vec<u8>> {
+    pub fn png(&self) -> io::Result<Vec<u8>> {
         let side = |units: f64| (units * SCALE).round().clamp(1.0, 20_000.0) as u32;
         let mut image = RgbImage::new(side(self.width), side(self.height));
         let mut covered = Plane::filled(image.width() as usize, image.height() as usize, 0.0);
@@ -142,6 +155,37 @@ impl Picture {
         image.write_to(&mut bytes, ImageFormat::Png).map_err(io::Error::other)?;
         Ok(bytes.into_inner())
     }
+}
+
+/// Cuts a line into dashes. Lengths of the pattern are positive.
+fn dashes(points: &[[f64; 2]], pattern: &[f64]) -> Vec<Vec<[f64; 2]>> {
+    let mut lengths = pattern.iter().copied().cycle();
+    let mut left = lengths.next().unwrap_or(f64::INFINITY);
+    let (mut drawn, mut all) = (true, Vec::new());
+    let mut dash: Vec<[f64; 2]> = points.first().copied().into_iter().collect();
+    for pair in points.windows(2) {
+        let &[mut from, to] = pair else { continue };
+        loop {
+            let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+            if length <= left {
+                left -= length;
+                break;
+            }
+            let share = left / length;
+            from = [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+            dash.push(from);
+            if drawn {
+                all.push(std::mem::take(&mut dash));
+            }
+            (drawn, dash) = (!drawn, vec![from]);
+            left = lengths.next().unwrap_or(f64::INFINITY);
+        }
+        dash.push(to);
+    }
+    if drawn && dash.len() > 1 {
+        all.push(dash);
+    }
+    all
 }
 
 fn hexadecimal([red, green, blue]: Colour) -> String {
@@ -218,5 +262,18 @@ fn letters(image: &mut RgbImage, [x, y]: [f64; 2], anchor: Anchor, text: &str, c
             }
         }
         left += raster.width() as i64;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dashes_follow_their_pattern_around_corners() {
+        let corner = [[0.0, 0.0], [4.0, 0.0], [4.0, 6.0]];
+        let all = dashes(&corner, &[3.0, 2.0]);
+        assert_eq!(all, [vec![[0.0, 0.0], [3.0, 0.0]], vec![[4.0, 1.0], [4.0, 4.0]],]);
+        assert!(dashes(&[], &[3.0, 2.0]).is_empty());
     }
 }
