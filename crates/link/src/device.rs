@@ -7,8 +7,9 @@
 //! [`DeviceEndpoint::receive`], each from a port's decoder; bytes leave through [`DeviceEndpoint::transmit`]; the
 //! caller passes the time in milliseconds.
 
-use crate::frame::{FRAME_BYTES_MAX, decode, encode, greeting_version};
+use crate::frame::{FRAME_BYTES_MAX, decode, greeting_version};
 use crate::message::{DeviceMessage, HostMessage, PathVertices, SAMPLES_PER_MESSAGE, Welcome};
+use crate::outgoing::Outgoing;
 use crate::ports::{LinkPort, PortDecision, PortHold};
 use crate::receiver::PathReceiver;
 use crate::requests::{Request, Single};
@@ -113,9 +114,7 @@ pub struct DeviceEndpoint<P: Protocol, const SAMPLES: usize = SAMPLES_QUEUED> {
     status: Option<P::Status>,
     samples: Deque<P::Sample, SAMPLES>,
     sequence_next: u32,
-    frame: [u8; FRAME_BYTES_MAX],
-    frame_length: usize,
-    frame_sent: usize,
+    outgoing: Outgoing,
 }
 
 impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
@@ -144,9 +143,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
             status: None,
             samples: Deque::new(),
             sequence_next: 0,
-            frame: [0; FRAME_BYTES_MAX],
-            frame_length: 0,
-            frame_sent: 0,
+            outgoing: Outgoing::new(),
         }
     }
 
@@ -185,10 +182,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
                 // A host at a new port has to greet. A 0x00 ends any frame that was cut off on the line.
                 self.session = None;
                 self.welcome_due = false;
-                (self.frame_length, self.frame_sent) = (1, 0);
-                if let Some(first) = self.frame.first_mut() {
-                    *first = 0;
-                }
+                self.outgoing.abandon();
             }
             PortDecision::Dropped => {
                 self.counts.other_port = self.counts.other_port.wrapping_add(1);
@@ -369,19 +363,14 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
-            let waiting = self.frame.get(self.frame_sent..self.frame_length).unwrap_or(&[]);
-            let room = out.iter_mut().skip(filled);
-            let copied = room.zip(waiting).map(|(place, byte)| *place = *byte).count();
-            filled += copied;
-            self.frame_sent += copied;
-            if self.frame_sent < self.frame_length || filled == out.len() {
+            filled += self.outgoing.fill(out.get_mut(filled..).unwrap_or(&mut []));
+            if !self.outgoing.is_empty() || filled == out.len() {
                 return filled;
             }
             let Some(message) = self.next_message(now_ms) else {
                 return filled;
             };
-            self.frame_sent = 0;
-            self.frame_length = encode(&message, &mut self.frame).unwrap_or(0);
+            self.outgoing.put(&message);
         }
     }
 

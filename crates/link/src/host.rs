@@ -5,8 +5,9 @@
 //! [`CommandEffect::Stops`], which drops all earlier ones; the path never exceeds the firmware's credit and goes back
 //! to the first unacknowledged vertex after a loss; nothing is sent after a refused version.
 
-use crate::frame::{Decoder, FRAME_BYTES_MAX, FrameCounts, decode, encode, greeting_version};
+use crate::frame::{Decoder, FrameCounts, decode, greeting_version};
 use crate::message::{DeviceMessage, Hello, HostMessage, PathAck, Welcome};
+use crate::outgoing::Outgoing;
 use crate::sender::PathSender;
 use crate::{CommandEffect, Protocol};
 use alloc::boxed::Box;
@@ -138,9 +139,7 @@ pub struct Session<P: Protocol> {
     sequence: Option<u32>,
     counts: SessionCounts,
     events: VecDeque<Event<P>>,
-    frame: Box<[u8; FRAME_BYTES_MAX]>,
-    frame_length: usize,
-    frame_sent: usize,
+    outgoing: Box<Outgoing>,
 }
 
 impl<P: Protocol> Session<P> {
@@ -164,9 +163,7 @@ impl<P: Protocol> Session<P> {
             sequence: None,
             counts: SessionCounts::default(),
             events: VecDeque::new(),
-            frame: Box::new([0; FRAME_BYTES_MAX]),
-            frame_length: 0,
-            frame_sent: 0,
+            outgoing: Box::new(Outgoing::new()),
         }
     }
 
@@ -223,7 +220,7 @@ impl<P: Protocol> Session<P> {
             .requests
             .iter()
             .any(|request| request.id == id && request.sent_ms.is_none());
-        !waits && self.frame_sent >= self.frame_length
+        !waits && self.outgoing.is_empty()
     }
 
     fn request(&mut self, body: Body<P>) -> u16 {
@@ -407,20 +404,15 @@ impl<P: Protocol> Session<P> {
     pub fn transmit(&mut self, now_ms: u64, out: &mut [u8]) -> usize {
         let mut filled = 0;
         loop {
-            let waiting = self.frame.get(self.frame_sent..self.frame_length).unwrap_or(&[]);
-            let room = out.iter_mut().skip(filled);
-            let copied = room.zip(waiting).map(|(place, byte)| *place = *byte).count();
-            filled += copied;
-            self.frame_sent += copied;
-            if self.frame_sent < self.frame_length || filled == out.len() {
+            filled += self.outgoing.fill(out.get_mut(filled..).unwrap_or(&mut []));
+            if !self.outgoing.is_empty() || filled == out.len() {
                 return filled;
             }
             let Some(message) = self.next_message(now_ms) else {
                 return filled;
             };
             self.spoke_ms = now_ms;
-            self.frame_sent = 0;
-            self.frame_length = encode(&message, &mut self.frame[..]).unwrap_or(0);
+            self.outgoing.put(&message);
         }
     }
 

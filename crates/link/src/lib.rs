@@ -6,7 +6,8 @@
 //!
 //! 1. `message`, `ports`: messages; which of two ports holds the link
 //! 2. `frame`, `receiver`, `sender`, `requests`: frames; both ends of a path; requests with their answers
-//! 3. `device`, `host`: both ends of the link
+//! 3. `outgoing`: a frame on its way to the line
+//! 4. `device`, `host`: both ends of the link
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -22,6 +23,7 @@ pub mod frame;
 #[cfg(feature = "host")]
 pub mod host;
 pub mod message;
+mod outgoing;
 pub mod ports;
 mod receiver;
 mod requests;

@@ -257,6 +257,7 @@ impl Browser {
     pub(crate) fn keep(&mut self, name: &str) {
         if let Some(folder) = std::env::var_os("ETHERPEN_SCREENSHOTS") {
             let plain = name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+            std::fs::create_dir_all(&folder).expect("the folder is made");
             self.capture(&Path::new(&folder).join(format!("{plain}.png")));
         }
     }

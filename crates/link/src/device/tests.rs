@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::example::{Command, Example, Refusal, Status, command, configuration, part};
-use crate::frame::Decoder;
+use crate::frame::{Decoder, encode};
 use crate::message::Hello;
 use proptest::prelude::*;
 

@@ -3,6 +3,7 @@
 use super::*;
 use crate::device::{DeviceEndpoint, DeviceEvent, Identity, LINE_BYTES_PER_MS};
 use crate::example::{Command, Example};
+use crate::frame::{FRAME_BYTES_MAX, encode};
 use crate::ports::LinkPort;
 use proptest::prelude::*;
 
