@@ -206,7 +206,7 @@ pub fn shown_name(name: &str) -> String {
     if name.is_empty() { "drawing".to_owned() } else { name }
 }
 
-/// Makes a drawing from a file's content.
+/// Converts a file's content into a drawing.
 ///
 /// # Errors
 /// Why it cannot be drawn, as text for display.
