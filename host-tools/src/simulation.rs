@@ -1,4 +1,4 @@
-//! The whole cell in virtual time in one process: the firmware's task bodies against the virtual cell.
+//! The complete cell in virtual time in one process: the firmware's task bodies with the virtual cell.
 //!
 //! A millisecond of a board is a sequence of calls here, in the order of the board's priorities; the task bodies are
 //! those of a board. Nothing waits for a clock, so a run is as fast as the computer, and its result is identical on
@@ -45,10 +45,10 @@ pub trait Host {
     /// Takes the counters of the bus exchange at the end of a millisecond, before the last telegrams are settled.
     fn counted(&mut self, _counters: &BusCounters) {}
 
-    /// What the comparisons of the position feedback have used of their limits by the end of a millisecond.
+    /// Takes the share of its limit that each comparison of the position feedback has used by the end of a millisecond.
     fn feedback_used(&mut self, _used: [f32; COMPARISONS.len()]) {}
 
-    /// What the board meets in this millisecond.
+    /// Conditions of the board in this millisecond.
     fn surroundings(&mut self) -> Surroundings {
         Surroundings::default()
     }

@@ -1,6 +1,6 @@
 //! Analysis of a planned path: peaks, violations of limits, deviation.
 //!
-//! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are asked for.
+//! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are commanded.
 
 use super::track::Track;
 use super::{PlannedSample, Run};
@@ -26,7 +26,7 @@ const _: () = assert!(
     "a run ends with enough references at rest for the last differences"
 );
 
-/// The limits in force.
+/// The limits in use.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Limits {
     /// Speed of each axis, rad/s.

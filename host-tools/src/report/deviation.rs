@@ -27,7 +27,7 @@ const LEFT_OUT_MM: f64 = 0.3;
 /// Distance from the beginning of their stroke within which points are assumed to begin there, mm; others continue
 /// somewhere along the stroke after a hold.
 const BEGIN_MM: f64 = 2.0;
-/// Distance within which a line of ink first searches its stroke, mm, and the increase of each further search.
+/// Distance within which a line of ink first searches its stroke, mm, and the factor for each further search.
 const INK_NEAR_MM: f64 = 1.0;
 const INK_FARTHER: f64 = 4.0;
 /// Largest search distance of a line of ink, mm.
