@@ -248,7 +248,7 @@ fn remove_left_behind(folder: &Path, stem: &str) {
     }
 }
 
-/// Makes a rename durable where the file system can.
+/// Makes a rename durable if the file system supports it.
 fn sync_folder(target: &Path) {
     let synced = File::open(folder_of(target)).and_then(|folder| folder.sync_all());
     // Some file systems cannot sync a folder; the file itself is on the disk.

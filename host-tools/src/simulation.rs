@@ -24,7 +24,7 @@ const ROUND_TRIP_US: u64 = 50;
 /// Deadline for the input reply after the release, us.
 const DEADLINE_US: u64 = 300;
 
-/// Conditions of a board beside bus and link.
+/// Conditions of a board other than bus and link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surroundings {
     /// Whether the emergency-stop input reads open.
@@ -118,7 +118,7 @@ impl<'c> Driver for Wire<'c> {
     }
 }
 
-/// Runs the firmware's tasks against the cell until the host says that it is over or `limit_ms` have passed.
+/// Runs the firmware's tasks with the cell until the host reports that the run is over or `limit_ms` have passed.
 ///
 /// Returns the virtual milliseconds that have passed.
 pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {

@@ -1,4 +1,4 @@
-// A plot of many signals over one time axis: one lane for each unit, each column from its smallest to its largest value.
+// A plot of many signals over one time axis: one lane per unit, each column from its smallest to its largest value.
 
 import { Canvas } from "./dom.js";
 

@@ -73,7 +73,7 @@ impl Carrier for Master {
     }
 }
 
-/// A bus behind a firmware.
+/// A bus reached through a firmware's master.
 pub(crate) struct FirmwareBus {
     /// Carries out the requests.
     pub(crate) access: Box<dyn BusAccess>,

@@ -99,7 +99,7 @@ pub struct CellState {
     pub platform: Option<Position>,
     /// Whether the pen touches.
     pub pen_touches: bool,
-    /// Milliseconds of contact beside the sheet.
+    /// Milliseconds of contact off the sheet.
     pub contacts_outside: u64,
     /// Milliseconds without a possible platform position.
     pub unreachable_ms: u64,

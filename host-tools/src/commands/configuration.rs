@@ -1,4 +1,4 @@
-//! `etherpen config show`: the values in force, and the source of each.
+//! `etherpen config show`: the values in effect, and the source of each.
 
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};

@@ -22,8 +22,8 @@ pub(super) struct Arguments {
     /// With primask, the loaded run is repeated with ordinary critical sections, which mask the critical tasks too.
     #[arg(long, value_enum, default_value_t = Isolation::Basepri)]
     isolation: Isolation,
-    /// Repeat the loaded run at 2, 4, 8 kHz up to this rate, until a deadline is missed (without the planner's load: its
-    /// path is timed for 1 kHz).
+    /// Repeat the loaded run at 2, 4, 8 kHz up to this rate, until a deadline is missed. The planner's load is left
+    /// out: its path is timed for 1 kHz.
     #[arg(long, value_name = "KHZ", default_value_t = 1, value_parser = rate)]
     rate: u32,
     /// One instruction takes 2^N ns of virtual time. At 3, the timer counts every 5 instructions; 6 resolves less than

@@ -27,10 +27,10 @@ const LIMIT_MAX: f64 = 1.0e12;
 /// merged. Without z_mm, and for a photograph, the path is what `draw` would draw: ordered, on the paper, with the
 /// pen's lifts.
 ///
-/// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and on
-/// every vertex, as its distance from the line through the references (less what a straight line between two of them
-/// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the references;
-/// what exceeds a limit by more than a thousandth is a violation.
+/// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and
+/// on every vertex, as its distance from the line through the references (less what a straight line between two of them
+/// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the
+/// references; a value that exceeds its limit by more than a thousandth is a violation.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG, G-code, HPGL).

@@ -16,7 +16,7 @@ pub struct PortArguments {
     pub port: PortName,
 }
 
-/// Options of a command that another option can tell where to work.
+/// Options of a command whose target another option can give instead.
 #[derive(clap::Args, Debug, Default)]
 pub struct OptionalPort {
     /// Port of the machine: /dev/tty.., tcp:host:port or unix:path.

@@ -34,7 +34,7 @@ pub struct ControlLock {
 pub enum Change {
     /// The holder has vanished: its jog has to stop.
     Vanished,
-    /// No viewer holds control any more.
+    /// Control was released.
     Released,
 }
 

@@ -226,7 +226,7 @@ pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]
     })
 }
 
-/// Drawn and travelled length of a path, mm.
+/// Length drawn and length of the travel moves of a path, mm.
 pub fn lengths_mm(path: &[PathVertex]) -> (f64, f64) {
     let mut lengths = (0.0, 0.0);
     for (from, to) in path.iter().zip(path.iter().skip(1)) {

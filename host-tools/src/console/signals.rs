@@ -83,7 +83,7 @@ pub struct SignalRow {
     pub mode: Mode,
     /// Pen state in the reference.
     pub pen: Pen,
-    /// Stroke being drawn or travelled to.
+    /// Stroke being drawn or approached.
     pub stroke: u32,
     /// Values of the catalogue.
     pub values: [f32; SIGNALS],

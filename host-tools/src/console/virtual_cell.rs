@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Lag behind the wall clock that is not caught up, ms.
+/// Largest lag behind the wall clock that is caught up, ms.
 const LAG_MAX_MS: u64 = 50;
 /// Time between two checks of a running emulator.
 const LOOK: Duration = Duration::from_millis(50);

@@ -61,8 +61,8 @@ impl Check {
 
 /// Runs all checks.
 ///
-/// `configuration` is the configuration file in use, `None` for the built-in one. With `port`, the firmware at that port
-/// is greeted.
+/// `configuration` is the configuration file in use, `None` for the built-in one. With `port`, the firmware at that
+/// port is greeted.
 pub(crate) fn check_all(configuration: Option<&Path>, port: Option<&PortName>) -> Vec<Check> {
     let mut checks = vec![
         computer::toolchain(),

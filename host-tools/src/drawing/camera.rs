@@ -161,7 +161,8 @@ fn from_device(path: &Path) -> Result<RgbImage, CameraError> {
     last.ok_or(CameraError::NoPicture)
 }
 
-/// YUYV: two pixels in four bytes, each with a brightness, together with two colour differences (ITU-R BT.601, 16 to 235).
+/// YUYV: two pixels in four bytes, with one brightness each and two common colour differences (ITU-R BT.601, 16 to
+/// 235).
 fn from_yuyv(bytes: &[u8], width: u32, height: u32, line: u32) -> Option<RgbImage> {
     let line = (line as usize).max(width as usize * 2);
     let pixel = |x: u32, y: u32| {

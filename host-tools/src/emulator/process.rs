@@ -92,7 +92,7 @@ impl Directory {
             .map_err(EmulatorError::io(format!("opening {}", path.display())))
     }
 
-    /// A FIFO that the firmware reads and this program writes; opened both ways, so that it opens before a reader exists.
+    /// A FIFO that the firmware reads and this program writes; opened both ways, so that it opens without a reader.
     pub(crate) fn fifo_to_firmware(&self, name: &str) -> Result<File, EmulatorError> {
         let path = self.make_fifo(name)?;
         OpenOptions::new()

@@ -18,8 +18,8 @@
 #[must_use]
 pub fn section_pattern(name: &str) -> String {
     if let Some(helper) = name.strip_prefix("__aeabi_") {
-        // The compiler's helpers share a section between entry points for different alignments, which has a name without
-        // the prefix.
+        // The compiler's helpers share a section between entry points for different alignments; its name lacks the
+        // prefix.
         return format!(".text.*{}*", helper.trim_end_matches(|c: char| c.is_ascii_digit()));
     }
     let Some(path) = name.strip_prefix("_ZN") else {
@@ -46,8 +46,8 @@ fn segment(path: &str) -> Option<(&str, &str)> {
     path[digits..].split_at_checked(length)
 }
 
-/// Identifiers in a segment that names a type or an implementation: `$` codes, punctuation, keywords and type parameters
-/// are left out. Their lengths are left out too, because both schemes write them only in front of plain identifiers.
+/// Identifiers in a segment that names a type or an implementation, without `$` codes, punctuation, keywords and type
+/// parameters. Their lengths are left out too, because both schemes write them only in front of plain identifiers.
 fn words(segment: &str) -> Vec<String> {
     let is_code = |part: &&str| !matches!(*part, "LT" | "GT" | "RF" | "BP" | "LP" | "RP" | "C" | "SP");
     let names = segment

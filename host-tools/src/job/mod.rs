@@ -331,7 +331,7 @@ impl Job {
         self.events.pop_front()
     }
 
-    /// Sends a command beside the task's own; the answer is [`JobEvent::Told`] with the number returned here.
+    /// Sends a command in addition to the task's own; the answer is [`JobEvent::Told`] with the number returned here.
     /// [`Command::Stop`] overtakes everything; earlier requests without an answer are dropped.
     pub fn command(&mut self, command: Command) -> u16 {
         if command == Command::Stop {

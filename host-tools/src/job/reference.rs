@@ -124,7 +124,7 @@ pub struct Referenced {
     pub pose: JointAngles,
     /// Resolver positions within their motor turns, increments.
     pub increments: [u32; AXES],
-    /// The configuration in force; with new synchronisation values after a calibration.
+    /// The configuration in effect; with new synchronisation values after a calibration.
     pub config: Config,
 }
 

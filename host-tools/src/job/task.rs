@@ -51,7 +51,7 @@ impl Life {
     }
 }
 
-/// Options of a job beside configuration and task.
+/// Options of a job other than configuration and task.
 #[derive(Clone, Copy, Debug)]
 pub struct JobOptions {
     /// Number of the connection, see [`Session::new`](crate::link::session::Session::new).

@@ -9,9 +9,9 @@
 //! that then still comes so close to itself that matching would cost more than `LOOKS_PER_ROW` is not verified.
 //!
 //! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
-//! never reached; [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so that
-//! the thread that writes STOP never waits for more; memory is bounded by the path, `ROWS_MAX` and `PARTS_PER_ROW`. The
-//! result does not depend on how the work is divided.
+//! never reached. [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so
+//! that the thread that writes STOP never waits for more. Memory is bounded by the path, `ROWS_MAX` and
+//! `PARTS_PER_ROW`. The result does not depend on how the work is divided.
 
 mod parts;
 mod verdict;
@@ -69,7 +69,7 @@ struct StrokeRow {
 /// Rows of a line that are matched at once.
 struct Piece {
     line: usize,
-    /// Empty where there were too many to be matched.
+    /// Empty if there were too many to be matched.
     rows: Vec<StrokeRow>,
     /// Whether the pen reached the line in this piece.
     begins: bool,

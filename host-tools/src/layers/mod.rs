@@ -11,8 +11,8 @@
 //! //! 3. `drawing::preparation`, `console`: what they are
 //! ```
 //!
-//! A module imports modules of lower layers and of its own entry, but no other module of its own layer. A submodule that
-//! has an entry of its own is not part of its parent's entry. Every top-level module has an entry.
+//! A module imports modules of lower layers and of its own entry, but no other module of its own layer. A submodule
+//! that has an entry of its own is not part of its parent's entry. Every top-level module has an entry.
 //!
 //! A module and its submodules are one unit: a submodule may use its parent's items, and the parent may use its
 //! submodule. All other files that import each other, directly or through other files, form a circle. An imported item
@@ -36,7 +36,7 @@ type Module = Vec<String>;
 /// A violation of the structure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
-    /// A line of the table has no entry, or an entry has no number.
+    /// The table is missing, its numbers are not consecutive, or a module is listed twice.
     Table(String),
     /// A top-level module is in no layer.
     Unlisted(String),

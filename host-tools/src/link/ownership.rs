@@ -1,9 +1,9 @@
 //! Port ownership: one program at a time uses a port; other programs find that program and send it their orders.
 //!
-//! Each port that is in use has a lock file in the user's runtime folder and, where the owner shares its machine, a Unix
-//! socket. The lock is the kernel's (flock): it ends with its process however that ends. Files that a killed program has
-//! left are removed by the next program that takes a port or looks for one, and with them the socket of a virtual cell that
-//! the killed program had as its port.
+//! Each port in use has a lock file in the user's runtime folder and, if the owner shares its machine, a Unix socket.
+//! The lock is the kernel's (flock): it ends with its process, however that ends. Files left by a killed program are
+//! removed by the next program that takes or searches a port, together with the socket of a virtual cell that was the
+//! killed program's port.
 //! Programs that do not use these lock files are found through the open files of this user's processes.
 //!
 //! Invariant: while an [`Ownership`] exists, no other program with this protocol opens the port.

@@ -40,8 +40,8 @@ fn fine(points: &[Position]) -> Vec<Position> {
     result
 }
 
-/// The discrete Fréchet distance by its definition (Eiter and Mannila, 1994), between points close together; positions may
-/// begin and end anywhere on the line.
+/// The discrete Fréchet distance by its definition (Eiter and Mannila, 1994), between points close together; positions
+/// may begin and end anywhere on the line.
 fn brute_force_mm(line: &[Position], positions: &[Position]) -> f64 {
     let (line, positions) = (fine(line), fine(positions));
     let mut row: Vec<f64> = Vec::new();

@@ -14,7 +14,7 @@ pub struct Table<W> {
 }
 
 impl<W: Write> Table<W> {
-    /// Begins a table.
+    /// Starts a table.
     ///
     /// # Errors
     /// Errors of the writer.

@@ -8,8 +8,8 @@
 //! vertices within `THINNED_MM` of the one before. If that is not enough, it is thinned further, and each distance is
 //! increased by as much.
 //!
-//! Invariants: no distance is taken to a stroke other than the point's own; distances from strokes that were not thinned
-//! are exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
+//! Invariants: a point's distance is taken only to its own stroke; distances from strokes that were not thinned are
+//! exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
 
 use crate::matching::{Match, Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
 use etherpen::robots::Position;

@@ -159,7 +159,7 @@ pub struct Report {
 
 /// Data for a report.
 pub struct Evidence<'a> {
-    /// The configuration that was in force.
+    /// The configuration that was in effect.
     pub config: &'a Config,
     /// The intended path.
     pub path: &'a [Vertex],

@@ -23,7 +23,7 @@ const PIXELS_PER_MM: f64 = 8.0;
 
 /// Everything that a run produces.
 pub struct Outcome<'a> {
-    /// The configuration that was in force.
+    /// The configuration that was in effect.
     pub config: &'a Config,
     /// What was to be drawn.
     pub prepared: &'a Prepared,

@@ -24,8 +24,8 @@ const OBEY_CYCLES_MAX: usize = 2_000;
 /// Velocity demand, digits; 140 are one revolution of the motor in a minute.
 const DEMAND: i32 = 14_000;
 
-/// Divider of the process-data watchdog: 100 us (register 0x0400), and the watchdog in such units: 6 s. A computer under
-/// load stops this program for longer than the usual 100 ms.
+/// Divider of the process-data watchdog, 100 us (register 0x0400), and the watchdog in these units, 6 s: a computer
+/// under load stops this program for longer than the default 100 ms.
 const WATCHDOG_DIVIDER: (u16, u16) = (0x0400, 2_498);
 const WATCHDOG_TIME: (u16, u16) = (0x0420, 60_000);
 

@@ -20,7 +20,7 @@ fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
             let mut round = 0_u32;
             while !ended.load(Ordering::Relaxed) {
                 round += 1;
-                // Viewers come and go, and the console says how many there are.
+                // Viewers come and go, and the console publishes their number.
                 viewer = match viewer {
                     Some(_) => None,
                     None => Some(rig.viewer(&format!("guest {round}"))),

@@ -214,7 +214,7 @@ fn execution_rows(readings: &Readings, shift: u8, asked: bool, row: &mut AddRow)
     }
 }
 
-/// Delays on the way of a cycle.
+/// Delays within a cycle.
 fn delay_rows(readings: &Readings, row: &mut AddRow) {
     let delays = [
         ("release_delay_max_ns", Quantity::ReleaseDelay),

@@ -35,7 +35,7 @@ impl Mechanism {
         Self::Delta(Delta::new(geometry))
     }
 
-    /// Position of the tool; `None` where the links do not meet.
+    /// Position of the tool; `None` if the links do not meet.
     pub(super) fn tool(&self, joints: &JointAngles) -> Option<Position> {
         match self {
             Self::Delta(delta) => delta.platform(joints),

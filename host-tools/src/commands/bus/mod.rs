@@ -1,4 +1,4 @@
-//! `etherpen bus`: look at the slaves and change them, with this computer's master or a running firmware's.
+//! `etherpen bus`: inspects and changes the slaves, with this computer's master or a running firmware's.
 
 mod objects;
 mod registers;

@@ -109,7 +109,7 @@ fn ink_is_missing_where_none_is_near() {
 
 #[test]
 fn ink_that_begins_on_top_of_the_last_stroke_belongs_to_its_own() {
-    // The second stroke begins on the first one, and is drawn a little beside its own beginning.
+    // The second stroke begins on the first one, and is drawn slightly beside its own beginning.
     let strokes = vec![
         (0, vec![place(0.0, 0.0), place(20.0, 0.0)]),
         (1, vec![place(10.0, 0.05), place(10.0, 5.0)]),
