@@ -30,7 +30,7 @@ pub struct DrawingEnd {
     pub report: Arc<JobReport>,
 }
 
-/// What happened to a drawing.
+/// An event of a drawing.
 #[allow(clippy::large_enum_variant)] // one is alive at a time
 pub enum DrawingNews {
     /// Something to show.

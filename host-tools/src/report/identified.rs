@@ -1,4 +1,4 @@
-//! Identification of the drives on a machine: the test motion driven with the present values and with those found.
+//! Identification of the drives on a machine: the test motion run with the present values and with those found.
 //!
 //! Invariant: only values that the second test motion has tried are stored.
 

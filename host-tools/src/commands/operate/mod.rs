@@ -73,7 +73,7 @@ pub enum Command {
     },
     /// Lift or lower the pen at its present position.
     Pen {
-        /// Where to.
+        /// Up or down.
         to: PenTo,
         /// Which machine.
         #[command(flatten)]
@@ -110,7 +110,7 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-/// Where the pen is to be.
+/// Position of the pen.
 #[derive(clap::ValueEnum, Clone, Copy, Debug)]
 pub enum PenTo {
     /// Off the paper.

@@ -120,7 +120,7 @@ mod tests {
         }
     }
 
-    /// Strokes of all lengths anywhere, some in clusters, some in order already.
+    /// Strokes of all lengths anywhere, some in clusters, some already in order.
     fn scattered(seed: u64) -> Drawing {
         let mut random = Lcg::new(seed);
         let mut unit = || random.unit();

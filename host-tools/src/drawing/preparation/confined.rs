@@ -5,7 +5,7 @@
 //! is this program with a hidden command. It gets the file's content on standard input and answers on standard output,
 //! so it needs no file permissions except for fonts.
 //!
-//! `order` and `vectorize` read their file without it: nothing else runs in their own process, and they move no robot.
+//! `order` and `vectorize` read their file in their own process: nothing else runs there, and they move no robot.
 
 use super::compose::{Composed, compose_content};
 use super::source::SourceArguments;
