@@ -1,4 +1,4 @@
-//! The virtual cell with packet capture: every frame in both directions goes into a capture.
+//! The virtual cell with packet capture: every frame in both directions is recorded.
 
 use crate::cell::Cell;
 use crate::emulator::Segment;

@@ -1,6 +1,6 @@
 //! The error of the program: a message and an exit code.
 //!
-//! Errors of a module become a [`ProgramError`] by `From`, beside the error itself.
+//! Errors of a module become a [`ProgramError`] by `From`, next to the error itself.
 
 /// Why the program ends without success.
 #[derive(Clone, Debug)]
@@ -15,7 +15,7 @@ pub struct ProgramError {
 pub mod code {
     /// The work failed.
     pub const FAILED: u8 = 1;
-    /// Wrong usage, a configuration that cannot be used.
+    /// Wrong usage, or a configuration that cannot be used.
     pub const USAGE: u8 = 2;
     /// The input file cannot be used.
     pub const INPUT: u8 = 3;

@@ -1,3 +1,3 @@
-//! FNV-1a with 64 bits, the hash of everything that is compared or named by a hash.
+//! FNV-1a with 64 bits, the hash of paths, firmware images and port names.
 
 pub use etherpen::hash::fnv1a;

@@ -35,7 +35,7 @@ const WAVES_PER_TURN: f64 = 2.4;
 /// Turns, and vertices on each.
 const TURNS: usize = 5;
 const VERTICES_PER_TURN: usize = 72;
-/// Figures of eight after the circles; there the path's direction swings to and fro, which moves the fourth axis.
+/// Figures of eight after the circles; there the path's direction swings back and forth, which moves the fourth axis.
 const EIGHTS: usize = 4;
 /// Strokes up and down at the end.
 const STROKES_UP: usize = 4;
@@ -78,7 +78,7 @@ pub struct Answer {
     pub lead_ms: Measured,
     /// Feed-forward gain that results from the gain.
     pub feed_forward_gain: Measured,
-    /// The feedback gain with a phase margin of 60 degrees, 1/s.
+    /// Feedback gain with a phase margin of 60 degrees, 1/s.
     pub feedback_gain_per_s: f64,
 }
 
@@ -107,8 +107,8 @@ impl std::fmt::Display for NoAnswer {
     }
 }
 
-/// Least limit of the feedback deviation during the test motion, rad: the delay by which the motion is predicted is not
-/// known yet.
+/// Least limit of the feedback deviation during the test motion, rad: the delay used to predict the motion is not known
+/// yet.
 const FEEDBACK_DEVIATION_RAD: f64 = 0.03;
 
 /// The configuration for the test motion: the given one with a limited speed, with the fourth axis along the path, and
@@ -162,7 +162,7 @@ pub fn test_path(config: &Config) -> Vec<PathVertex> {
     on_circle.chain(on_eights).chain(up_and_down).collect()
 }
 
-/// Estimates every axis from the telemetry of a motion that was driven with `config`.
+/// Estimates every axis from the telemetry of a motion run with `config`.
 pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
     std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
 }
@@ -176,7 +176,7 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
         .take(MAIN_AXES)
         .filter_map(|answer| answer.as_ref().ok())
         .collect();
-    // If one main axis has no estimate, no lead is shared: the platform would lag beside its path.
+    // Without an estimate of every main axis no lead is shared: the platform would lag beside its path.
     let main_wanted = (0..MAIN_AXES).any(wanted) && main.len() == MAIN_AXES;
     let lead_ms = main.iter().map(|answer| answer.lead_ms.value).sum::<f64>() / MAIN_AXES as f64;
     let feedback = main

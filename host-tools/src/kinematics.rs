@@ -1,4 +1,4 @@
-//! Positions to joint angles and back, for the robot or for another geometry, with the reason where there is no answer.
+//! Positions to joint angles and back, for the robot or for another geometry, with the reason if there is no solution.
 //!
 //! Only reach and singularity are checked; `plan` and `draw` check the work area. The joints' range is checked if the
 //! geometry's file gives one.
@@ -13,7 +13,7 @@ use std::f64::consts::PI;
 /// Determinant of [`Conditioning`] below which a pose is singular.
 const DETERMINANT_SINGULAR: f64 = 1.0e-9;
 
-/// The answer of either direction.
+/// The solution in either direction.
 #[derive(Debug, Serialize)]
 pub struct Answer {
     /// Angles of the main axes, rad.
@@ -22,11 +22,11 @@ pub struct Answer {
     pub position_mm: [f64; 3],
 }
 
-/// A robot that answers.
+/// A robot whose kinematics can be solved.
 #[derive(Debug)]
 pub struct Robot {
     kinematics: Kinematics,
-    /// Range of the joints where the geometry's file gives one, rad.
+    /// Range of the joints, rad, if the geometry's file gives one.
     range_rad: Option<[f64; 2]>,
 }
 
@@ -41,7 +41,7 @@ impl Robot {
         Self::new(geometry, measured.range_rad())
     }
 
-    /// A robot of a geometry; its own range of the joints is not checked, but `range_rad` is.
+    /// A robot with a geometry; its own range of the joints is not checked, but `range_rad` is.
     ///
     /// # Errors
     /// Why the dimensions do not form a valid robot.
@@ -91,7 +91,7 @@ impl Robot {
     /// Position for joint angles, rad.
     ///
     /// # Errors
-    /// An angle is not finite or outside the range that was given, or the angles have no position: why.
+    /// An angle is not finite or outside the given range, or the angles have no position: why.
     pub fn forward(&self, joints_rad: [f64; MAIN_AXES]) -> Result<Answer, ProgramError> {
         for (joint, angle_rad) in (0u8..).zip(joints_rad) {
             if !angle_rad.is_finite() {
@@ -123,7 +123,7 @@ impl Robot {
         })
     }
 
-    /// Refuses poses in which the joints do not hold the tool.
+    /// Refuses poses in which the joints do not hold the tool firmly.
     fn check_regular(&self, position: &Position) -> Result<(), ProgramError> {
         let Conditioning { ratio, determinant, .. } = self.kinematics.conditioning(position);
         let (joint, ratio) = ratio;
@@ -210,7 +210,7 @@ mod tests {
         let message = |position_mm| robot.inverse(position_mm).unwrap_err().message;
         assert_eq!(message([-1500.0, 0.0, -800.0]), "unreachable: arm 1 does not reach it");
         assert!(message([0.0, f64::NAN, -800.0]).starts_with("y is NaN"));
-        // Straight down from shoulders that stand over the platform's joints.
+        // Straight down from shoulders directly above the platform's joints.
         let straight = Robot::parse(&IRB.replace("45.0", "200.0")).unwrap();
         let error = straight.inverse([0.0, 0.0, -1150.0]).unwrap_err();
         assert!(

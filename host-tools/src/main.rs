@@ -27,7 +27,7 @@ struct Arguments {
 #[derive(clap::Subcommand)]
 #[allow(clippy::large_enum_variant)] // one is alive
 enum Subcommand {
-    /// Make strokes of a file for another process of this program.
+    /// Convert a file into strokes for another process of this program.
     #[command(name = confined::COMMAND, hide = true)]
     Confined,
     /// Draw a photograph on the emulated robot; installs and builds what is missing.
@@ -85,10 +85,10 @@ enum Subcommand {
     Verify(verify::Arguments),
 }
 
-/// The command line, every command of it with the exit codes.
+/// The command line, with the exit codes in every command.
 fn command_line() -> Command {
     fn explained(command: Command) -> Command {
-        // A long text of its own would take the place of the short one.
+        // A long text of its own would replace the short one.
         let own = command.get_after_long_help().map(ToString::to_string);
         let command = command.after_help(EXIT_CODES).mut_subcommands(explained);
         match own {
@@ -144,7 +144,7 @@ fn main() -> ExitCode {
 mod tests {
     use super::*;
 
-    /// Every command with an option `--port`: its name and the environment variable that stands for it.
+    /// Every command with an option `--port`: its name, and the environment variable that replaces the option.
     fn ports(command: &Command, name: &str, found: &mut Vec<(String, Option<String>)>) {
         let mut options = command.get_arguments();
         if let Some(port) = options.find(|argument| argument.get_long() == Some("port")) {
@@ -160,7 +160,7 @@ mod tests {
     fn the_environment_names_the_port_of_every_command_that_takes_one() {
         let mut found = Vec::new();
         ports(&command_line(), "", &mut found);
-        // The emulator's is the number of the TCP port that it opens.
+        // The option of `emulate` is the number of the TCP port that it opens.
         found.retain(|(name, _)| name != "emulate");
         for (name, variable) in &found {
             assert_eq!(variable.as_deref(), Some("ETHERPEN_PORT"), "{name}");

@@ -1,4 +1,4 @@
-//! The project's EtherCAT master on this computer, by the wall clock, over any transport.
+//! The project's EtherCAT master on this computer, in real time, over any transport.
 //!
 //! A separate thread exchanges frames once a millisecond and polls the supervisor. An ordinary computer is not a
 //! real-time controller: a cycle waits up to [`REPLY_WAIT`] for its replies, so a late reply costs time but not the
@@ -37,12 +37,12 @@ const SILENT_CYCLES: u32 = 10;
 /// Most milliseconds that the supervisor catches up at once.
 const CATCH_UP_MS_MAX: u64 = 100;
 
-/// Most slaves on the bus; 32 are the most that the exchange reports.
+/// Most slaves on the bus: the exchange reports 32 at most.
 const SLAVES_MAX: usize = 32;
 
 type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>;
 
-/// Why the master cannot work.
+/// Why the master cannot run.
 #[derive(Debug)]
 pub enum MasterError {
     /// The bus was not brought up.
@@ -238,7 +238,7 @@ impl Worker {
         }
     }
 
-    /// Exchanges inputs, then outputs; lasts until `until` at least.
+    /// Exchanges inputs, then outputs, and continues to receive until `until`.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
         self.transact(exchange, HostExchange::input_telegram, Arrival::Input)?;
         self.transact(exchange, HostExchange::output_telegram, Arrival::Output)?;
@@ -248,7 +248,7 @@ impl Worker {
             if left.is_zero() {
                 return Ok(());
             }
-            // A frame that arrives now is late, doubled or foreign, and is counted.
+            // A frame that arrives now is late, duplicated or foreign, and is counted.
             if let Some(length) = self.transport.receive(&mut frame, left)? {
                 exchange.receive(frame.get(..length).unwrap_or(&[]));
             }

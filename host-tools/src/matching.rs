@@ -1,11 +1,11 @@
 //! Matches positions with the line that they should follow, in order along both.
 //!
-//! A position near a stroke may be near several parts of it: parallel legs, a way back over the way there, the next turn
-//! of a spiral. Which part is its own follows from the order alone. Positions are matched with the line so that neither
-//! goes back and the largest distance is the least possible: the Fréchet distance of two polylines, found by halving
-//! between distances that are enough and distances that are not (Alt and Godau, 1995). [`Search`] does that within limits
-//! and a little at a time: each position is compared with each leg it may belong to, which are many where a line comes
-//! close to itself many times. [`thinned`] makes them fewer.
+//! A position near a stroke may be near several parts of it: parallel legs, a part that returns along itself, the next
+//! turn of a spiral. Only the order shows to which part it belongs. Positions are matched with the line so that neither
+//! goes back and the largest distance is the least possible: the Fréchet distance of two polylines, found by bisection
+//! between distances that are enough and distances that are not (Alt and Godau, 1995). [`Search`] does that
+//! incrementally and within limits: each position is compared with each leg it may belong to, and a line that comes
+//! close to itself many times has many of them. [`thinned`] reduces their number.
 //!
 //! Invariant: places along the line never decrease from one position to the next, except across a break, by at most
 //! `BACK_MM`.
@@ -15,7 +15,7 @@ mod search;
 use etherpen::robots::Position;
 pub use search::{Search, SearchLimits, SearchProgress};
 
-/// How far back along the line positions may go on after a break, mm: a pen that is set down again touches a little
+/// How far back along the line positions may continue after a break, mm: a pen that is lowered again touches slightly
 /// before the place where it was lifted.
 const BACK_MM: f64 = 0.5;
 /// Precision of the distance, mm.
@@ -36,11 +36,11 @@ pub fn between(a: &Position, b: &Position, part: f64) -> Position {
     }
 }
 
-/// Points of a polyline without those that are near the point kept before them: each kept leg is longer than `within_mm`,
-/// except the last one and those of a polyline that lies near its first point as a whole.
+/// Points of a polyline without those near the point kept before them. Each kept leg is longer than `within_mm`, except
+/// the last one and those of a polyline that lies entirely near its first point.
 ///
 /// Both polylines can be followed at the same time, in order, no farther than `within_mm` apart; twice that for a
-/// polyline that lies near its first point as a whole, of which the farthest point is kept as well.
+/// polyline that lies entirely near its first point, whose farthest point is kept as well.
 #[must_use]
 pub fn thinned(points: &[Position], within_mm: f64) -> Vec<Position> {
     let mut kept: Vec<Position> = Vec::new();
@@ -65,7 +65,7 @@ pub fn thinned(points: &[Position], within_mm: f64) -> Vec<Position> {
     kept
 }
 
-/// The part of the way from `a` to `b` that is nearest to a place, 0 to 1.
+/// The fraction of the segment from `a` to `b` at which it is nearest to a place, 0 to 1.
 fn nearest_part(place: &Position, a: &Position, b: &Position) -> f64 {
     let (dx, dy, dz) = (b.x_mm - a.x_mm, b.y_mm - a.y_mm, b.z_mm - a.z_mm);
     let squared = dx * dx + dy * dy + dz * dz;
@@ -150,7 +150,7 @@ impl Polyline {
         self.points.len().saturating_sub(1)
     }
 
-    /// Distance from a place to the part of the line between two places along it, mm; infinite for a line of no leg.
+    /// Distance from a place to the part of the line between two places along it, mm; infinite for a line without legs.
     #[must_use]
     pub fn distance_between(&self, place: &Position, low_mm: f64, high_mm: f64) -> f64 {
         let (low_mm, high_mm) = (

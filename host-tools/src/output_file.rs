@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const LINKS_MAX: usize = 40;
 /// Longest part of the output's name in the hidden file's name, bytes.
 const NAME_BYTES_MAX: usize = 180;
-/// Suffix of the hidden files' names.
+/// Suffix of hidden files.
 const BESIDE: &str = ".part";
 
 /// A file being written. Dropping it keeps the last good content; [`commit`](Self::commit) replaces it.
@@ -39,7 +39,7 @@ struct Beside {
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        // After a rename there is nothing at this path.
+        // After a rename there is no file at this path.
         let _ = fs::remove_file(&self.path);
     }
 }
@@ -184,7 +184,7 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many symbolic links"))
 }
 
-/// Whether a path is a file descriptor's name below /proc.
+/// Whether a path is a file descriptor's name under /proc.
 fn is_descriptor(path: &Path) -> bool {
     fs::canonicalize(folder_of(path)).is_ok_and(|folder| folder.starts_with("/proc"))
 }
@@ -217,7 +217,7 @@ fn create_beside(target: PathBuf) -> io::Result<(File, Beside)> {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
             opened => opened?,
         };
-        // Some file systems have no locks; nothing is removed there.
+        // Some file systems have no locks; their hidden files are not removed.
         let locked = flock(&file, FlockOperation::NonBlockingLockExclusive) != Err(rustix::io::Errno::WOULDBLOCK);
         let is_there = fs::metadata(&path).is_ok_and(|there| file.metadata().is_ok_and(|own| own.ino() == there.ino()));
         // Another program may have taken the file for a stale one before it was locked.
@@ -248,14 +248,14 @@ fn remove_left_behind(folder: &Path, stem: &str) {
     }
 }
 
-/// Makes a rename durable where the file system can.
+/// Makes a rename durable if the file system supports it.
 fn sync_folder(target: &Path) {
     let synced = File::open(folder_of(target)).and_then(|folder| folder.sync_all());
     // Some file systems cannot sync a folder; the file itself is on the disk.
     let _ = synced;
 }
 
-/// Refuses an output that is one of the files that the command reads, whatever names both have.
+/// Refuses an output that is one of the files that the command reads, whatever their names.
 ///
 /// # Errors
 /// Both names, and what to try.
@@ -295,19 +295,19 @@ pub fn unwritable(path: &Path, cause: &io::Error) -> ProgramError {
     ProgramError::failed(format!("{} cannot be written", path.display()), cause)
 }
 
-/// Makes the output folder.
+/// Creates the output folder.
 ///
 /// # Errors
-/// The folder cannot be made.
+/// The folder cannot be created.
 pub fn make_folder(dir: &Path) -> Result<(), ProgramError> {
     std::fs::create_dir_all(dir)
         .map_err(|cause| ProgramError::failed(format!("the folder {} cannot be made", dir.display()), cause))
 }
 
-/// Begins a file of the output folder.
+/// Starts a file in the output folder.
 ///
 /// # Errors
-/// The file cannot be made.
+/// The file cannot be created.
 pub fn create(dir: &Path, name: &str) -> Result<OutputFile, ProgramError> {
     let path = dir.join(name);
     OutputFile::create(&path).map_err(|cause| unwritable(&path, &cause))

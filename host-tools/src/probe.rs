@@ -36,7 +36,7 @@ pub struct StLink {
     pub name: String,
     /// Its serial number.
     pub serial: String,
-    /// Its device file.
+    /// Its device node.
     pub node: PathBuf,
 }
 

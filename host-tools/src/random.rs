@@ -1,7 +1,7 @@
 //! Seeded generators of random numbers, so that every run can be repeated.
 //!
-//! [`Random`] is the generator of the virtual segment and cell, and of photographs' lines. The others are kept where a
-//! sequence decides what a drawing or a measured path looks like, and for tests.
+//! [`Random`] is the generator of the virtual segment and cell, and of photographs' lines. The others are kept for
+//! tests and where a sequence determines a drawing or a measured path.
 
 pub use etherpen_segment::random::Random;
 
@@ -66,7 +66,7 @@ impl Xorshift {
         self.state
     }
 
-    /// The next 53 bits, of which each depends on all bits of the state.
+    /// The next 53 bits, each of which depends on all bits of the state.
     pub fn scrambled(&mut self) -> u64 {
         self.bits().wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11
     }
@@ -84,7 +84,7 @@ pub struct XorshiftStar {
 }
 
 impl XorshiftStar {
-    /// A generator that begins with this state, which is not 0.
+    /// A generator that starts with this state, which is not 0.
     #[must_use]
     pub fn new(state: u64) -> Self {
         Self { state }

@@ -1,7 +1,7 @@
 //! One drawing against the virtual cell: with the tasks in virtual time, or with a firmware image in the emulator.
 //!
-//! Both runs give the job to the cell and leave equal evidence; they differ only in how the firmware's tasks are
-//! executed. Neither depends on the wall clock.
+//! Both runs connect the job to the cell and produce the same kind of data; they differ only in how the firmware's
+//! tasks are executed. Neither depends on the wall clock.
 
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions};

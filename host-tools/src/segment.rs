@@ -51,14 +51,14 @@ impl Clock {
     }
 }
 
-/// What a segment did.
+/// Summary of a segment's run.
 #[derive(Debug, Serialize)]
 pub(crate) struct SegmentSummary {
-    /// Where masters reached the segment.
+    /// Address at which masters reached the segment.
     pub(crate) listens: String,
-    /// How long it ran.
+    /// Duration of the run, s.
     pub(crate) seconds: f64,
-    /// Time in which this program was not scheduled and the segment stood still.
+    /// Time in which this program was not scheduled and the segment was paused, ms.
     pub(crate) paused_ms: u64,
     /// EtherCAT frames from masters.
     pub(crate) frames: u64,
@@ -122,7 +122,7 @@ pub(crate) struct ServedSegment {
 }
 
 impl ServedSegment {
-    /// Begins to serve; every frame goes into `capture`.
+    /// Starts to serve; every frame is recorded in `capture`.
     pub(crate) fn new(
         cell: Cell,
         slaves: Vec<SlaveKind>,
@@ -180,7 +180,7 @@ impl ServedSegment {
             .map_err(|cause| ProgramError::failed("the capture", cause))
     }
 
-    /// Completes the capture and sums up what happened in the time `ran`.
+    /// Completes the capture and summarises the run, whose duration was `ran`.
     ///
     /// # Errors
     /// The capture cannot be written.
@@ -206,7 +206,7 @@ impl ServedSegment {
     }
 }
 
-/// Starts a capture, which replaces an existing file and grows under its name.
+/// Starts a capture that replaces an existing file and is visible under its name while it grows.
 ///
 /// # Errors
 /// The file cannot be written.

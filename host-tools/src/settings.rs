@@ -1,6 +1,6 @@
-//! Reads configuration files, and changes single values of one while everything else stays unchanged.
+//! Reads configuration files, and changes single values in them without changing anything else.
 //!
-//! Comments, order and all other values stay. A file that does not exist is created from the sample that lists all
+//! Comments, order and all other values are kept. A file that does not exist is created from the sample that lists all
 //! values; a file without axes gets the sample's axes.
 //!
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
@@ -15,8 +15,8 @@ use std::io;
 use std::path::Path;
 use toml_edit::{DocumentMut, Item, TomlError, Value};
 
-/// Largest difference between the angles of a reference at stored marks and the stored angles, rad; an increment of a
-/// resolver is less.
+/// Largest difference between the angles of a reference at stored marks and the stored angles, rad: more than an
+/// increment of a resolver.
 const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
 /// All values with their defaults and comments.
 const SAMPLE: &str = include_str!("../../samples/etherpen.toml");
@@ -136,7 +136,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Stores the axes' values in which a configuration differs from the file; returns how many.
+    /// Stores the axes' values that differ from the file; returns their number.
     ///
     /// # Errors
     /// [`SettingsError`]; nothing is written.
@@ -192,10 +192,10 @@ impl Settings {
     }
 }
 
-/// Stores a pose as the marks in a configuration file, and reads it back; gives the number of changed values.
+/// Stores a pose as the marks in a configuration file, and reads it back; returns the number of changed values.
 ///
 /// # Errors
-/// The file cannot be changed, or has other values after it was changed.
+/// The file cannot be changed, or contains other values than the ones stored.
 pub fn store_reference(
     path: &Path,
     marked: &Config,

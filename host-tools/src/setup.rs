@@ -15,7 +15,7 @@ pub const QEMU: &str = "qemu-system-arm";
 /// Oldest tested major version of QEMU.
 pub const QEMU_MAJOR_MIN: u32 = 7;
 
-/// What could not be set up.
+/// A part that could not be set up.
 #[derive(Debug)]
 pub struct SetupError {
     /// What is missing, and what to do.
@@ -65,7 +65,7 @@ fn has_sources(folder: &Path) -> bool {
     manifest.contains("name = \"etherpen\"") && folder.join("host-tools/Cargo.toml").is_file()
 }
 
-/// Makes sure that etherpen's sources exist: firmware, samples and benchmarks are made from them.
+/// Checks that etherpen's sources exist; firmware, samples and benchmarks need them.
 ///
 /// # Errors
 /// Where the sources were searched, and what to try.
@@ -101,7 +101,7 @@ pub(crate) fn cargo() -> Command {
     command
 }
 
-/// rustup, with the toolchain of the sources if they exist.
+/// The program rustup, with the toolchain of the sources if they exist.
 fn rustup() -> Command {
     let mut command = Command::new("rustup");
     if let Ok(folder) = ensure_sources() {
@@ -121,7 +121,7 @@ pub(crate) fn output(command: &mut Command) -> Option<String> {
 
 /// Whether `program` can be started.
 pub fn is_installed(program: &str) -> bool {
-    // iproute2 knows only the short form.
+    // iproute2 accepts only the short option.
     let answers = |option| output(Command::new(program).arg(option)).is_some();
     answers("--version") || answers("-V")
 }
@@ -139,7 +139,7 @@ pub fn has_target() -> bool {
     sysroot.as_ref().is_some_and(installed)
 }
 
-/// Adds the Rust target of the boards where it is missing.
+/// Adds the Rust target of the boards if it is missing.
 ///
 /// # Errors
 /// The command that has to be run by hand.
@@ -161,7 +161,7 @@ pub fn ensure_target() -> Result<(), SetupError> {
     }
 }
 
-/// Adds a component of the Rust toolchain where it is missing.
+/// Adds a component of the Rust toolchain if it is missing.
 ///
 /// # Errors
 /// The command that has to be run by hand.
@@ -290,12 +290,12 @@ fn lock_holder(said: &str) -> Option<String> {
     })
 }
 
-/// The version of vpype that the drawing is compared with.
+/// The version of vpype with which drawings are compared.
 const VPYPE: &str = "vpype==1.15.0";
 /// The version of unicorn, a Cortex-M7 emulator, on which the board's start-up is run.
 const UNICORN: &str = "unicorn==2.1.4";
 
-/// A Python with vpype, in its own folder below the target folder; installed if it is missing.
+/// A Python with vpype, in a separate folder below the target folder; installed if it is missing.
 ///
 /// # Errors
 /// What is missing and how to get it.
@@ -303,7 +303,7 @@ pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
     ensure_python("vpype", VPYPE, "; or leave vpype out: --subject etherpen")
 }
 
-/// A Python with unicorn, in its own folder below the target folder; installed if it is missing.
+/// A Python with unicorn, in a separate folder below the target folder; installed if it is missing.
 ///
 /// # Errors
 /// What is missing and how to get it.
@@ -369,7 +369,7 @@ pub fn major(version: &str) -> Option<u32> {
         .find_map(|word| word.split('.').next()?.parse().ok())
 }
 
-/// Installs QEMU where it is missing and checks its version.
+/// Installs QEMU if it is missing, and checks its version.
 ///
 /// # Errors
 /// The command that has to be run by hand, or that the version is too old.

@@ -1,4 +1,4 @@
-//! The whole cell in virtual time in one process: the firmware's task bodies against the virtual cell.
+//! The complete cell in virtual time in one process: the firmware's task bodies with the virtual cell.
 //!
 //! A millisecond of a board is a sequence of calls here, in the order of the board's priorities; the task bodies are
 //! those of a board. Nothing waits for a clock, so a run is as fast as the computer, and its result is identical on
@@ -24,7 +24,7 @@ const ROUND_TRIP_US: u64 = 50;
 /// Deadline for the input reply after the release, us.
 const DEADLINE_US: u64 = 300;
 
-/// Conditions of a board beside bus and link.
+/// Conditions of a board other than bus and link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surroundings {
     /// Whether the emergency-stop input reads open.
@@ -45,10 +45,10 @@ pub trait Host {
     /// Takes the counters of the bus exchange at the end of a millisecond, before the last telegrams are settled.
     fn counted(&mut self, _counters: &BusCounters) {}
 
-    /// What the comparisons of the position feedback have used of their limits by the end of a millisecond.
+    /// Takes the share of its limit that each comparison of the position feedback has used by the end of a millisecond.
     fn feedback_used(&mut self, _used: [f32; COMPARISONS.len()]) {}
 
-    /// What the board meets in this millisecond.
+    /// Conditions of the board in this millisecond.
     fn surroundings(&mut self) -> Surroundings {
         Surroundings::default()
     }
@@ -118,7 +118,7 @@ impl<'c> Driver for Wire<'c> {
     }
 }
 
-/// Runs the firmware's tasks against the cell until the host says that it is over or `limit_ms` have passed.
+/// Runs the firmware's tasks with the cell until the host reports that the run is over or `limit_ms` have passed.
 ///
 /// Returns the virtual milliseconds that have passed.
 pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {

@@ -1,4 +1,4 @@
-//! Text for a terminal: colours, and numbers of things.
+//! Text for a terminal: colours, and numbers with nouns.
 
 use std::io::IsTerminal;
 
@@ -11,7 +11,7 @@ pub fn in_colour(text: &str, colour: &str) -> String {
     }
 }
 
-/// A number of things: `1 stroke`, `2 strokes`.
+/// A number with its noun: `1 stroke`, `2 strokes`.
 pub fn counted(count: impl TryInto<u64>, thing: &str) -> String {
     let count = count.try_into().unwrap_or(u64::MAX);
     format!("{count} {thing}{}", if count == 1 { "" } else { "s" })

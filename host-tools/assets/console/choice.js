@@ -1,6 +1,6 @@
-// A list to choose one of, in the page itself: the browser's own covers the page, on a phone all of it, and takes Esc.
+// A list with one choice, inside the page: the browser's own list covers the page (all of it on a phone) and takes Esc.
 //
-// Used like a `select`: `value`, `disabled`, and an event `change` when a person has chosen.
+// Used like a `select`: `value`, `disabled`, and an event `change` when a user has chosen.
 
 import { element, set } from "./dom.js";
 
@@ -30,14 +30,14 @@ class Choice extends HTMLElement {
     const away = (event) => this.contains(event.target) || this.open(false);
     document.addEventListener("pointerdown", away, true);
     document.addEventListener("focusin", away);
-    // What scrolls takes the button along, and leaves the list behind.
+    // Scrolling moves the button but not the list, so the list closes.
     addEventListener("scroll", (event) => event.target !== this.list && event.target.contains(this) && this.open(false), true);
     addEventListener("resize", () => this.open(false));
     this.options = given;
     this.value = this.getAttribute("value") ?? given[0]?.[0] ?? "";
   }
 
-  // Pairs of value and words.
+  // Pairs of value and text.
   set options(pairs) {
     this.#options = pairs.map(([value, words]) => [String(value), words]);
     this.list.replaceChildren(...this.#options.map(([value, words]) => element("li", { id: `${this.list.id}-${value}`, role: "option", data: { value } }, words)));
@@ -123,7 +123,7 @@ class Choice extends HTMLElement {
     event.stopPropagation();
   }
 
-  // What begins with the letters that were typed one after the other.
+  // Selects the option that begins with the letters typed in sequence.
   #search(letter) {
     clearTimeout(this.typing);
     this.typing = setTimeout(() => (this.#typed = ""), 700);
@@ -135,7 +135,7 @@ class Choice extends HTMLElement {
 
 customElements.define("choice-list", Choice);
 
-// A list that is made by a script.
+// Creates a list from a script.
 export function choice(label, pairs) {
   const made = element("choice-list", { label });
   made.connectedCallback();

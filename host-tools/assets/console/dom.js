@@ -1,4 +1,4 @@
-// Small helpers around the document: elements are made of data, text is never markup.
+// Small helpers around the document: elements are created from data, and text is never markup.
 
 export const $ = (id) => document.getElementById(id);
 
@@ -25,9 +25,8 @@ export function text(target, value) {
 
 const shows = new WeakMap();
 
-// Keeps one child for each item, by its key. What is there stays where it is and is only updated, so that a press, the
-// focus, a selection and the place of scrolling outlive every update. `make` gives a node and the function that shows an
-// item in it.
+// Keeps one child for each item, by its key. Existing nodes stay in place and are only updated, so that presses, focus,
+// selection and scroll position survive every update. `make` returns a node and the function that shows an item in it.
 export function keyed(parent, items, key, make) {
   const kept = new Map([...parent.children].map((child) => [child.dataset.key, child]));
   const wanted = items.map((item) => {
@@ -51,7 +50,7 @@ export function keyed(parent, items, key, make) {
   }
 }
 
-// Sets a property only when it changes: an attribute that is written again can end a press.
+// Sets a property only if it changes: writing an attribute again can end a press.
 export function set(node, properties) {
   for (const [name, value] of Object.entries(properties)) if (node[name] !== value) node[name] = value;
 }
@@ -117,7 +116,7 @@ const BURST_MS = 2500;
 const TOAST_LINES = 4;
 let latest = null;
 
-// A message over the page. What is said within a moment of one another belongs together and is one message.
+// A message over the page. Messages that arrive within a moment of one another are shown as one.
 export function toast(words, tone = "warn") {
   const now = performance.now();
   if (!latest?.box.isConnected || latest.tone !== tone || now - latest.at > BURST_MS) {

@@ -1,4 +1,4 @@
-// Drives and bus, faults of a virtual segment, counters, log and what the firmware measures of itself.
+// Drives and bus, faults of a virtual segment, counters, log and the firmware's own measurements.
 
 import { $, duration, element, keyed, set, text, toast } from "./dom.js";
 
@@ -11,7 +11,7 @@ export function drives(link) {
   timing(link);
 }
 
-// Damaged frames and lost links as the slave's controller counts them; all counts in the tip.
+// Damaged frames and lost links as counted by the slave's controller; all counts in the tooltip.
 function lineErrors(line) {
   if (!line) return "–";
   const counts = [[line.invalid_frames, "CRC"], [line.receive_errors, "RX"], [line.lost_links, "lost links"], [line.watchdog, "watchdog"]];
@@ -85,7 +85,7 @@ function log(link) {
     const marks = { info: "·", warning: "▲", error: "■" };
     for (const line of lines) {
       box.append(element("li", { data: { level: line.level } }, element("time", {}, `${(line.time_ms / 1000).toFixed(3)} s`), element("span", { className: "mark", ariaHidden: "true" }, marks[line.level]), element("span", {}, line.text)));
-      // Faults have a place of their own; what was said before this page came is no news.
+      // Faults have a place of their own; messages from before this page was opened are not news.
       if (line.level === "warning" && last !== null) tell(line.text);
     }
     while (box.childElementCount > 500) box.firstElementChild.remove();
@@ -126,7 +126,7 @@ function timing(link) {
 
 const SVG = "http://www.w3.org/2000/svg";
 
-// Bars over a logarithmic count axis: rare values are what matters.
+// Bars over a logarithmic count axis: the rare values matter.
 function histogram({ name, bins, p50_us: median, p999_us: rare, max_us: most, count }) {
   const [width, height] = [240, 64];
   const [low, high] = [bins[0].from_us, bins[bins.length - 1].to_us];

@@ -1,9 +1,9 @@
-// Drawings: drop a file, see what it will be and how long it takes, let it wait, start it; what was drawn before.
+// Drawings: drop a file, preview it with its duration, queue it, start it; past drawings.
 
 import { choice } from "./choice.js";
 import { $, duration, element, keyed, number, set, text, toast } from "./dom.js";
 
-// While somebody types, nothing is planned for this long.
+// Pause in typing before a file is planned, ms.
 const TYPING_MS = 400;
 
 const strokes = (count) => `${count} stroke${count === 1 ? "" : "s"}`;
@@ -15,7 +15,8 @@ export function jobs(link) {
   lists(link);
 }
 
-// A dropped file stays here until the console has accepted it: without control, without a connection, or after a refusal.
+// A dropped file stays here until the console has accepted it: without control, without a connection, or after a
+// refusal.
 function dropped(link, wishes) {
   let kept = null;
   let refused = "";
@@ -85,7 +86,7 @@ function dropped(link, wishes) {
   });
 }
 
-// How a photograph becomes strokes; what is left empty is left to the program. Every change plans the file again.
+// Options for converting a photograph into strokes; empty ones take their defaults. Every change plans the file again.
 function optionFields(link) {
   const style = choice("Style", [["", "default"]]);
   const size = element("input", { type: "text", placeholder: "fits the sheet", ariaLabel: "Size, with its unit" });
@@ -121,7 +122,7 @@ function optionFields(link) {
     styles.hidden = known.length === 0;
     if (style.options.length === 1) style.options = [["", "default"], ...known.map((name) => [name, name])];
   });
-  // What another viewer, or this page before it was loaded again, has chosen; never over what is being written.
+  // Options chosen by another viewer, or by this page before a reload; a field being edited is never overwritten.
   let seen = null;
   link.on("studio", (made) => {
     asked = null;

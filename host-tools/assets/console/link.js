@@ -1,12 +1,11 @@
-// The socket to the console: sections of its state in, requests out, again and again when it breaks.
+// The socket to the console: receives sections of its state, sends requests, and reconnects when it breaks.
 //
-// A stop that was asked for stays asked for until the firmware's own state says that it stands; after a break it is the
-// first thing that is sent.
+// A requested stop stays pending until the firmware's own state confirms it; after a reconnection it is sent first.
 
 const RETRY_MS = [200, 400, 800, 1500];
 const ALIVE_MS = 700;
 
-// What is known before the modules are there: the token, and whether a stop was asked for.
+// Known before the modules are loaded: the token, and whether a stop was requested.
 const stop = globalThis.etherpenStop;
 
 function page() {
@@ -64,7 +63,7 @@ export class Link extends EventTarget {
     this.bytes += data.length;
     const { section, data: content } = JSON.parse(data);
     this.state[section] = content;
-    // A robot that stands by another fault stands as well.
+    // A robot stopped by another fault is stopped as well.
     if (section === "status" && content?.mode === "Fault") stop.stands();
     if (section === "pose" && content && content.time_ms !== this.heard.time_ms) this.heard = { time_ms: content.time_ms, at: performance.now() };
     this.tell(section, content);
@@ -119,7 +118,7 @@ export class Link extends EventTarget {
     return this.send({ type: "command", action });
   }
 
-  // Since when no new measurement has come.
+  // Seconds since the last new measurement.
   silentSeconds() {
     return (performance.now() - this.heard.at) / 1000;
   }

@@ -39,7 +39,7 @@ function figures(link, scope) {
   link.on("robot", (constants) => constants && text($("about"), `etherpen ${constants.version} · ${constants.port} · no safety function: use the drives' STO`));
 }
 
-// Not modal: under a modal dialog nothing else can be pressed, and STOP is to be pressed at any time.
+// Not modal: under a modal dialog nothing else can be pressed, and STOP must always work.
 function shortcuts() {
   const dialog = $("shortcuts");
   const open = (opened) => {
@@ -55,7 +55,7 @@ function shortcuts() {
   });
 }
 
-// What is measured is dimmed, with its age, when nothing new comes.
+// Measured values are dimmed, with their age, when no new ones arrive.
 function ages(link) {
   const show = () => {
     const seconds = link.silentSeconds();

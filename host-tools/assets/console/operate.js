@@ -1,6 +1,6 @@
-// Banner, stop, buttons, jog and positions: what an operator has under the hand.
+// Banner, stop, buttons, jog and positions: the operator's controls.
 //
-// Whether something may be pressed is said by the firmware's mode; whether it happened, by its state.
+// The firmware's mode determines what may be pressed; its state shows what happened.
 
 import { $, duration, element, number, text } from "./dom.js";
 
@@ -43,7 +43,7 @@ function banner(link) {
   show();
 }
 
-// The mode in words; of a drawing, which one and how long it still takes.
+// The mode in words; for a drawing, its name and remaining time.
 function about(link, status) {
   const { jobs, progress } = link.state;
   if (!["Drawing", "Holding"].includes(status.mode) || !jobs?.active) return status.text;
@@ -56,7 +56,7 @@ function chip(id, tone, words) {
   text($(id).lastElementChild, words);
 }
 
-// What STOP has come to; that it is pressed, `stop.js` hears before anything else.
+// The effect of STOP; `stop.js` handles the press itself before anything else.
 function stop(link) {
   const show = () => {
     const { status } = link.state;
@@ -143,7 +143,7 @@ function override(link) {
   });
 }
 
-// The robot moves only while something is pressed: the message is repeated, and every way of letting go ends it.
+// The robot moves only while something is pressed: the message is repeated, and every way of releasing ends it.
 function jog(link) {
   const pressed = new Map();
   let timer = 0;
@@ -209,7 +209,7 @@ function positions(link) {
     $("errors").append(element("span", {}, `axis ${axis}`), bar, value);
     return [bar, value];
   });
-  // Of a drive that does not answer, the firmware tells what it expects, not what is.
+  // For a drive that does not answer, the firmware reports expected values, not actual ones.
   link.on("status", (status) => {
     const silent = [0, 1, 2, 3].map((axis) => (status?.slaves[axis]?.silent_s ?? null) !== null);
     bars.forEach((bar, axis) => bar.forEach((node) => node.classList.toggle("old", silent[axis])));

@@ -1,4 +1,4 @@
-// The sheet from above: what is drawn, what is being drawn, what remains, and the pen where it is measured.
+// The sheet from above: what is drawn, what is being drawn, what remains, and the measured pen.
 
 import { $, Canvas, duration, text } from "./dom.js";
 
@@ -15,7 +15,7 @@ export function paper(link) {
   const screen = new Canvas($("paper"), () => repaint());
   const shown = () => (link.state.jobs?.active || !preview ? job : preview) ?? preview;
 
-  // Another way to draw it is being planned, or none was found.
+  // The file is being planned with other options, or planning failed.
   const isOld = () => shown() === preview && link.state.studio?.state !== "ready";
 
   const place = () => {
@@ -77,7 +77,7 @@ export function paper(link) {
     const path = shown();
     if (!path) return;
     prepare(context);
-    // A preview looks as it will on paper; of a drawing the ink comes with the pen.
+    // A preview looks as it will on paper; the ink of a drawing appears with the pen.
     context.globalAlpha = isOld() ? 0.25 : 1;
     context.strokeStyle = path === job ? screen.colours["sheet-rest"] : screen.colours["sheet-ink"];
     trace(context, at, path, 1, path.index.length);
@@ -175,7 +175,7 @@ export function paper(link) {
     repaint();
   });
   link.on("studio", (studio) => {
-    // The preview of the same file stays, dimmed, until the next one is there.
+    // The preview of the same file stays, dimmed, until the next one arrives.
     if (!studio || studio.state === "idle" || (preview && studio.name !== previewed)) preview = null;
     facts();
     repaint();

@@ -1,4 +1,4 @@
-// A plot of many signals over one time axis: one lane for each unit, each column from its smallest to its largest value.
+// A plot of many signals over one time axis: one lane per unit, each column from its smallest to its largest value.
 
 import { Canvas } from "./dom.js";
 
@@ -7,11 +7,11 @@ const RIGHT = 12;
 const TOP = 8;
 const BOTTOM = 24;
 const GAP = 10;
-// Letters of a mark's text that fit beside the plot.
+// Most letters of a tick's text that fit beside the plot.
 const TICK_LETTERS = 9;
 const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
 
-// Columns in the order of time, at most so many.
+// A bounded number of columns in the order of time.
 export class Columns {
   constructor(capacity, signals) {
     this.capacity = capacity;
@@ -66,7 +66,7 @@ export class Columns {
   }
 }
 
-// Round numbers between two values, about as many as wanted.
+// Round numbers between two values, about `wanted` of them.
 export function ticks(low, high, wanted) {
   const rough = (high - low) / Math.max(wanted, 1);
   if (!(rough > 0) || !Number.isFinite(rough)) return [];
@@ -77,8 +77,8 @@ export function ticks(low, high, wanted) {
   return Array.from({ length: Math.max(0, last - first + 1) }, (_, index) => (first + index) * step);
 }
 
-// Texts of marks so many apart: no two alike, none longer than the margin is wide. Where the values differ in their last
-// digits only, the texts are the differences from a base, which is told once.
+// Texts of ticks at a given distance: no two alike, none wider than the margin. If the values differ in their last
+// digits only, the texts are the differences from a base, which is shown once.
 export function tickTexts(marks, step) {
   const written = (value, digits) => value.toFixed(digits).replace("-", "−");
   const largest = Math.max(...marks.map(Math.abs), step);
@@ -137,7 +137,7 @@ export class Plot {
     return this.fromMs + ((x - LEFT) / (this.screen.width - LEFT - RIGHT)) * (this.toMs - this.fromMs);
   }
 
-  // Smallest and largest value of a lane in sight; it grows at once and shrinks slowly.
+  // Smallest and largest visible value of a lane; the range grows at once and shrinks slowly.
   range(lane, from, to) {
     let [low, high] = [Infinity, -Infinity];
     for (let column = from; column < to; column += 1) {
@@ -148,7 +148,7 @@ export class Plot {
       }
     }
     if (low > high) [low, high] = [-1, 1];
-    // What does not change has a scale of its own size; single precision tells no more than this.
+    // A constant value gets a scale of its own magnitude; single precision resolves no more than this.
     const flat = high - low <= Math.abs(high) * 1e-6;
     const room = flat ? Math.max(Math.abs(high) * 0.06, 1.3e-3) : (high - low) * 0.08;
     [low, high] = [low - room, high + room];
@@ -246,7 +246,7 @@ export class Plot {
         continue;
       }
       const x = this.x(time);
-      // A hole in the telemetry stays a hole.
+      // A gap in the telemetry stays a gap.
       if (pen && time - before > 3 * this.columns.bucketMs) pen = false;
       if (pen) context.lineTo(x, y(low));
       else context.moveTo(x, y(low));
@@ -280,11 +280,11 @@ export class Plot {
     }
   }
 
-  // Smallest and largest value of each signal at a time; null where there is none.
+  // Smallest and largest value of each signal at a time; null if there is none.
   readout(timeMs) {
     const column = this.columns.find(timeMs);
     const near = column < this.columns.count ? column : this.columns.count - 1;
-    // In a hole there is no value; behind the newest it is the newest.
+    // In a gap there is no value; after the newest column it is the newest value.
     const inHole = column > 0 && column < this.columns.count && this.columns.timeMs(near) - timeMs > 3 * this.columns.bucketMs;
     if (near < 0 || inHole) return this.signals.map(() => null);
     return this.signals.map((_, signal) => {

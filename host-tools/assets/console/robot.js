@@ -53,7 +53,7 @@ export function robot(link) {
     dot(tip, 2.5, colours.accent);
   };
 
-  // Sheet and the space that may be used.
+  // The sheet and the work area.
   const workspace = ({ paper, work_area: area }, line, at, context, colours) => {
     const [width, height] = paper.size_mm.map((size) => size / 2);
     const [x, y] = paper.centre_mm;

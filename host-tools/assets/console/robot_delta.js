@@ -2,7 +2,7 @@
 
 const ROD_MM = 34;
 
-// Shoulders, elbows and the platform's joints of a pose; z up, mm.
+// Shoulders, elbows and platform joints of a pose; z up, mm.
 function skeleton(geometry, joints, platform) {
   return geometry.arm_azimuths_deg.map((degrees, arm) => {
     const azimuth = (degrees * Math.PI) / 180;
@@ -15,8 +15,8 @@ function skeleton(geometry, joints, platform) {
   });
 }
 
-// Draws the mechanism with its joints where `pose` measures them, without a pose the base alone. The view gives `line` and
-// `dot` of points in mm, a point's `depth`, and whether what is far away `fades`.
+// Draws the mechanism at the joints measured in `pose`; without a pose, only the base. The view provides `line` and
+// `dot` for points in mm, a point's `depth`, and whether distant parts are drawn fainter (`fades`).
 export function drawMechanism(geometry, pose, { context, colours, line, dot, depth, fades }) {
   const ring = (radius, z, centre = [0, 0]) => Array.from({ length: 49 }, (_, index) => [centre[0] + radius * Math.cos((index * Math.PI) / 24), centre[1] + radius * Math.sin((index * Math.PI) / 24), z]);
   line(ring(geometry.base_radius_mm, 0), 5, colours.metal);

@@ -1,4 +1,4 @@
-// The scope: choice of signals and window, pause, zoom, cursor, triggered capture, export of what is seen.
+// The scope: choice of signals and window, pause, zoom, cursor, triggered capture, export of the visible part.
 
 import { $, element, save, text, toast } from "./dom.js";
 import { Columns, Plot } from "./plot.js";
@@ -18,7 +18,7 @@ const PRESETS = [
   ["16 signals", (signal) => /^[qv]\d/.test(signal.name)],
 ];
 
-// The parts of an answer as one.
+// Joins the parts of an answer.
 function joined(parts) {
   const concat = (Kind, arrays) => {
     const all = new Kind(arrays.reduce((length, array) => length + array.length, 0));
@@ -101,7 +101,7 @@ export class Scope {
     this.resizing = setTimeout(() => (this.paused ? this.fetch() : this.watch()), 150);
   }
 
-  // Asks for a new picture, from its beginning.
+  // Requests a new picture from its beginning.
   watch() {
     if (!this.all) return;
     this.picture += 1;
@@ -130,7 +130,7 @@ export class Scope {
     }
   }
 
-  // A part of what is kept, as columns; 0 columns for every millisecond.
+  // A part of the kept history, as columns; 0 columns for every millisecond.
   range(fromMs, toMs, columns) {
     this.picture += 1;
     const id = this.picture + 1e6;
@@ -184,7 +184,7 @@ export class Scope {
     this.framed = now;
     if (!this.paused && this.live.count > 0) {
       const newest = this.live.timeMs(this.live.count - 1);
-      // The axis glides with the wall clock and is drawn to the newest data.
+      // The axis moves with the wall clock and is drawn up to the newest data.
       this.clockMs = this.clockMs === null || Math.abs(newest - this.clockMs) > 1000 ? newest : this.clockMs + elapsed + (newest - this.clockMs - elapsed) * 0.08;
       this.plot.toMs = this.clockMs - DELAY_MS;
       this.plot.fromMs = this.plot.toMs - this.windowMs;
@@ -266,7 +266,7 @@ export class Scope {
     }));
   }
 
-  // What the firmware tells of a drive that does not answer is what it expects.
+  // For a drive that does not answer, the firmware reports expected values.
   dim(status) {
     [...$("scope-legend").children].forEach((entry, index) => {
       const slave = status?.slaves[this.all[this.chosen[index]].axis - 1];
@@ -274,7 +274,7 @@ export class Scope {
     });
   }
 
-  // Values at the cursor, or the newest.
+  // Values at the cursor, or the newest ones.
   read() {
     const now = performance.now();
     if (now - (this.readAt ?? 0) < 100) return;
@@ -320,7 +320,7 @@ export class Scope {
     this.armed = capture.state === "armed" || capture.state === "fired";
     text($("trigger-arm"), this.armed ? "Disarm" : "Arm");
     if (capture.state !== "caught") return;
-    // What was caught is what is kept: no freeze, which would replace it.
+    // A capture is already kept: freezing would replace it.
     this.paused = true;
     $("scope-pause").setAttribute("aria-pressed", "true");
     text($("scope-pause"), "Resume");

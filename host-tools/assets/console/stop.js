@@ -1,8 +1,8 @@
-// STOP: works before the rest of the page is there, and over everything that the page shows.
+// STOP: works before the rest of the page is loaded, and over everything that the page shows.
 //
-// A plain script in the head: it runs before the first picture, and needs neither the modules nor the socket. A press on
-// STOP, or Esc wherever the focus is, posts a stop again and again until the console has taken it. `link.js` sends it over
-// the socket as well, and calls `stands` when the firmware stands.
+// A plain script in the head: it runs before the first picture, and needs neither the modules nor the socket. A press
+// on STOP, or Esc wherever the focus is, posts a stop repeatedly until the console has accepted it. `link.js` also
+// sends it over the socket, and calls `stands` when the firmware reports that the robot is stopped.
 
 "use strict";
 
@@ -10,7 +10,7 @@
   const RETRY_MS = 250;
   const POST_MAX_MS = 2000;
 
-  // A browser that keeps nothing for this page still stops the robot.
+  // A browser that stores nothing for this page still stops the robot.
   const remembered = (token) => {
     try {
       if (token) sessionStorage.setItem("token", token);
@@ -59,12 +59,12 @@
     post();
   };
 
-  // The firmware stands.
+  // The firmware reports that the robot is stopped.
   stop.stands = () => {
     stop.asked = false;
   };
 
-  // The press counts, not the release; a click without a press comes from the keyboard or from a reading aid.
+  // The press counts, not the release; a click without a press comes from the keyboard or a screen reader.
   let pressed = false;
   const meant = (event) => event.target instanceof Element && event.target.closest("#stop");
   addEventListener("pointerdown", (event) => {
@@ -78,12 +78,12 @@
   }, true);
   addEventListener("keydown", (event) => {
     if (event.key !== "Escape") return;
-    // Otherwise the browser ends the loading of the page.
+    // Otherwise the browser stops loading the page.
     event.preventDefault();
     if (!event.repeat) stop.ask();
   }, true);
 
-  // STOP stays inside of what is seen of the page: beside a keyboard on the screen, and however far one has zoomed in.
+  // STOP stays inside the visible part of the page: next to an on-screen keyboard, and at any zoom.
   const seen = globalThis.visualViewport;
   const follow = () => {
     const { style } = document.documentElement;

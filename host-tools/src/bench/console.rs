@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 const DELAY_MAX_MS: f64 = 100.0;
 /// Most memory of the console, MiB.
 const MEMORY_MAX_MIB: f64 = 256.0;
-/// Connections that each of those threads keeps open that connect as often as they can.
+/// Connections that each thread of `Load::Connections` keeps open.
 const OPEN_AT_ONCE: usize = 300;
 /// Time after which a stop counts as lost.
 const LOST: Duration = Duration::from_secs(60);
@@ -50,7 +50,7 @@ enum Load {
     Uploads(usize),
     /// Viewers that request the whole history and never read.
     SlowReaders(usize),
-    /// Threads that connect as often as they can and say nothing.
+    /// Threads that connect as often as they can and send nothing.
     Connections(usize),
 }
 
@@ -306,7 +306,7 @@ const ALL_OF_IT: &str = r#"{"type":"range","id":1,"signals":[0,1,2,3,4,5,6,7,8,9
 
 type Burden = (Option<TcpStream>, Option<JoinHandle<()>>);
 
-/// Connects over and over, until told to end.
+/// Connects repeatedly until told to end.
 fn connect_often(address: &str, ended: &AtomicBool) {
     let mut open = VecDeque::new();
     while !ended.load(Ordering::Relaxed) {

@@ -1,4 +1,4 @@
-//! Requests to a bus, whatever master carries them out.
+//! Requests to a bus, independent of the master that carries them out.
 //!
 //! Callers count slaves from 1; the requests count them from 0.
 
@@ -11,7 +11,7 @@ use etherpen::ethercat::diagnostics::{
 use etherpen::ethercat::state::{AlReport, AlState};
 use etherpen::ethercat::wire::coe::Object;
 
-/// Most pieces that a value is made of: one more than fit the lengths of the protocol.
+/// Most pieces of a value: one more than the protocol's lengths allow.
 const PIECES_MAX: usize = u16::MAX as usize / PIECE_BYTES_MAX + 1;
 
 /// Carries out requests to a bus.
@@ -26,11 +26,11 @@ pub(crate) trait BusAccess {
 /// Why there is no answer.
 #[derive(Debug)]
 pub(crate) enum AccessError {
-    /// The bus or a slave refused.
+    /// The bus or a slave refused the request.
     Refused(ServiceError),
-    /// The bus could not be asked.
+    /// The request did not reach the bus.
     Lost(ProgramError),
-    /// An answer to another question.
+    /// The answer belongs to another request.
     Foreign,
 }
 
@@ -52,7 +52,7 @@ fn zero(slave: u8) -> u8 {
     slave.saturating_sub(1)
 }
 
-/// The bus as a whole.
+/// Information about the complete bus.
 pub(crate) fn bus(access: &mut dyn BusAccess) -> Result<BusInfo, AccessError> {
     match access.request(ServiceRequest::Bus)? {
         ServiceReply::Bus(info) => Ok(info),
@@ -60,7 +60,7 @@ pub(crate) fn bus(access: &mut dyn BusAccess) -> Result<BusInfo, AccessError> {
     }
 }
 
-/// One slave.
+/// Information about one slave.
 pub(crate) fn slave(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveInfo, AccessError> {
     match access.request(ServiceRequest::Slave { slave: zero(slave) })? {
         ServiceReply::Slave(info) => Ok(info),

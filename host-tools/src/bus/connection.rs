@@ -73,7 +73,7 @@ impl Carrier for Master {
     }
 }
 
-/// A bus behind a firmware.
+/// A bus reached through a firmware's master.
 pub(crate) struct FirmwareBus {
     /// Carries out the requests.
     pub(crate) access: Box<dyn BusAccess>,
@@ -193,14 +193,14 @@ impl Carrier for Linked {
         let until = Instant::now() + pause;
         while Instant::now() < until {
             self.step()?;
-            // Nobody waits for an event now.
+            // Nothing waits for an event now.
             while self.session.next_event().is_some() {}
         }
         Ok(())
     }
 }
 
-/// Why the master on this computer cannot work, and what to try.
+/// Why the master on this computer cannot run, and what to try.
 fn master_error(error: &MasterError) -> String {
     match error {
         MasterError::Refused { position, error, .. } => match position {

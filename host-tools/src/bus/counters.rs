@@ -73,7 +73,7 @@ impl SlaveCounters {
 #[derive(Debug, Default)]
 pub(crate) struct ErrorCounters {
     pub(crate) slaves: Vec<SlaveCounters>,
-    /// What the counters indicate, a line for each finding: cables first, then slaves.
+    /// What the counters indicate, one line per finding: cables first, then slaves.
     pub(crate) findings: Vec<String>,
 }
 

@@ -9,7 +9,7 @@ use etherpen::ethercat::wire::coe::Object;
 use serde::Serialize;
 use serde_json::Value;
 
-/// Parses `INDEX:SUB`: the index hexadecimal, the sub-index decimal or `0x` hexadecimal, 0 when it is left out.
+/// Parses `INDEX:SUB`: the index hexadecimal, the sub-index decimal or `0x` hexadecimal, 0 if omitted.
 ///
 /// # Errors
 /// A text that describes the format.
@@ -62,7 +62,7 @@ impl ValueView {
     }
 }
 
-/// The type that the slave reports for an object; bytes if it reports none or another length.
+/// The type that the slave reports for an object; bytes if it reports none, or one of another length.
 fn told_type(access: &mut dyn BusAccess, slave: u8, object: Object, bytes: &[u8]) -> Type {
     let described = access::describe_entry(access, slave, object).ok();
     described
@@ -71,8 +71,7 @@ fn told_type(access: &mut dyn BusAccess, slave: u8, object: Object, bytes: &[u8]
         .unwrap_or(Type::Bytes)
 }
 
-/// Reads an object and decodes its value. Without `kind` the slave names the type; a complete access
-/// gives bytes.
+/// Reads an object and decodes its value. Without `kind` the slave's type is used; a complete access returns bytes.
 ///
 /// # Errors
 /// The bus refused the request or was lost, or the value does not fit the type.

@@ -176,7 +176,7 @@ pub(crate) fn read(access: &mut dyn BusAccess, only: Option<u8>) -> Result<BusVi
     })
 }
 
-/// Checks that a slave reached the state it was asked for.
+/// Checks that a slave reached the requested state.
 ///
 /// # Errors
 /// The slave is in another state; the message has its AL status code and what to try.

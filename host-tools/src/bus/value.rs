@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-/// How bytes are to be read.
+/// How bytes are interpreted.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 #[value(rename_all = "lower")]
 pub(crate) enum Type {
@@ -33,7 +33,7 @@ pub(crate) enum Type {
 }
 
 impl Type {
-    /// The type of a data type's number (CiA 301, object dictionary data types).
+    /// The type for a data type's number (CiA 301, object dictionary data types).
     pub(crate) fn from_number(number: u16) -> Option<Self> {
         Some(match number {
             0x0001 | 0x0005 => Self::U8,
@@ -51,7 +51,7 @@ impl Type {
         })
     }
 
-    /// Its name, as the option takes it.
+    /// Its name, as in the command's option.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -69,7 +69,7 @@ impl Type {
         }
     }
 
-    /// Bytes of a value; `None` where any number will do.
+    /// Length of a value, bytes; `None` if any length is valid.
     fn length(self) -> Option<usize> {
         match self {
             Self::U8 | Self::I8 => Some(1),
@@ -80,7 +80,7 @@ impl Type {
         }
     }
 
-    /// Smallest and largest whole number; `None` for what is none.
+    /// Smallest and largest whole number; `None` for a type that is not an integer.
     fn range(self) -> Option<(i128, i128)> {
         let bits = 8 * u32::try_from(self.length()?).ok()?;
         match self {
@@ -90,10 +90,10 @@ impl Type {
         }
     }
 
-    /// The bytes of what a person wrote: decimal, `0x` hexadecimal, text or pairs of hexadecimal digits.
+    /// The bytes of a value in text form: decimal, `0x` hexadecimal, text or pairs of hexadecimal digits.
     ///
     /// # Errors
-    /// What is wrong with it, and what the type takes.
+    /// What is wrong with the text, and what the type accepts.
     pub(crate) fn encode(self, text: &str) -> Result<Vec<u8>, String> {
         let name = self.name();
         match (self, self.range()) {
@@ -135,7 +135,7 @@ impl Type {
         }
     }
 
-    /// The value of bytes, for a program; `None` when they do not fit the type.
+    /// The value of bytes as JSON; `None` if they do not fit the type.
     pub(crate) fn decode(self, bytes: &[u8]) -> Option<Value> {
         if self.length().is_some_and(|length| length != bytes.len()) {
             return None;

@@ -1,8 +1,8 @@
-//! Dynamics of the robot as its joints feel them, for drives in torque mode.
+//! Dynamics of the robot at its joints, for drives in torque mode.
 //!
 //! The main axes are coupled by the mechanism, the others move alone; friction acts on every joint. A joint under a
-//! velocity loop moves as its loop says and only carries its acceleration over to the others. Inertias are plausible
-//! for an IRB 340, not measured.
+//! velocity loop follows its loop, and only its acceleration acts on the others. Inertias are plausible for an IRB 340,
+//! not measured.
 //!
 //! Invariant: joints that are not in torque mode are not moved here.
 
@@ -14,14 +14,14 @@ use etherpen_segment::STEP_S;
 
 /// Inertia of a motor's rotor, kg m2.
 const ROTOR_KG_M2: f64 = 2.0e-4;
-/// Inertia of the fourth axis and of drives that move nothing, kg m2 at the joint.
+/// Inertia at the joint of the fourth axis and of drives without a load, kg m2.
 const ALONE_KG_M2: f64 = 0.05;
 const VISCOUS_NM_S: f64 = 0.05;
-/// Speed at which dry friction is mostly there, rad/s.
+/// Speed scale of dry friction, rad/s: it grows with tanh(speed / scale).
 const COULOMB_RAD_S: f64 = 0.02;
 const SUBSTEPS: u32 = 4;
 
-/// What the joints feel.
+/// Loads on the joints.
 #[derive(Clone, Debug)]
 pub(super) struct Dynamics {
     mechanism: Mechanism,
@@ -124,7 +124,7 @@ impl Dynamics {
     }
 }
 
-/// Gauss-Jordan elimination without pivoting: the matrix is positive definite but for rows that are unit rows.
+/// Gauss-Jordan elimination without pivoting: the matrix is positive definite except for unit rows.
 fn solve(mut rows: [[f64; MAIN_AXES + 1]; MAIN_AXES]) -> MainAxes {
     for pivot in 0..MAIN_AXES {
         let row = rows.get(pivot).copied().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Joints: what the shafts of the segment's motors turn through their gears.
+//! Joints, which the shafts of the segment's motors turn through their gears.
 
 use etherpen::config::Axis;
 use etherpen_segment::Shaft;

@@ -8,10 +8,10 @@ use etherpen::config::Config;
 use etherpen::robots::{AXES, JointAngles};
 use etherpen_segment::{Load, Shaft};
 
-/// Everything behind the motors.
+/// Everything that the motors turn.
 #[derive(Clone, Debug)]
 pub(super) struct Machine {
-    /// The gear at each slave, used where the slave has a motor.
+    /// The gear at each slave, used if the slave has a motor.
     gears: Vec<Gear>,
     dynamics: Dynamics,
     pub(super) robot: Robot,

@@ -14,7 +14,7 @@ use std::task::{Context, Waker};
 /// Longest test, milliseconds of the cell's time.
 const TEST_MS_MAX: u64 = 20_000;
 
-/// What a test sees and changes each millisecond.
+/// State that a test can read and change each millisecond.
 struct Millisecond<'a> {
     now_ms: u64,
     cell: &'a mut Cell,

@@ -1,10 +1,10 @@
 //! The virtual cell: an EtherCAT segment with drives, motors, the robot and its pen.
 //!
-//! It stands for the hardware: the bus with its drives is [`etherpen_segment::Segment`], and what its motors turn is the
-//! robot with pen and paper. The segment is written from the slave's side and shares names and layouts of registers and
-//! of the SII with the master, none of its logic. The robot's geometry is the controller's own
-//! ([`etherpen::robots::Kinematics`]): an error in the kinematics would not show in the ink, so the kinematics have tests
-//! of their own.
+//! It replaces the hardware: the bus with its drives is [`etherpen_segment::Segment`], and its motors turn the robot
+//! with pen and paper. The segment is written from the slave's side and shares names and layouts of registers and of
+//! the SII with the master, but no logic. The robot's geometry is the controller's own
+//! ([`etherpen::robots::Kinematics`]): an error in the kinematics would not show in the ink, so the kinematics have
+//! tests of their own.
 //!
 //! Time is the segment's: everything advances once a millisecond, between the frames.
 //!
@@ -36,31 +36,31 @@ use std::collections::BTreeMap;
 /// Deceleration of a joint whose motor's brake is closed, rad/s2.
 const BRAKE_RAD_S2: f64 = 400.0;
 
-/// What the cell is made of, beyond the configuration.
+/// Options of the cell, beyond the configuration.
 #[derive(Clone, Debug)]
 pub struct CellOptions {
     /// Bandwidth of the drives' velocity loops, Hz.
     pub drive_bandwidth_hz: f64,
     /// Age of a position when the bus can read it, milliseconds.
     pub input_delay_cycles: usize,
-    /// Age of a command when the motor obeys it, milliseconds.
+    /// Age of a command when the motor follows it, milliseconds.
     pub output_delay_cycles: usize,
-    /// Seed of everything that is random: the starting pose and the script's chances.
+    /// Seed of all random values: the starting pose and the script's chances.
     pub seed: u64,
     /// Largest distance of a joint from its synchronisation angle at the start, radians.
     pub start_offset_max_rad: f64,
-    /// What goes wrong.
+    /// Script of the faults.
     pub faults: Script,
-    /// The slaves in the order of the chain; empty: an AX2000 for each of the configured drives. Drives are the
-    /// configuration's axes in their order, further ones move nothing.
+    /// The slaves in the order of the chain; empty for an AX2000 for each configured drive. Drives belong to the
+    /// configuration's axes in order; further drives move nothing.
     pub slaves: Vec<SlaveKind>,
-    /// Distributed clocks and the way of the frames.
+    /// Distributed clocks and the delays of the frames.
     pub clocks: ClockOptions,
-    /// How long a command of an information memory is busy, microseconds.
+    /// Busy time of a command to an information memory (SII), microseconds.
     pub sii_busy_us: u64,
-    /// Noise of the resolvers, increments at most.
+    /// Largest noise of the resolvers, increments.
     pub resolver_noise_increments: f64,
-    /// Speed by which dry friction slows the drives' velocity loops down until their integral makes up for it, rad/s at
+    /// Speed by which dry friction slows the drives' velocity loops until their integral compensates for it, rad/s at
     /// the joint.
     pub friction_rad_s: f64,
     /// Dry friction of joints in torque mode, N m.
@@ -86,7 +86,7 @@ impl Default for CellOptions {
     }
 }
 
-/// The cell as it is, for tests and displays.
+/// The present state of the cell, for tests and displays.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellState {
     /// Milliseconds since the start.
@@ -95,17 +95,17 @@ pub struct CellState {
     pub joints: JointAngles,
     /// True joint speeds, rad/s.
     pub velocities: JointVelocities,
-    /// The platform; nothing where the joints cannot hold one.
+    /// Position of the platform; `None` if the joints cannot hold one.
     pub platform: Option<Position>,
     /// Whether the pen touches.
     pub pen_touches: bool,
-    /// Milliseconds of contact beside the sheet.
+    /// Milliseconds of contact off the sheet.
     pub contacts_outside: u64,
     /// Milliseconds without a possible platform position.
     pub unreachable_ms: u64,
     /// Milliseconds in which an end stop held a joint.
     pub end_stop_ms: u64,
-    /// EtherCAT frames that came from the master.
+    /// EtherCAT frames received from the master.
     pub frames: u64,
     /// The slaves in the order of the chain.
     pub slaves: Vec<SlaveState>,
@@ -159,13 +159,13 @@ impl Cell {
         }
     }
 
-    /// Lets time pass up to `time_us` on the caller's clock; an earlier time than before does nothing.
+    /// Advances the time to `time_us` on the caller's clock; an earlier time than before does nothing.
     pub fn advance_to(&mut self, time_us: u64) {
         self.segment.advance_to(time_us);
     }
 
-    /// Lets an Ethernet frame pass at this time; gives what comes back, in order: usually one reply, none for a lost
-    /// or foreign frame, more where the script says so.
+    /// Passes an Ethernet frame through the segment at this time. Returns the replies in order: usually one, none for a
+    /// lost or foreign frame, more if the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.segment.frame(time_us, frame)
     }
@@ -175,18 +175,18 @@ impl Cell {
         self.segment.frame_at_ns(time_ns, frame)
     }
 
-    /// Lets the payload of an EtherCAT datagram in UDP pass: EtherCAT header and datagrams in, the same out.
+    /// Passes the payload of EtherCAT in UDP, EtherCAT header and datagrams, through the segment; returns the replies.
     pub fn payload(&mut self, time_us: u64, payload: &[u8]) -> Vec<Vec<u8>> {
         self.segment.payload(time_us, payload)
     }
 
-    /// Lets a fault happen: to the next frame, or at the next millisecond. Slaves count from 1.
+    /// Injects a fault: into the next frame, or at the next millisecond. Slaves count from 1.
     pub fn inject(&mut self, fault: Fault) {
         self.segment.inject(fault);
     }
 
-    /// How often each kind of fault has happened, by its word in the script. Faults of frames count where they had an
-    /// effect, the others when they began.
+    /// Number of injected faults of each kind, by its word in the script. Faults of frames count when they take effect,
+    /// others when they begin.
     #[must_use]
     pub fn injected(&self) -> &BTreeMap<&'static str, u64> {
         self.segment.injected()
@@ -198,13 +198,13 @@ impl Cell {
         self.segment.load().sheet.ink()
     }
 
-    /// EtherCAT frames that came from the master.
+    /// EtherCAT frames received from the master.
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.segment.frames()
     }
 
-    /// The cell as it is now.
+    /// The present state of the cell.
     #[must_use]
     pub fn state(&self) -> CellState {
         let Machine { robot, sheet, .. } = self.segment.load();

@@ -16,7 +16,7 @@ pub struct InkStroke {
     pub start_ms: u64,
     /// The points, one for each millisecond, mm on the sheet.
     pub points_mm: Vec<[f64; 2]>,
-    /// Number of points beside the sheet.
+    /// Number of points off the sheet.
     pub points_outside: usize,
 }
 
@@ -76,7 +76,7 @@ impl Sheet {
         self.touching
     }
 
-    /// Milliseconds in which the pen touched the surface beside the sheet.
+    /// Milliseconds in which the pen touched the surface off the sheet.
     pub(super) fn contacts_outside(&self) -> u64 {
         self.contacts_outside
     }

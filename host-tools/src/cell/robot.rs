@@ -24,7 +24,7 @@ impl Robot {
         }
     }
 
-    /// Position of the platform; `None` while the joints are where no platform can connect them.
+    /// Position of the platform; `None` if no platform can connect the joints.
     pub(super) fn platform(&self) -> Option<Position> {
         self.platform
     }

@@ -1,4 +1,4 @@
-//! The cell as a whole, driven by hand-made frames.
+//! The complete cell, driven by hand-made frames.
 
 use super::*;
 use crate::random::Random;

@@ -22,15 +22,17 @@ enum Bench {
     /// A stop through the console under hostile load, by socket and by request: longest delay down to the port, and the
     /// console's memory.
     Console(Options),
-    /// The vectoriser on the sample photographs (time, strokes, tone, edges), and the order of the sample vectors beside
-    /// vpype's (linemerge linesort --two-opt; from PyPI, set up in a folder of its own below the target folder).
+    /// The vectoriser on the sample photographs (time, strokes, tone, edges), and the order of the sample vectors
+    /// compared with vpype's (linemerge linesort --two-opt; from PyPI, set up in a separate folder below the target
+    /// folder).
     Drawing(Options),
-    /// The EtherCAT master beside ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
+    /// The EtherCAT master compared with ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
     Ethercat(Options),
     /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
     Latency(super::latency::Arguments),
-    /// The planner beside copp (TOPP2-RA), Klipper's and grbl's formulas: durations at the same limits, largest values
-    /// of the 1 ms setpoints, planning times, instructions of a period. A row meets its target or misses it.
+    /// The planner compared with copp (TOPP2-RA) and Klipper's and grbl's formulas: durations at the same limits,
+    /// largest values of the 1 ms setpoints, planning times, instructions of a period. A row meets its target or misses
+    /// it.
     Motion(MotionOptions),
     /// A long recording through writer and reader: samples lost, bytes of a sample, growth of memory.
     Recording(RecordingOptions),

@@ -1,4 +1,4 @@
-//! `etherpen config show`: the values in force, and the source of each.
+//! `etherpen config show`: the values in effect, and the source of each.
 
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};
@@ -104,7 +104,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     Ok(entries)
 }
 
-/// Visits every value that is not a table; places in lists are counted from 0 in brackets.
+/// Visits every value that is not a table; list indices count from 0, in brackets.
 fn flatten(value: &serde_json::Value, key: &str, visit: &mut dyn FnMut(String, &serde_json::Value)) {
     match value {
         serde_json::Value::Object(table) => {
@@ -126,7 +126,7 @@ fn flatten(value: &serde_json::Value, key: &str, visit: &mut dyn FnMut(String, &
     }
 }
 
-/// The file of a configuration and how it was named.
+/// The file of a configuration, and how it was given.
 pub(super) fn named(flag: Option<&PathBuf>) -> Option<(PathBuf, &'static str)> {
     let default = PathBuf::from("etherpen.toml");
     let from_environment = std::env::var_os("ETHERPEN_CONFIG").map(PathBuf::from);

@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 impl Arguments {
-    /// An option that says that there is no port.
+    /// An option that excludes a port.
     fn without_port(&self) -> Option<&'static str> {
         let options = [
             (self.emulate, "--emulate"),

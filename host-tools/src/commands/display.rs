@@ -9,15 +9,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::io::IsTerminal;
 
-/// Shows what a job does.
+/// Shows the progress of a job.
 pub(super) struct Display {
     bar: Option<ProgressBar>,
     said_percent: u64,
-    /// Whether progress is said as lines of JSON.
+    /// Whether progress is printed as lines of JSON.
     json: bool,
 }
 
-/// How far a drawing is, as a line of JSON.
+/// Progress of a drawing as a line of JSON.
 #[derive(Serialize)]
 struct ProgressLine<'a> {
     event: &'static str,
@@ -60,7 +60,7 @@ impl Display {
         }
     }
 
-    /// Says a line above the bar.
+    /// Prints a line above the bar.
     pub(super) fn say(&self, line: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| eprintln!("{line}")),
@@ -68,7 +68,7 @@ impl Display {
         }
     }
 
-    /// Shows what has happened since the last call, and how far the drawing is.
+    /// Shows the events since the last call, and the progress of the drawing.
     pub(super) fn update(&mut self, job: &mut Job) {
         while let Some(event) = job.next_event() {
             self.show(&Show::Event(&event));
@@ -76,7 +76,7 @@ impl Display {
         self.show(&Show::Progress(&job.progress()));
     }
 
-    /// Shows one thing.
+    /// Shows one event.
     pub(super) fn show(&mut self, show: &Show) {
         match show {
             Show::Event(event) => {
@@ -116,7 +116,7 @@ impl Display {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(super) fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

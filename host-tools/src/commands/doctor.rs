@@ -8,9 +8,9 @@ use crate::terminal::{counted, in_colour};
 
 /// Options of `etherpen doctor`.
 ///
-/// A warning is something that only some commands need; a failure is something that is there, or was asked for, and does
-/// not work. With --port the firmware there is greeted: a program that is connected to it loses its connection, and a
-/// drawing of its is held. Exit codes: 0 nothing failed; 1 something failed; 2 wrong usage.
+/// A warning means that something is missing that only some commands need; a failure means that something present or
+/// requested does not work. With --port, the firmware is greeted: a program connected to it loses its connection, and
+/// its drawing is held. Exit codes: 0 nothing failed; 1 something failed; 2 wrong usage.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     #[command(flatten)]

@@ -1,7 +1,7 @@
 //! `etherpen draw`: draws a file on paper, on a running machine or emulator.
 //!
 //! The machine is shared during the drawing, so that other terminals can hold, resume, cancel and stop it. Every
-//! drawing is recorded in the log of jobs, from which an interrupted one can be resumed.
+//! drawing is recorded in the job log, from which an interrupted one can be resumed.
 
 mod session;
 
@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     Ok(())
 }
 
-/// Goes around the drawing with the pen up, and waits until the operator starts the drawing.
+/// Traces the drawing's border with the pen up, and waits until the operator starts the drawing.
 fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut Operator) -> Result<(), ProgramError> {
     if file.as_os_str() == "-" {
         let text = "--outline reads the file once more for the drawing: standard input cannot be read again";
@@ -118,12 +118,12 @@ fn outline(arguments: &Arguments, config: &Config, file: &Path, operator: &mut O
         return Ok(());
     };
     let machine = start(arguments, config)?;
-    // Before a machine has said where it stands it goes at its own pace.
+    // A machine whose state is not known goes at the default pace.
     let pace = machine
         .known_state()?
         .status
         .map_or(PACE_FULL, |status| status.override_percent);
-    // A machine that does not take the pace goes at its own.
+    // A machine that refuses the pace goes at its own.
     let paced = |percent: u8| drop(machine.order(Order::Override(percent)).recv_timeout(ANSWER_MAX));
     paced(OUTLINE_PACE);
     let plan = ResumePlan::whole(&border, None);
@@ -170,7 +170,7 @@ fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<
     Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
 }
 
-/// Waits with the machine at rest and without power until the pen is changed.
+/// Waits, with the machine at rest and without power, until the pen is changed.
 fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), ProgramError> {
     eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
     match operator.wait() {
@@ -182,7 +182,7 @@ fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), ProgramError
     }
 }
 
-/// What is drawn without a pause.
+/// The part of a drawing between two pauses.
 struct Part<'a> {
     file: &'a Path,
     source: SourceArguments,
@@ -235,8 +235,8 @@ fn draw(
     finished
 }
 
-/// The target of `--resume`. Without a file argument, a value that names no job of the log but a file is that file:
-/// `draw --resume FILE`.
+/// The target of `--resume`. Without a file argument, a value that is not a job in the log but a file selects that
+/// file: `draw --resume FILE`.
 fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, ProgramError> {
     let Some(name) = &arguments.resume else {
         return Ok(None);
@@ -289,7 +289,7 @@ fn source(arguments: &Arguments, resumption: Option<&Resumption>) -> Result<Sour
     }
 }
 
-/// Begins the drawing's entry in the log of jobs; `None` if the log cannot be written.
+/// Creates the drawing's entry in the job log; `None` if the log cannot be written.
 fn begin_log(arguments: &Arguments, part: &Part, config: &Config, path: &[PathVertex]) -> Option<Record> {
     let begun = resume::begin_record(part.file, &part.source, &arguments.port.port, config, path);
     begun

@@ -4,7 +4,7 @@ use etherpen_segment::transport::{Endpoint, udp_address};
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
 
-/// Options of a segment: where its masters reach it.
+/// Options of a segment: its address for masters.
 #[derive(clap::Args, Debug)]
 #[group(required = true, multiple = false)]
 pub struct SegmentArguments {

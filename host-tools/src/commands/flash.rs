@@ -13,8 +13,8 @@ use std::time::Instant;
 
 /// Options of `etherpen flash`.
 ///
-/// Exit codes: 0 written, verified and started; 1 probe-rs failed; 3 the image is none for this chip; 4 probe-rs or the
-/// Rust target is missing; 5 no debug probe, or no right to open it.
+/// Exit codes: 0 written, verified and started; 1 probe-rs failed; 3 the image is not for this chip; 4 probe-rs or the
+/// Rust target is missing; 5 no debug probe, or no permission to open it.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Write this ELF file instead of building the firmware.

@@ -1,7 +1,7 @@
 //! `etherpen identify`: measures delay and gain of the drives with a small test motion, and stores the resulting
 //! values.
 //!
-//! The motion is driven twice: with the present values, and with the values found, so that the stored values have been
+//! The motion runs twice: with the present values, and with the values found, so that the stored values have been
 //! tested.
 
 use super::ConfigArguments;

@@ -15,19 +15,19 @@ pub(super) struct Arguments {
     /// Cycles of each run; the paper's number is 10000000 (about an hour a run).
     #[arg(long, value_name = "N", default_value_t = 100_000)]
     cycles: u64,
-    /// What the firmware loads itself with: none, all, or several of serial, planner, log, network, with commas. Every
-    /// load is measured beside the firmware without any.
+    /// Loads of the firmware: none, all, or several of serial, planner, log, network, separated by commas. The firmware
+    /// is also measured without load.
     #[arg(long, value_name = "LIST", default_value = "all")]
     disturbance: Disturbance,
-    /// With primask the loaded run is repeated with the usual critical section, which protects nothing.
+    /// With primask, the loaded run is repeated with ordinary critical sections, which mask the critical tasks too.
     #[arg(long, value_enum, default_value_t = Isolation::Basepri)]
     isolation: Isolation,
-    /// Repeat the loaded run at 2, 4, 8 kHz up to this rate, until a deadline is missed (without the planner's load: its
-    /// path is timed for 1 kHz).
+    /// Repeat the loaded run at 2, 4, 8 kHz up to this rate, until a deadline is missed. The planner's load is left
+    /// out: its path is timed for 1 kHz.
     #[arg(long, value_name = "KHZ", default_value_t = 1, value_parser = rate)]
     rate: u32,
-    /// One instruction takes 2^N ns of virtual time. The timer's count is 5 instructions at 3; 6 resolves less than one,
-    /// but is too slow for the planner.
+    /// One instruction takes 2^N ns of virtual time. At 3, the timer counts every 5 instructions; 6 resolves less than
+    /// one, but is too slow for the planner.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=7))]
     shift: u8,
     /// Print the figures and the curves as JSON on stdout.

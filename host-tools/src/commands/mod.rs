@@ -66,13 +66,13 @@ pub struct DrawingArguments {
 }
 
 impl ConfigArguments {
-    /// The file that is used, and how it was named; none for the built-in configuration.
+    /// The configuration file in use, and how it was given; `None` for the built-in configuration.
     #[must_use]
     pub fn file(&self) -> Option<(PathBuf, &'static str)> {
         configuration::named(self.config.as_ref())
     }
 
-    /// The file that is used; none for the built-in configuration.
+    /// The configuration file in use; `None` for the built-in configuration.
     #[must_use]
     pub fn path(&self) -> Option<PathBuf> {
         self.file().map(|(path, _)| path)
@@ -87,7 +87,7 @@ impl ConfigArguments {
     }
 }
 
-/// A flag that a signal sets, so that the end is reported and files are completed.
+/// A flag that a signal sets, so that the program reports its end and completes its files.
 fn ended_by_a_signal() -> Result<Arc<AtomicBool>, ProgramError> {
     let ended = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {

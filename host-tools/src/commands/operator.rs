@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::Duration;
 
-/// What was pressed.
+/// A key, or a signal that acts as one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Key {
     /// Ctrl-C.
     Interrupt,
-    /// A request to end, from elsewhere.
+    /// A request to end from another process.
     Terminate,
     /// Enter.
     Enter,
@@ -23,16 +23,16 @@ pub(super) enum Key {
 /// Keys in the order in which they were pressed.
 pub(super) struct Operator {
     keys: Receiver<Key>,
-    /// Whether Enter can still come.
+    /// Whether Enter can still arrive.
     reads: Arc<AtomicBool>,
-    /// Whether a hold was asked for.
+    /// Whether a hold was requested.
     pub(super) held: bool,
-    /// Whether a line came on a standard input that is no terminal before it was waited for.
+    /// Whether a line arrived early on a standard input that is not a terminal.
     early: bool,
 }
 
 impl Operator {
-    /// Listens from now on. Where signals cannot be watched they end the program, as they do by themselves.
+    /// Starts listening. If signals cannot be watched, they end the program as usual.
     pub(super) fn start() -> Self {
         let (sender, keys) = mpsc::channel();
         let pressed = sender.clone();
@@ -68,7 +68,7 @@ impl Operator {
         }
     }
 
-    /// Notes an Enter that nothing waited for. On a terminal it means nothing: a person answers what is asked.
+    /// Records an Enter that nothing waited for. It is ignored on a terminal, where a person answers prompts.
     pub(super) fn note_early_enter(&mut self) {
         self.early |= !std::io::stdin().is_terminal();
     }
@@ -81,10 +81,10 @@ impl Operator {
         }
     }
 
-    /// Waits for the next key; none comes where standard input has ended.
+    /// Waits for the next key; `None` once standard input has ended.
     pub(super) fn wait(&mut self) -> Option<Key> {
         loop {
-            // What was pressed before the end is in the channel by then.
+            // Keys pressed before the end are in the channel by then.
             let reads = self.reads.load(Ordering::Acquire);
             match self.keys.recv_timeout(Duration::from_millis(50)) {
                 Ok(key) => return Some(key),
@@ -94,7 +94,7 @@ impl Operator {
         }
     }
 
-    /// The oldest key that was not taken yet.
+    /// The oldest key not yet taken.
     pub(super) fn next_key(&mut self) -> Option<Key> {
         self.keys.try_recv().ok()
     }

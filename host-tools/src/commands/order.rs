@@ -14,11 +14,11 @@ use std::time::Instant;
 
 /// Options of `etherpen order`.
 ///
-/// Lines whose ends meet become one, the lines are sorted and turned round, and the order is improved; lifts come before
-/// distance. Nothing is scaled, moved or left out, and the coordinates stay those of the file. Layers stay apart and in
-/// their order. The result has never more lifts, never a longer way with the pen up, and never a longer drawing time by
-/// the firmware's planner than the file. The time is that of the page in the middle of the configured paper; a page on
-/// which the robot cannot draw has none.
+/// Lines whose ends meet are joined, lines are sorted and reversed, and the order is improved; fewer lifts take
+/// precedence over shorter travel. Nothing is scaled, moved or left out, and the coordinates stay those of the file.
+/// Layers stay separate and in their order. The result never has more lifts, longer travel moves or a longer drawing
+/// time by the firmware's planner than the file. The drawing time is that of the page in the middle of the configured
+/// paper; a page on which the robot cannot draw has none.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Vectors (SVG), or a CSV of strokes; - reads them from standard input.
@@ -53,14 +53,15 @@ struct Answer {
     pen_up_mm_before: f64,
     pen_up_mm_after: f64,
     pen_down_mm: f64,
-    /// Drawing time by the firmware's planner, over two hours before about; none where the robot cannot draw the page.
+    /// Planned drawing time, s, of the file's order approximate above two hours; `None` if the robot cannot draw the
+    /// page.
     drawing_s_before: Option<f64>,
     drawing_s_after: Option<f64>,
     bridged_mm: f64,
     layers: usize,
-    /// Reading, ordering and writing.
+    /// Time to read, order and write, s.
     seconds: f64,
-    /// Ordering alone, the planner's checks included.
+    /// Time to order, including the planner's checks, s.
     order_seconds: f64,
 }
 

@@ -22,14 +22,15 @@ const LIMIT_MAX: f64 = 1.0e12;
 
 /// Options of `etherpen plan`.
 ///
-/// A CSV with the heading `x_mm,y_mm,z_mm,pen` is in the robot's frame and planned exactly as it is listed: from rest at
-/// its first vertex to rest at its last, no approach and no motion of the pen added; vertices less than 0.0005 mm apart
-/// are one. Without z_mm, and for a photograph, it is what `draw` would draw: ordered, on the paper, with the pen's lifts.
+/// A CSV with the heading `x_mm,y_mm,z_mm,pen` is in the robot's frame and planned exactly as listed: from rest at its
+/// first vertex to rest at its last, without an approach or added pen motion; vertices less than 0.0005 mm apart are
+/// merged. Without z_mm, and for a photograph, the path is what `draw` would draw: ordered, on the paper, with the
+/// pen's lifts.
 ///
-/// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and on
-/// every vertex, as its distance from the line through the references (less what a straight line between two of them
-/// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the references;
-/// what exceeds a limit by more than a thousandth is a violation.
+/// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and
+/// on every vertex, as its distance from the line through the references (less what a straight line between two of them
+/// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the
+/// references; a value that exceeds its limit by more than a thousandth is a violation.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG, G-code, HPGL).
@@ -108,7 +109,7 @@ impl LimitArguments {
 struct Answer {
     /// Vertices of the path.
     vertices: usize,
-    /// Vertices that were one with the vertex before them.
+    /// Vertices merged with the vertex before them.
     vertices_merged: usize,
     #[serde(flatten)]
     findings: Findings,
@@ -155,7 +156,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
-/// Begins the table of references.
+/// Starts the table of references.
 fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
     OutputFile::create(file)
         .and_then(Table::new)

@@ -16,7 +16,7 @@ pub struct PortArguments {
     pub port: PortName,
 }
 
-/// Options of a command that another option can tell where to work.
+/// Options of a command whose target another option can give instead.
 #[derive(clap::Args, Debug, Default)]
 pub struct OptionalPort {
     /// Port of the machine: /dev/tty.., tcp:host:port or unix:path.
@@ -33,7 +33,7 @@ pub struct SessionPort {
 }
 
 impl OptionalPort {
-    /// The port, unless the option `other` says where to work; the environment's port then counts for nothing.
+    /// The port, unless the option `other` selects another target; the environment's port is then ignored.
     ///
     /// # Errors
     /// Both were given as options.
@@ -48,7 +48,7 @@ impl OptionalPort {
 }
 
 impl SessionPort {
-    /// The port that was named, else that of the one running program that shares its machine.
+    /// The given port, else that of the one running program that shares its machine.
     ///
     /// # Errors
     /// No program, or several, have a port; the message lists them.
@@ -56,7 +56,7 @@ impl SessionPort {
         self.port.clone().map_or_else(of_running_program, Ok)
     }
 
-    /// The port as by [`find`](Self::find), unless the option `other` says where to work.
+    /// The port as by [`find`](Self::find), unless the option `other` selects another target.
     ///
     /// # Errors
     /// As [`find`](Self::find), or both were given as options.
@@ -88,7 +88,7 @@ fn is_from_environment(port: &PortName) -> bool {
     parsed.as_ref() == Some(port)
 }
 
-/// The ports that running programs share, and those that a program has for itself.
+/// The ports that running programs share, and those that a program does not share.
 ///
 /// # Errors
 /// The runtime folder cannot be used.

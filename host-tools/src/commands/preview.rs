@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// Options of `etherpen preview`.
 ///
-/// The picture shows the sheet and the work area's border, the strokes coloured in the order of drawing (first blue, last
-/// red), the ways with the pen up as thin grey lines, and what would be refused in thick red. The time is the one that
-/// the firmware's planner computes for the very path that `draw` would send, from above the first stroke's start.
+/// The picture shows the sheet and the work area's border, the strokes coloured in the order of drawing (first blue,
+/// last red), travel moves as thin grey lines, and refused strokes in thick red. The time is what the firmware's
+/// planner computes for the path that `draw` would send, from above the first stroke's start.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.

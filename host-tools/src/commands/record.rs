@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
 }
 
-/// Ends the file and tells what is in it.
+/// Ends the file and prints what it contains.
 fn end(recording: RecordingFile, arguments: &Arguments, json: bool) -> Result<(), ProgramError> {
     let written = recording.end()?;
     let shown = arguments.output.display();
@@ -107,7 +107,7 @@ fn end(recording: RecordingFile, arguments: &Arguments, json: bool) -> Result<()
     })
 }
 
-/// Largest resident memory of this process, as proc(5) tells it.
+/// Largest resident memory of this process, MB, from proc(5).
 fn memory_max_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -189,7 +189,7 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
                 return Err(failure.into());
             }
             Ok(account) => {
-                // The greeting may have come before this program began to listen.
+                // The greeting may have arrived before this program started to listen.
                 let is_greeting = matches!(account, Account::Connected(_));
                 if let Some(welcome) = source.welcome().filter(|_| !connected && !is_greeting) {
                     recording.write(|recorder| take(recorder, &Account::Connected(welcome)));

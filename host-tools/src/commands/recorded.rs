@@ -51,7 +51,7 @@ impl Part {
         Ok(playback)
     }
 
-    /// Says what is wrong with the file.
+    /// Prints what is wrong with the file.
     fn tell(&self, playback: &Playback<BufReader<File>>) {
         for notice in playback.notices() {
             eprintln!("{}: {notice}", self.file.display());

@@ -25,8 +25,8 @@ const SIMULATED_MAX_MS: u32 = 300_000;
 /// Options of `etherpen reference`.
 ///
 /// A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. Without --pose and
-/// --position the joints are within half a motor turn (15 degrees) of their synchronisation marks. The robot may stand
-/// with or without power; it is not moved. Where another program has the port, the reference is taken through it.
+/// --position, the joints must be within half a motor turn (15 degrees) of their synchronisation marks. The drives may
+/// have power or not; the robot is not moved. If another program has the port, the reference is taken through it.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.

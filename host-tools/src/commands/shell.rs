@@ -45,7 +45,7 @@ pub fn man(arguments: &Man, command: clap::Command) -> Result<(), ProgramError> 
     Ok(())
 }
 
-/// Writes the page of a command, and those of the commands below it.
+/// Writes the page of a command, and those of its subcommands.
 fn pages(command: &clap::Command, dir: &Path) -> Result<(), ProgramError> {
     for subcommand in command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set()) {
         pages(subcommand, dir)?;

@@ -36,7 +36,7 @@ struct Answer {
     pen_up_mm: f64,
     /// Width and height of the picture on the sheet, mm.
     size_mm: [f64; 2],
-    /// Reading, vectorising and writing.
+    /// Time to read, vectorise and write, s.
     seconds: f64,
 }
 

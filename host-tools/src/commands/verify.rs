@@ -13,7 +13,7 @@ use std::time::Instant;
 #[derive(clap::Args, Debug)]
 pub struct Arguments {}
 
-/// One step: what a person reads, and cargo's arguments.
+/// One step: its name, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
 
 /// Steps on the host.
@@ -26,8 +26,8 @@ const HOST: [Step; 4] = [
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
     ("tests, on the host and in the emulator", &["test", "--workspace"]),
 ];
-/// Steps for the boards, run in parallel; they use other folders below target/, and the tests wait for the parts they
-/// need.
+/// Steps for the boards, run in parallel. They use separate folders below target/, and the tests wait for the parts
+/// they need.
 const BOARDS: [Step; 2] = [
     (
         "lints of board nucleo",
@@ -83,7 +83,7 @@ pub fn run(_: &Arguments) -> Result<(), ProgramError> {
         setup::ensure_program(program)?;
     }
     setup::ensure_unicorn()?;
-    // Side by side, because neither keeps all processors busy; after an error in one the other ends its step.
+    // In parallel, because neither keeps all processors busy; after an error in one, the other completes its step.
     let has_failed = AtomicBool::new(false);
     let noted = |result: Result<(), ProgramError>| {
         has_failed.fetch_or(result.is_err(), Ordering::Relaxed);

@@ -3,7 +3,6 @@
 //! Control is taken and given back. A viewer that vanishes keeps it for a short time, so that a reloaded page
 //! continues, but its jog stops at once. Invariant: at most one viewer holds control; requests of other viewers are
 //! refused, except a stop.
-//! asks for is refused, except a stop.
 
 /// How long a vanished viewer keeps control, ms.
 pub const VANISHED_MS: u64 = 5_000;
@@ -35,7 +34,7 @@ pub struct ControlLock {
 pub enum Change {
     /// The holder has vanished: its jog has to stop.
     Vanished,
-    /// No viewer holds control any more.
+    /// Control was released.
     Released,
 }
 

@@ -23,7 +23,7 @@ pub(super) const STOP: &str = "STOP";
 pub(super) const NEWS_MAX: usize = 4_096;
 /// Longest wait for news.
 const WAIT: Duration = Duration::from_millis(20);
-/// Time within which all news of an ended drawing have arrived.
+/// Time within which all news of an ended drawing has arrived.
 const SETTLED: Duration = Duration::from_millis(500);
 /// Time before the bring-up of a bus is retried after a failure.
 const PREPARED_AGAIN: Duration = Duration::from_secs(2);
@@ -37,7 +37,7 @@ const EXPECTED_MAX: usize = 256;
 #[derive(Default)]
 pub(super) struct EventPump {
     expected: Mutex<Vec<(&'static str, Receiver<Answer>)>>,
-    /// Viewers that have asked for stops not yet logged.
+    /// Viewers that have requested stops not yet logged.
     stops: Mutex<Vec<String>>,
     /// Time at which the bring-up of the bus was ordered, and its answer.
     preparing: Mutex<Option<(Instant, Receiver<Answer>)>>,
@@ -57,7 +57,7 @@ impl EventPump {
         expected.push((what, answer));
     }
 
-    /// Logs a stop, from any thread; a stop of a viewer whose earlier stop is not logged yet counts as that one.
+    /// Logs a stop, from any thread; merges it with an earlier stop of the same viewer that is not logged yet.
     pub(super) fn stop_asked(&self, who: &str, answer: Receiver<Answer>) {
         let mut stops = lock(&self.stops);
         if !stops.iter().any(|other| other == who) {
@@ -87,7 +87,7 @@ impl EventPump {
         since.elapsed() > PREPARED_AGAIN
     }
 
-    /// A drawing whose order failed some time ago, with the reason; its news have arrived by then.
+    /// A drawing whose order failed some time ago, with the reason; all its news has arrived by then.
     fn refused_drawing(&self) -> Option<(u64, String)> {
         let (mut drawing, mut refused) = (lock(&self.drawing), lock(&self.refused));
         if let Some((activation, answer)) = drawing.as_ref() {
@@ -109,7 +109,7 @@ impl EventPump {
         let mut refusals = Vec::new();
         lock(&self.expected).retain(|(what, answer)| match answer.try_recv() {
             Err(TryRecvError::Empty) => true,
-            // Of very many stops at once the newest ones do the same.
+            // A stop that was overtaken needs no line: the newer stop does the same.
             Ok(Err(failure)) if *what == STOP && failure.text.contains(OVERTAKEN) => false,
             Ok(Err(failure)) => {
                 // A refusal by the firmware already names what was refused.
@@ -127,7 +127,7 @@ impl EventPump {
     }
 }
 
-/// Takes the machine's news in a separate thread until the console or the machine has ended.
+/// Handles the machine's news in a separate thread until the console or the machine has ended.
 pub(super) fn pump(console: &Arc<Console>, news: Subscription) {
     let console = Arc::downgrade(console);
     // Without the thread the page shows that no news arrives.
@@ -232,7 +232,7 @@ fn take_event(hub: &mut Hub, event: JobEvent) {
 }
 
 impl Console {
-    /// Begins with a waiting drawing; gives whether it could.
+    /// Starts a waiting drawing; returns whether that was possible.
     pub(super) fn draw(&self, heard: Ticket, number: u64) -> bool {
         let drawing = self.change(|hub| {
             let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
@@ -249,7 +249,7 @@ impl Console {
     /// Continues an unfinished drawing.
     ///
     /// # Errors
-    /// Why it cannot go on now, as a person reads it.
+    /// Why it cannot continue now, as text for display.
     pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
         let unfinished = self.change(|hub| {
             if hub.status().is_none_or(|status| !status.referenced) {
@@ -293,7 +293,7 @@ impl Console {
         Some(wanted.command(&self.config, &increments))
     }
 
-    /// Jogs; a machine that does not want to says so by its mode.
+    /// Jogs; if the machine cannot, its mode shows why.
     pub(super) fn jog(&self, heard: Ticket, velocity_mm_s: [f32; 3]) {
         drop(self.machine.order_for(heard, Order::Jog(velocity_mm_s)));
     }

@@ -337,7 +337,7 @@ impl Hub {
         self.stop_wanted
     }
 
-    /// Takes the loss of the connection, or a failed attempt to connect; a reason that is already shown is not logged
+    /// Handles the loss of the connection, or a failed attempt to connect; a reason that is already shown is not logged
     /// again.
     pub fn lost(&mut self, why: &str) {
         if self.link.state == "lost" && self.link.text == why {
@@ -494,7 +494,7 @@ impl Hub {
     pub fn stop_asked(&mut self, who: &str) {
         // A robot that is stopped by a fault needs no repetition.
         self.stop_wanted = self.mode() != Some(Mode::Fault);
-        // One press arrives in two ways.
+        // One press arrives over two connections.
         let now_ms = self.now_ms();
         let recent = self
             .log

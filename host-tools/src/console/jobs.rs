@@ -1,9 +1,9 @@
 //! Drawings: active, waiting and past ones.
 //!
-//! A waiting drawing begins when somebody says so: between two drawings the paper has to be changed. One that ended early
-//! can go on where its ink ends, as telemetry has seen it, with a millimetre drawn again. Invariants: at most one drawing is
-//! active; what waits is bounded in number and in length; the past keeps its last entries only, and the paths of the last
-//! unfinished ones.
+//! A waiting drawing starts only on request: the paper has to be changed between two drawings. A drawing that ended
+//! early can continue where telemetry saw its ink end; the last millimetre is drawn again. Invariants: at most one
+//! drawing is active; waiting drawings are bounded in number and length; only the last entries of the past are kept,
+//! and only the paths of the last unfinished ones.
 
 use super::signals::SignalRow;
 use crate::job::ink::Ink;
@@ -21,7 +21,7 @@ use std::sync::Arc;
 const WAITING_MAX: usize = 20;
 /// Most past drawings kept.
 const PAST_MAX: usize = 50;
-/// Vertices of the drawings that wait, and of the unfinished ones that are kept: 32 MB each.
+/// Most vertices of all waiting drawings, and of all unfinished ones kept: 32 MB each.
 const VERTICES_MAX: usize = 1_600_000;
 
 /// A drawing ready to be drawn.
@@ -44,7 +44,7 @@ struct QueuedDrawing {
     measure: PathMeasure,
     /// The remainder since the drawing was continued, and the vertices executed before.
     rest: Option<(Remainder, usize)>,
-    /// Executed vertices of the whole path.
+    /// Executed vertices of the complete path.
     executed: usize,
     /// Drawing time before the drawing was continued, s.
     drawn_before_s: f64,
@@ -63,7 +63,7 @@ impl QueuedDrawing {
         }
     }
 
-    /// Progress of the whole path, from the progress of the part being drawn.
+    /// Progress along the complete path, from the progress of the part being drawn.
     fn whole(&mut self, progress: &Progress) -> Progress {
         let Some((rest, before)) = &self.rest else {
             self.executed = progress.vertices;
@@ -81,7 +81,7 @@ impl QueuedDrawing {
     }
 }
 
-/// A drawing to be continued: its name, the remaining path, and whether that is the whole path.
+/// A drawing to be continued.
 pub struct Unfinished {
     /// Name for display.
     pub name: String,
@@ -184,10 +184,10 @@ impl Jobs {
         }
     }
 
-    /// Lets a drawing wait; gives its number. One alone may be of any length.
+    /// Queues a drawing; returns its number. A single drawing may be of any length.
     ///
     /// # Errors
-    /// Too many wait, or they are too long together.
+    /// Too many drawings wait, or they are too long together.
     pub fn enqueue(&mut self, drawing: PreparedDrawing) -> Result<u64, &'static str> {
         if self.waiting.len() >= WAITING_MAX {
             return Err("the queue is full: 20 drawings wait; draw or discard one first");
@@ -278,7 +278,7 @@ impl Jobs {
         }
     }
 
-    /// Takes that the firmware was restarted; returns whether it was drawing.
+    /// Records that the firmware was restarted; returns whether it was drawing.
     pub fn restarted(&mut self) -> bool {
         let begun = |job: &QueuedDrawing| job.executed > 0 || job.ink.end().0 > 0;
         self.restarted |= self.active.as_ref().is_some_and(begun);

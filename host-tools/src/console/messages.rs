@@ -26,8 +26,8 @@ pub const WINDOW_MAX_MS: u64 = 60_000;
 const KIND_COLUMNS: u8 = 1;
 const KIND_PATH: u8 = 2;
 
-/// A number in a message with a tag: serde_json passes on the digits of such a number, because the decoder of the
-/// firmware's log makes it keep all digits of all numbers.
+/// A number in a tagged message. serde_json passes it on as digits, because the decoder of the firmware's log makes
+/// serde_json keep all digits of a number.
 fn real<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     let number = serde_json::Number::deserialize(from)?;
     number
@@ -261,8 +261,8 @@ pub fn section(name: &str, data: &impl Serialize) -> Arc<str> {
 }
 
 /// Columns of a plot, little-endian: kind, flags (1: discard earlier columns, 2: the last part of an answer), number of
-/// signals as `u16`; picture, length of a column in ms and number of columns as `u32`; their numbers as `u32`, then for
-/// each column and signal smallest and largest value as `f32`.
+/// signals as `u16`; number of the plot, length of a column in ms and number of columns as `u32`; the number of each
+/// column as `u32`; then the smallest and the largest value as `f32` for each column and signal.
 pub fn columns(id: u32, flags: u8, signals: usize, bucket_ms: u64, buckets: &[Bucket]) -> Vec<u8> {
     let mut bytes = vec![KIND_COLUMNS, flags];
     bytes.extend((signals as u16).to_le_bytes());

@@ -5,10 +5,10 @@
 //! `viewers` serves it. Every `viewer` takes from the hub as much as its connection can carry; its pictures are
 //! computed in a third thread. Orders go directly to the machine.
 //!
-//! Invariants: a stop waits for no request, lock or computation of any viewer, no request is begun while one is on its
-//! way to the port ([`gate`]), and no order is carried out after it that was asked for before it; what viewers ask for
-//! takes a bounded amount of memory, whatever they ask; only the viewer that holds control commands; a slow viewer slows
-//! nobody; nothing is kept that grows with time.
+//! Invariants: a stop waits for no request, lock or computation of any viewer. No request starts while a stop is on its
+//! way to the port ([`gate`]), and no order requested before a stop is carried out after it. Requests take a bounded
+//! amount of memory, whatever viewers send. Only the viewer that holds control commands; a slow viewer slows down
+//! nobody else; nothing that is kept grows with time.
 
 mod assets;
 pub mod capture;
@@ -232,17 +232,17 @@ impl Console {
         self.event_pump.stop_asked(who, answer);
     }
 
-    /// A ticket for what is asked for now.
+    /// A ticket for a request made now.
     fn ticket(&self) -> Ticket {
         self.machine.ticket()
     }
 
-    /// Whether a stop has come after this ticket was taken.
+    /// Whether a stop was requested after this ticket was taken.
     fn is_overtaken(&self, ticket: Ticket) -> bool {
         self.machine.is_overtaken(ticket)
     }
 
-    /// Gives an order that was asked for when it was heard; what is refused is told in the log.
+    /// Sends an order that was requested at `heard`; a refusal is logged.
     fn order(&self, heard: Ticket, what: &'static str, order: Order) {
         let answer = self.machine.order_for(heard, order);
         self.event_pump.expect(what, answer);

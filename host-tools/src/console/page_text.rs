@@ -121,7 +121,7 @@ mod tests {
         for text in advising {
             let told = for_page(text);
             assert!(!is_terminal(&told) && !told.is_empty(), "{text}: {told}");
-            // Whatever stands around it.
+            // With any text around it.
             let told = for_page(&format!("portrait.png: stroke 1; {text}"));
             assert!(
                 told.starts_with("portrait.png: stroke 1") && !is_terminal(&told),

@@ -206,7 +206,7 @@ pub fn shown_name(name: &str) -> String {
     if name.is_empty() { "drawing".to_owned() } else { name }
 }
 
-/// Makes a drawing from a file's content.
+/// Converts a file's content into a drawing.
 ///
 /// # Errors
 /// Why it cannot be drawn, as text for display.
@@ -226,7 +226,7 @@ pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]
     })
 }
 
-/// Drawn and travelled length of a path, mm.
+/// Length drawn and length of the travel moves of a path, mm.
 pub fn lengths_mm(path: &[PathVertex]) -> (f64, f64) {
     let mut lengths = (0.0, 0.0);
     for (from, to) in path.iter().zip(path.iter().skip(1)) {

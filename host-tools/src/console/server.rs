@@ -54,11 +54,11 @@ const NAME: &str = "x-etherpen-name";
 const OPTIONS: &str = "x-etherpen-options";
 /// Most bytes queued for one viewer in this process.
 const WRITE_BUFFER_MAX: usize = 4 << 20;
-/// Connections beside the viewers' sockets; for one more the oldest goes that has not shown the token, once it has had the
-/// time to say what it wants.
+/// Most connections beside the viewers' sockets. One more displaces the oldest that has not shown the token, or else
+/// the oldest, once that one has had time for its request.
 const CONNECTIONS_MAX: usize = 512;
 const CONNECTION_MIN: Duration = Duration::from_millis(100);
-/// Time between two looks for room.
+/// Time between two checks for room.
 const LOOK_FOR_ROOM: Duration = Duration::from_millis(5);
 /// Longest time for the head of a request.
 const HEAD_MAX: Duration = Duration::from_secs(5);
@@ -159,14 +159,14 @@ fn run(
     })
 }
 
-/// A connection that was taken in.
+/// An accepted connection.
 struct Connection {
     begun: Instant,
     trusted: Trusted,
     serving: AbortHandle,
 }
 
-/// Waits until there is room for another connection; each that is there has had some time.
+/// Waits until there is room for another connection; the one displaced has had some time.
 async fn make_room(open: &mut VecDeque<Connection>) {
     loop {
         open.retain(|connection| !connection.serving.is_finished());
@@ -186,7 +186,7 @@ async fn make_room(open: &mut VecDeque<Connection>) {
     }
 }
 
-/// Takes in connections, a bounded number of them at a time; each is served once before the next one is taken in.
+/// Accepts connections, a bounded number of them at a time; each is served once before the next one is accepted.
 async fn accept(listener: &tokio::net::TcpListener, app: Router) {
     let app = TowerToHyperService::new(app);
     let mut open: VecDeque<Connection> = VecDeque::new();
@@ -196,7 +196,7 @@ async fn accept(listener: &tokio::net::TcpListener, app: Router) {
             tokio::time::sleep(FULL).await;
             continue;
         };
-        // A line that cannot be told to hurry is slower, nothing else.
+        // Without this option the connection is only slower.
         let _ = stream.set_nodelay(true);
         let (app, trusted) = (app.clone(), Trusted::default());
         let shown = trusted.clone();
@@ -360,7 +360,7 @@ impl Drop for Uploading {
     }
 }
 
-/// The whole body of announced length, if it arrives.
+/// The complete body of the announced length, if it arrives.
 async fn content_of(body: Body, length: usize) -> Result<Vec<u8>, (StatusCode, &'static str)> {
     const TOO_LONG: (StatusCode, &str) = (StatusCode::PAYLOAD_TOO_LARGE, "the file is larger than 32 MB");
     const STUCK: (StatusCode, &str) = (StatusCode::REQUEST_TIMEOUT, "the file stopped coming");

@@ -83,7 +83,7 @@ pub struct SignalRow {
     pub mode: Mode,
     /// Pen state in the reference.
     pub pen: Pen,
-    /// Stroke being drawn or travelled to.
+    /// Stroke being drawn or approached.
     pub stroke: u32,
     /// Values of the catalogue.
     pub values: [f32; SIGNALS],
@@ -224,7 +224,7 @@ fn distance(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 pub(crate) mod tests {
     use super::*;
 
-    /// A sample in which every axis stands at this angle.
+    /// A sample in which every axis is at this angle.
     pub(crate) fn sample(t_ms: u32, angle_rad: f32) -> Sample {
         Sample {
             t_ms,

@@ -39,7 +39,7 @@ struct BusView {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct SlaveView {
     number: usize,
-    /// Time since which the slave does not answer, whole seconds; its other data are as old.
+    /// Time since the slave last answered, whole seconds; its other data are as old.
     silent_s: Option<u64>,
     vendor: String,
     product: String,

@@ -1,8 +1,8 @@
 //! A complete virtual robot: the firmware and the virtual cell, behind a socket like any other port.
 //!
 //! Simulated: the firmware's tasks run in this process at the pace of the wall clock. Emulated: the firmware image runs
-//! in QEMU. The other end of the socket sees no difference to a board. Invariant: the cell outlives the firmware: after
-//! a restart the firmware finds drives and robot in their present state.
+//! in QEMU. At the other end of the socket there is no difference from a board. Invariant: the cell outlives the
+//! firmware: after a restart the firmware finds drives and robot in their present state.
 
 use super::messages::Injection;
 use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke, ResolverFault};
@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Lag behind the wall clock that is not caught up, ms.
+/// Largest lag behind the wall clock that is caught up, ms.
 const LAG_MAX_MS: u64 = 50;
 /// Time between two checks of a running emulator.
 const LOOK: Duration = Duration::from_millis(50);

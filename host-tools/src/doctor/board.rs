@@ -60,7 +60,7 @@ fn shown_port(path: &Path) -> String {
     }
 }
 
-/// What to do about a device that the user may not open.
+/// What to do about a device that the user cannot open.
 fn no_access(device: &Path) -> Option<String> {
     let error = std::fs::OpenOptions::new().read(true).write(true).open(device).err()?;
     if error.kind() != std::io::ErrorKind::PermissionDenied {

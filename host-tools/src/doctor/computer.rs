@@ -87,7 +87,7 @@ pub(super) fn raw_sockets() -> Check {
     }
 }
 
-/// What the tests with two network interfaces on one computer need.
+/// What the tests with two network interfaces on one computer require.
 pub(super) fn namespaces() -> Check {
     const NAME: &str = "namespaces";
     /// CAP_SYS_ADMIN and CAP_NET_ADMIN (capabilities(7)).

@@ -1,4 +1,4 @@
-//! Checks of everything that the commands need, and what to try where something is wrong.
+//! Checks of everything that the commands need, and what to try if something is wrong.
 //!
 //! Nothing is changed: no tool is installed, no drive gets power, and the firmware is only greeted and asked for its
 //! status.
@@ -10,14 +10,14 @@ use crate::link::port::PortName;
 use serde::Serialize;
 use std::path::Path;
 
-/// How a check ended.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum CheckVerdict {
     Ok,
-    /// Only some commands need what is missing.
+    /// Something is missing that only some commands need.
     Warning,
-    /// Something is there, or was asked for, and does not work.
+    /// Something present or requested does not work.
     Failed,
 }
 
@@ -61,8 +61,8 @@ impl Check {
 
 /// Runs all checks.
 ///
-/// `configuration` is the configuration file in use, `None` for the built-in one. With `port`, the firmware at that port
-/// is greeted.
+/// `configuration` is the configuration file in use, `None` for the built-in one. With `port`, the firmware at that
+/// port is greeted.
 pub(crate) fn check_all(configuration: Option<&Path>, port: Option<&PortName>) -> Vec<Check> {
     let mut checks = vec![
         computer::toolchain(),

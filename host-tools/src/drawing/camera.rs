@@ -121,7 +121,7 @@ pub fn take_photograph(device: impl AsRef<Path>) -> Result<RgbImage, CameraError
 
 fn from_device(path: &Path) -> Result<RgbImage, CameraError> {
     let device = Device::open(path).map_err(|cause| match cause.raw_os_error() {
-        // ENOTTY and EINVAL: the device does not know V4L2's requests.
+        // ENOTTY and EINVAL: the device does not support V4L2 requests.
         Some(25 | 22) => CameraError::NoCamera,
         _ => CameraError::from(cause),
     })?;
@@ -161,7 +161,8 @@ fn from_device(path: &Path) -> Result<RgbImage, CameraError> {
     last.ok_or(CameraError::NoPicture)
 }
 
-/// YUYV: two pixels in four bytes, each with a brightness, together with two colour differences (ITU-R BT.601, 16 to 235).
+/// YUYV: two pixels in four bytes, with one brightness each and two common colour differences (ITU-R BT.601, 16 to
+/// 235).
 fn from_yuyv(bytes: &[u8], width: u32, height: u32, line: u32) -> Option<RgbImage> {
     let line = (line as usize).max(width as usize * 2);
     let pixel = |x: u32, y: u32| {
@@ -210,7 +211,7 @@ fn from_stream(path: &Path) -> Result<RgbImage, CameraError> {
     }
 }
 
-/// The first picture of a stream, and the bytes behind it.
+/// The first picture of a stream, and the bytes after it.
 fn next_picture(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let begin = find(bytes, &JPEG_BEGIN, 0)?;
     let end = find(bytes, &JPEG_END, begin)? + JPEG_END.len();
@@ -230,7 +231,7 @@ mod tests {
     use super::*;
     use image::codecs::jpeg::JpegEncoder;
 
-    /// A picture of one grey as a camera sends it.
+    /// A picture of uniform grey, as a camera sends it.
     fn jpeg(grey: u8) -> Vec<u8> {
         let mut bytes = Vec::new();
         let picture = RgbImage::from_pixel(64, 48, image::Rgb([grey; 3]));
@@ -251,7 +252,7 @@ mod tests {
         let stream: Vec<u8> = (0..30).flat_map(|number| jpeg(number * 8)).collect();
         let grey = recorded("settled", &stream).expect("a picture");
         assert!(grey.abs_diff(11 * 8) <= 2, "{grey}");
-        // A short recording, the beginning and the end of it cut off.
+        // A short recording whose beginning and end are cut off.
         let mut short = jpeg(10);
         short.drain(..100);
         short.extend(jpeg(120));

@@ -1,4 +1,4 @@
-//! Small files that ask for much: every reader refuses them, or makes a drawing within its bounds of them.
+//! Small files that demand much: every reader refuses them or converts them into a bounded drawing.
 
 use super::plot::PLACE_MAX_MM;
 use super::{DrawingError, FilePlace, Input, TextFont, load_content};
@@ -11,7 +11,7 @@ const POINTS_MAX: usize = 20_000_000;
 /// Files of each kind.
 const FILES: u64 = 150;
 
-/// Words and numbers by chance; they depend on a seed alone.
+/// Random words and numbers, which depend on a seed alone.
 struct Chance(Lcg);
 
 impl Chance {
@@ -23,7 +23,7 @@ impl Chance {
         words[self.below(words.len())]
     }
 
-    /// A number as a hostile file has it.
+    /// A number as in a hostile file.
     fn number(&mut self) -> &'static str {
         self.of(&[
             "0",
@@ -58,7 +58,7 @@ fn read(name: &str, content: &[u8]) -> Result<Input, DrawingError> {
     load_content(Path::new(name), content, &TextFont::SingleStroke)
 }
 
-/// Reads a file; what becomes of it is finite, near and bounded.
+/// Reads a file and checks that the result is finite, near and bounded.
 fn assert_bounded(name: &str, content: &str) {
     let result = read(name, content.as_bytes());
     let shown: String = content.chars().take(400).collect();
@@ -243,7 +243,7 @@ fn plotter_files_with_numbers_of_all_sizes_are_refused_or_bounded() {
         let rows: Vec<String> = (0..5).map(|_| row(random)).collect();
         assert_bounded("hostile.csv", &format!("x_mm,y_mm,pen\n{}\n", rows.join("\n")));
     }
-    // Circles of the most chords, with the pen up and down.
+    // Circles with the most chords, with the pen up and down.
     assert_bounded(
         "circles.hpgl",
         &format!("IN;SP1;{}", "PU;AA39999999,0,360;".repeat(20_000)),

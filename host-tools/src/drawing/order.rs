@@ -153,7 +153,7 @@ mod tests {
         }
     }
 
-    /// Every segment of a drawing, its direction and order forgotten.
+    /// Every segment of a drawing, without direction and order.
     fn ink(drawing: &Drawing) -> Vec<[u64; 4]> {
         let mut segments: Vec<[u64; 4]> = (drawing.strokes.iter())
             .flat_map(|stroke| stroke.points.windows(2))

@@ -32,7 +32,7 @@ impl<S: Read + Write> ClientSlot<S> {
         self.client = Some(client);
     }
 
-    /// Moves bytes in both directions, at most `room` of them to the firmware; returns false when the client has gone.
+    /// Moves bytes in both directions, at most `room` of them to the firmware; returns false once the client has gone.
     pub(crate) fn exchange(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) -> bool {
         if self.client.is_some() {
             self.waiting.extend_from_slice(from_firmware);

@@ -33,7 +33,7 @@ pub enum EmulatorError {
     Ended {
         /// How it ended.
         status: ExitStatus,
-        /// The end of its output: the panic message, or the emulator's error message.
+        /// The last output of the emulator: the panic message, or the emulator's error message.
         said: String,
         /// The last lines of the firmware's log.
         log: Vec<String>,

@@ -1,4 +1,4 @@
-//! The firmware image in QEMU without lockstep: virtual time follows wall time, the link is UART0 at a TCP port.
+//! The firmware image in QEMU without lockstep: virtual time follows wall time, and UART0, the link, is a TCP port.
 //!
 //! For manual use, not for measurements: a busy computer makes frames late and skips milliseconds, which the firmware
 //! counts and tolerates.
@@ -34,8 +34,8 @@ pub struct FreeRunning {
 }
 
 impl FreeRunning {
-    /// Starts the firmware `image` with `segment` at its cable; UART0 listens at TCP port `port` of the loopback
-    /// interface, 0 for one that is free.
+    /// Starts the firmware `image` with `segment` on its cable. UART0 listens on TCP port `port` of the loopback
+    /// interface; 0 selects a free port.
     ///
     /// # Errors
     /// A missing image or emulator, no free port, or a working directory that cannot be made.
@@ -156,7 +156,7 @@ impl Drop for FreeRunning {
 }
 
 /// The requested port, or a free one for 0. If another program takes it before the emulator does, the emulator reports
-/// that.
+/// an error.
 fn free_port(port: u16) -> io::Result<u16> {
     Ok(TcpListener::bind(("127.0.0.1", port))?.local_addr()?.port())
 }

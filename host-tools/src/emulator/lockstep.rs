@@ -23,9 +23,9 @@ const POLL_PERIOD: Timespec = Timespec {
 const FRAME_BYTES_MAX: usize = 2048;
 const BUS_RECORD_BYTES: usize = 8;
 const LINK_HEADER_BYTES: usize = 5;
-/// Replies to one frame that fit the controller's receive FIFO, whatever their length.
+/// Most replies to one frame that fit the controller's receive FIFO, whatever their length.
 const REPLIES_MAX: u8 = 6;
-/// Lengths of a frame that the emulated controller takes, bytes.
+/// Frame lengths that the emulated controller accepts, bytes.
 const REPLY_BYTES: RangeInclusive<usize> = 14..=1514;
 
 const _: () = assert!(LINK_BYTES_MAX <= u8::MAX as usize);
@@ -62,7 +62,7 @@ impl Files {
     }
 }
 
-/// A FIFO with bytes that are not a complete record yet.
+/// A FIFO, with bytes that do not form a complete record yet.
 pub(super) struct Incoming {
     file: File,
     bytes: Vec<u8>,

@@ -1,9 +1,9 @@
 //! The emulator's process and its working directory; neither outlives its owner.
 //!
-//! Both end when [`Process`] is dropped, when a signal ends this program, and when anything else ends it: a guard,
-//! which is a shell that waits for the end of its input, then ends the emulator and removes the directory. The firmware
-//! in lockstep detects closed files too, but only after it has opened them: an emulator that is still starting would
-//! wait for ever.
+//! Both end when [`Process`] is dropped and when a signal ends this program. For every other end of this program there
+//! is a guard: a shell that waits for the end of its input, then ends the emulator and removes the directory. The
+//! firmware in lockstep detects closed files too, but only after it has opened them: an emulator that is still starting
+//! would wait forever.
 
 use super::error::EmulatorError;
 use rustix::fs::{CWD, FileType, Mode, mknodat};
@@ -55,7 +55,7 @@ impl Directory {
             let path = std::env::temp_dir().join(name);
             match fs::create_dir(&path) {
                 Ok(()) => break path,
-                // Left behind by a program with an equal process id.
+                // Left behind by a program with the same process id.
                 Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(cause) => {
                     let what = format!("making the emulator's working directory {}", path.display());
@@ -92,7 +92,7 @@ impl Directory {
             .map_err(EmulatorError::io(format!("opening {}", path.display())))
     }
 
-    /// A FIFO that the firmware reads and this program writes; opened both ways, so that it opens before a reader exists.
+    /// A FIFO that the firmware reads and this program writes; opened both ways, so that it opens without a reader.
     pub(crate) fn fifo_to_firmware(&self, name: &str) -> Result<File, EmulatorError> {
         let path = self.make_fifo(name)?;
         OpenOptions::new()
@@ -188,8 +188,8 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // The guard goes first: the emulator's number is free for others once it was waited for. Killing fails only if
-        // a process has ended already; `wait` then collects it.
+        // The guard goes first: once the emulator has been waited for, its process id can be reused. Killing fails only
+        // if a process has ended already; `wait` then collects it.
         if let Some(guard) = &mut self.guard {
             let _ = guard.kill();
             let _ = guard.wait();

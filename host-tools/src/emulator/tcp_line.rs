@@ -11,7 +11,7 @@ pub struct TcpLine<S> {
     show: S,
 }
 
-/// What happened at a [`TcpLine`].
+/// Event at a [`TcpLine`].
 #[derive(Clone, Copy, Debug)]
 pub enum LineEvent {
     /// A client has connected.
@@ -21,7 +21,7 @@ pub enum LineEvent {
 }
 
 impl<S: FnMut(LineEvent)> TcpLine<S> {
-    /// Listens on 127.0.0.1; port 0 takes a free one. `show` gets the events.
+    /// Listens on 127.0.0.1; port 0 selects a free one. `show` gets the events.
     ///
     /// # Errors
     /// The port cannot be used.
@@ -35,7 +35,7 @@ impl<S: FnMut(LineEvent)> TcpLine<S> {
         })
     }
 
-    /// Where the line listens.
+    /// Address on which the line listens.
     ///
     /// # Errors
     /// Error of the operating system.

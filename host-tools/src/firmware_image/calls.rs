@@ -14,7 +14,7 @@ pub const INDIRECT_NESTING: u32 = 3;
 /// Properties of one function.
 #[derive(Clone, Debug, Default)]
 struct Node {
-    /// Bytes of its own frame: the sum over everything that any path through it allocates.
+    /// Bytes of the function's own frame: the sum of everything that any path through it allocates.
     stack_bytes: u32,
     stack_unknown: bool,
     calls: BTreeSet<u32>,
@@ -27,7 +27,7 @@ struct Node {
 /// The deepest stack of a task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StackBound {
-    /// At most so many bytes.
+    /// At most this many bytes.
     Bytes(u32),
     /// Unbounded: a function calls itself directly or indirectly.
     Recursive {
@@ -36,7 +36,7 @@ pub enum StackBound {
     },
     /// Unknown: the stack pointer is written in a way that is not understood.
     Unknown {
-        /// In this function.
+        /// The function that writes it.
         function: String,
     },
 }
@@ -87,7 +87,7 @@ impl<'a> CallGraph<'a> {
         graph
     }
 
-    /// Functions whose address is taken by code or stored in the image as data, beside the interrupt handlers.
+    /// Functions whose address is taken by code or stored in the image as data, except in the vector table.
     fn taken(&self) -> BTreeSet<u32> {
         let formed = self.nodes.values().flat_map(|node| node.takes.iter().copied());
         let mut taken: BTreeSet<u32> = formed.filter(|address| self.nodes.contains_key(address)).collect();
@@ -107,7 +107,6 @@ impl<'a> CallGraph<'a> {
 
     /// All functions that may run when the function at `root` is called, except those called through registers; the
     /// first is `root`.
-    /// is `root`.
     #[must_use]
     pub fn reachable(&self, root: &Function) -> Vec<&Function> {
         let mut found = vec![root.address];
@@ -280,7 +279,7 @@ fn node(image: &Image, function: &Function) -> Node {
     node
 }
 
-/// The beginning of the function that a call enters.
+/// The start of the function that a call enters.
 fn entry(image: &Image, target: u32) -> u32 {
     image.function_at(target).map_or(target, |function| function.address)
 }

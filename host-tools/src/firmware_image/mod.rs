@@ -91,7 +91,7 @@ const LONG_BRANCH_BYTES: u32 = 10;
 #[derive(Clone, Debug)]
 pub struct Image {
     sections: Vec<Section>,
-    /// In the order of their addresses; of several names for one address the first.
+    /// In the order of their addresses; of several names for one address, the first.
     functions: Vec<Function>,
     symbols: Vec<Function>,
     /// Addresses at which data begin within code, and at which code begins again.

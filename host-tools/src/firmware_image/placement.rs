@@ -1,4 +1,4 @@
-//! Linker patterns for functions: the section names that a function may have, whatever compiler made them.
+//! Linker patterns for functions: the section names that a function may have, whichever compiler built it.
 //!
 //! The compiler puts each function into a section of its own that carries its mangled name. Names change with the
 //! mangling scheme and with each build (a hash, the number of a code generation unit); the identifiers of a path and
@@ -18,8 +18,8 @@
 #[must_use]
 pub fn section_pattern(name: &str) -> String {
     if let Some(helper) = name.strip_prefix("__aeabi_") {
-        // The compiler's helpers share a section between entry points for different alignments, which has a name without
-        // the prefix.
+        // The compiler's helpers share a section between entry points for different alignments; its name lacks the
+        // prefix.
         return format!(".text.*{}*", helper.trim_end_matches(|c: char| c.is_ascii_digit()));
     }
     let Some(path) = name.strip_prefix("_ZN") else {
@@ -46,8 +46,8 @@ fn segment(path: &str) -> Option<(&str, &str)> {
     path[digits..].split_at_checked(length)
 }
 
-/// Identifiers in a segment that names a type or an implementation: `$` codes, punctuation, keywords and type parameters
-/// are left out. Their lengths are left out too, because both schemes write them only in front of plain identifiers.
+/// Identifiers in a segment that names a type or an implementation, without `$` codes, punctuation, keywords and type
+/// parameters. Their lengths are left out too, because both schemes write them only in front of plain identifiers.
 fn words(segment: &str) -> Vec<String> {
     let is_code = |part: &&str| !matches!(*part, "LT" | "GT" | "RF" | "BP" | "LP" | "RP" | "C" | "SP");
     let names = segment
@@ -63,13 +63,13 @@ fn words(segment: &str) -> Vec<String> {
         .collect()
 }
 
-/// `u5b` and the like stand for a character.
+/// Codes such as `u5b` stand for a character.
 fn is_character_code(word: &str) -> bool {
     word.strip_prefix('u')
         .is_some_and(|digits| u32::from_str_radix(digits, 16).is_ok())
 }
 
-/// A name of the newer scheme without what tells two versions of one crate apart: the base-62 number behind `Cs`.
+/// A name of the newer scheme without the base-62 number after `Cs`, which distinguishes two versions of one crate.
 fn without_hash(name: &str) -> String {
     let mut kept = String::new();
     let mut rest = name;

@@ -17,11 +17,11 @@ pub(super) enum Effect {
     StackFrom(u8),
     /// Calls the function at an address.
     Call(u32),
-    /// Continues at an address: within the function, or in another function that returns in its place.
+    /// Continues at an address: within the function, or in another function that returns to the caller.
     Jump(u32),
     /// Calls the address in a register, or continues there.
     Indirect,
-    /// Loads a 16-bit constant into a register; the flag says into the upper half.
+    /// Loads a 16-bit constant into a register; the flag selects the upper half.
     Constant(u8, u16, bool),
     /// Allocates as many bytes of the stack as a register contains.
     StackRegister(u8),
@@ -38,7 +38,7 @@ pub(super) fn length(first: u16) -> u32 {
     if first >> 11 >= 0b11101 { 4 } else { 2 }
 }
 
-/// Effect of the instruction at `address`; `second` is the halfword behind `first`.
+/// Effect of the instruction at `address`; `second` is the halfword after `first`.
 pub(super) fn decode(address: u32, first: u16, second: u16) -> Effect {
     match length(first) {
         2 => decode_16(address, first),

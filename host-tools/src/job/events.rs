@@ -12,7 +12,7 @@ use etherpen::messages::{Command, Sample, Status};
 use etherpen::motion::Pen;
 use std::sync::Arc;
 
-/// Time before a command that was refused because something still moves is tried again, ms.
+/// Time before retrying a command that was refused because something was still moving, ms.
 const RETRY_MS: u64 = 100;
 
 impl Job {

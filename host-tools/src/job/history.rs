@@ -38,7 +38,7 @@ pub struct HistoryEntry {
     pub config_hash: String,
     /// Number under which the path, or its remainder, was sent to the firmware.
     pub number: u16,
-    /// Vertices of the path executed before the remainder was sent to the firmware; 0 for a whole path.
+    /// Vertices of the path executed before the remainder was sent to the firmware; 0 for a complete path.
     pub given_from: u32,
     /// Vertices executed.
     pub executed: u32,
@@ -52,14 +52,14 @@ pub struct HistoryEntry {
     pub pen_down_mm: f64,
     /// Time drawn, s.
     pub drawn_s: f64,
-    /// Whether the whole path was executed.
+    /// Whether the complete path was executed.
     pub completed: bool,
     /// Result of the drawing; absent while it is being drawn, or if its program was killed.
     pub result: Option<String>,
 }
 
 impl HistoryEntry {
-    /// Takes the progress of the whole path.
+    /// Takes the progress along the complete path.
     pub fn progress(&mut self, progress: &Progress) {
         self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
         self.strokes = progress.strokes;

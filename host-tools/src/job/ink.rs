@@ -98,7 +98,7 @@ impl Ink {
         }
     }
 
-    /// Takes that the pen is off the paper.
+    /// Records that the pen is off the paper.
     pub fn lifted(&mut self) {
         (self.last, self.moved_mm) = (None, 0.0);
     }
@@ -222,7 +222,7 @@ mod tests {
                     let mut pen = between(&begin, &end, step as f64 / steps as f64);
                     let noise = |random: &mut Lcg| (random.below(2_001) as f64 / 1_000.0 - 1.0) * 0.02;
                     pen.iter_mut().for_each(|mm| *mm += noise(&mut random));
-                    // A tenth of the samples is lost.
+                    // A tenth of the samples are lost.
                     if random.below(10) > 0 {
                         ink.draws(path[leg].stroke, pen);
                     }

@@ -4,12 +4,12 @@
 //! waits for a report of the firmware, never for a fixed time, and has a time limit after which the job reports what it
 //! waited for. A job keeps its connection when its task has ended, and takes further tasks.
 //!
-//! Invariants: a fault that is found is reported, and acknowledged only when the options or the task say so; progress
-//! counts executed vertices, not sent ones; a drawing is done when the pen was seen where the path wanted it, not when
-//! the firmware says so; whatever ends a task early that moves the robot, the robot is asked to come to
-//! rest and to give up the power that the task gave it; no step does more than a bounded part of a drawing's verification,
-//! so that STOP never waits for it; a drawing held since another connection goes on only if the
-//! firmware still holds exactly that drawing.
+//! Invariants: a fault that is found is reported, and acknowledged only if the options or the task say so. Progress
+//! counts executed vertices, not sent ones. A drawing is done when the pen was measured along its path, not when the
+//! firmware says so. If a task that moves the robot ends early for any reason, the job asks the robot to come to rest
+//! and to switch off the power that the task switched on. A step does only a bounded part of a drawing's verification,
+//! so that STOP never waits for it. A drawing held since another connection is resumed only if the firmware still holds
+//! exactly that drawing.
 
 pub mod error;
 mod events;
@@ -40,9 +40,9 @@ use std::sync::Arc;
 pub use task::{Control, DrawTask, JobEvent, JobOptions, JobReport, Life, Motion, Ready, Task, path_hash, path_number};
 use verification::{Verification, Verifier};
 
-/// Looks at a leg of the path in one step, to verify the drawing. A look takes some tens of nanoseconds.
+/// Looks at a leg of the path that verification may take in one step. A look takes some tens of nanoseconds.
 const LOOKS_PER_STEP: usize = 10_000;
-/// Looks when a report is taken although the drawing has not been verified, because the connection is lost.
+/// Looks when a report is taken before verification has finished, because the connection is lost.
 const LOOKS_AT_LAST: usize = 500_000;
 /// Signs of life that a jog requires; without a [`Life`] the jog depends on this process alone.
 #[derive(Clone, Debug, Default)]
@@ -233,7 +233,7 @@ impl Job {
         }
     }
 
-    /// How the task ended, `None` while it runs or while samples of a drawing that has ended wait to be compared with it.
+    /// How the task ended; `None` while it runs or while samples of a finished drawing are still to be verified.
     pub fn outcome(&self) -> Option<&Result<(), JobError>> {
         let is_verified = self.broken.is_some() || !self.verifier.as_ref().is_some_and(Verifier::is_behind);
         self.outcome.as_ref().filter(|_| is_verified)
@@ -326,12 +326,12 @@ impl Job {
             .progress(self.executed_before, executed, elapsed_ms as f64 / 1000.0)
     }
 
-    /// The oldest event that was not taken yet.
+    /// The oldest event not yet taken.
     pub fn next_event(&mut self) -> Option<JobEvent> {
         self.events.pop_front()
     }
 
-    /// Sends a command beside the task's own; the answer is [`JobEvent::Told`] with the number returned here.
+    /// Sends a command in addition to the task's own; the answer is [`JobEvent::Told`] with the number returned here.
     /// [`Command::Stop`] overtakes everything; earlier requests without an answer are dropped.
     pub fn command(&mut self, command: Command) -> u16 {
         if command == Command::Stop {
@@ -350,7 +350,7 @@ impl Job {
         self.session.bus(request);
     }
 
-    /// Sends a request to the measurements; the answer is [`JobEvent::Measured`].
+    /// Sends a measurement request; the answer is [`JobEvent::Measured`].
     pub fn question(&mut self, request: MeasurementRequest) {
         self.questions.push_back(false);
         self.session.measure(request);
@@ -367,7 +367,7 @@ impl Job {
         let drawing = running && matches!(self.task, Task::Draw(_));
         let holding = self.status.as_ref().is_some_and(|status| status.mode == Mode::Holding);
         let command = match control {
-            // Before the drawing there is nothing to hold: the drawing does not begin.
+            // Before the drawing there is nothing to hold, so the drawing does not start.
             Control::Hold | Control::HoldAtPenUp if drawing && self.phase != Phase::Drawing => {
                 self.ending.get_or_insert(JobError::Cancelled);
                 return None;

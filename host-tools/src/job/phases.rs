@@ -17,7 +17,7 @@ pub const STEP_MAX_MS: u64 = 15_000;
 const INQUIRE_MS: u64 = 250;
 /// Longest time at rest before the end of the path until the drawing counts as ended early, ms.
 const EARLY_END_MS: u64 = 3_000;
-/// Longest wait for what the firmware sends by itself after a greeting, ms: samples, and the state of a path.
+/// Longest wait for what the firmware sends unasked after a greeting, ms: samples, and the state of a path.
 const ARRIVAL_MAX_MS: u64 = 500;
 /// Longest wait for the firmware's measurements once the robot is at rest, ms.
 const MEASUREMENTS_MAX_MS: u64 = 10_000;
@@ -91,7 +91,7 @@ impl Job {
         }
     }
 
-    /// Whether there is a fault that ends the task; the task ends once the robot is at rest.
+    /// Whether a fault ends the task; the task ends once the robot is at rest.
     fn faulted(&mut self) -> bool {
         if matches!(self.task, Task::Look | Task::Rest | Task::Tell(_)) {
             return false;
@@ -195,7 +195,7 @@ impl Job {
         self.session.configure(self.config.clone());
     }
 
-    /// Resumes a drawing that the firmware holds since another connection, if it is this drawing.
+    /// Resumes a drawing that the firmware has held since another connection, if it is this drawing.
     fn take_up(&mut self, mode: Mode, drawing: &DrawTask, waited_ms: u64) {
         let in_force = self.status.as_ref().and_then(|status| status.config);
         let held = self
@@ -223,7 +223,7 @@ impl Job {
         }
     }
 
-    /// The machine is as ready as `ready`: ends the task or goes on to `next`.
+    /// The machine has reached `ready`: ends the task or enters `next`.
     fn ready(&mut self, ready: Ready, next: Phase) {
         match self.task {
             Task::Prepare(wanted) if wanted <= ready => self.succeed(),
@@ -231,7 +231,7 @@ impl Job {
         }
     }
 
-    /// Takes the joints to be at their marks, unless they may be anywhere.
+    /// References the joints at their marks; fails if the reference was lost or the drawing does not allow it.
     fn reference(&mut self) {
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);

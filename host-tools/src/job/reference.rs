@@ -3,7 +3,7 @@
 //! Each step waits for a report of the firmware, never for a fixed time. The drives may be with or without power; the
 //! job neither moves the robot nor changes its power.
 //!
-//! Invariant: the result are the firmware's own angles, on the turns that its telemetry shows after the reference.
+//! Invariant: the result is the firmware's own angles, on the turns that its telemetry shows after the reference.
 
 use super::error::{JobError, Phase};
 use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
@@ -35,7 +35,7 @@ pub enum Pose {
     Joints(JointAngles),
     /// With these angles of the main axes, rad, and axis 4 on the motor turn nearest to 0.
     MainAxes([f64; MAIN_AXES]),
-    /// On the motor turns nearest to these joint angles, rad: the last measured angles of a robot that was referenced.
+    /// On the motor turns nearest to these joint angles, rad: the last ones measured while the robot was referenced.
     Seen([f64; AXES]),
 }
 
@@ -52,7 +52,7 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    /// The command for the firmware when its resolvers show these increments.
+    /// The command for the firmware if its resolvers show these increments.
     pub(crate) fn command(&self, config: &Config, increments: &[u32; AXES]) -> Command {
         match (self.known_pose(config, increments), self.position) {
             (None, None) => Command::Home,
@@ -124,7 +124,7 @@ pub struct Referenced {
     pub pose: JointAngles,
     /// Resolver positions within their motor turns, increments.
     pub increments: [u32; AXES],
-    /// The configuration in force; with new synchronisation values after a calibration.
+    /// The configuration in effect; with new synchronisation values after a calibration.
     pub config: Config,
 }
 
@@ -214,7 +214,7 @@ impl ReferenceJob {
         outgoing.truncate(before + filled);
     }
 
-    /// How the job ended, `None` while it runs.
+    /// How the job ended; `None` while it runs.
     pub fn outcome(&self) -> Option<&Result<Referenced, JobError>> {
         self.outcome.as_ref()
     }

@@ -16,9 +16,9 @@ pub const OVERLAP_UM: f64 = 1_000.0;
 pub struct Remainder {
     /// The remaining path; empty if nothing is left to draw.
     pub vertices: Vec<PathVertex>,
-    /// Index of the first of the path's own vertices in it.
+    /// Index in the path of the first vertex that the remainder copies from it.
     pub from: usize,
-    /// Vertices of the whole path.
+    /// Vertices of the complete path.
     total: usize,
 }
 
@@ -79,7 +79,8 @@ impl Remainder {
         }
     }
 
-    /// Executed vertices of the whole path when `executed` of this one are; `before` were executed earlier.
+    /// Executed vertices of the complete path, given `executed` vertices of the remainder and `before` executed
+    /// earlier.
     pub fn executed(&self, executed: usize, before: usize) -> usize {
         let own = self.total.saturating_sub(self.from);
         let added = self.vertices.len().saturating_sub(own);
@@ -140,7 +141,7 @@ mod tests {
         }
     }
 
-    /// Two strokes as drawings have them: above, down, along, up.
+    /// Two strokes as in drawings: above, down, along, up.
     fn path() -> Vec<PathVertex> {
         let stroke = |x_um: i32, stroke: u32| {
             [

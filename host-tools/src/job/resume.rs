@@ -16,31 +16,31 @@ use serde::de::DeserializeOwned;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What a machine reports before a drawing goes on.
+/// What a machine reports before a drawing is resumed.
 #[derive(Clone, Debug, Default)]
 pub struct MachineState {
     /// The firmware.
     pub welcome: Option<Welcome>,
     /// Its last status.
     pub status: Option<Status>,
-    /// State of the path that it holds, if there is one.
+    /// State of the path that it holds, if any.
     pub path: Option<PathAck>,
 }
 
-/// What is given to the machine, and what it means for the whole path.
+/// The path to send to the machine, and its relation to the complete path.
 pub struct ResumePlan {
-    /// The path that is given to the machine.
+    /// The path to send to the machine.
     pub drawing: DrawTask,
-    /// The entry of the log, if there is one.
+    /// The entry of the log, if any.
     pub record: Option<Record>,
-    /// Time that was drawn before, s.
+    /// Time drawn earlier, s.
     pub drawn_before_s: f64,
-    /// What the drawing is a part of; absent for the whole.
+    /// The remainder that is drawn, and the vertices executed before; `None` for the complete path.
     part: Option<(Remainder, usize)>,
 }
 
 impl ResumePlan {
-    /// The whole path.
+    /// The complete path.
     pub fn whole(path: &[PathVertex], record: Option<Record>) -> Self {
         Self {
             drawing: DrawTask::new(path),
@@ -50,7 +50,7 @@ impl ResumePlan {
         }
     }
 
-    /// Vertices of the whole path that are executed when so many of this drawing are.
+    /// Executed vertices of the complete path, given the executed vertices of this drawing.
     pub fn executed(&self, executed: usize) -> usize {
         match &self.part {
             Some((remainder, before)) => remainder.executed(executed, *before),
@@ -59,7 +59,7 @@ impl ResumePlan {
     }
 }
 
-/// Begins the entry of a drawing in the log of jobs. `options` are those of the conversion of `file` into `path`.
+/// Creates the entry of a drawing in the job log. `options` are those of the conversion of `file` into `path`.
 ///
 /// # Errors
 /// The log cannot be written.
@@ -73,7 +73,7 @@ pub fn begin_record(
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
     let entry = HistoryEntry {
         file: std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned()),
-        // Options that cannot be noted have to be given again.
+        // Options that cannot be recorded have to be given again.
         options: serde_json::to_value(options).unwrap_or_default(),
         port: port.to_string(),
         path_hash: hash_text(path_hash(path)),
@@ -85,7 +85,7 @@ pub fn begin_record(
     Record::begin(&history::folder()?, entry)
 }
 
-/// What is to go on.
+/// What to resume.
 pub enum Resumption {
     /// The last drawing of this file.
     Last(PathBuf),
@@ -102,10 +102,9 @@ impl Resumption {
         }
     }
 
-    /// How that file became strokes, where a job was named that noted it.
+    /// Recorded options of the conversion of that file into strokes; `None` unless a job was named.
     ///
-    /// # Errors
-    /// A file that it names, a font for instance, is not there any more.
+    /// The options cannot be used, for instance because a font that they name no longer exists.
     pub fn source<Options: DeserializeOwned>(&self) -> Result<Option<Options>, ProgramError> {
         let Self::Job(record) = self else { return Ok(None) };
         serde_json::from_value(record.entry.options.clone()).map_err(|cause| {
@@ -117,7 +116,8 @@ impl Resumption {
         })
     }
 
-    /// The jobs of this path that may go on. The first is the one to take up, unless the firmware holds another one.
+    /// The jobs of this path that can be resumed. The first is the one to resume, unless the firmware holds another
+    /// one.
     ///
     /// # Errors
     /// There is none.
@@ -137,7 +137,7 @@ fn records() -> Result<Vec<Record>, ProgramError> {
         .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))
 }
 
-/// The job of the log with this name, or the only one whose name begins so.
+/// The logged job with this name, or the only one whose name starts with it.
 ///
 /// # Errors
 /// There is none, or several.
@@ -166,7 +166,7 @@ fn complete(what: &str) -> ProgramError {
 }
 
 /// Jobs of this path: the newest that drew something, then newer ones without a stroke, of which the firmware may hold
-/// more than the log knows. If nothing was drawn yet, a job without a stroke comes first.
+/// more than the log shows. If nothing was drawn yet, a job without a stroke comes first.
 fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
     let of_path: Vec<&Record> = records
         .iter()
@@ -215,7 +215,7 @@ fn other_path(file: &Path, record: &Record, hash: &str) -> ProgramError {
     ProgramError::new(code::INPUT, text)
 }
 
-/// Looks what the machine still has of a drawing, and says how it goes on.
+/// Checks what the machine still holds of a drawing, and plans how to resume it.
 ///
 /// # Errors
 /// This is not the machine that drew, or it is busy with something else.
@@ -242,13 +242,13 @@ pub fn plan(
     }
 }
 
-/// The remainder of a path after so many executed vertices.
+/// The remainder of a path after `executed` vertices.
 fn rest_after(executed: u32, config: &Config, path: &[PathVertex]) -> Remainder {
     let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
     Remainder::new(path, executed as usize, OVERLAP_UM, lift_um)
 }
 
-/// Goes on with what the firmware holds.
+/// Resumes from what the firmware holds.
 fn from_firmware(
     record: Record,
     ack: &PathAck,
@@ -280,13 +280,13 @@ fn from_firmware(
     })
 }
 
-/// Goes on from the last corner that the log knows.
+/// Resumes from the last corner recorded in the log.
 fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<ResumePlan, ProgramError> {
     let executed = record.entry.executed;
     let remainder = rest_after(executed, config, path);
     let Some(next) = remainder.vertices.first() else {
         record.entry.completed = true;
-        // A log that cannot be written says the same the next time.
+        // If this cannot be written, the next attempt gives the same result.
         let _ = record.save();
         let text = "all strokes of this drawing were drawn; there is nothing to go on with";
         return Err(ProgramError::new(code::INPUT, text));
@@ -321,7 +321,7 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
     })
 }
 
-/// The job that the firmware holds; else the first.
+/// The job that the firmware holds, or else the first.
 ///
 /// # Errors
 /// That job was drawn to its end.
@@ -376,7 +376,7 @@ pub fn config_hash(config: &Config) -> String {
     config.hash().map(hash_text).unwrap_or_default()
 }
 
-/// Hashes of two configurations that are not the same.
+/// Hashes of two configurations that differ.
 struct ConfigChanged {
     then: String,
     now: String,
@@ -405,7 +405,7 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicU32, Ordering};
 
-    /// The log's jobs of one path, the oldest first: strokes begun, and whether it was drawn to its end.
+    /// The log's jobs of one path, the oldest first: strokes started, and whether the job was completed.
     fn log(jobs: &[(u32, bool)]) -> Vec<Record> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);

@@ -30,7 +30,7 @@ struct Signs {
 }
 
 impl Life {
-    /// Gives a sign.
+    /// Gives a sign of life.
     pub fn sign(&self) {
         self.0.count.fetch_add(1, Ordering::Relaxed);
     }
@@ -40,18 +40,18 @@ impl Life {
         self.0.count.load(Ordering::Relaxed)
     }
 
-    /// The program has gone.
+    /// Reports that the program has ended.
     pub fn end(&self) {
         self.0.ended.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the program has gone.
+    /// Whether the program has ended.
     pub fn has_ended(&self) -> bool {
         self.0.ended.load(Ordering::Relaxed)
     }
 }
 
-/// Options of a job beside configuration and task.
+/// Options of a job other than configuration and task.
 #[derive(Clone, Copy, Debug)]
 pub struct JobOptions {
     /// Number of the connection, see [`Session::new`](crate::link::session::Session::new).
@@ -127,7 +127,7 @@ pub struct DrawTask {
     pub number: u16,
     /// The path.
     pub vertices: Arc<[PathVertex]>,
-    /// Whether the firmware holds this drawing since another connection and should resume it.
+    /// Whether the firmware has held this drawing since another connection and should resume it.
     pub held: bool,
     /// Whether a machine that is not referenced may be referenced at its marks.
     pub may_reference: bool,

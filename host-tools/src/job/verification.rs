@@ -5,13 +5,13 @@
 //! counts as followed if the positions measured for both are close to it. Parts whose samples were lost on the line are
 //! neither followed nor missing: they are not verified.
 //!
-//! Strokes are compared without their noise: vertices within `THINNED_MM` of the one before do not matter. What still
-//! comes close to itself so often that matching it would cost more than `LOOKS_PER_ROW` is not verified.
+//! Strokes are compared without their noise: vertices within `THINNED_MM` of the one before do not matter. A stroke
+//! that then still comes so close to itself that matching would cost more than `LOOKS_PER_ROW` is not verified.
 //!
 //! Invariants: no part counts as missing without a sample that shows it, or samples without a gap that show that it was
-//! never reached; [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so that
-//! the thread that writes STOP never waits for more; memory is bounded by the path, `ROWS_MAX` and `PARTS_PER_ROW`. The
-//! result does not depend on how the work is divided.
+//! never reached. [`Verifier::observe`] matches nothing, and [`Verifier::work`] does a bounded part of the work, so
+//! that the thread that writes STOP never waits for more. Memory is bounded by the path, `ROWS_MAX` and
+//! `PARTS_PER_ROW`. The result does not depend on how the work is divided.
 
 mod parts;
 mod verdict;
@@ -38,19 +38,19 @@ const ALONG: f64 = 2.0;
 const END_MM: f64 = 0.5;
 /// Samples of a stroke that are matched at once.
 const SAMPLES_MAX: usize = 4_096;
-/// Vertices of a stroke within this distance of the one before are its noise, mm; well below [`FOLLOWED_MM`].
+/// Vertices of a stroke within this distance of the one before count as noise, mm; well below [`FOLLOWED_MM`].
 const THINNED_MM: f64 = 0.1;
-/// Samples that wait to be matched, at most: more are not verified.
+/// Most samples waiting to be matched; further ones are not verified.
 const ROWS_MAX: usize = 32_768;
-/// Looks at a leg of the stroke that matching may take for each sample; ordinary drawings take about a hundred.
+/// Most looks at a leg of the stroke for each sample matched; ordinary drawings take about a hundred.
 const LOOKS_PER_ROW: usize = 2_000;
-/// Parts of the stroke that are kept for each sample while its distance is looked for, on the average.
+/// Average number of parts of the stroke kept for each sample while its distance is searched.
 const PARTS_PER_ROW: usize = 64;
-/// Parts of the stroke that are kept for one sample.
+/// Most parts of the stroke kept for one sample.
 const PARTS_AT_ONCE: usize = 1_024;
-/// Looks for each leg of the stroke where samples may begin anywhere on it: each distance tried looks at all of them.
+/// Looks for each leg of a stroke on which samples may begin anywhere: each distance tried looks at all legs.
 const LOOKS_PER_LEG: usize = 40;
-/// Distance within which a stroke's first reference looks for the stroke's begin, mm.
+/// Distance within which a stroke's first reference searches for the stroke's beginning, mm.
 const BEGIN_MM: f64 = 2.0;
 /// Largest speed of references relative to the configured one: an override of 200 percent.
 const SPEED_SHARE: f64 = 2.0;
@@ -69,9 +69,9 @@ struct StrokeRow {
 /// Rows of a line that are matched at once.
 struct Piece {
     line: usize,
-    /// Empty where there were too many to be matched.
+    /// Empty if there were too many to be matched.
     rows: Vec<StrokeRow>,
-    /// Whether the pen has come to the line with it.
+    /// Whether the pen reached the line in this piece.
     begins: bool,
 }
 
@@ -98,13 +98,13 @@ pub struct Verifier {
     recent: VecDeque<Sample>,
     /// Whether samples were lost since the last row.
     has_gap: bool,
-    /// The line that is drawn, and its rows that do not wait to be matched yet.
+    /// The line being drawn, and its rows that are not queued for matching yet.
     line: Option<usize>,
     rows: Vec<StrokeRow>,
-    /// Whether none of the line's rows waits to be matched or was matched.
+    /// Whether no row of the line has been queued or matched yet.
     begins: bool,
     last_ms: Option<u32>,
-    /// What waits to be matched, in order.
+    /// Pieces waiting to be matched, in order.
     pieces: VecDeque<Piece>,
     matching: Option<Matching>,
     /// How far the matched references have come along all strokes, mm.
@@ -113,13 +113,13 @@ pub struct Verifier {
     place_mm: Option<f64>,
     /// Whether rows of the present line were left out since the last match.
     is_line_left_out: bool,
-    /// Whether any rows were.
+    /// Whether any rows were left out.
     is_left_out: bool,
     looks: usize,
 }
 
 impl Verifier {
-    /// A verifier for a path from its beginning, or for one that is resumed at any place.
+    /// A verifier for a path from its beginning, or for one resumed anywhere.
     #[must_use]
     pub fn new(path: &[PathVertex], config: &Config, from_begin: bool) -> Self {
         let is_torque = config.axes.iter().any(|axis| axis.mode == AxisMode::Torque);
@@ -168,25 +168,25 @@ impl Verifier {
         samples.iter().for_each(|sample| self.step(sample));
     }
 
-    /// The drawing has ended or is interrupted: its last rows need not wait for others of their stroke.
+    /// The drawing has ended or was interrupted: its last rows need not wait for others of their stroke.
     pub fn close(&mut self) {
         self.end_line();
     }
 
-    /// Whether rows wait to be matched.
+    /// Whether rows are waiting to be matched.
     #[must_use]
     pub fn is_behind(&self) -> bool {
         self.matching.is_some() || !self.pieces.is_empty()
     }
 
-    /// Looks at a leg so far, by which the work is counted.
+    /// Looks at a leg so far: the measure of the work done.
     #[must_use]
     pub fn looks(&self) -> usize {
         self.looks
     }
 
-    /// Matches rows that wait, with about as many looks at a leg. There are no more than allowed except for those of one
-    /// row, and one for each row of a piece when it is ended.
+    /// Matches waiting rows with about `looks` looks at a leg. Exceeds them by those of one row at most, plus one for
+    /// each row of a piece that ends.
     pub fn work(&mut self, looks: usize) {
         let mut done = 0;
         while done < looks {
@@ -207,8 +207,8 @@ impl Verifier {
         self.looks += done;
     }
 
-    /// What has been seen of a drawing whose end was not reported: matches what still waits with about as many looks, and
-    /// leaves the rest not verified.
+    /// Result for a drawing whose end was not reported. Matches waiting rows with about `looks` looks; the rest counts
+    /// as not verified.
     #[must_use]
     pub fn finish_within(mut self, looks: usize) -> Verification {
         self.close();
@@ -217,7 +217,7 @@ impl Verifier {
         self.finish(false)
     }
 
-    /// Leaves what waits to be matched not verified.
+    /// Leaves all waiting rows unverified.
     fn give_up(&mut self) {
         if self.is_behind() {
             (self.matching, self.pieces) = (None, VecDeque::new());
@@ -225,14 +225,14 @@ impl Verifier {
         }
     }
 
-    /// What has been seen; `is_over` says that the firmware reported the path's end. Matches first what still waits.
+    /// Result of the verification, after matching all waiting rows. `is_over`: the firmware reported the path's end.
     #[must_use]
     pub fn finish(mut self, is_over: bool) -> Verification {
         self.close();
         while self.is_behind() {
             self.work(usize::MAX);
         }
-        // Samples that are behind the drawing show that none of it came after the last row.
+        // Samples after the drawing show that nothing was drawn after the last row.
         let is_past = |sample: &Sample| !is_drawing(sample.mode);
         if is_over && !self.has_gap && !self.is_left_out && self.recent.back().is_some_and(is_past) {
             let end_mm = self
@@ -297,7 +297,7 @@ impl Verifier {
         self.begins = true;
     }
 
-    /// Lets the rows of the present line wait to be matched.
+    /// Queues the rows of the present line for matching.
     fn enqueue(&mut self) {
         let mut rows = std::mem::take(&mut self.rows);
         let Some(line) = self.line.filter(|_| !rows.is_empty()) else {
@@ -319,7 +319,7 @@ impl Verifier {
         (self.is_left_out, self.is_line_left_out) = (true, true);
     }
 
-    /// Begins to match the next piece that has rows.
+    /// Starts matching the next piece that has rows.
     fn next_matching(&mut self) -> Option<Matching> {
         loop {
             let mut piece = self.pieces.pop_front()?;
@@ -361,7 +361,7 @@ impl Verifier {
         }
     }
 
-    /// Goes on with a piece, with about as many looks; how many there were, and what has come of it.
+    /// Continues a piece with about `looks` looks; returns the looks taken and the state reached.
     fn go_on(&self, matching: &mut Matching, looks: usize) -> (usize, State) {
         let line = &self.lines[matching.piece.line];
         let mut used = 0;
@@ -391,7 +391,7 @@ impl Verifier {
         (used, State::Matched)
     }
 
-    /// Notes what a piece that has been matched shows.
+    /// Records the result of a matched piece.
     fn note(&mut self, matching: &Matching) {
         let Matching {
             piece, places_mm, near, ..
@@ -447,7 +447,7 @@ impl Verifier {
     }
 }
 
-/// What has come of a piece.
+/// State of a piece's matching.
 enum State {
     Unfinished,
     Matched,

@@ -98,7 +98,7 @@ impl Imports {
     }
 }
 
-/// The module of a file; none for the file of a binary.
+/// The module of a file; `None` for the file of a binary.
 fn module_of(name: &str) -> Option<Module> {
     let name = name.strip_suffix(".rs")?;
     if name == "main" || name.starts_with("bin/") {
@@ -115,9 +115,9 @@ fn module_of(name: &str) -> Option<Module> {
 struct Reader<'a> {
     name: &'a str,
     known: &'a Imports,
-    /// The module at the present token: the file's own, or one inside of it.
+    /// The module at the present token: the file's own, or one inside it.
     module: Module,
-    /// Depths of braces at which modules inside of the file end.
+    /// Depths of braces at which modules inside the file end.
     inner: Vec<usize>,
     depth: usize,
     file: File,
@@ -203,7 +203,7 @@ impl<'a> Reader<'a> {
         let alias = tokens.get(index + 1).map(|token| token.text.clone());
         let name = alias.or_else(|| path.last().cloned()).unwrap_or_default();
         let Some(absolute) = self.absolute(&path) else { return };
-        // A private name is known to the module's submodules too.
+        // A private name is visible in the module's submodules too.
         if self.inner.is_empty() && name != "*" {
             self.file.names.insert(name, absolute.clone());
         }
@@ -214,7 +214,7 @@ impl<'a> Reader<'a> {
     }
 
     fn import(&mut self, path: &[String], line: usize) {
-        // A name that a `use` line brought is counted there.
+        // A path that starts with an imported name counts at its `use` line.
         let Some(path) = self.absolute(path) else { return };
         self.file.imports.push(Import {
             place: format!("{}:{line}", self.name),
@@ -222,7 +222,7 @@ impl<'a> Reader<'a> {
         });
     }
 
-    /// The path from the root; none for a path into another crate.
+    /// The path from the root; `None` for a path into another crate.
     fn absolute(&self, path: &[String]) -> Option<Module> {
         let first = path.first()?.as_str();
         let rest = path.iter().skip(1);
@@ -249,7 +249,7 @@ fn text_before(tokens: &[Token], index: usize) -> &str {
     before.map_or("", |token| token.text.as_str())
 }
 
-/// The parts of a list between commas outside of braces.
+/// The parts of a list between commas outside braces.
 fn parts(tokens: &[Token]) -> Vec<&[Token]> {
     let mut depth = 0_usize;
     let split = tokens.split(|token| {

@@ -11,12 +11,12 @@
 //! //! 3. `drawing::preparation`, `console`: what they are
 //! ```
 //!
-//! A module imports modules of lower layers and of its own entry, but no other module of its own layer. A submodule that
-//! has an entry of its own is not part of its parent's entry. Every top-level module has an entry.
+//! A module imports modules of lower layers and of its own entry, but no other module of its own layer. A submodule
+//! that has an entry of its own is not part of its parent's entry. Every top-level module has an entry.
 //!
 //! A module and its submodules are one unit: a submodule may use its parent's items, and the parent may use its
-//! submodule. All other files that import each other, directly or over other files, are a circle. An imported item counts
-//! for the file that defines it, also where another module hands it on with `use`.
+//! submodule. All other files that import each other, directly or through other files, form a circle. An imported item
+//! counts for the file that defines it, even if another module re-exports it with `use`.
 //!
 //! Test code and binaries (`main.rs`, `bin/`) are not checked.
 
@@ -33,10 +33,10 @@ use std::path::Path;
 /// A module by its path from the root; the root is empty.
 type Module = Vec<String>;
 
-/// What contradicts the structure.
+/// A violation of the structure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
-    /// The table has no entry of a line, or an entry without a number.
+    /// The table is missing, its numbers are not consecutive, or a module is listed twice.
     Table(String),
     /// A top-level module is in no layer.
     Unlisted(String),
@@ -152,7 +152,7 @@ impl Layers {
             if !is_named {
                 continue;
             }
-            // The modules are before the colon that is outside of a name.
+            // The modules are before the first colon outside a name.
             for (index, part) in rest.split('`').enumerate() {
                 if index % 2 == 1 {
                     let module: Module = part.split("::").map(str::to_owned).collect();
@@ -189,7 +189,7 @@ impl Layers {
             .collect()
     }
 
-    /// What is wrong with an import, if anything is.
+    /// The violation of an import, if any.
     fn upward(&self, from: &Module, to: &Module, import: &Import) -> Option<Finding> {
         let ((entry, layer), (imported, lower)) = (self.entry(from)?, self.entry(to)?);
         if entry == imported || lower < layer {

@@ -19,7 +19,7 @@ const TABLE: &str = "//! A crate.
 //! 1. `none`: no layer
 ";
 
-/// A crate with all modules of the table, of which some have a text.
+/// Findings in a crate with all modules of the table, some of which have the given text.
 fn found(texts: &[(&str, &str)]) -> Vec<String> {
     let plain = [
         "base.rs",

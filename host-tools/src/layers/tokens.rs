@@ -1,4 +1,4 @@
-//! Rust's text as words and signs, without comments, texts and test code.
+//! Rust source as words and signs, without comments, string literals and test code.
 
 /// A word or a sign, and its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,7 +17,7 @@ impl Token {
     }
 }
 
-/// The tokens of a text. Texts, characters and numbers are left out.
+/// The tokens of a text, without string literals, characters and numbers.
 pub(super) fn tokens(text: &str) -> Vec<Token> {
     let letters: Vec<char> = text.chars().collect();
     let at = |index: usize| letters.get(index).copied().unwrap_or('\0');
@@ -72,7 +72,7 @@ fn end_of_line(letters: &[char], from: usize) -> usize {
     from + rest.take_while(|letter| **letter != '\n').count()
 }
 
-/// The end of a comment that may contain others.
+/// The end of a comment that may contain further comments.
 fn end_of_comment(letters: &[char], from: usize) -> usize {
     let (mut depth, mut index) = (0, from);
     while index < letters.len() {
@@ -100,7 +100,7 @@ fn end_of_text(letters: &[char], from: usize) -> usize {
     index
 }
 
-/// The end of a character, or of a lifetime's quote alone.
+/// The end of a character literal, or of the quote of a lifetime.
 fn end_of_quote(letters: &[char], from: usize) -> usize {
     match (letters.get(from + 1), letters.get(from + 2)) {
         (Some('\\'), _) => {
@@ -112,7 +112,7 @@ fn end_of_quote(letters: &[char], from: usize) -> usize {
     }
 }
 
-/// The end of a raw text that begins here, if one does.
+/// The end of a raw string literal that begins here, if there is one.
 fn is_raw(letters: &[char], from: usize) -> Option<usize> {
     let mut index = from;
     if matches!(letters.get(index), Some('b' | 'c')) {
@@ -145,7 +145,7 @@ fn is_raw(letters: &[char], from: usize) -> Option<usize> {
     Some(index)
 }
 
-/// The tokens without items that only tests have, and the names of the test modules in files of their own.
+/// The tokens without test-only items, and the names of the test modules in files of their own.
 pub(super) fn without_tests(tokens: &[Token]) -> (Vec<Token>, Vec<String>) {
     const ATTRIBUTE: [&str; 7] = ["#", "[", "cfg", "(", "test", ")", "]"];
     let (mut kept, mut modules, mut index) = (Vec::new(), Vec::new(), 0);

@@ -1,10 +1,10 @@
 //! Port ownership: one program at a time uses a port; other programs find that program and send it their orders.
 //!
-//! Each port that is in use has a lock file in the user's runtime folder and, where the owner shares its machine, a Unix
-//! socket. The lock is the kernel's (flock): it ends with its process however that ends. Files that a killed program has
-//! left are removed by the next program that takes a port or looks for one, and with them the socket of a virtual cell that
-//! the killed program had as its port.
-//! Programs that know nothing of this are looked for among the open files of this user's processes.
+//! Each port in use has a lock file in the user's runtime folder and, if the owner shares its machine, a Unix socket.
+//! The lock is the kernel's (flock): it ends with its process, however that ends. Files left by a killed program are
+//! removed by the next program that takes or searches a port, together with the socket of a virtual cell that was the
+//! killed program's port.
+//! Programs that do not use these lock files are found through the open files of this user's processes.
 //!
 //! Invariant: while an [`Ownership`] exists, no other program with this protocol opens the port.
 
@@ -144,7 +144,7 @@ enum Locking {
     Gone,
 }
 
-/// Locks a file, which is made if it is missing.
+/// Locks a file; creates it if it is missing.
 fn lock(path: &Path) -> io::Result<Locking> {
     let mut options = OpenOptions::new();
     let mut lock = options.read(true).write(true).create(true).mode(0o600).open(path)?;
@@ -187,7 +187,7 @@ fn port_in_use(stem: &Path) -> Option<InUse> {
                 if let Some(PortName::Unix(path)) = port {
                     remove_if_left_behind(&path);
                 }
-                // While the lock is held nobody takes the port, so that no socket in use is removed.
+                // While the lock is held nobody takes the port, so no socket in use is removed.
                 let _ = std::fs::remove_file(&socket);
                 let _ = std::fs::remove_file(&path);
                 return None;
@@ -199,7 +199,7 @@ fn port_in_use(stem: &Path) -> Option<InUse> {
                     shares: socket.exists(),
                 });
             }
-            // Its owner has just taken it, or has just ended.
+            // Its owner has just taken the port, or has just ended.
             Locking::Busy(None) | Locking::Gone => std::thread::sleep(ATTEMPT),
         }
     }
@@ -216,7 +216,7 @@ pub(crate) fn remove_if_left_behind(path: &Path) {
     let has_ended = !Path::new("/proc").join(process.to_string()).exists();
     let refuses = || UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused);
     if has_ended && refuses() {
-        // One that cannot be removed is in nobody's way.
+        // A socket that cannot be removed does no harm.
         let _ = std::fs::remove_file(path);
     }
 }

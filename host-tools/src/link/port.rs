@@ -1,4 +1,4 @@
-//! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives what is said over one.
+//! Real ports: a serial line, a TCP or a Unix socket, and the wall clock that drives the communication over one.
 //!
 //! A reader thread passes on received bytes; the calling thread steps the job about once a millisecond and writes no
 //! faster than the line carries, so that no bytes queue ahead of a stop. Invariant: a port that has disappeared is an

@@ -43,10 +43,10 @@ impl fmt::Display for PortName {
     }
 }
 
-/// Why a text is no port's name.
+/// Why a text is not the name of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortNameError {
-    /// The text has no form of a port's name.
+    /// The text has none of the forms of a port name.
     Invalid(String),
     /// The text is a network address without its scheme.
     NoScheme(String),

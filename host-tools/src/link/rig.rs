@@ -336,7 +336,7 @@ impl Rig {
     }
 }
 
-/// Serves a stream by the wall clock until it is closed; the rig's own time continues with the next stream.
+/// Serves a stream in real time until it is closed; the rig's own time continues with the next stream.
 pub(crate) fn serve(rig: &mut Rig, mut stream: &UnixStream) {
     let begun = Instant::now();
     stream

@@ -15,7 +15,7 @@ const _: () = assert!(
     "two lost heartbeats must not hold a drawing by default"
 );
 
-/// A number that no other connection to the firmware has had: process numbers alone come again.
+/// A number that no other connection to the firmware has had; process numbers alone are reused.
 pub fn session_number() -> u32 {
     let since = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)

@@ -19,12 +19,12 @@ const STATE_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a sample of a machine whose status is known.
 const SAMPLE_MAX: Duration = Duration::from_secs(1);
 
-/// What this program needs to open a port itself. Nothing of it is used if another program has the port.
+/// What this program needs to open a port itself. Unused if another program has the port.
 #[derive(Clone, Copy)]
 pub(crate) struct OwnPort<'a> {
     /// Reads the configuration.
     pub(crate) config: &'a (dyn Fn() -> Result<Config, ProgramError> + Sync),
-    /// Begins to watch for an interrupt, which cancels the order.
+    /// Starts watching for an interrupt, which cancels the order.
     pub(crate) interrupted: &'a (dyn Fn() -> Result<Arc<AtomicBool>, ProgramError> + Sync),
 }
 
@@ -33,15 +33,15 @@ pub(crate) struct OwnPort<'a> {
 pub(crate) struct Effect {
     /// Whether the end state of the order was reached.
     pub(crate) reached: bool,
-    /// Whether an end state that was not reached is an error.
+    /// Whether missing the end state is an error.
     pub(crate) is_due: bool,
-    /// Where the machine stands now.
+    /// Current state of the machine.
     pub(crate) snapshot: Snapshot,
     /// The program that carried out the order; `None` for this one.
     pub(crate) owner: Option<Owner>,
 }
 
-/// Gives an order to the machine at a port and waits for its effect.
+/// Sends an order to the machine at a port and waits for its effect.
 ///
 /// # Errors
 /// There is no connection, or the machine did not carry out the order.
@@ -64,7 +64,7 @@ pub(crate) fn carry_out(port: &PortName, own: OwnPort, order: Order) -> Result<E
                 }
             }
             Err(gone) if begun.elapsed() > END_MAX => return Err(gone),
-            // The program that had the port has ended, as a drawing's does after a stop: the port is opened here.
+            // The program that had the port has ended, as a drawing program does after a stop: open the port here.
             Err(_) => {
                 if let Ok(found) = MachineAccess::find(port, own) {
                     (access, ending) = (found, Some(Ending::after_reconnection(order.clone())));
@@ -108,7 +108,7 @@ impl MachineAccess {
         let config = (own.config)()?;
         match Machine::start(port.clone(), config, MachineOptions::default()) {
             Ok(machine) => Ok(Self::Own(machine)),
-            // Between the two looks another program has taken the port.
+            // Another program took the port between the two checks.
             Err(error @ PortError::Occupied { .. }) => Client::find(port)
                 .map(Self::Through)
                 .ok_or_else(|| ProgramError::new(code::CONNECTION, error)),
@@ -124,7 +124,7 @@ impl MachineAccess {
         }
     }
 
-    /// Gives an order and waits for its answer; an interrupt cancels it. Returns the order that was carried out.
+    /// Sends an order and waits for its answer; an interrupt cancels it. Returns the order that was carried out.
     fn carry_out(&mut self, order: Order, own: OwnPort) -> Result<Order, ProgramError> {
         let (order, answer) = match self {
             Self::Through(client) => (order.clone(), client.carry_out(order)),
@@ -137,7 +137,7 @@ impl MachineAccess {
         answer.map(|_| order).map_err(ProgramError::from)
     }
 
-    /// Where the machine stands, once that is known.
+    /// State of the machine, once it is known.
     ///
     /// # Errors
     /// There is no connection.
@@ -163,7 +163,7 @@ impl MachineAccess {
     }
 }
 
-/// The order to give where no program draws: one that waits for its effect.
+/// The order to send if no program is drawing: one that waits for its effect.
 fn without_drawing(order: Order) -> Result<Order, ProgramError> {
     Ok(match order {
         Order::Hold | Order::HoldAtPenUp => Order::Settle(Told::Hold),
@@ -178,7 +178,7 @@ fn without_drawing(order: Order) -> Result<Order, ProgramError> {
     })
 }
 
-/// Gives an order and waits for its answer; an interrupt cancels it.
+/// Sends an order and waits for its answer; an interrupt cancels it.
 fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
     let answer = machine.order(order);
     let mut cancelled = false;
@@ -195,7 +195,7 @@ fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
         }
         if interrupted.load(Ordering::Relaxed) && !cancelled {
             cancelled = true;
-            // Its effect is the other order's end.
+            // Its effect is the end of the other order.
             drop(machine.order(Order::Cancel));
         }
     }

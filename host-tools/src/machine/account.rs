@@ -1,6 +1,6 @@
-//! What is recorded of a machine's news, in the form in which it goes to another process.
+//! The recorded part of a machine's news, in the form that is sent to another process.
 //!
-//! The owner of a port sends it as postcard in hexadecimal digits, so that every bit of a measurement arrives.
+//! The owner of a port sends it as postcard in hexadecimal digits, so that measurements arrive bit for bit.
 
 use super::{Failure, News};
 use crate::job::JobEvent;

@@ -1,7 +1,7 @@
-//! One drawing on a machine: its order, its progress on the whole path, and its entry in the log of jobs.
+//! One drawing on a machine: its order, its progress along the complete path, and its entry in the job log.
 //!
-//! A drawing outlives a broken connection: the robot holds by itself, and the machine connects again. Progress is that
-//! of the whole path, also where the firmware was given only its remainder.
+//! A drawing outlives a broken connection: the robot holds by itself, and the machine reconnects. Progress refers to
+//! the complete path, even if only its remainder was sent to the firmware.
 
 use super::{DrawOrder, Failure, Machine, News, NoNews, Order, Subscription};
 use crate::error::ProgramError;
@@ -26,20 +26,20 @@ const LOG: Duration = Duration::from_millis(200);
 pub struct DrawingEnd {
     /// The result.
     pub result: Result<(), Failure>,
-    /// Shared with whoever else listens to the machine; empty for a drawing that was refused.
+    /// Report, shared with the machine's other subscribers; empty for a drawing that was refused.
     pub report: Arc<JobReport>,
 }
 
-/// What happened to a drawing.
+/// An event of a drawing.
 #[allow(clippy::large_enum_variant)] // one is alive at a time
 pub enum DrawingNews {
     /// Something to show.
     Event(JobEvent),
-    /// Progress of the whole path.
+    /// Progress along the complete path.
     Progress(Progress),
     /// The connection broke; the robot holds by itself.
     Lost(Failure),
-    /// There is a connection again, and the drawing is held.
+    /// The machine has reconnected, and the drawing is held.
     Reconnected,
     /// The drawing has ended.
     Ended(DrawingEnd),
@@ -58,7 +58,7 @@ pub struct DrawingRun<'a> {
 }
 
 impl<'a> DrawingRun<'a> {
-    /// Orders the drawing of `plan`, which is `path` or its remainder, and begins its entry in the log.
+    /// Orders the drawing of `plan`, which is `path` or its remainder, and creates its log entry.
     pub fn begin(machine: &'a Machine, config: &Config, path: &[PathVertex], mut plan: ResumePlan, name: &str) -> Self {
         let news = machine.subscribe(NEWS_MAX);
         let order = Order::Draw(DrawOrder {
@@ -69,7 +69,7 @@ impl<'a> DrawingRun<'a> {
         if let Some(record) = &mut plan.record {
             record.entry.number = plan.drawing.number;
             record.entry.result = None;
-            // A log that cannot be written does not keep the drawing from being drawn.
+            // A drawing does not need its log entry: draw even if the log cannot be written.
             let _ = record.save();
         }
         Self {
@@ -84,14 +84,14 @@ impl<'a> DrawingRun<'a> {
         }
     }
 
-    /// The next thing that happened to the drawing, if it happens within `longest`.
+    /// The next event of the drawing; `None` if nothing happens within `longest`.
     ///
     /// # Errors
     /// The machine's thread has ended.
     pub fn next_within(&mut self, longest: Duration) -> Result<Option<DrawingNews>, ProgramError> {
         match self.news.next_within(longest) {
             Ok(news) => Ok(self.take(news)),
-            // The drawing's end comes as news before it is the order's answer; an order that was refused has no end.
+            // The end of a drawing is published before its order is answered; a refused order has no end.
             Err(NoNews::Timeout) => Ok(match self.answer.try_recv() {
                 Ok(Err(failure)) => Some(DrawingNews::Ended(DrawingEnd {
                     result: Err(failure),
@@ -138,12 +138,12 @@ impl<'a> DrawingRun<'a> {
         }
     }
 
-    /// Whether the pen has begun to draw.
+    /// Whether the pen has started to draw.
     pub fn has_begun(&self) -> bool {
         self.begun
     }
 
-    /// Whether the connection broke and the drawing is not held over a new one yet.
+    /// Whether the connection broke and no new connection holds the drawing yet.
     pub fn is_lost(&self) -> bool {
         self.lost
     }
@@ -169,12 +169,12 @@ impl<'a> DrawingRun<'a> {
         may_resume
     }
 
-    /// Gives an order. Its effect, or its refusal, comes as news.
+    /// Sends an order. Its effect or its refusal arrives as news.
     fn ask(&self, order: Order) {
         drop(self.machine.order(order));
     }
 
-    /// Progress of the whole path, from that of the part that the firmware was given.
+    /// Progress along the complete path, from the progress of the part sent to the firmware.
     fn whole(&self, progress: &Progress) -> Progress {
         let executed = self.plan.executed(progress.vertices);
         let before = self.plan.executed(0);
@@ -193,12 +193,12 @@ impl<'a> DrawingRun<'a> {
         record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
         if self.logged.elapsed() >= LOG {
             self.logged = Instant::now();
-            // A log that cannot be written any more does not end the drawing.
+            // A log that can no longer be written does not end the drawing.
             let _ = record.save_unsynced();
         }
     }
 
-    /// Writes the end of the drawing to the log of jobs.
+    /// Writes the end of the drawing to the job log.
     ///
     /// # Errors
     /// The log cannot be written.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// Longest wait for an end state. A stop takes less than a second on a robot, and longer on an emulator with few
 /// processors.
 pub(crate) const END_MAX: Duration = Duration::from_secs(15);
-/// Time after which a status is certainly new, even if its content is unchanged: one arrives at least twice a second.
+/// Time after which a status is certainly new, even if its content is unchanged: at least two arrive each second.
 const FRESH: Duration = Duration::from_secs(2);
 /// Speed below which an axis counts as at rest, rad/s: above the noise of a resolver at rest.
 const STANDING_RAD_S: f32 = 0.02;
@@ -20,13 +20,13 @@ const STANDING_RAD_S: f32 = 0.02;
 /// Waits for the end state of an order.
 pub(crate) struct Ending {
     order: Order,
-    /// Cycles that the status counted which was known when the order was answered.
+    /// Cycle counter of the last status known when the order was answered.
     before: Option<u32>,
     begun: Instant,
 }
 
 impl Ending {
-    /// Begins to wait; `snapshot` was taken after the order's answer.
+    /// Starts waiting; `snapshot` was taken after the order was answered.
     pub(crate) fn new(order: Order, snapshot: &Snapshot) -> Self {
         Self {
             order,
@@ -35,7 +35,7 @@ impl Ending {
         }
     }
 
-    /// Begins to wait over a connection that was made after the order's answer: every status of it is new.
+    /// Starts waiting on a connection made after the order was answered: every status on it is new.
     pub(crate) fn after_reconnection(order: Order) -> Self {
         Self {
             order,
@@ -72,7 +72,7 @@ impl Ending {
         }
     }
 
-    /// Whether an end state that is not reached in time is an error: a hold at the next lift may take longer.
+    /// Whether missing the end state is an error. A hold at the next pen lift may take longer.
     pub(crate) fn is_due(&self) -> bool {
         self.order != Order::HoldAtPenUp
     }
@@ -82,7 +82,7 @@ fn stands(sample: &Sample) -> bool {
     sample.measured_rad_s.iter().all(|speed| speed.abs() < STANDING_RAD_S)
 }
 
-/// Where the machine stands, in words.
+/// State of the machine in words.
 pub(crate) fn state_text(snapshot: &Snapshot) -> String {
     let Some(status) = &snapshot.status else {
         return "the machine has not said where it stands".to_owned();

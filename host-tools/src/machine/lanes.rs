@@ -1,7 +1,7 @@
 //! Queues of orders to the machine's thread: stops have a queue of their own.
 //!
-//! Invariant: a stop is taken before every other order that waits, and what was asked for before it and waits still,
-//! here or where its [`Ticket`] was taken, is not carried out after it.
+//! Invariant: a stop is taken before every other waiting order. An order requested before the stop is not carried out
+//! after it, whether it waits here or where its [`Ticket`] was taken.
 
 use super::{Answer, Failure, Order};
 use crate::error::code;
@@ -20,7 +20,7 @@ const ORDERS_AT_ONCE: usize = 64;
 /// Called once a stop has been written to the port, or can no longer be written.
 pub(super) type Written = Box<dyn FnOnce() + Send>;
 
-/// When something was asked for, among all orders and stops.
+/// Position of a request in the sequence of all orders and stops.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Ticket(u64);
 
@@ -29,7 +29,7 @@ pub(super) struct Envelope {
     ticket: Ticket,
     pub(super) order: Order,
     pub(super) reply: Sender<Answer>,
-    /// What a motion from another process lives on.
+    /// Signs of life that a motion from another process depends on.
     pub(super) life: Option<Life>,
     written: Option<Written>,
 }
@@ -61,7 +61,7 @@ fn lock(stops: &Stops) -> MutexGuard<'_, Option<Vec<Envelope>>> {
     stops.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The end at which orders are given.
+/// The sending end of the queues.
 #[derive(Clone)]
 pub(super) struct Lanes {
     orders: Sender<Envelope>,
@@ -96,22 +96,22 @@ pub(super) fn lanes() -> (Lanes, Taken) {
 }
 
 impl Lanes {
-    /// A ticket for what is asked for now.
+    /// A ticket for a request made now.
     pub(super) fn ticket(&self) -> Ticket {
         Ticket(self.next.fetch_add(1, Ordering::SeqCst))
     }
 
-    /// Whether a stop was given after this ticket was taken.
+    /// Whether a stop was ordered after this ticket was taken.
     pub(super) fn is_overtaken(&self, ticket: Ticket) -> bool {
         self.stopped.load(Ordering::SeqCst) > ticket.0
     }
 
-    /// Gives an order that is asked for now; exactly one answer comes, or the channel closes when the thread has ended.
+    /// Sends an order requested now. Exactly one answer arrives, or the channel closes when the thread has ended.
     pub(super) fn give(&self, order: Order, life: Option<Life>, written: Option<Written>) -> Receiver<Answer> {
         self.give_for(self.ticket(), order, life, written)
     }
 
-    /// Gives an order that was asked for when its ticket was taken.
+    /// Sends an order that was requested when its ticket was taken.
     pub(super) fn give_for(
         &self,
         ticket: Ticket,
@@ -145,7 +145,7 @@ impl Lanes {
     }
 }
 
-/// The thread's end; dropping it closes both queues.
+/// The thread's end of the queues; dropping it closes both.
 pub(super) struct Taken {
     orders: Receiver<Envelope>,
     stops: Stops,
@@ -195,10 +195,10 @@ impl Taken {
     }
 }
 
-/// What is said of an order that a stop has overtaken.
+/// Failure text of an order that a stop has overtaken.
 pub const OVERTAKEN: &str = "a stop has overtaken it";
 
-/// What an order is answered that a stop has overtaken.
+/// Answer to an order that a stop has overtaken.
 pub(super) fn overtaken() -> Failure {
     Failure::new(code::FAILED, OVERTAKEN)
 }
@@ -207,7 +207,7 @@ pub(super) fn overtaken() -> Failure {
 mod tests {
     use super::*;
 
-    /// Orders as they come out.
+    /// Orders in the sequence in which they are handed out.
     fn taken(lane: &mut Taken) -> Vec<Order> {
         let mut orders = Vec::new();
         lane.take(|envelope| orders.push(envelope.order.clone()));

@@ -1,24 +1,24 @@
-//! One machine, several users: a thread owns the port and everything that is said over it.
+//! One machine, several users: a thread owns the port and all communication over it.
 //!
 //! ```text
-//! Machine::start(port, config, options)     the thread: Port -> Line -> Job, again every second when it breaks
+//! Machine::start(port, config, options)     the thread: Port -> Line -> Job; reconnects every second
 //!     .order(Order)      -> Receiver<Answer>   one answer to every order: Ok(Reply) or Err(Failure)
-//!     .ticket()          -> Ticket             for .order_for(Ticket, Order): asked for now, ordered later
+//!     .ticket()          -> Ticket             for .order_for(Ticket, Order): requested now, ordered later
 //!     .subscribe(length) -> Subscription       bounded; a slow reader loses the oldest news and is told how many
-//!     .snapshot()        -> Snapshot           the last that is known, for who comes late
-//! Client::find(port)                         another process' machine: the same orders and snapshots over a socket
-//! Source::follow(client)                     and what a recording is made of
+//!     .snapshot()        -> Snapshot           last known state, for users that start late
+//! Client::find(port)                         another process's machine: the same orders and snapshots over a socket
+//! Source::follow(client)                     the data that a recording is made of
 //! ```
 //!
-//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while and there is one at a time; every other
-//! order goes out at once beside it. [`Order::Stop`] overtakes everything: what was ordered before it and is not answered
-//! yet is answered with a failure, other stops with what the newest one comes to; it has a way of its own to the thread,
-//! and the thread nothing else to do that takes longer than a millisecond. A drawing's receiver is answered when the drawing has ended, [`News::Ended`] carries its
-//! report.
+//! A task ([`Order::Settle`], [`Order::Prepare`], [`Order::Motion`], [`Order::Draw`]) takes a while, and only one runs
+//! at a time; every other order is sent at once beside it. [`Order::Stop`] overtakes everything: earlier orders that
+//! are not answered yet fail, and earlier stops get the newest stop's answer. A stop has a queue of its own, and the
+//! thread does nothing else that takes longer than a millisecond. [`Order::Draw`] is answered when the drawing has
+//! ended; [`News::Ended`] carries its report.
 //!
-//! Invariants: only motions ordered over this connection are carried out. A broken connection is made again and
-//! reported; a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the
-//! firmware still has it. No reader and no user can block the thread.
+//! Invariants: only motions ordered over this connection are carried out. A broken connection is reported and restored;
+//! a drawing that was in progress is held until [`Order::Resume`] or [`Order::Cancel`], as long as the firmware still
+//! has it. No reader and no user can block the thread.
 
 pub(crate) mod access;
 mod account;
@@ -88,8 +88,8 @@ pub enum Order {
     Stop,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),
-    /// Move while this order is repeated within the firmware's dead-man time (100 ms); mm/s. The machine is not
-    /// prepared for it.
+    /// Move while this order is repeated within the firmware's dead-man time (100 ms); mm/s. Does not prepare the
+    /// machine.
     Jog([f32; 3]),
     /// A single command, answered when its effect is reported; a task.
     Settle(Command),
@@ -102,7 +102,7 @@ pub enum Order {
     Draw(DrawOrder),
     /// Request to the bus; answered by [`Reply::Bus`].
     Bus(ServiceRequest),
-    /// Request to the measurements; answered by [`Reply::Measured`].
+    /// Request for measurements; answered by [`Reply::Measured`].
     Measure(MeasurementRequest),
 }
 
@@ -193,7 +193,7 @@ pub enum News {
     Connected(Welcome),
     /// The connection has broken, or could not be made.
     Lost(Failure),
-    /// The next attempt to connect begins.
+    /// The next attempt to connect is starting.
     Reconnecting {
         /// Number of the attempt, from 1 since the connection broke.
         attempt: u32,
@@ -211,11 +211,11 @@ pub enum News {
     Job(JobEvent),
     /// Progress of the drawing, ten times a second.
     Progress(Progress),
-    /// A drawing has begun, or continues after the connection broke.
+    /// A drawing has started, or continues after the connection broke.
     Begun {
-        /// Its name.
+        /// Name of the drawing.
         name: String,
-        /// Its path.
+        /// Path of the drawing.
         drawing: DrawTask,
     },
     /// A task has ended.
@@ -238,7 +238,7 @@ pub struct Snapshot {
     pub status: Option<Status>,
     /// The last sample.
     pub sample: Option<Sample>,
-    /// State of the firmware's path, if it comes from another connection.
+    /// State of the firmware's path, if another connection sent it.
     pub path: Option<PathAck>,
     /// Phase of the task, in words.
     pub phase: Option<String>,
@@ -255,7 +255,7 @@ pub struct Snapshot {
 pub struct MachineOptions {
     /// Whether a task acknowledges an earlier fault, and cancels an abandoned drawing.
     pub acknowledge: bool,
-    /// Whether to retry opening the port from the start, instead of failing.
+    /// Whether to keep retrying, instead of failing, if the port cannot be opened at the start.
     pub patient: bool,
 }
 
@@ -277,7 +277,7 @@ impl Shared {
     }
 }
 
-/// A machine at the end of a port; dropping it closes the port. A firmware that is drawing then holds by itself.
+/// A machine at a port. Dropping it closes the port; a firmware that is drawing then holds by itself.
 #[derive(Debug)]
 pub struct Machine {
     port: PortName,
@@ -310,7 +310,7 @@ impl Machine {
             port: port.clone(),
             source,
         })?;
-        // If no socket can be made, other processes cannot find the machine; it works anyway.
+        // Without a socket other processes cannot find the machine; everything else works.
         let server = ownership.and_then(|_| Server::start(&port, lanes.clone(), shared.clone()).ok());
         Ok(Self {
             port,
@@ -326,33 +326,33 @@ impl Machine {
         &self.port
     }
 
-    /// Gives an order. Exactly one answer comes, or the channel closes when the machine is dropped.
+    /// Sends an order. Exactly one answer arrives, or the channel closes when the machine is dropped.
     pub fn order(&self, order: Order) -> Receiver<Answer> {
         self.lanes.give(order, None, None)
     }
 
-    /// A ticket for what is asked for now and will be ordered with [`order_for`](Self::order_for).
+    /// A ticket for a request made now, to be ordered with [`order_for`](Self::order_for).
     pub fn ticket(&self) -> Ticket {
         self.lanes.ticket()
     }
 
-    /// Whether a stop was ordered after this ticket was taken: what was asked for with it is not carried out any more.
+    /// Whether a stop was ordered after this ticket was taken; orders with such a ticket are refused.
     pub fn is_overtaken(&self, ticket: Ticket) -> bool {
         self.lanes.is_overtaken(ticket)
     }
 
-    /// Gives an order that was requested when the ticket was taken; refused if a stop was ordered since.
+    /// Sends an order that was requested when the ticket was taken; refused if a stop was ordered since.
     pub fn order_for(&self, ticket: Ticket, order: Order) -> Receiver<Answer> {
         self.lanes.give_for(ticket, order, None, None)
     }
 
-    /// Orders a stop; `written` is called, in the machine's thread, once its telegram has been written to the port, or
-    /// cannot be.
+    /// Orders a stop. `written` is called in the machine's thread once the telegram has been written to the port, or
+    /// cannot be written.
     pub fn stop(&self, written: impl FnOnce() + Send + 'static) -> Receiver<Answer> {
         self.lanes.give(Order::Stop, None, Some(Box::new(written)))
     }
 
-    /// Gives an order and waits for its answer.
+    /// Sends an order and waits for its answer.
     ///
     /// # Errors
     /// Why the order was not carried out.
@@ -375,7 +375,7 @@ impl Machine {
             .clone()
     }
 
-    /// Where the machine stands, and what it says of the path that it has; waits until it has said so.
+    /// State of the machine, including the path that the firmware has; waits until both are known.
     ///
     /// # Errors
     /// There is no connection, or the machine does not answer.

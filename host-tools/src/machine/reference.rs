@@ -1,4 +1,4 @@
-//! The reference of a machine that another program has.
+//! Takes the reference of a machine whose port another program has.
 
 use super::{Client, Order, Snapshot};
 use crate::error::{ProgramError, code};

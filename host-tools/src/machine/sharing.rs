@@ -4,8 +4,9 @@
 //! repeats; responses come in any order. A client that follows gets a [`Response`] for everything that is recorded.
 //! Drawings cannot be ordered over the socket: the program whose end holds a drawing has to own the port.
 //!
-//! Invariants: a client can neither block the machine nor another client, nor keep another one out by being idle; a
-//! motion ends with the client that ordered it, however that ends, and nobody else's does; a jog goes on only while the client says, over and over, that it is alive.
+//! Invariants: a client can block neither the machine nor another client, nor keep another one out by being idle. A
+//! motion ends when the client that ordered it ends, for whatever reason, and with no other client. A jog continues
+//! only while its client keeps sending signs of life.
 
 mod client;
 
@@ -30,7 +31,7 @@ use std::time::{Duration, Instant};
 
 /// Version of the socket protocol.
 const VERSION: u16 = 2;
-/// Clients at a time; for one more the client goes that has been idle longest, after this time at the earliest.
+/// Most clients at a time. One more displaces the client that has been idle longest, if idle for `IDLE_MIN`.
 const CLIENTS_MAX: usize = 32;
 const IDLE_MIN: Duration = Duration::from_millis(250);
 /// Longest line, bytes.
@@ -148,16 +149,16 @@ fn listen(listener: &UnixListener, greeting: &Greeting, orders: &Lanes, shared: 
         };
         let (greeting, orders, shared) = (greeting.clone(), orders.clone(), shared.clone());
         std::thread::spawn(move || {
-            // A client that has gone is no error of the owner's.
+            // A client that has gone is not an error of the owner.
             let _ = serve(stream, seat, &greeting, &orders, &shared);
         });
     }
 }
 
-/// A client's place among those that are connected.
+/// The place of one connected client.
 struct Seat {
     stream: UnixStream,
-    /// Since when it has said nothing; `None` while it follows or waits for an answer.
+    /// Time since which the client has sent nothing; `None` while it follows or waits for an answer.
     idle_since: Mutex<Option<Instant>>,
 }
 
@@ -176,7 +177,7 @@ impl Seat {
 struct Seats(Vec<Weak<Seat>>);
 
 impl Seats {
-    /// A place for this client, if need be once another one has been idle for long enough; none where all are busy.
+    /// Finds a place for a client, displacing one that has been idle long enough if necessary; `None` if all are busy.
     fn take(&mut self, stream: &UnixStream, shared: &Shared) -> Option<Arc<Seat>> {
         let stream = stream.try_clone().ok()?;
         while !self.has_room()? {
@@ -191,7 +192,7 @@ impl Seats {
         Some(seat)
     }
 
-    /// Whether one place is free now; nothing where none will be soon.
+    /// Whether a place is free now; `None` if no client is idle.
     fn has_room(&mut self) -> Option<bool> {
         self.0.retain(|seat| seat.strong_count() > 0);
         if self.0.len() < CLIENTS_MAX {
@@ -203,7 +204,7 @@ impl Seats {
         if since.elapsed() < IDLE_MIN {
             return Some(false);
         }
-        // Where it cannot be closed, its client has gone already.
+        // If the stream cannot be closed, its client has already gone.
         let _ = longest.stream.shutdown(Shutdown::Both);
         self.0
             .retain(|seat| !std::ptr::eq(seat.as_ptr(), Arc::as_ptr(&longest)));
@@ -217,7 +218,7 @@ struct Pending {
     answer: Receiver<Answer>,
 }
 
-/// One client, and what it waits for. Its motion ends with it.
+/// One client and its unanswered orders. Its motion ends with it.
 struct Conversation {
     stream: UnixStream,
     seat: Arc<Seat>,
@@ -279,7 +280,7 @@ impl Conversation {
         Ok(())
     }
 
-    /// Tells what there is: news, and answers that have come.
+    /// Sends pending news and answers.
     fn tell(&mut self) -> io::Result<()> {
         if let Some(followed) = &self.followed {
             followed.send(&mut self.stream)?;

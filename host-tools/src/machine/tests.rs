@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
 
-/// Longest wait for anything; what is tested does not depend on it.
+/// Longest wait for anything; no result depends on it.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A port at which one rig after the other answers, each until its line is cut.
@@ -18,7 +18,7 @@ struct Place(PathBuf, UnixListener);
 impl Place {
     fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("etherpen-machine-{name}-{}", std::process::id()));
-        // A test before may have been killed.
+        // An earlier test may have been killed.
         let _ = std::fs::remove_file(&path);
         let listener = UnixListener::bind(&path).expect("the socket can be made");
         Self(path, listener)
@@ -228,7 +228,7 @@ fn a_follower_in_another_process_hears_every_sample_of_a_drawing() {
     assert_eq!(end, Some(NoNews::Closed));
 }
 
-/// A port at which somebody says this, over and over, and listens to nothing.
+/// A port whose other end repeats these bytes and ignores everything it receives.
 fn babble(says: &'static [u8]) -> PortName {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let name = PortName::Tcp(listener.local_addr().unwrap().to_string());
@@ -265,7 +265,7 @@ fn stops_that_come_together_are_all_done() {
     assert_eq!(machine.carry_out(Order::Prepare(Ready::Enabled)), Ok(Reply::Done));
     let answers: Vec<_> = (0..20)
         .map(|_| {
-            // Some come in the same millisecond, some while one before is on its way.
+            // Some arrive in the same millisecond, some while an earlier one is in transit.
             std::thread::sleep(Duration::from_micros(300));
             machine.order(Order::Stop)
         })
@@ -277,7 +277,7 @@ fn stops_that_come_together_are_all_done() {
     assert_eq!(firmware.join().unwrap().commands.last(), Some(&Command::Stop));
 }
 
-/// A program that has been greeted and has said this over the machine's socket; nothing where it is not let in.
+/// A client that was greeted and then sent these lines over the machine's socket; `None` if it was not admitted.
 fn says(machine: &Machine, lines: &str) -> Option<BufReader<UnixStream>> {
     let stream = UnixStream::connect(socket_path(machine.port()).unwrap()).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -314,14 +314,14 @@ fn a_program_that_ends_takes_its_own_motion_with_it_and_nobody_elses_drawing() {
         |news| matches!(news, News::Progress(progress) if progress.vertices > 20),
     );
     for _ in 0..5 {
-        // It is refused, and perhaps has gone before that is said.
+        // It is refused, and may be gone before the refusal is sent.
         assert!(says(&machine, &line_of(1, MOVE)).is_some());
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(drawn.recv_timeout(PATIENCE), Ok(Ok(Reply::Done)));
 
     let news = machine.subscribe(10_000);
-    // The line that is none ends the conversation; its other end still has it open.
+    // The malformed line ends the conversation while the client still has its end open.
     let _open = says(&machine, &(line_of(1, MOVE) + "{\n"));
     let mut result = Ok(());
     wait(&news, |news| match news {

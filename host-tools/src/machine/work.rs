@@ -1,8 +1,8 @@
 //! The machine's handling of orders and events, without clock, port or thread.
 //!
-//! Invariants: every order gets exactly one answer; a motion of a program that has gone ends, and nothing else does; a
-//! broken connection ends every order but a drawing that the firmware may hold, which goes on with an order and with
-//! nothing else.
+//! Invariants: every order gets exactly one answer. When a client program ends, its motion ends and nothing else does.
+//! A broken connection ends every order except a drawing that the firmware may still hold; only an order resumes that
+//! drawing.
 
 use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
@@ -19,17 +19,17 @@ use std::sync::mpsc::Sender;
 
 /// Time between two reports of progress, ms.
 const PROGRESS_MS: u64 = 100;
-/// Stops that may wait for their answer.
+/// Most stops waiting for their answer.
 const STOPS_MAX: usize = 256;
-/// Time in which a firmware says by itself what it holds, ms.
+/// Time within which the firmware reports, unasked, which path it holds, ms.
 const ARRIVAL_MAX_MS: u64 = 500;
 
 /// A task that was ordered.
 struct Active {
     reply: Sender<Answer>,
-    /// The program, if another one, with which it ends.
+    /// Signs of life of the program that ordered the task, if it is another one; the task ends with that program.
     life: Option<Life>,
-    /// What a drawing needs to go on.
+    /// What a drawing needs to continue.
     drawing: Option<Underway>,
 }
 
@@ -50,7 +50,7 @@ struct Jogging {
     next: Option<[f32; 3]>,
 }
 
-/// Stops without an answer. The session repeats the newest one only, so its answer is that of all.
+/// Unanswered stops. The session repeats only the newest one, so its answer answers all of them.
 #[derive(Default)]
 struct Stopping {
     newest: u16,
@@ -118,7 +118,7 @@ impl Work {
         self.job.as_ref().and_then(Job::broken)
     }
 
-    /// Takes that the connection has broken.
+    /// Handles the loss of the connection.
     pub(super) fn lose(&mut self, why: &Failure) {
         let job = self.job.take();
         self.jogging = Jogging::default();
@@ -277,7 +277,7 @@ impl Work {
         }
     }
 
-    /// Resumes what is held; a drawing of an earlier connection is streamed again from the vertex that the firmware
+    /// Resumes the held drawing. A drawing of an earlier connection is streamed again from the vertex that the firmware
     /// expects.
     fn resume(&mut self, reply: Sender<Answer>) {
         let (Some(job), Some(active)) = (&mut self.job, &mut self.active) else {
@@ -360,8 +360,8 @@ impl Work {
         }
     }
 
-    /// Ends a drawing that waits for an order to go on, once it is clear that the firmware does not have it any more; one
-    /// that came to its end while nobody heard it is taken to its end.
+    /// Ends an interrupted drawing once it is clear that the firmware no longer has it. A drawing that the firmware
+    /// finished while it was not connected is completed.
     fn end_forgotten(&mut self, now_ms: u64) {
         let Some(number) = self.interrupted_number() else {
             return;
@@ -383,7 +383,7 @@ impl Work {
         self.forget(&Failure::from(&error));
     }
 
-    /// Ends a drawing that waits for an order to go on.
+    /// Ends an interrupted drawing.
     fn forget(&mut self, why: &Failure) {
         if let Some(active) = self.active.take() {
             self.shared.change(|snapshot| {
@@ -433,7 +433,7 @@ impl Work {
         }
     }
 
-    /// Holds a drawing that still runs on vertices sent before the connection broke: it continues only by an order.
+    /// Holds a drawing that still runs on vertices sent before the connection broke; only an order resumes it.
     fn keep_held(&mut self, mode: Mode) {
         let looking = self.job.as_ref().is_some_and(|job| job.phase() == Phase::Inspecting);
         if self.is_interrupted()
@@ -520,7 +520,7 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
     let report = active.drawing.map(|mut underway| {
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
-        // Parts that an earlier connection saw missing were not drawn by a later one.
+        // Parts that an earlier connection found missing were not drawn by a later one.
         if result.is_ok()
             && let Some(error) = report.verification.verdict().error()
         {

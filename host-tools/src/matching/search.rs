@@ -1,11 +1,11 @@
-//! The search for the least distance at which positions follow a line, a little at a time.
+//! Incremental search for the least distance at which positions follow a line.
 //!
-//! A distance is tried position by position: which parts of the line each of them can reach within the distance, without
-//! going back. The number of those parts can be as large as the number of legs near the position, so a search counts
-//! each look at a leg and each part it keeps, and gives up beyond its limits.
+//! A distance is tried position by position: which parts of the line can each position reach within the distance,
+//! without going back? The number of those parts can be as large as the number of legs near the position, so a search
+//! counts each look at a leg and each part kept, and gives up beyond its limits.
 //!
-//! Invariants: one call makes no more looks than it is allowed, and at most the parts of one position more; the result
-//! does not depend on how the looks are divided among calls; no more than twice the limit of parts is kept.
+//! Invariants: one call takes no more looks than allowed, plus at most those of the parts of one position. The result
+//! does not depend on how the looks are divided among calls. No more than twice the limit of parts are kept.
 
 use super::{BACK_MM, Match, PRECISION_MM, Polyline, Step, distance, nearest_part, within};
 use etherpen::robots::Position;
@@ -14,11 +14,11 @@ use etherpen::robots::Position;
 const FIRST_MM: f64 = 0.02;
 /// Largest distance tried, mm.
 const LARGEST_MM: f64 = 1e5;
-/// A distance at which too many parts would be kept is followed by smaller ones, until it is so close to one that is too
+/// If too many parts would be kept at a distance, smaller ones are tried until it is this close to one that is too
 /// small, mm.
 const CLOSER_MM: f64 = 0.02;
 
-/// What a search may cost.
+/// Limits on the cost of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchLimits {
     /// Looks at a leg from a position.
@@ -38,10 +38,10 @@ impl SearchLimits {
     };
 }
 
-/// How far a search has come.
+/// Progress of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SearchProgress {
-    /// It needs more looks.
+    /// More looks are needed.
     Unfinished,
     /// The match. It is empty, at an infinite distance, for a line without legs and for no positions.
     Found(Match),
@@ -49,7 +49,7 @@ pub enum SearchProgress {
     TooMuch,
 }
 
-/// A part of the line that a position can reach: a leg, and from and to in shares of it.
+/// A part of the line that a position can reach: a leg, and start and end as fractions of it.
 type Part = (u32, [f64; 2]);
 
 /// The parts of the line that the positions can reach.
@@ -76,13 +76,13 @@ impl Reached {
     }
 }
 
-/// Where a look along the legs goes on.
+/// Where a pass along the legs continues.
 #[derive(Clone, Copy, Debug)]
 struct Scan {
     leg: usize,
-    /// The first part of the position before that has not been passed.
+    /// The first part of the previous position that has not been passed.
     start: usize,
-    /// The earliest part of the motion from which the leg's first point can be reached, from the leg before.
+    /// The earliest part of the motion from which the leg's first point can be reached, from the previous leg.
     below: Option<f64>,
 }
 
@@ -99,24 +99,24 @@ pub struct Search {
     enough_mm: Option<f64>,
     /// The smallest distance at which too many parts would be kept, mm.
     costly_mm: f64,
-    /// The distance that is tried, mm.
+    /// The distance being tried, mm.
     reach_mm: f64,
     trial: Reached,
-    /// What can be reached within the smallest distance that is enough.
+    /// What can be reached within the smallest distance known to be enough.
     found: Reached,
     scan: Option<Scan>,
     is_too_much: bool,
-    /// Whether the distance is known and the places are looked for, from the last position back.
+    /// Whether the distance is known and places are being assigned, from the last position back.
     is_placing: bool,
     places_mm: Vec<f64>,
     /// Positions without a place.
     unplaced: usize,
-    /// The place before which the next position has to be, mm.
+    /// The place that the next position must not exceed, mm.
     limit_mm: f64,
 }
 
 impl Search {
-    /// For positions of which the first one is anywhere between two places along the line, mm.
+    /// A search for positions whose first one is anywhere between two places along the line, mm.
     #[must_use]
     pub fn new(steps: Vec<Step>, first_mm: [f64; 2], limits: SearchLimits) -> Self {
         Self {
@@ -151,7 +151,7 @@ impl Search {
         self.trial.parts.capacity() + self.found.parts.capacity()
     }
 
-    /// Goes on with at most so many looks, always on the same line.
+    /// Continues with at most `looks` looks, always on the same line.
     pub fn go_on(&mut self, line: &Polyline, looks: usize) -> SearchProgress {
         let nothing = Match {
             distance_mm: f64::INFINITY,
@@ -192,7 +192,7 @@ impl Search {
         }
     }
 
-    /// Chooses the next distance; `false` where no distance is enough.
+    /// Chooses the next distance; returns false if no distance is enough.
     fn conclude(&mut self, is_enough: bool) -> bool {
         if is_enough {
             self.enough_mm = Some(self.reach_mm);
@@ -214,7 +214,7 @@ impl Search {
         true
     }
 
-    /// Goes on with a smaller distance than one at which too many parts would be kept; whether there is one.
+    /// Continues with a smaller distance than one at which too many parts would be kept; returns whether there is one.
     fn try_closer(&mut self) -> bool {
         self.costly_mm = self.costly_mm.min(self.reach_mm);
         let may = self.enough_mm.is_none() && self.halve();
@@ -226,14 +226,14 @@ impl Search {
         may
     }
 
-    /// Chooses a distance between one that is too small and one at which too many parts would be kept; whether they are
-    /// far enough apart.
+    /// Chooses a distance between one that is too small and one at which too many parts would be kept; returns whether
+    /// they are far enough apart.
     fn halve(&mut self) -> bool {
         self.reach_mm = 0.5 * (self.few_mm + self.costly_mm);
         self.costly_mm - self.few_mm > CLOSER_MM
     }
 
-    /// Whether each position reaches some of the line; `None` where the looks do not suffice to tell.
+    /// Whether each position reaches a part of the line; `None` if the looks are used up first.
     fn try_distance(&mut self, line: &Polyline, until: usize) -> Option<bool> {
         while self.trial.ends.len() < self.steps.len() {
             let index = self.trial.ends.len();
@@ -253,7 +253,7 @@ impl Search {
         Some(true)
     }
 
-    /// Between which places along the line a position may be that does not follow one before it, mm.
+    /// The range along the line for a position that does not follow another one continuously, mm.
     fn span(&self, line: &Polyline, index: usize) -> Option<[f64; 2]> {
         let Some(before) = index.checked_sub(1) else {
             return Some(self.first_mm);
@@ -269,7 +269,7 @@ impl Search {
         Some([low_mm - BACK_MM, high_mm + unseen_mm])
     }
 
-    /// Counts a look at a leg; `false` where none is left.
+    /// Counts a look at a leg; returns false if none is left.
     fn may_look(&mut self, until: usize) -> bool {
         let may = self.looks < until && !self.is_too_much;
         self.looks += usize::from(may);
@@ -285,8 +285,8 @@ impl Search {
         }
     }
 
-    /// Keeps all parts between two places along the line that are near enough to a position; `false` where the looks do
-    /// not suffice.
+    /// Keeps all parts between two places along the line that are near enough to a position; returns false if the looks
+    /// are used up first.
     fn look_between(&mut self, line: &Polyline, index: usize, [low_mm, high_mm]: [f64; 2], until: usize) -> bool {
         let low_mm = low_mm.clamp(0.0, line.length_mm());
         let high_mm = high_mm.clamp(low_mm, line.length_mm());
@@ -315,8 +315,8 @@ impl Search {
         !self.is_too_much
     }
 
-    /// Keeps what a position can reach from the one before, through the cells between the two and the line's legs;
-    /// `false` where the looks do not suffice.
+    /// Keeps what a position can reach from the previous one, through the cells between the two and the line's legs;
+    /// returns false if the looks are used up first.
     fn look_on(&mut self, line: &Polyline, index: usize, until: usize) -> bool {
         let (first, begin) = (self.trial.begin(index - 1), self.trial.begin(index));
         let (from, to): (Position, Position) = (self.steps[index - 1].position, self.steps[index].position);
@@ -360,8 +360,7 @@ impl Search {
         !self.is_too_much
     }
 
-    /// Places the last position that has no place: the nearest one that it can reach and that does not come after the
-    /// next position's.
+    /// Places the last position without a place: at the nearest reachable place that is not after the next position's.
     fn place_last(&mut self, line: &Polyline) {
         let index = self.unplaced - 1;
         let step = &self.steps[index];

@@ -40,8 +40,8 @@ fn fine(points: &[Position]) -> Vec<Position> {
     result
 }
 
-/// The discrete Fréchet distance by its definition (Eiter and Mannila, 1994), between points close together; positions may
-/// begin and end anywhere on the line.
+/// The discrete Fréchet distance by its definition (Eiter and Mannila, 1994), between points close together; positions
+/// may begin and end anywhere on the line.
 fn brute_force_mm(line: &[Position], positions: &[Position]) -> f64 {
     let (line, positions) = (fine(line), fine(positions));
     let mut row: Vec<f64> = Vec::new();
@@ -89,7 +89,7 @@ fn strokes(random: &mut Lcg) -> Vec<(&'static str, Vec<Position>)> {
     ]
 }
 
-/// Positions along a line, each a distance off it that swings up to `most_mm`.
+/// Positions along a line, each off it by a distance that varies up to `most_mm`.
 fn off(points: &[Position], step_mm: f64, most_mm: f64, random: &mut Lcg) -> Vec<Position> {
     let line = Polyline::new(points.to_vec());
     let (period_mm, phase) = (random.between(3.0, 9.0), random.between(0.0, 6.0));
@@ -143,7 +143,7 @@ fn the_distance_is_that_of_a_brute_force_search_on_lines_that_come_close_to_them
 
 #[test]
 fn a_constant_distance_is_found_although_the_neighbour_is_closer() {
-    // To and fro, 0.5 mm apart, each leg 0.45 mm off: 0.05 mm from the next one.
+    // Back and forth, 0.5 mm apart, each leg 0.45 mm off: 0.05 mm from the next one.
     let points: Vec<Position> = (0..20)
         .map(|k| place(if (k + 1) / 2 % 2 == 0 { 0.0 } else { 40.0 }, f64::from(k / 2) * 0.5))
         .collect();

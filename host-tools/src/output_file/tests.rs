@@ -99,7 +99,7 @@ fn one_file_is_known_by_all_its_names() {
         );
     }
     assert!(!is_same_file(&other, &path) && !is_same_file(&folder.0.join("absent"), &path));
-    // A device is no content.
+    // A device has no content.
     assert!(!is_same_file(Path::new("/dev/null"), Path::new("/dev/null")));
 }
 

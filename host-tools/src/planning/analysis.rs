@@ -1,6 +1,6 @@
 //! Analysis of a planned path: peaks, violations of limits, deviation.
 //!
-//! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are asked for.
+//! Speeds, accelerations and jerks are differences of the 1 ms references, which are what the drives are commanded.
 
 use super::track::Track;
 use super::{PlannedSample, Run};
@@ -26,7 +26,7 @@ const _: () = assert!(
     "a run ends with enough references at rest for the last differences"
 );
 
-/// The limits in force.
+/// The limits in use.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Limits {
     /// Speed of each axis, rad/s.
@@ -41,10 +41,9 @@ pub struct Limits {
     pub travel_speed_mm_s: f64,
     /// Acceleration of the platform, mm/s2.
     pub acceleration_mm_s2: f64,
-    /// Vertical speed where the pen is lifted or lowered, mm/s; absent where only the limits of all motion apply.
+    /// Vertical speed where the pen is lifted or lowered, mm/s; absent if only the limits of all motion apply.
     pub pen_speed_mm_s: Option<f64>,
-    /// Vertical acceleration where the pen is lifted or lowered, mm/s2; absent where only the limits of all motion
-    /// apply.
+    /// Vertical acceleration where the pen is lifted or lowered, mm/s2; absent if only the limits of all motion apply.
     pub pen_acceleration_mm_s2: Option<f64>,
     /// Distance from the path with the pen down, mm.
     pub tolerance_mm: f64,

@@ -19,7 +19,7 @@ use etherpen::robots::{GeometryError, JointAngles, Kinematics, KinematicsError, 
 
 /// Longest motion, ms: a day.
 const DURATION_MAX_MS: u64 = 86_400_000;
-/// Horizontal part of a unit tangent from which a leg has a direction.
+/// Least horizontal part of a unit tangent for a leg to have a direction.
 const HORIZONTAL_MIN: f64 = 0.1;
 
 /// One millisecond of a planned path.

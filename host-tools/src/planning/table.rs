@@ -5,7 +5,7 @@ use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use std::io::{self, Write};
 
-/// The references as a table; those at rest at the end are left out.
+/// The references as a table, without those at rest at the end.
 pub struct Table<W> {
     out: W,
     /// Rows that repeat the last one written.
@@ -14,7 +14,7 @@ pub struct Table<W> {
 }
 
 impl<W: Write> Table<W> {
-    /// Begins a table.
+    /// Starts a table.
     ///
     /// # Errors
     /// Errors of the writer.

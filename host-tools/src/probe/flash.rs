@@ -18,7 +18,7 @@ pub struct Flasher {
 
 impl Flasher {
     /// Writes and verifies an image. After a failure it tries once more with the chip held in reset; `retry` is called
-    /// before that. Returns whether the chip had to be held in reset.
+    /// before the second attempt. Returns whether the chip had to be held in reset.
     ///
     /// # Errors
     /// The probe is missing or cannot be opened, or both attempts failed.
@@ -139,7 +139,7 @@ fn unreachable(said: &str) -> Option<ProgramError> {
     if !denied && !absent {
         return None;
     }
-    // A probe that may not be opened is one that probe-rs does not see.
+    // probe-rs does not see a probe that it cannot open.
     let present = probe::st_links(Path::new(probe::USB_DEVICES));
     let message = match present.first() {
         _ if denied => format!("the debug probe may not be opened; {}", probe::UDEV_RULE),

@@ -1,4 +1,4 @@
-//! A recording on the disk that stays readable whatever goes wrong while it is written.
+//! A recording on the disk that stays readable whatever fails while it is written.
 
 use super::recorder::{About, Recorder, Written};
 use crate::error::ProgramError;
@@ -16,7 +16,7 @@ pub struct RecordingFile<'a> {
 }
 
 impl<'a> RecordingFile<'a> {
-    /// Begins the file beside a recording that exists, and replaces that once the beginning is on the disk.
+    /// Starts the file beside an existing recording, and replaces that once the beginning is on the disk.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -34,7 +34,7 @@ impl<'a> RecordingFile<'a> {
         })
     }
 
-    /// Writes, unless an earlier write failed.
+    /// Calls `write`, unless an earlier write failed.
     pub fn write(&mut self, write: impl FnOnce(&mut Recorder<File>) -> io::Result<()>) {
         if self.failed.is_none() {
             self.failed = write(&mut self.recorder).err();
@@ -56,7 +56,7 @@ impl<'a> RecordingFile<'a> {
     /// # Errors
     /// The file could not be written to its end; the message says how much of it can be read.
     pub fn end(mut self) -> Result<Written, ProgramError> {
-        // After a failure too: there may be room for the end of a shorter file.
+        // After a failure too: there may be space for the end of a shorter file.
         let finished = self.recorder.finish();
         let (written, taken) = (self.recorder.written(), self.recorder.taken());
         if let Some(cause) = self.failed.or(finished.err()) {

@@ -358,7 +358,7 @@ impl<'a> Encoder<'a> {
         self.put(&value.to_le_bytes());
     }
 
-    /// Length with the zero at the end, text, zero.
+    /// Writes the length including the final zero, the text, and the zero.
     fn text(&mut self, text: &str) {
         self.word(text.len() as u32 + 1);
         self.out.extend(text.as_bytes());

@@ -232,7 +232,7 @@ impl Kind {
         }
     }
 
-    /// Number of the logical type, if there is one beside the physical type.
+    /// Number of the logical type, if there is one in addition to the physical type.
     fn converted(self) -> Option<i64> {
         match self {
             Self::Text => Some(0),

@@ -57,7 +57,7 @@ impl<R: Source> Playback<R> {
         self.reader.select(from_s.map_or(0, ns), to_s.map_or(u64::MAX, ns));
     }
 
-    /// The configuration that was in force.
+    /// The configuration that was in effect.
     pub fn config(&self) -> Option<Config> {
         let text = std::str::from_utf8(self.reader.attachment("etherpen.toml")?).ok()?;
         toml::from_str(text).ok()

@@ -1,7 +1,7 @@
 //! Writes the firmware's data as they arrive.
 //!
 //! Times in the file are the device's, on a time axis that starts with the recording; after a restart the firmware's
-//! samples continue behind the existing ones. A chunk is closed every second, so a recorder that is killed has written
+//! samples continue after the existing ones. A chunk is closed every second, so a recorder that is killed has written
 //! all but the last one. Invariants: samples are written in order, each once; a gap is recorded before the sample that
 //! follows it.
 

@@ -202,7 +202,7 @@ impl Evaluator {
         }
     }
 
-    /// Takes that samples are missing here.
+    /// Handles a gap: samples are missing here.
     pub fn interrupt(&mut self) {
         self.references_rad.clear();
         self.measured_rad = None;

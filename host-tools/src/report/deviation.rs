@@ -3,12 +3,13 @@
 //! A point is compared with its own stroke, in order along it ([`matching`](crate::matching)); in a drawing with lines
 //! close together, or on top of each other, every point would otherwise be near some neighbour.
 //!
-//! A stroke that comes close to itself very often, as the noise of a digitiser does, would cost time and memory with the
-//! square of its vertices. Where [`limits`] are exceeded, it is compared without its noise, vertices within `THINNED_MM`
-//! of the one before, and where that does not suffice without more, by which each distance is then increased.
+//! A stroke that comes close to itself very often, like the noise of a digitiser, would cost time and memory
+//! proportional to the square of its vertices. If [`limits`] are exceeded, the stroke is compared without its noise:
+//! vertices within `THINNED_MM` of the one before. If that is not enough, it is thinned further, and each distance is
+//! increased by as much.
 //!
-//! Invariants: no distance is taken to a stroke other than the point's own; distances from strokes that were not thinned
-//! are exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
+//! Invariants: a point's distance is taken only to its own stroke; distances from strokes that were not thinned are
+//! exact, and no other is too small by more than twice `THINNED_MM`; memory is bounded by the strokes and the points.
 
 use crate::matching::{Match, Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
 use etherpen::robots::Position;
@@ -18,31 +19,31 @@ use std::collections::HashMap;
 const INK_REACH_MM: f64 = 0.5;
 /// Distance between the points at which intended ink is checked, mm.
 const INK_STEP_MM: f64 = 0.1;
-/// Points of a line of ink are at most this far apart where ink is looked for, mm.
+/// Largest distance between two points of a line of ink where ink is searched, mm.
 const INK_DENSE_MM: f64 = 0.25;
 /// Distance from the straight line between two points beyond which a part of a stroke counts as left out, mm: corners
 /// are rounded by less.
 const LEFT_OUT_MM: f64 = 0.3;
-/// Distance of points from the beginning of their stroke within which they are taken to begin there, mm; others
-/// continue somewhere along the stroke after a hold.
+/// Distance from the beginning of their stroke within which points are assumed to begin there, mm; others continue
+/// somewhere along the stroke after a hold.
 const BEGIN_MM: f64 = 2.0;
-/// Distance within which a line of ink first searches its stroke, mm, and the increase of each further search.
+/// Distance within which a line of ink first searches its stroke, mm, and the factor for each further search.
 const INK_NEAR_MM: f64 = 1.0;
 const INK_FARTHER: f64 = 4.0;
 /// Largest search distance of a line of ink, mm.
 const INK_FAR_MM: f64 = 1e4;
-/// How far back along its stroke a line of ink may begin behind the end of the previous one, mm.
+/// How far before the end of the previous line a line of ink may begin on its stroke, mm.
 const INK_BACK_MM: f64 = 0.5;
 
-/// Vertices of a stroke within this distance of the one before are its noise, mm; and how many times farther they may be
-/// each time that the stroke is thinned further.
+/// Vertices of a stroke within this distance of the one before are its noise, mm; and the factor of that distance each
+/// time the stroke is thinned further.
 const THINNED_MM: f64 = 0.1;
 const THINNED_FARTHER: f64 = 4.0;
-/// A line of so few points needs no limits.
+/// A line with at most this many points needs no limits.
 const POINTS_FEW: usize = 3;
 
-/// What matching points with a stroke may cost: ordinary drawings take about a hundred looks and keep about three parts
-/// for a point.
+/// Limits of matching points with a stroke: ordinary drawings take about a hundred looks and keep about three parts for
+/// a point.
 const fn limits(points: usize) -> SearchLimits {
     SearchLimits {
         looks: 20_000_000 + 1_000 * points,
@@ -141,14 +142,14 @@ impl<'a> Way<'a> {
         self.thinned_mm = (self.thinned_mm * THINNED_FARTHER).max(THINNED_MM);
         let points = thinned(self.points, self.thinned_mm);
         if self.thinned_mm > THINNED_MM {
-            // A stroke near its first point as a whole moves twice as far.
+            // A stroke that lies entirely near its first point moves twice as far.
             self.moved_mm = 2.0 * self.thinned_mm;
         }
         self.line = Polyline::new(points);
     }
 }
 
-/// A moment of a stroke: where the platform was to be, and where it was.
+/// One millisecond of a stroke: where the platform was commanded to be, and where it was.
 #[derive(Clone, Copy)]
 pub(super) struct Moment {
     /// Milliseconds since the firmware started.

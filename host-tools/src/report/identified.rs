@@ -1,4 +1,4 @@
-//! Identification of the drives on a machine: the test motion driven with the present values and with those found.
+//! Identification of the drives on a machine: the test motion run with the present values and with those found.
 //!
 //! Invariant: only values that the second test motion has tried are stored.
 
@@ -20,7 +20,7 @@ pub struct Change {
     pub before: f64,
     /// Value found.
     pub after: f64,
-    /// One standard deviation; absent where the value was not measured itself.
+    /// One standard deviation; absent if the value itself was not measured.
     pub uncertainty: Option<f64>,
 }
 
@@ -116,8 +116,8 @@ impl Identified {
     }
 }
 
-/// Drives the test motion, measures delay and gain of the drives, and drives it again with the values found. `only`
-/// limits the changes to one axis, from 0; `drive` drives the test motion of a configuration.
+/// Runs the test motion, measures delay and gain of the drives, and runs the motion again with the values found. `only`
+/// limits the changes to one axis, from 0; `drive` runs the test motion of a configuration.
 ///
 /// # Errors
 /// Errors of `drive`, a needed axis without an estimate, or a value found that is out of bounds.

@@ -35,15 +35,15 @@ use serde::Serialize;
 pub struct AxisLimits {
     /// Highest speed, rad/s.
     pub speed_rad_s: f64,
-    /// Its limit, rad/s.
+    /// Limit of the speed, rad/s.
     pub speed_limit_rad_s: f64,
     /// Highest acceleration, rad/s2.
     pub acceleration_rad_s2: f64,
-    /// Its limit, rad/s2.
+    /// Limit of the acceleration, rad/s2.
     pub acceleration_limit_rad_s2: f64,
     /// Highest jerk, rad/s3.
     pub jerk_rad_s3: f64,
-    /// Its limit, rad/s3: 2 A / T with the jerk window T; `null` without a window.
+    /// Limit of the jerk, rad/s3: 2 A / T with the jerk window T; `null` without a window.
     pub jerk_limit_rad_s3: Option<f64>,
 }
 
@@ -58,7 +58,7 @@ pub struct PlatformLimits {
     pub travel_speed_limit_mm_s: f64,
     /// Highest acceleration, mm/s2.
     pub acceleration_mm_s2: f64,
-    /// Its limit, mm/s2.
+    /// Limit of the acceleration, mm/s2.
     pub acceleration_limit_mm_s2: f64,
 }
 
@@ -159,7 +159,7 @@ pub struct Report {
 
 /// Data for a report.
 pub struct Evidence<'a> {
-    /// The configuration that was in force.
+    /// The configuration that was in effect.
     pub config: &'a Config,
     /// The intended path.
     pub path: &'a [Vertex],

@@ -21,21 +21,21 @@ const PEN_WIDTH_MM: f64 = 0.5;
 /// Resolution of `drawn.png`, pixels a millimetre.
 const PIXELS_PER_MM: f64 = 8.0;
 
-/// Everything a run leaves behind.
+/// Everything that a run produces.
 pub struct Outcome<'a> {
-    /// The configuration that was in force.
+    /// The configuration that was in effect.
     pub config: &'a Config,
     /// What was to be drawn.
     pub prepared: &'a Prepared,
-    /// What the job collected.
+    /// Data collected by the job.
     pub job: &'a JobReport,
-    /// The virtual cell and what it is made of, unless a real machine drew.
+    /// The virtual cell and its options, unless a real machine drew.
     pub cell: Option<(&'a Cell, &'a CellOptions)>,
-    /// Name or hash of what ran.
+    /// Name or hash of the firmware.
     pub image: String,
-    /// Planner's duration, s; not a number where the path cannot be planned.
+    /// Planned duration, s; NaN if the path cannot be planned.
     pub planned_s: f64,
-    /// Whether the job ended as it should.
+    /// Whether the job was completed.
     pub completed: bool,
 }
 
@@ -98,7 +98,7 @@ impl<'a> Outcome<'a> {
         report
     }
 
-    /// What the firmware counted: on a real machine since the drawing began, which may have run for days before.
+    /// The firmware's counters: on a real machine since the drawing began, because the firmware may have run for days.
     fn counters(&self) -> Counters {
         let counters = |status: &Option<Status>| status.as_ref().map(|status| status.counters).unwrap_or_default();
         let last = counters(&self.job.status);
@@ -122,7 +122,7 @@ impl<'a> Outcome<'a> {
         }
     }
 
-    /// Virtual time of an instruction, ns, where instructions are counted: in the emulator in lockstep with the cell.
+    /// Virtual time of an instruction, ns, if instructions are counted: in the emulator in lockstep with the cell.
     fn ns_per_instruction(&self) -> Option<f64> {
         let emulated = self
             .job
@@ -148,8 +148,8 @@ impl<'a> Outcome<'a> {
         recorder.finish().map(|_| ())
     }
 
-    /// Writes pictures, tables and figures into a folder. Every file is complete before the first one takes its name:
-    /// a disk that is full leaves the results of the last run.
+    /// Writes pictures, tables and figures into a folder. Every file is complete before the first one takes its name: a
+    /// full disk leaves the results of the last run.
     ///
     /// # Errors
     /// The file that could not be written.
@@ -190,17 +190,17 @@ impl<'a> Outcome<'a> {
     }
 }
 
-/// A file of the output folder that is written while a drawing runs, and takes its name when the results do.
+/// A file in the output folder that is written during a drawing, and takes its name together with the results.
 pub struct Growing {
     path: PathBuf,
     out: OutputFile,
 }
 
 impl Growing {
-    /// Begins the file; what is written into the sink goes into it.
+    /// Creates the file; the sink writes into it.
     ///
     /// # Errors
-    /// It cannot be made.
+    /// The file cannot be created.
     pub fn create(dir: &Path, name: &str) -> Result<(Self, Sink), ProgramError> {
         let (path, out) = (dir.join(name), create(dir, name)?);
         let stream = out.stream().map_err(|cause| unwritable(&path, &cause))?;
@@ -210,7 +210,7 @@ impl Growing {
     /// Completes the file; the sink has been flushed.
     ///
     /// # Errors
-    /// It is not on the disk; the last good file stays.
+    /// The content is not on the disk; the last good file stays.
     pub fn commit(self) -> Result<(), ProgramError> {
         self.out.commit().map_err(|cause| unwritable(&self.path, &cause))
     }
@@ -219,12 +219,12 @@ impl Growing {
 /// The capture's file in the output folder.
 ///
 /// # Errors
-/// The file cannot be made.
+/// The file cannot be created.
 pub fn capture(dir: &Path) -> Result<(Growing, Sink), ProgramError> {
     Growing::create(dir, "bus.pcapng")
 }
 
-/// Writes the results of a run, also of one that failed, and gives its report. `results` are the folder and the files that
+/// Writes the results of a run, even a failed one, and returns its report. `results` are the folder and the files that
 /// have grown in it.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! The deviation of every style's drawing, against the planner's own analysis and against a brute-force search.
+//! The deviation of every style's drawing, compared with the planner's own analysis and a brute-force search.
 
 use super::output::conclude;
 use super::{Report, Row, drawn_part, rows, strokes};
@@ -19,9 +19,9 @@ use etherpen::robots::Position;
 const FINE_MM: f64 = 0.02;
 /// Longest stroke that is searched, mm.
 const SEARCHED_MAX_MM: f64 = 60.0;
-/// Feedback gain around the firmware's own velocity loop, 1/s.
+/// Feedback gain with the firmware's own velocity loop, 1/s.
 const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
-/// Farthest that ink may lie from its stroke where the drives close the velocity loop, and where they do not, mm.
+/// Largest distance of ink from its stroke if the drives close the velocity loop, and if they do not, mm.
 const INK_MAX_MM: f64 = 0.15;
 const INK_BY_TORQUE_MAX_MM: f64 = 1.5;
 
@@ -50,7 +50,7 @@ fn in_order_mm(stroke: &[Position], positions: &[Position]) -> f64 {
     best.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// Least possible largest distance of the positions from their stroke, over all strokes that are short enough.
+/// Least possible largest distance of the positions from their stroke, over all strokes short enough to be searched.
 fn searched_mm(
     config: &Config,
     samples: &[Sample],
@@ -70,7 +70,7 @@ fn searched_mm(
     .fold(0.0, f64::max)
 }
 
-/// Draws a photograph in a style and holds the report against the planner and the search.
+/// Draws a photograph in a style and compares the report with the planner and the search.
 fn check(style: &str, mode: AxisMode) {
     let mut config = Config::default();
     for axis in config.axes.iter_mut().filter(|_| mode == AxisMode::Torque) {

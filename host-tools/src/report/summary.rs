@@ -38,7 +38,7 @@ pub fn summarise(report: &Report, dir: Option<&Path>) {
     }
 }
 
-/// A text in green, or in red where it is not as it should be.
+/// A text in green, or in red if it is not as it should be.
 fn good(ok: bool, text: String) -> String {
     in_colour(&text, if ok { "32" } else { "1;31" })
 }

@@ -36,7 +36,7 @@ pub struct Jitter {
 /// Execution times, load and jitter since the bus came up; `null` where nothing was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
-    /// Instructions of the task `sample`, the lockstep left out.
+    /// Instructions of the task `sample`, without the lockstep.
     pub sample_instructions: Option<Spread>,
     /// Instructions of all critical tasks in a millisecond.
     pub critical_path_instructions: Option<Spread>,

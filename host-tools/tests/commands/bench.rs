@@ -1,4 +1,4 @@
-//! The figures' format, with those that need nothing built.
+//! The format of the figures, checked with those that need no build.
 
 use crate::program::{Folder, etherpen, run};
 use host_tools::error::code;

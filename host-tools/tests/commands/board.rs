@@ -50,7 +50,7 @@ fn good_image(folder: &Folder) -> PathBuf {
     folder.file("nucleo", image(EM_ARM, FLASH, [STACK, ENTRY]))
 }
 
-/// A program of this name that records its arguments and then does `body`.
+/// A program with this name that records its arguments and then runs `body`.
 fn stand_in(folder: &Folder, bin: &Path, name: &str, body: &str) {
     let calls = folder.join("calls");
     let text = format!("#!/bin/sh\necho {name} \"$@\" >> '{}'\n{body}\n", calls.display());
@@ -63,7 +63,7 @@ fn calls(folder: &Folder) -> String {
     fs::read_to_string(folder.join("calls")).unwrap_or_default()
 }
 
-/// A folder with a stand-in for probe-rs, and the program started with nothing else of this kind in reach.
+/// A folder with a stand-in for probe-rs, and the program started with no other such tool on its path.
 fn with_probe_rs(folder: &Folder, body: &str, words: &[&str]) -> Command {
     let bin = folder.join("bin");
     fs::create_dir_all(&bin).expect("a folder for programs");

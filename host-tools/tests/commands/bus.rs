@@ -1,4 +1,4 @@
-//! `etherpen bus` over the link: a firmware that answers from a list, as a person and as a program see it.
+//! `etherpen bus` over the link: a firmware that answers from a list; output for people and for programs.
 
 use crate::program::{Folder, etherpen, run};
 use etherpen::ethercat::diagnostics::{
@@ -31,7 +31,7 @@ const LONG: [u8; 600] = {
     bytes
 };
 
-/// What the firmware answers; slaves count from 0 here.
+/// Answer of the firmware; slaves count from 0 here.
 fn answer(request: &ServiceRequest) -> ServiceResult {
     Ok(match *request {
         ServiceRequest::Bus => ServiceReply::Bus(BusInfo {
@@ -130,7 +130,7 @@ fn upload(object: Object, offset: u16) -> ServiceResult {
     })
 }
 
-/// The cable between slaves 2 and 3 is bad, as slave 3 sees it.
+/// The cable between slaves 2 and 3 is damaged, as counted by slave 3.
 fn errors(slave: u8) -> SlaveErrors {
     let mut errors = SlaveErrors {
         partners: [
@@ -160,7 +160,7 @@ struct Firmware {
 }
 
 impl Firmware {
-    /// Busy as often as told before each answer.
+    /// A firmware that reports that it is busy this many times before each answer.
     fn new(busy: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = format!("tcp:{}", listener.local_addr().expect("an address"));
@@ -172,7 +172,7 @@ impl Firmware {
         Self { port, asked, thread }
     }
 
-    /// What it was asked, once the program has ended.
+    /// The requests received, once the program has ended.
     fn asked(self) -> Vec<ServiceRequest> {
         self.thread.join().expect("the firmware ends with the connection");
         self.asked.lock().expect("nobody panics with it").clone()
@@ -228,7 +228,7 @@ fn serve(mut client: &TcpStream, busy: usize, asked: &Mutex<Vec<ServiceRequest>>
     }
 }
 
-/// Runs `etherpen bus` on such a firmware: exit code, stdout, stderr, what was asked.
+/// Runs `etherpen bus` on such a firmware: exit code, stdout, stderr, requests received.
 fn bus(words: &[&str]) -> (Option<i32>, String, String, Vec<ServiceRequest>) {
     let folder = Folder::new();
     let firmware = Firmware::new(0);

@@ -1,4 +1,4 @@
-//! `etherpen bus` with this computer's master, on segments that are programs of their own.
+//! `etherpen bus` with this computer's master, on segments in separate processes.
 
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen, run};
@@ -6,7 +6,7 @@ use crate::segment::Segment;
 use host_tools::error::code;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Runs `etherpen bus` over a way: stdout.
+/// Runs `etherpen bus` with these options for the connection; returns stdout.
 fn bus(folder: &Folder, way: &[&str], words: &[&str]) -> String {
     let (status, stdout, stderr) = run(etherpen(folder).arg("bus").args(words).args(way));
     assert_eq!(status, Some(0), "{words:?}: {stderr}");
@@ -47,7 +47,7 @@ fn the_commands_tell_what_is_there(folder: &Folder, way: &[&str]) {
     assert_eq!(errors[2]["ports"][0]["cable"], "between slave 2 and 3");
 }
 
-/// Slave 2 is in PREOP, brought there by another program.
+/// Slave 2 is in PREOP, set by another program.
 fn the_dictionary_is_listed(folder: &Folder, way: &[&str]) {
     let list = json(folder, way, &["sdo", "list", "2"]);
     let objects = list["objects"].as_array().expect("a list");

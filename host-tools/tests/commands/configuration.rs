@@ -1,4 +1,4 @@
-//! What is asked of the program itself: its configuration, completions and manual pages.
+//! Output of the program about itself: its configuration, completions and manual pages.
 
 use crate::program::{Folder, etherpen, run};
 use host_tools::error::code;

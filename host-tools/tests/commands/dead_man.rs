@@ -1,4 +1,4 @@
-//! The dead man's switch behind a program that has the port: a client that is stopped stops the robot.
+//! The dead-man switch behind a program that has the port: a suspended client stops the robot.
 
 use crate::program::{Folder, Running, etherpen, run, wait_until};
 use etherpen::config::Config;
@@ -7,10 +7,11 @@ use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::error::code;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Speed below which a joint stands, rad/s; at 20 mm/s the fastest has 0.04.
+/// Speed below which a joint counts as at rest, rad/s; at 20 mm/s the fastest has 0.04.
 const STANDS_RAD_S: f64 = 5e-3;
-/// Longest time, by the cell's clock, from the client's standstill to the motors', ms: the firmware's dead-man time, a sign
-/// of life on its way and the ramp; the rest is for a computer on which the port's owner is not run for a while.
+/// Longest time, by the cell's clock, from the client's stop to the motors' standstill, ms: the firmware's dead-man
+/// time, a sign of life in transit and the ramp; the rest allows for a computer that does not schedule the port's owner
+/// for a while.
 const STOP_MAX_MS: u64 = 1_000;
 
 struct Rig {

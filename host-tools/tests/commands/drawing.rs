@@ -1,4 +1,4 @@
-//! From a file to strokes, as a person meets it: vectorize, order, preview, and what they refuse.
+//! From a file to strokes, as a user runs it: vectorize, order, preview, and what they refuse.
 
 use crate::program::{Folder, etherpen, run, strokes};
 use host_tools::drawing::{Artwork, read_svg};
@@ -15,7 +15,7 @@ fn json(text: &str) -> Value {
     serde_json::from_str(text).expect("one JSON document and nothing else")
 }
 
-/// Ink by places: for each square of a millimetre how much line lies in it, mm.
+/// Length of ink in each square millimetre, mm.
 fn ink(artwork: &Artwork) -> Vec<f64> {
     let mut squares = vec![0.0; 300 * 300];
     for stroke in &artwork.strokes {

@@ -1,4 +1,4 @@
-//! The command line with the emulator: a drawing over the port, and ends that leave nothing behind.
+//! The command line with the emulator: a drawing over the port, and exits that leave nothing behind.
 
 use crate::program::{Folder, Running, emulator_of, etherpen, run, runs, strokes, wait_until};
 use host_tools::error::code;
@@ -137,7 +137,7 @@ fn an_emulator_ends_with_its_program_whatever_ends_that() {
     send(program.id(), Signal::TERM);
     program.end();
     wait_until_all_is_gone(emulator, &folder);
-    // Nobody can act on this signal; the emulator may not have started its firmware yet.
+    // This signal cannot be handled; the emulator may not have started its firmware yet.
     let (mut program, emulator, _) = emulate(&folder);
     send(program.id(), Signal::KILL);
     program.end();
@@ -179,7 +179,7 @@ fn a_demo_whose_emulator_dies_says_so_and_leaves_no_process() {
     wait_until_all_is_gone(emulator, &folder);
 }
 
-/// A machine and what is told it.
+/// A machine that receives commands.
 struct Told<'a> {
     folder: &'a Folder,
     port: &'a str,
@@ -248,7 +248,7 @@ fn a_drawing_is_worked_with_from_another_terminal_and_goes_on_after_its_program_
     machine.refused(&["hold"], code::FAILED, "the drawing is held");
     machine.refused(&["enable"], code::FAILED, "at work");
     machine.done(&["override", "50"]);
-    // What the drawing's program tells is the firmware's last status.
+    // The drawing's program reports the firmware's last status.
     wait_until("half the speed", || machine.status()["override_percent"] == 50);
     machine.done(&["resume"]);
     machine.wait_for_mode("Drawing");
@@ -279,7 +279,7 @@ fn a_reference_is_taken_through_the_program_that_has_the_port() {
     let mut command = etherpen(&folder);
     let mut owner = Running::start(command.args(["record", "-o", "run.mcap", "--port", &port]));
     let pid = owner.id();
-    // Whoever asks before it has the port would have it, and the recorder would follow that.
+    // A command given before the recorder has the port would take the port, and the recorder would follow that program.
     owner.wait_for("port", |owner| owner.stderr().contains("connected:").then_some(()));
     let (status, stdout, stderr) = machine.tell(&["reference", "--port", &port, "--json"]);
     assert_eq!(status, Some(0), "{stderr}");
@@ -306,7 +306,7 @@ fn a_reference_is_taken_through_the_program_that_has_the_port() {
     );
     send(pid, Signal::INT);
     assert_eq!(owner.end().code(), Some(0), "{}", owner.stderr());
-    // The same without an owner.
+    // Also without an owner.
     machine.done(&["reference", "--port", &port]);
 }
 

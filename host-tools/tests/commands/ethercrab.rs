@@ -1,4 +1,4 @@
-//! ethercrab, a master by other people, on the virtual segment: one cable, two network namespaces.
+//! ethercrab, an independent master, on the virtual segment: one cable, two network namespaces.
 
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen};
@@ -10,7 +10,7 @@ use std::task::{Context, Poll, Wake, Waker};
 use std::thread::Thread;
 use std::time::Duration;
 
-/// Cycles that have to pass without a wrong working counter.
+/// Cycles required without a wrong working counter.
 const CYCLES: usize = 10_000;
 const DRIVES: usize = 4;
 /// Room for slaves; a power of two.
@@ -19,13 +19,13 @@ const SLAVES_MAX: usize = 16;
 const IMAGE_BYTES: usize = 64;
 /// Every drive is read (1) and written (2).
 const WORKING_COUNTER: u16 = 3 * DRIVES as u16;
-/// Cycles in which the drives have to follow a control word.
+/// Most cycles until the drives follow a control word.
 const OBEY_CYCLES_MAX: usize = 2_000;
 /// Velocity demand, digits; 140 are one revolution of the motor in a minute.
 const DEMAND: i32 = 14_000;
 
-/// Divider of the process-data watchdog: 100 us (register 0x0400), and the watchdog in such units: 6 s. A computer under
-/// load stops this program for longer than the usual 100 ms.
+/// Divider of the process-data watchdog, 100 us (register 0x0400), and the watchdog in these units, 6 s: a computer
+/// under load stops this program for longer than the default 100 ms.
 const WATCHDOG_DIVIDER: (u16, u16) = (0x0400, 2_498);
 const WATCHDOG_TIME: (u16, u16) = (0x0420, 60_000);
 
@@ -53,13 +53,13 @@ fn drive<T>(mut driver: Pin<&mut impl Future>, work: impl Future<Output = T>) ->
     }
 }
 
-/// What a drive says: position and CiA 402 status word.
+/// Inputs of a drive: position and CiA 402 status word.
 fn inputs(bytes: &[u8]) -> (i32, u16) {
     let position = i32::from_le_bytes(bytes[..4].try_into().expect("four bytes"));
     (position, u16::from_le_bytes([bytes[4], bytes[5]]))
 }
 
-/// What a drive is told: velocity demand and control word.
+/// Outputs to a drive: velocity demand and control word.
 fn outputs(demand: i32, control: u16) -> [u8; 6] {
     let mut bytes = [0; 6];
     bytes[..4].copy_from_slice(&demand.to_le_bytes());
@@ -67,7 +67,7 @@ fn outputs(demand: i32, control: u16) -> [u8; 6] {
     bytes
 }
 
-/// From nothing to drives that turn; gives the cycles and the wrong working counters.
+/// From power-up to turning drives; returns the cycles and the wrong working counters.
 async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
     let group = maindevice
         .init_single_group::<SLAVES_MAX, IMAGE_BYTES>(ethercat_now)

@@ -1,5 +1,5 @@
-//! A drawing whose pen was not where the path wanted it: it does not count as drawn, and goes on from the log with the
-//! options of then. The truth is the ink.
+//! A drawing whose pen left its path: it does not count as drawn, and is resumed from the log with its original
+//! options. The ink is the reference.
 
 use crate::program::{Folder, etherpen, run};
 use etherpen::config::Config;
@@ -12,16 +12,16 @@ use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 
-/// Farthest that a point of ink may lie from the other run's ink, mm.
+/// Largest distance of a point of ink from the other run's ink, mm.
 const SAME_MM: f64 = 0.1;
-/// Drives that follow so badly leave their line by more than this, mm.
+/// Drives that follow this badly leave their line by more than this, mm.
 const BESIDE_MM: f64 = 1.0;
 
 fn cell() -> VirtualCell {
     VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated).expect("the cell starts")
 }
 
-/// Zigzags of which each is a stroke.
+/// Zigzags, each of them one stroke.
 fn svg() -> String {
     let mut text =
         "<svg xmlns='http://www.w3.org/2000/svg' width='120mm' height='80mm' viewBox='0 0 120 80'>".to_owned();
@@ -38,7 +38,7 @@ fn svg() -> String {
     text + "</svg>"
 }
 
-/// Controllers that let the joints lag and see nothing wrong in it.
+/// Controllers that let the joints lag without detecting a fault.
 fn weak() -> Config {
     let mut config = Config::default();
     for axis in &mut config.axes {
@@ -95,11 +95,11 @@ fn a_drawing_that_was_not_followed_ends_with_code_8_and_goes_on_by_the_jobs_name
     let job = jobs[1]["job"].as_str().expect("a name");
     assert_eq!(jobs[1]["completed"], false, "{jobs}");
 
-    // The options are the job's: given once more without the file they are a mistake, which is told.
+    // The options come from the job: repeating them without the file is an error.
     let (status, _, stderr) = draw(&cell, &["--resume", job, "--rotate", "90"]);
     assert_eq!(status, Some(i32::from(code::USAGE)), "{stderr}");
     assert!(stderr.contains("leave them out"), "{stderr}");
-    // The better configuration costs the reference; somebody measures where the platform stands.
+    // The better configuration loses the reference; a person measures the position of the platform.
     let (status, _, stderr) = draw(&cell, &["--resume", job]);
     assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
     assert!(stderr.contains("another configuration"), "{stderr}");
@@ -122,7 +122,7 @@ fn a_drawing_that_was_not_followed_ends_with_code_8_and_goes_on_by_the_jobs_name
 /// Share of bytes on their way to the host that are damaged, per million.
 const DAMAGED_PER_MILLION: u32 = 1_500;
 
-/// Copies bytes until the line ends; gives the number of damaged ones.
+/// Copies bytes until the line ends; returns the number of damaged ones.
 fn pass_on(mut from: UnixStream, mut to: UnixStream, damaged_per_million: u32) -> u32 {
     let (mut buffer, mut state, mut damaged) = ([0; 4096], 0x9E37_79B9_u32, 0);
     while let Ok(count @ 1..) = from.read(&mut buffer) {
@@ -139,13 +139,13 @@ fn pass_on(mut from: UnixStream, mut to: UnixStream, damaged_per_million: u32) -
             break;
         }
     }
-    // The other direction ends with this one; a line that is down already needs no more.
+    // The other direction ends with this one; a line that is already down needs nothing more.
     let _ = from.shutdown(std::net::Shutdown::Both);
     let _ = to.shutdown(std::net::Shutdown::Both);
     damaged
 }
 
-/// A line to the cell that damages what the firmware says, for one connection; gives what it has damaged.
+/// A line to the cell that damages the firmware's bytes, for one connection; returns the number of damaged ones.
 fn bad_line(socket: &Path, cell: &VirtualCell) -> std::thread::JoinHandle<u32> {
     let listener = UnixListener::bind(socket).expect("a socket");
     let PortName::Unix(firmware) = cell.port() else {

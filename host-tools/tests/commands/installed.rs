@@ -1,4 +1,4 @@
-//! The program away from its sources, and on a computer whose package manager is busy.
+//! The program without its sources, and on a computer whose package manager is busy.
 
 use crate::program::{Folder, etherpen, run};
 use host_tools::error::code;
@@ -85,7 +85,7 @@ fn set_up_waits_for_another_package_manager_and_says_for_which() {
         symlink(format!("/usr/bin/{tool}"), bin.join(tool)).expect("a tool");
     }
     script("id", "echo 0");
-    // Locked twice, as a fresh system's upgrades do; then it installs an emulator that is too old.
+    // Locked twice, as by a fresh system's upgrades; then it installs an emulator that is too old.
     script(
         "apt-get",
         "[ \"$1\" = --version ] && exit 0\n\

@@ -1,10 +1,10 @@
-//! The command line as a person meets it: outputs, messages and exit codes.
+//! The command line as a user runs it: outputs, messages and exit codes.
 //!
-//! The commands that need no emulator are tried here, those that do in `emulator`.
+//! The commands that need no emulator are tested here, the others in `emulator`.
 
 mod bus;
 mod bus_end_to_end;
-// The tests there look at processes by way of /proc.
+// The tests there read the state of processes from /proc.
 mod bench;
 mod board;
 mod calibration;
@@ -87,7 +87,7 @@ const TELEMETRY: &str = "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm,\
     q3_ref_rad,q3_rad,v3_ref_rad_s,v3_rad_s,q4_ref_rad,q4_rad,v4_ref_rad_s,v4_rad_s";
 const INTENDED: &str = "stroke,x_mm,y_mm,z_mm";
 
-/// Nothing listens at this port of the loopback interface.
+/// Nothing listens on this port of the loopback interface.
 const NOBODY: &str = "tcp:127.0.0.1:1";
 
 #[test]
@@ -175,7 +175,7 @@ fn a_file_that_cannot_be_drawn_is_named_with_what_to_try_and_nothing_is_written(
         ),
     ];
     let out = folder.join("out");
-    // Neither a connection nor a tool is asked for before the file is known to be good.
+    // Neither a connection nor a tool is tried before the file is known to be valid.
     let nowhere = folder.join("nowhere");
     for (file, hint) in &cases {
         let name = file.file_name().and_then(|name| name.to_str()).expect("a name");
@@ -231,7 +231,7 @@ fn a_configuration_that_cannot_be_used_is_named_with_the_place_in_it() {
         );
         assert!(!out.exists());
     }
-    // The file of this name in the present folder is used without being asked for.
+    // The file with this name in the current folder is used without an option.
     folder.file("etherpen.toml", cases[1].0);
     let (status, _, stderr) = run(etherpen(&folder).arg("simulate").arg(strokes()));
     assert_eq!(status, Some(i32::from(code::USAGE)));

@@ -1,6 +1,6 @@
-//! Two network namespaces with a cable between them, for root; removed with their owner.
+//! Two network namespaces with a cable between them; needs root; removed when dropped.
 //!
-//! Without rights the tests that need one say so and are skipped; for root that is a failure.
+//! Without permission, tests that need one print that and are skipped; for root that is a failure.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -29,7 +29,7 @@ fn ip(words: &str) -> Result<String, String> {
     }
 }
 
-/// Removes what tests have left behind that were killed.
+/// Removes what killed tests have left behind.
 fn tidy() {
     let listed = ip("netns list").unwrap_or_default();
     for name in listed.lines().filter_map(|line| line.split_whitespace().next()) {
@@ -42,12 +42,12 @@ fn tidy() {
 }
 
 impl Network {
-    /// A network; `None`, said aloud, where this user may not make one.
+    /// A network; `None`, with a message, if this user cannot create one.
     pub(crate) fn new(test: &str) -> Option<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         static SETUP: Mutex<()> = Mutex::new(());
         if !rustix::process::geteuid().is_root() {
-            // Past the test harness, which keeps the output of tests that pass to itself.
+            // Bypasses the test harness, which hides the output of tests that pass.
             let _ = writeln!(
                 std::io::stderr(),
                 "SKIPPED {test}: it makes network namespaces, which takes root"
@@ -77,7 +77,7 @@ impl Network {
         }
         std::thread::scope(|scope| {
             for end in 0..network.namespaces.len() {
-                // A kernel without IPv6 has nothing to switch off.
+                // A kernel without IPv6 has nothing to disable.
                 network.spawn(scope, end, || {
                     fs::write("/proc/sys/net/ipv6/conf/all/disable_ipv6", "1").ok()
                 });
@@ -118,7 +118,7 @@ impl Network {
 impl Drop for Network {
     fn drop(&mut self) {
         for name in &self.namespaces {
-            // The cable goes with its ends; what remains is tidied away by the next test.
+            // The cable is removed with its ends; the next test removes the rest.
             let _ = ip(&format!("netns delete {name}"));
         }
     }

@@ -1,4 +1,4 @@
-//! What a command writes is whole or not at all, and never one of the files that it reads.
+//! A command writes its output completely or not at all, and never over a file that it reads.
 
 use crate::program::{Folder, etherpen, run, strokes};
 use host_tools::error::code;
@@ -9,7 +9,7 @@ use std::process::Command;
 const LINES: &str = "<svg xmlns='http://www.w3.org/2000/svg' width='60mm' height='60mm' viewBox='0 0 60 60'>\
     <path d='M5 5H40' stroke='red'/><path d='M5 20H40' stroke='red'/><path d='M5 10H40' stroke='blue'/></svg>";
 
-/// Names of a folder's files, hidden ones too.
+/// Names of a folder's files, including hidden ones.
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("a folder").flatten();
     let mut names: Vec<String> = entries
@@ -75,7 +75,7 @@ fn no_command_overwrites_a_file_that_it_reads_under_any_of_its_names() {
     ];
     for (input, words, more) in cases {
         let before = fs::read(input).expect("the input");
-        // A plot's name ends as its form does.
+        // The extension of a plot selects its format.
         let end = if words[0] == "plot" || words[0] == "preview" {
             "svg"
         } else {
@@ -117,14 +117,14 @@ fn no_command_overwrites_a_file_that_it_reads_under_any_of_its_names() {
             LINES
         );
     }
-    // Standard input that is the file.
+    // Standard input is the output file.
     let input = fs::File::open(&svg).expect("the input");
     let (status, _, stderr) = run(etherpen(&folder).args(["order", "-", "-o", "lines.svg"]).stdin(input));
     assert_eq!(status, Some(i32::from(code::USAGE)), "{stderr}");
 }
 
-/// The program, whose files may be this long, in blocks of the shell; without `killed` a write beyond fails as on a full
-/// disk, with it the kernel ends the program there.
+/// The program with a limit on the size of its files, in the shell's blocks. Without `killed`, a write beyond the limit
+/// fails as on a full disk; with it, the kernel ends the program there.
 fn limited(folder: &Folder, blocks: u32, killed: bool, words: &[&str]) -> Command {
     let program = etherpen(folder);
     let trap = if killed { "" } else { "trap '' XFSZ; " };
@@ -144,8 +144,8 @@ fn limited(folder: &Folder, blocks: u32, killed: bool, words: &[&str]) -> Comman
     command
 }
 
-/// Runs a command with ever more room, after a good run and after none, until it succeeds; its outputs are always the last
-/// good ones or the new ones.
+/// Runs a command with more and more space, with and without an earlier good run, until it succeeds. Its outputs are
+/// always the last good ones or the new ones.
 fn survives(folder: &Folder, words: &[&str], outputs: &[&str], steps: &[u32]) {
     let (status, _, stderr) = run(etherpen(folder).args(words));
     assert_eq!(status, Some(0), "{words:?}: {stderr}");
@@ -187,7 +187,7 @@ fn survives(folder: &Folder, words: &[&str], outputs: &[&str], steps: &[u32]) {
             }
         }
         assert!(failures > 0, "{words:?}: no write failed");
-        // What killed programs have left is removed.
+        // Files left by killed programs are removed.
         let (status, _, stderr) = run(etherpen(folder).args(words));
         assert_eq!(status, Some(0), "{words:?}: {stderr}");
         assert_eq!(names(paths[0].parent().expect("a folder")), clean, "{words:?}");

@@ -1,4 +1,4 @@
-//! Files from outside, and the look at where a drawing would lie.
+//! Files from other programs, and the trace of a drawing's border.
 
 use crate::program::{Folder, Running, etherpen, run, strokes};
 use etherpen::config::Config;

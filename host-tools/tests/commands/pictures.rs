@@ -1,6 +1,6 @@
 //! Golden pictures: the photographs of `samples/` in each style.
 //!
-//! `ETHERPEN_RENEW_GOLDEN=1 cargo test -p host-tools --test commands pictures` draws them anew into `docs/styles`.
+//! `ETHERPEN_RENEW_GOLDEN=1 cargo test -p host-tools --test commands pictures` redraws them in `docs/styles`.
 
 use host_tools::drawing::{Style, VectorizeOptions, render_rgb, vectorize};
 use host_tools::setup::workspace;

@@ -1,16 +1,16 @@
-//! `plan` and `kinematics` as their contract has them.
+//! Output of `plan` and `kinematics` as documented.
 
 use crate::program::{Folder, etherpen, run};
 use host_tools::error::code;
 use serde_json::Value;
 use std::fs;
 
-/// A path of the samples.
+/// The path of a sample.
 fn sample(name: &str) -> std::path::PathBuf {
     host_tools::setup::workspace().join("samples/motion").join(name)
 }
 
-/// Limits of the joints alone, as the samples' optimal durations are known for.
+/// Limits of the joints alone, for which the samples' optimal durations are known.
 const JOINT_LIMITS: [&str; 12] = [
     "--joint-speed",
     "25",
@@ -118,7 +118,7 @@ fn without_z_the_path_is_drawn_on_the_paper() {
     assert_eq!(status, Some(0), "{stderr}");
     let answer = json(&stdout);
     assert_eq!(answer["violation_count"], 0);
-    // The pen comes down, draws 80 mm and is lifted.
+    // The pen is lowered, draws 80 mm and is lifted.
     assert!(
         answer["length_mm"].as_f64().is_some_and(|mm| mm > 83.0 && mm < 90.0),
         "{answer}"

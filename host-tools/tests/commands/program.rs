@@ -1,4 +1,4 @@
-//! The program as a person starts it: folders that vanish, processes that are watched.
+//! The program as a user starts it: temporary folders, supervised processes.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Wall time that even a very busy machine needs less of.
+/// Longest wait; even a very busy machine needs less.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
-/// Time between two looks at what is waited for.
+/// Time between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// The short drawing.
@@ -18,7 +18,7 @@ pub(crate) fn strokes() -> PathBuf {
     host_tools::setup::workspace().join("samples/strokes.csv")
 }
 
-/// A folder of a test's own, removed with its owner.
+/// A test's own folder, removed when dropped.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {
@@ -44,7 +44,7 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // What cannot be removed lies in the system's folder for temporary files.
+        // What cannot be removed is in the system's folder for temporary files.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
@@ -73,7 +73,7 @@ pub(crate) fn run(command: &mut Command) -> (Option<i32>, String, String) {
     (status.code(), text(stdout), text(stderr))
 }
 
-/// The program, running.
+/// The running program.
 pub(crate) struct Running {
     child: Child,
     stdout: Arc<Mutex<String>>,
@@ -101,13 +101,13 @@ impl Running {
         self.stderr.lock().expect("nobody panics with it").clone()
     }
 
-    /// A line for a program that was started with a pipe as its standard input.
+    /// Sends a line to a program that was started with a pipe as its standard input.
     pub(crate) fn press_enter(&mut self) {
         let input = self.child.stdin.as_mut().expect("standard input is a pipe");
         input.write_all(b"\n").expect("the program reads");
     }
 
-    /// Waits until `found` finds something in a program that still runs.
+    /// Waits until `found` returns a value for a program that is still running.
     pub(crate) fn wait_for<T>(&mut self, what: &str, mut found: impl FnMut(&Self) -> Option<T>) -> T {
         let begun = Instant::now();
         loop {
@@ -136,7 +136,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // Fails only if it has ended already.
+        // Fails only if the program has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -155,7 +155,7 @@ fn collect(pipe: impl Read + Send + 'static) -> Arc<Mutex<String>> {
     text
 }
 
-/// Waits until something is so.
+/// Waits until a condition is true.
 pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is_so() {
@@ -171,7 +171,7 @@ fn process(stat: &Path) -> Option<(char, u32)> {
     Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
 }
 
-/// Whether a process still runs.
+/// Whether a process is still running.
 pub(crate) fn runs(id: u32) -> bool {
     process(&PathBuf::from(format!("/proc/{id}/stat"))).is_some_and(|(state, _)| state != 'Z')
 }

@@ -1,4 +1,4 @@
-//! Recordings: written, killed, cut short of disk, read by another program, and what is made of them.
+//! Recordings: written, killed, limited by a full disk, read by another program, and evaluated.
 
 use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
 use etherpen::application::Mode;
@@ -29,7 +29,7 @@ fn refused(folder: &Folder, arguments: &[&str], code: u8, words: &str) {
     assert!(stderr.contains(words), "{arguments:?}: {stderr}");
 }
 
-/// Python with the `mcap` package, in a folder beside what cargo builds; `None` where it cannot be had.
+/// Python with the `mcap` package, in a folder next to cargo's output; `None` if it cannot be installed.
 fn python() -> Option<PathBuf> {
     let folder = setup::target_dir().join("mcap-python");
     let python = folder.join("bin/python");
@@ -181,7 +181,7 @@ fn the_file_of_a_recorder_that_was_killed_opens() {
     assert_eq!((&figures["complete"], &figures["missing"]), (&false.into(), &0.into()));
     let samples = figures["samples"].as_u64().expect("a number");
     eprintln!("{samples} samples in {bytes} bytes");
-    // All there is room for: 155 bytes each, with the indexes.
+    // As many as fit: 155 bytes each, with the indexes.
     assert!(samples > bytes / 170, "{figures}");
 }
 
@@ -220,7 +220,7 @@ fn sample(t_ms: u32) -> Sample {
     }
 }
 
-/// A firmware that sends its first 40 samples but the tenth to the 21st, then listens.
+/// A firmware that sends its first 40 samples except the tenth to the 21st, then listens.
 fn firmware(listener: &TcpListener) {
     let (mut client, _) = listener.accept().expect("the program connects");
     let (mut decoder, mut byte) = (Decoder::<PAYLOAD_BYTES_MAX>::new(), [0]);
@@ -282,7 +282,7 @@ fn a_machine_is_listened_to_until_ctrl_c_and_its_gaps_are_stored() {
             .args(["record", "--json", "--port", &port, "-o"])
             .arg(&recording),
     );
-    // What has come is in the file a second later, without an end.
+    // The samples received are in the file a second later, without its regular end.
     wait_until("samples in the file", || {
         let (status, stdout, _) = run(etherpen(&folder).arg("stats").arg(&recording).arg("--json"));
         let figures: Option<serde_json::Value> = serde_json::from_str(&stdout).ok();

@@ -1,5 +1,5 @@
-//! A drawing whose firmware starts anew in the middle: the emulator is ended and started again, the drives, the robot and
-//! the paper stay as they are, and the drawing goes on from the log of jobs.
+//! A drawing whose firmware restarts in the middle: the emulator is ended and started again; drives, robot and paper
+//! stay as they are, and the drawing is resumed from the job log.
 
 use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
 use etherpen::config::Config;
@@ -9,12 +9,12 @@ use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::error::code;
 use host_tools::setup;
 
-/// Farthest that a point of ink may lie from the other run's ink, mm.
+/// Largest distance of a point of ink from the other run's ink, mm.
 const SAME_MM: f64 = 0.03;
-/// Longest way that the drives take to stop when no telegrams come any more, mm: it belongs to no stroke.
+/// Longest distance that the drives need to stop without telegrams, mm; it belongs to no stroke.
 const STOP_MM: f64 = 6.0;
-/// Ink that is drawn twice at most where the stroke broke, mm: the overlap of a millimetre, the leg that broke, and those of
-/// whose execution the host had not heard yet, which on a busy computer are some; a leg is four millimetres long.
+/// Most ink drawn twice where the stroke broke, mm: the overlap of a millimetre, the broken leg, and legs whose
+/// execution had not been reported yet, which are several on a busy computer; a leg is four millimetres long.
 const TWICE_MAX_MM: f64 = 60.0;
 
 type Point = [f64; 2];
@@ -29,7 +29,7 @@ fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
     lines.fold(f64::INFINITY, f64::min)
 }
 
-/// A cell with the emulated firmware, and the program that works with it.
+/// A cell with the emulated firmware, and the program that controls it.
 struct Rig {
     folder: Folder,
     cell: VirtualCell,
@@ -52,7 +52,7 @@ impl Rig {
         command
     }
 
-    /// Runs a command to its end, which has this exit code; gives what it said on stderr.
+    /// Runs a command that must end with this exit code; returns its stderr.
     fn ends_with(&self, words: &[&str], expected: u8) -> String {
         let (status, _, stderr) = run(&mut self.command(words));
         assert_eq!(status, Some(i32::from(expected)), "{words:?}: {stderr}");
@@ -86,7 +86,7 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
     let stderr = rig.ends_with(&["draw", &file, "--resume"], code::FAILED);
     assert!(stderr.contains("etherpen reference"), "{stderr}");
     let broken = rig.cell.ink();
-    // A person measures where the platform stands: on the paper, where the pen has stopped.
+    // A person measures the position of the platform: on the paper, where the pen has stopped.
     let paper = Config::default().paper;
     let [x, y] = *broken.last().and_then(|stroke| stroke.points_mm.last()).expect("ink");
     let x_mm = x - 0.5 * paper.size_mm[0] + paper.centre_mm[0];
@@ -94,7 +94,7 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
     let position = format!("{x_mm:.0},{y_mm:.0},{:.0}", paper.pen_down_z_mm);
     let port = rig.cell.port().to_string();
     rig.ends_with(&["reference", "--position", &position, "--port", &port], 0);
-    // The drives have latched that no telegrams came.
+    // The drives have latched the loss of telegrams.
     let stderr = rig.ends_with(&["draw", &file, "--resume"], code::FAULT);
     assert!(stderr.contains("acknowledge"), "{stderr}");
     rig.ends_with(&["acknowledge"], 0);

@@ -1,4 +1,4 @@
-//! The segment as a program of its own, and this project's master on it: sockets, captures, messages.
+//! The segment in a separate process, and this project's master on it: sockets, captures, messages.
 
 use crate::program::{Folder, Running, etherpen, run};
 use etherpen::config::Config;
@@ -12,10 +12,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-/// Time that a bring-up takes less than, on a very busy machine.
+/// Longest wait for a bring-up; even a very busy machine needs less.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A segment that runs, and where.
+/// A running segment, and its address.
 pub(crate) struct Segment {
     running: Running,
     pub(crate) endpoint: String,
@@ -35,12 +35,12 @@ impl Segment {
         Self { running, endpoint }
     }
 
-    /// Where it listens, without the kind.
+    /// Its address, without the kind.
     pub(crate) fn place(&self) -> &str {
         self.endpoint.split_once(':').map_or("", |(_, place)| place)
     }
 
-    /// Ends it as Ctrl-C does; gives its stdout.
+    /// Ends the segment as Ctrl-C does; returns its stdout.
     pub(crate) fn end(mut self) -> String {
         let id = i32::try_from(self.running.id()).ok().and_then(Pid::from_raw);
         kill_process(id.expect("a process"), Signal::INT).expect("it runs");
@@ -54,7 +54,7 @@ impl Segment {
     }
 }
 
-/// Brings the four drives of a segment to OP with this project's master; gives the frames sent.
+/// Brings the four drives of a segment to OP with this project's master; returns the number of frames sent.
 fn bring_up(endpoint: &Endpoint) -> u32 {
     let config = Config::default();
     let setup = RobotBusSetup {
@@ -66,7 +66,7 @@ fn bring_up(endpoint: &Endpoint) -> u32 {
     master.counters().frames_sent
 }
 
-/// An independent program finds EtherCAT and mailboxes in every frame of a capture, and nothing wrong with any.
+/// An independent program finds EtherCAT and mailboxes in every frame of a capture, and no malformed frame.
 pub(crate) fn the_capture_is_sound(capture: &Path, over: &str) {
     if setup::ensure_program("tshark").is_err() {
         eprintln!("tshark is not installed: the capture is not looked at");

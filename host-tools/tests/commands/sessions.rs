@@ -1,5 +1,5 @@
-//! One robot or several, worked with from other terminals: without `--port` where there is one, by list where there are
-//! several; and drawings that go on from the log of jobs.
+//! One robot or several, controlled from other terminals: without `--port` if there is one, with a list if there are
+//! several; and drawings resumed from the job log.
 
 use crate::program::{Folder, PATIENCE, Running, etherpen, run, strokes, wait_until};
 use etherpen::config::Config;
@@ -17,7 +17,7 @@ fn cell() -> VirtualCell {
     VirtualCell::start(&Config::default(), CellOptions::default(), Firmware::Simulated).expect("the cell starts")
 }
 
-/// What a viewer of the page is told of the connection to the robot.
+/// State of the connection to the robot, as sent to a viewer of the page.
 struct Page(tungstenite::WebSocket<TcpStream>);
 
 impl Page {
@@ -44,7 +44,7 @@ impl Page {
         Self(socket)
     }
 
-    /// Waits until the connection is in this state; gives its text.
+    /// Waits until the connection is in this state; returns its text.
     fn link(&mut self, state: &str) -> String {
         loop {
             let tungstenite::Message::Text(text) = self.0.read().expect("the console says something") else {
@@ -159,7 +159,7 @@ fn sockets_of_a_killed_program_are_removed_by_the_next_one() {
     let pid = rustix::process::Pid::from_raw(killed.id() as i32).expect("an id");
     rustix::process::kill_process(pid, rustix::process::Signal::KILL).expect("the process runs");
     killed.end();
-    // The one that is left needs no name.
+    // The remaining one needs no name.
     let status = json(etherpen(&folder).args(["status", "--json"]));
     assert!(
         status["owner"]["program"]
@@ -282,7 +282,7 @@ fn a_refused_drawing_does_not_shadow_the_one_that_broke_off_and_every_job_goes_o
     };
     let (status, _, stderr) = run(&mut command(&whole, &["draw", &file]));
     assert_eq!(status, Some(0), "{stderr}");
-    // The log of this undisturbed drawing is no job to go on with.
+    // The log of this undisturbed drawing must not be resumed.
     fs::remove_dir_all(folder.join("state")).expect("the log");
 
     let cell = cell();
@@ -314,13 +314,14 @@ fn a_refused_drawing_does_not_shadow_the_one_that_broke_off_and_every_job_goes_o
     println!(
         "stopped at stroke {stroke} after {before_mm:.1} mm; {whole_mm:.1} mm undisturbed, {drawn_mm:.1} mm after --resume"
     );
-    // A whole second drawing over the ink would be twice as much.
+    // A complete second drawing over the ink would double it.
     assert!(
         drawn_mm > whole_mm - 1.0 && drawn_mm < whole_mm + before_mm - 20.0,
         "{drawn_mm} mm of {whole_mm} mm"
     );
 
-    // By name: one without a stroke begins at the first, one that is done has nothing left, an unknown one is no job.
+    // By name: a job without a stroke starts at the first, a completed one has nothing left, an unknown name is not a
+    // job.
     let name = |job: &Json| job["job"].as_str().expect("a name").to_owned();
     let (status, _, stderr) = run(&mut command(&cell, &["draw", "--resume", &name(&jobs[0])]));
     assert_eq!(status, Some(i32::from(code::INPUT)), "{stderr}");

@@ -1,5 +1,5 @@
-//! A robot that has lost its reference is not taken to stand at its marks: nothing is drawn until somebody says where the
-//! joints are. The truth is the cell's motors.
+//! A robot that has lost its reference is not assumed to be at its marks: nothing is drawn until a person gives the
+//! joints' position. The cell's motors are the reference.
 
 use crate::program::{Folder, etherpen, run, strokes};
 use etherpen::config::Config;
@@ -8,14 +8,14 @@ use host_tools::console::virtual_cell::{CellView, Firmware, VirtualCell};
 use host_tools::error::code;
 use std::path::Path;
 
-/// Farthest that a joint may turn while nothing moves, rad.
+/// Largest turn of a joint that counts as no motion, rad.
 const STILL_RAD: f64 = 1.0e-4;
 
 fn joints(view: &CellView) -> [f64; 4] {
     view.state().joints.0
 }
 
-/// Runs a command that has to be refused for want of a reference, and looks that no joint moves.
+/// Runs a command that must be refused without a reference, and checks that no joint moves.
 fn assert_refused(folder: &Folder, cell: &VirtualCell, words: &[&str]) {
     let before = joints(&cell.view());
     let (status, _, stderr) = tell(folder, cell, words);
@@ -62,7 +62,7 @@ fn a_reference_that_another_configuration_has_cost_is_not_guessed() {
         assert_refused(&folder, &cell, words);
     }
     assert_eq!(cell.ink().len(), drawn, "ink without a reference");
-    // Somebody measures where the platform stands.
+    // A person measures the position of the platform.
     let platform = cell.view().state().platform.expect("the robot holds a platform");
     let position = format!("{:.0},{:.0},{:.0}", platform.x_mm, platform.y_mm, platform.z_mm);
     let (status, _, stderr) = tell(&folder, &cell, &["reference", "--position", &position]);

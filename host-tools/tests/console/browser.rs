@@ -1,4 +1,4 @@
-//! A headless Chromium, steered over its DevTools protocol.
+//! A headless Chromium, controlled over its DevTools protocol.
 
 use super::client::PATIENCE;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
 const PROGRAM: &str = "chromium";
-/// Time between two looks at what is waited for.
+/// Time between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(50);
 static BROWSERS: AtomicU32 = AtomicU32::new(0);
 
@@ -22,13 +22,13 @@ pub(crate) struct Browser {
     socket: WebSocket<TcpStream>,
     session: String,
     next: u64,
-    /// What scripts complained about, and every address that was asked for.
+    /// Errors of scripts, and every address requested.
     pub(crate) errors: Vec<String>,
     pub(crate) requests: Vec<String>,
 }
 
 impl Browser {
-    /// Starts a browser; `None`, said aloud, where there is none and none can be installed.
+    /// Starts a browser; `None`, with a message, if there is none and none can be installed.
     pub(crate) fn start() -> Option<Self> {
         if let Err(missing) = host_tools::setup::ensure_program(PROGRAM) {
             println!("SKIPPED: no browser. {missing}");
@@ -65,7 +65,7 @@ impl Browser {
                     .map(|(_, address)| address.to_owned())
             })
             .expect("chromium says where it listens");
-        // Its messages are taken so that it is never blocked.
+        // Its messages are read so that it never blocks.
         std::thread::spawn(move || lines.for_each(drop));
         let (host, _) = address.split_once('/').expect("an address");
         let stream = TcpStream::connect(host).expect("chromium listens");
@@ -139,7 +139,7 @@ impl Browser {
         }
     }
 
-    /// Shows a page in a window of this size; a small one is a phone.
+    /// Sets the size of the page's window; a small one is a phone.
     pub(crate) fn window(&mut self, width: u32, height: u32) {
         let mobile = width < 600;
         let scale = if mobile { 2 } else { 1 };
@@ -157,7 +157,7 @@ impl Browser {
         self.call("Page.navigate", json!({ "url": url }));
     }
 
-    /// Value of an expression in the page; promises are waited for.
+    /// Value of an expression in the page; promises are awaited.
     pub(crate) fn value(&mut self, expression: &str) -> Value {
         self.try_value(expression)
             .unwrap_or_else(|failure| panic!("{expression}: {failure}"))
@@ -172,7 +172,7 @@ impl Browser {
         }
     }
 
-    /// Waits until an expression in the page is true; while the page is being loaded there is nothing to ask.
+    /// Waits until an expression in the page is true; a page that is still loading is retried.
     pub(crate) fn until(&mut self, expression: &str) {
         let begun = Instant::now();
         while self.try_value(&format!("Boolean({expression})")) != Ok(json!(true)) {
@@ -184,14 +184,14 @@ impl Browser {
         }
     }
 
-    /// Presses a button as soon as it can be pressed.
+    /// Presses a button as soon as it is enabled.
     pub(crate) fn press(&mut self, selector: &str) {
         let button = format!("document.querySelector({})", json!(selector));
         self.until(&format!("{button} && !{button}.disabled"));
         self.value(&format!("{button}.click()"));
     }
 
-    /// Where an element is in the window, its middle; it is brought into sight first.
+    /// Centre of an element in the window; the element is scrolled into view first.
     pub(crate) fn place(&mut self, selector: &str) -> [f64; 2] {
         let middle = self.value(&format!(
             "(() => {{ const it = document.querySelector({}); \
@@ -204,7 +204,7 @@ impl Browser {
         [0, 1].map(|axis| middle[axis].as_f64().expect("a place"))
     }
 
-    /// Presses the mouse's button, or lets it go.
+    /// Presses or releases the mouse button.
     pub(crate) fn mouse(&mut self, down: bool, [x, y]: [f64; 2]) {
         let kind = if down { "mousePressed" } else { "mouseReleased" };
         let params =
@@ -212,14 +212,14 @@ impl Browser {
         self.call("Input.dispatchMouseEvent", params);
     }
 
-    /// Clicks with the mouse where an element is, whatever lies over it.
+    /// Clicks with the mouse at an element's position, whatever covers it.
     pub(crate) fn click(&mut self, selector: &str) {
         let place = self.place(selector);
         self.mouse(true, place);
         self.mouse(false, place);
     }
 
-    /// Touches the screen where an element is.
+    /// Touches the screen at an element's position.
     pub(crate) fn touch(&mut self, selector: &str) {
         let [x, y] = self.place(selector);
         self.call(
@@ -232,7 +232,7 @@ impl Browser {
         );
     }
 
-    /// Presses a key and lets it go, wherever the focus is.
+    /// Presses and releases a key, wherever the focus is.
     pub(crate) fn key(&mut self, key: &str, code: u32) {
         for kind in ["rawKeyDown", "keyUp"] {
             let params = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
@@ -253,7 +253,7 @@ impl Browser {
         self.capture(path);
     }
 
-    /// A picture of what the window shows now, where `ETHERPEN_SCREENSHOTS` names a folder to keep it in.
+    /// Saves a picture of the window if `ETHERPEN_SCREENSHOTS` names a folder.
     pub(crate) fn keep(&mut self, name: &str) {
         if let Some(folder) = std::env::var_os("ETHERPEN_SCREENSHOTS") {
             let plain = name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
@@ -271,7 +271,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // A browser that has ended already leaves nothing to end.
+        // A browser that has already ended needs no kill.
         let _ = self.child.kill();
         let _ = self.child.wait();
         let _ = std::fs::remove_dir_all(&self.profile);

@@ -1,4 +1,4 @@
-//! A console with a simulated robot, and a viewer that is a test.
+//! A console with a simulated robot, and a test as viewer.
 
 use etherpen::config::Config;
 use host_tools::cell::CellOptions;
@@ -24,7 +24,7 @@ pub(crate) const TOKEN: &str = "0123456789abcdef";
 pub(crate) struct Rig {
     server: Server,
     console: Arc<Console>,
-    /// The drives and the robot as they are.
+    /// The true state of drives and robot.
     pub(crate) cell: CellView,
 }
 
@@ -58,7 +58,7 @@ impl Rig {
         format!("http://{}/#token={TOKEN}", self.address())
     }
 
-    /// Waits until the state of the console is as wanted.
+    /// Waits until the console's state fulfils a condition.
     pub(crate) fn until(&self, what: &str, mut is: impl FnMut(&Console) -> bool) {
         let begun = Instant::now();
         while !is(&self.console) {
@@ -85,7 +85,7 @@ impl Rig {
         client
     }
 
-    /// One request by hand; gives the whole answer.
+    /// One hand-made request; returns the complete answer.
     pub(crate) fn http(&self, head: &str, body: &[u8]) -> String {
         let mut stream = TcpStream::connect(self.address()).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -135,11 +135,11 @@ impl Client {
     }
 
     pub(crate) fn send_text(&mut self, text: &str) {
-        // A console that sends this viewer away closes the line.
+        // A console that disconnects this viewer closes the line.
         let _ = self.socket.send(Message::text(text));
     }
 
-    /// Takes the next message; gives its section, or nothing when the connection has ended.
+    /// Takes the next message; returns its section, or `None` when the connection has ended.
     pub(crate) fn take(&mut self) -> Option<String> {
         loop {
             match self.socket.read().ok()? {
@@ -165,7 +165,7 @@ impl Client {
         }
     }
 
-    /// Takes messages until a section, sent from now on, is as wanted.
+    /// Takes messages until a section sent from now on fulfils a condition.
     pub(crate) fn until(&mut self, section: &str, is: impl Fn(&Value) -> bool) -> Value {
         let begun = Instant::now();
         loop {
@@ -182,7 +182,7 @@ impl Client {
         }
     }
 
-    /// Takes messages until a section is as wanted; data that came before counts too.
+    /// Takes messages until a section fulfils a condition; data received earlier count too.
     pub(crate) fn state(&mut self, section: &str, is: impl Fn(&Value) -> bool) -> Value {
         match self.sections.get(section) {
             Some(data) if is(data) => data.clone(),
@@ -198,7 +198,7 @@ impl Client {
         self.send(&json!({"type": "command", "action": action}));
     }
 
-    /// Takes control, also from another viewer, and brings the robot from any fault to rest with power.
+    /// Takes control, even from another viewer, and brings the robot from any fault to rest with power.
     pub(crate) fn recover(&mut self) {
         self.send(&json!({"type": "take", "force": true}));
         let begun = Instant::now();
@@ -223,7 +223,7 @@ impl Client {
             self.command(json!({"do": "reference"}));
             self.state("status", |status| status["referenced"] == true);
         }
-        // The drives are asked again until the reference has settled.
+        // Enabling is repeated until the reference has settled.
         let begun = Instant::now();
         loop {
             self.command(json!({"do": "enable"}));

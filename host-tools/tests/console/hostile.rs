@@ -1,4 +1,4 @@
-//! Viewers that want to do harm, and a stop that comes through all the same.
+//! Malicious viewers, and a stop that gets through nevertheless.
 
 use super::client::{Client, PATIENCE, Rig, TOKEN};
 use host_tools::cell::DriveState;
@@ -12,9 +12,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Connections that each of those keeps open who connect as often as they can.
+/// Connections kept open by each thread that connects as often as it can.
 const OPEN_AT_ONCE: usize = 300;
-/// Requests of others that are begun before a stop is sent.
+/// Requests of other viewers that are started before a stop is sent.
 const BEGUN_BETWEEN: usize = 30;
 
 fn range(id: u32) -> Value {
@@ -22,7 +22,7 @@ fn range(id: u32) -> Value {
     json!({"type": "range", "id": id, "signals": signals, "from_ms": 0, "to_ms": 60_000, "columns": 0})
 }
 
-/// Asks for as much as it can, in a thread of its own, until told to end.
+/// Sends as many requests as it can, in a separate thread, until told to end.
 fn flood(rig: &Rig, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<()> {
     let (address, ended) = (rig.address(), ended.clone());
     std::thread::spawn(move || {
@@ -103,7 +103,7 @@ fn a_stop_reaches_the_drives_while_no_request_can_be_served_at_all() {
             slaves.iter().any(|slave| slave.drive == DriveState::OperationEnabled)
         };
         rig.until("drives with power", |_| enabled());
-        // Whatever serves viewers waits for this lock.
+        // Everything that serves viewers waits for this lock.
         let hub = rig.console().hub();
         match by_socket {
             true => operator.send(&json!({"type": "stop"})),
@@ -119,7 +119,7 @@ fn a_stop_reaches_the_drives_while_no_request_can_be_served_at_all() {
     }
 }
 
-/// The robot stands in a fault that a stop has latched.
+/// The robot is in a fault latched by a stop.
 fn stopped(rig: &Rig) -> Client {
     let mut operator = rig.viewer("operator");
     operator.enable();
@@ -132,7 +132,7 @@ fn stopped(rig: &Rig) -> Client {
 
 #[test]
 fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_after_it_is() {
-    // What comes on two connections is in order only once the first of it has been begun.
+    // Messages on two connections are in order only once the first one has been started.
     for (begun, by_socket) in [(false, true), (true, true), (true, false)] {
         let rig = Rig::start();
         let mut operator = stopped(&rig);
@@ -145,7 +145,7 @@ fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_a
             true => operator.send(&json!({"type": "stop"})),
             false => post_stop(&rig),
         };
-        // Whatever serves viewers waits for this lock, before or after the request is begun.
+        // Everything that serves viewers waits for this lock, before or after the request is started.
         let hub = rig.console().hub();
         operator.command(json!({"do": "acknowledge"}));
         if begun {
@@ -238,7 +238,7 @@ fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
         rig.address(),
         30 << 20
     );
-    // Nothing of the file is ever sent.
+    // The file itself is never sent.
     stream.write_all(head.as_bytes()).unwrap();
     let mut answer = [0; 12];
     stream.read_exact(&mut answer).unwrap();
@@ -253,12 +253,12 @@ fn the_token_is_looked_at_before_the_file_and_half_a_request_ends() {
         .collect();
     post_stop(&rig);
     for half in &mut halves {
-        // It is closed, with or without a word.
+        // It is closed, with or without an answer.
         let _ = half.read_to_end(&mut Vec::new());
     }
 }
 
-/// Begins to connect as often as it can and says nothing, in a thread of its own, until told to end; gives how often.
+/// Connects as often as it can and sends nothing, in a separate thread, until told to end; returns the number.
 fn connect_often(rig: &Rig, ended: &Arc<AtomicBool>) -> std::thread::JoinHandle<usize> {
     let (address, ended) = (rig.address(), ended.clone());
     let runtime = tokio::runtime::Builder::new_current_thread()

@@ -1,12 +1,13 @@
-//! The page in a browser: what an operator does in an hour, in half a minute.
+//! The page in a browser: an operator's typical hour in half a minute.
 //!
-//! `ETHERPEN_RENEW_SCREENSHOTS=1 cargo test -p host-tools --test console page` takes the pictures of the documentation anew.
+//! `ETHERPEN_RENEW_SCREENSHOTS=1 cargo test -p host-tools --test console page` renews the pictures of the
+//! documentation.
 
 use super::browser::Browser;
 use super::client::Rig;
 use serde_json::json;
 
-/// Asks for new pictures.
+/// Requests new pictures.
 const RENEW: &str = "ETHERPEN_RENEW_SCREENSHOTS";
 pub(crate) const DESKTOP: (u32, u32) = (1600, 1000);
 const PHONE: (u32, u32) = (390, 844);
@@ -26,7 +27,7 @@ pub(crate) fn short_drawing() -> String {
     rows.join("\n")
 }
 
-/// Drops a file on the page, as a hand with a mouse does, and waits for its preview.
+/// Drops a file on the page, as a user does with the mouse, and waits for its preview.
 pub(crate) fn drop_file(browser: &mut Browser, name: &str, content: &[u8]) {
     let_fall(browser, name, content);
     browser.until(&format!(
@@ -35,7 +36,7 @@ pub(crate) fn drop_file(browser: &mut Browser, name: &str, content: &[u8]) {
     ));
 }
 
-/// Lets go of a file over the page.
+/// Releases a file over the page.
 pub(crate) fn let_fall(browser: &mut Browser, name: &str, content: &[u8]) {
     browser.value(&format!(
         "{{ const carried = new DataTransfer(); \
@@ -56,7 +57,7 @@ fn choose(browser: &mut Browser, wishes: [&str; 3]) {
     ));
 }
 
-/// The portrait, small enough to be prepared in a moment.
+/// The portrait, small enough to be prepared quickly.
 pub(crate) fn small_photograph() -> Vec<u8> {
     let portrait = image::open(host_tools::setup::workspace().join("samples/astronaut.png")).unwrap();
     let small = portrait.resize(120, 120, image::imageops::FilterType::Triangle);
@@ -69,7 +70,7 @@ pub(crate) fn mode(browser: &mut Browser, name: &str) {
     browser.until(&format!("etherpen.link.state.status?.mode === {}", json!(name)));
 }
 
-/// From a page that was just opened to a robot that is enabled.
+/// From a newly opened page to an enabled robot.
 pub(crate) fn begin(browser: &mut Browser, rig: &Rig) {
     browser.window(DESKTOP.0, DESKTOP.1);
     browser.open(&rig.url());
@@ -79,7 +80,7 @@ pub(crate) fn begin(browser: &mut Browser, rig: &Rig) {
     mode(browser, "DrivesOff");
 }
 
-/// Presses a button, again and again, until the robot is in a mode: what has just gone wrong may be refused once.
+/// Presses a button repeatedly until the robot is in a mode: it may be refused once after a fault.
 pub(crate) fn press_until(browser: &mut Browser, button: &str, name: &str) {
     browser.until(&format!(
         "(() => {{ const there = etherpen.link.state.status?.mode === {}; \
@@ -113,7 +114,7 @@ pub(crate) fn enable(browser: &mut Browser) {
     press_until(browser, "enable", "Idle");
 }
 
-/// Saves what the plot shows as a picture, and looks whether the signals' curves are in it.
+/// Saves the plot as a picture, and checks that the signals' curves are in it.
 fn export_picture(browser: &mut Browser) {
     browser.value(
         "{ const make = URL.createObjectURL; \
@@ -151,7 +152,7 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
         "the token does not stay in the address"
     );
 
-    // A photograph is looked at, and not drawn after all.
+    // A photograph is previewed but not drawn.
     choose(browser, ["sketch", "60mm", "20s"]);
     drop_file(browser, "portrait.png", &small_photograph());
     let planned_s = browser.value("etherpen.link.state.studio.planned_s").as_f64();
@@ -163,7 +164,7 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     browser.press("#queue button.quiet");
     browser.until("etherpen.link.state.jobs.waiting.length === 0");
 
-    // Draw slowly, hold, resume and be quick about it.
+    // Draw slowly, hold, resume and draw fast.
     choose(browser, ["", "", ""]);
     set_override(browser, 10);
     drop_file(browser, "waves.csv", short_drawing().as_bytes());
@@ -185,7 +186,7 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     assert_eq!(browser.value("etherpen.link.state.progress.strokes"), 6);
     browser.until("document.getElementById('past').innerText.includes('waves.csv')");
 
-    // The next one is cancelled in the middle: the robot rests, and the history says so.
+    // The next one is cancelled in the middle: the robot is at rest, and the history shows it.
     set_override(browser, 10);
     drop_file(browser, "cancelled.csv", short_drawing().as_bytes());
     browser.press("#enqueue");
@@ -217,14 +218,14 @@ fn an_operator_draws_holds_resumes_stops_and_acknowledges_in_a_browser() {
     acknowledge(browser);
     browser.press("#scope-pause");
 
-    // Stop: the page says so when the firmware does.
+    // Stop: the page shows it when the firmware does.
     enable(browser);
     browser.press("#stop");
     browser.until("document.getElementById('stop-text').textContent === 'confirmed by the firmware'");
     assert_eq!(browser.value("etherpen.link.state.status.stopped"), true);
     acknowledge(browser);
 
-    // Nothing was asked of anybody else, and no script failed.
+    // No other host was contacted, and no script failed.
     let host = rig.address().to_string();
     let foreign = |url: &&String| !url.contains(&host) && !url.starts_with("blob:") && !url.starts_with("about:");
     let foreign: Vec<_> = browser.requests.iter().filter(foreign).collect();

@@ -1,11 +1,11 @@
-//! A file on its way to a drawing: it is never lost, and every wish plans it anew.
+//! A file becomes a drawing: it is never lost, and every change of an option plans it again.
 
 use super::browser::Browser;
 use super::client::{Client, Rig, TOKEN};
 use super::page::{DESKTOP, begin, drop_file, let_fall, short_drawing, small_photograph};
 use serde_json::json;
 
-/// Shows the page as a viewer that has not taken control.
+/// Opens the page as a viewer that has not taken control.
 fn look(browser: &mut Browser, url: &str) {
     browser.window(DESKTOP.0, DESKTOP.1);
     browser.open(url);
@@ -33,7 +33,7 @@ fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_i
     assert_eq!(browser.value(KEPT), "");
     browser.press("#control");
 
-    // Somebody else has it: the file waits, the page says for what, and a press gets it on.
+    // Another viewer has control: the file waits, the page shows why, and a press continues it.
     let mut other = rig.viewer("other");
     browser.until("etherpen.link.state.control.holder === null");
     other.send(&json!({"type": "take"}));
@@ -49,7 +49,7 @@ fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_i
     browser.until(&is_ready("taken.csv"));
     assert_eq!(browser.value(KEPT), "");
 
-    // It is given back: the file that waits says so, and goes on by the button of the page's head.
+    // Control is released: the waiting file shows it, and continues with the button in the page's header.
     browser.press("#control");
     browser.until("etherpen.link.state.control.holder === null");
     other.send(&json!({"type": "take"}));
@@ -61,7 +61,7 @@ fn a_file_that_is_dropped_without_control_takes_free_control_and_is_kept_where_i
     browser.press("#control");
     browser.until(&is_ready("later.csv"));
 
-    // What the console cannot use is named, and the next file is taken.
+    // A file that the console cannot use is named, and the next file is accepted.
     let_fall(browser, "letter.png", b"no picture");
     browser.until("document.getElementById('studio').innerText.includes('letter.png')");
     drop_file(browser, "after.csv", short_drawing().as_bytes());
@@ -81,13 +81,13 @@ fn a_page_without_the_token_keeps_the_file_and_says_what_is_to_be_done() {
     assert_eq!(browser.value("etherpen.link.state.studio.state"), "idle");
 }
 
-/// How dark the darkest of the sheet's picture is, 0 black to 255 white.
+/// Darkest value of the sheet's picture, 0 black to 255 white.
 const DARKEST: &str = "(() => { const it = document.getElementById('paper'); \
     const { data } = it.getContext('2d').getImageData(0, 0, it.width, it.height); \
     const found = []; for (let at = 0; at < data.length; at += 4) if (data[at + 3] === 255) found.push((data[at] + data[at + 1] + data[at + 2]) / 3); \
     found.sort((a, b) => a - b); return found[Math.floor(found.length / 2000)]; })()";
 
-/// Sets the three wishes as hands do, one after the other.
+/// Sets the three options as a user does, one after the other.
 fn wish(browser: &mut Browser, wishes: [&str; 3]) {
     browser.value(&format!(
         "{{ const fields = document.querySelectorAll('#options choice-list, #options input'); \
@@ -124,7 +124,7 @@ fn every_wish_replans_the_file_and_the_last_one_wins() {
     let drawn = browser.value(DARKEST).as_f64().unwrap();
     let strokes = browser.value("etherpen.link.state.studio.strokes");
 
-    // One wish by hand, with the mouse: the old preview is dimmed until the new one is there.
+    // One option set with the mouse: the old preview is dimmed until the new one arrives.
     browser.value(&format!(
         "{{ globalThis.darkest = null; etherpen.link.on('studio', (made) => {{ if (made?.state === 'working' && darkest === null) \
          requestAnimationFrame(() => requestAnimationFrame(() => (darkest = {DARKEST}))); }}); }}"
@@ -144,7 +144,7 @@ fn every_wish_replans_the_file_and_the_last_one_wins() {
         "another style, another drawing"
     );
 
-    // Quick changes: nothing but the last is shown, and it is what can be drawn.
+    // Quick changes: only the last one is shown, and it is the one that can be drawn.
     browser.value("{ ready.length = 0; }");
     for (style, size) in [
         ("sketch", "50mm"),
@@ -168,7 +168,7 @@ fn every_wish_replans_the_file_and_the_last_one_wins() {
         "{ready}"
     );
 
-    // What cannot be done is said in the page's words; the file stays, and the next wish is done.
+    // An impossible option is reported in the page's words; the file stays, and the next option is applied.
     drop_file(browser, "again.png", &small_photograph());
     wish(browser, ["hatch", "ninety", "20s"]);
     browser.until("etherpen.link.state.studio.state === 'failed'");
@@ -212,7 +212,7 @@ fn an_older_preparation_never_replaces_a_newer_one() {
     while !last(&mut viewer) {}
     println!("20 wishes at once: the ready previews were {numbers:?}");
     assert!(numbers.is_sorted(), "{numbers:?}");
-    // Silent for so long, it may have lost control.
+    // After such a long silence it may have lost control.
     viewer.send(&json!({"type": "take", "force": true}));
     viewer.send(&json!({"type": "enqueue", "preparation": numbers.last()}));
     viewer.until("jobs", |jobs| {

@@ -1,4 +1,4 @@
-//! What a viewer may and may not do, and what happens to the others when it does.
+//! What a viewer may and may not do, and the effects on the other viewers.
 
 use super::client::{Client, PATIENCE, Rig, TOKEN};
 use etherpen::application::Mode;
@@ -102,7 +102,7 @@ fn what_is_no_request_is_refused_and_too_much_of_it_ends_the_connection() {
     other.until("pose", |_| true);
 }
 
-/// Numbers of the columns of a picture, in the order in which they came.
+/// Numbers of the columns of a plot, in the order in which they arrived.
 fn columns(client: &Client) -> Vec<u32> {
     let word = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     let of = |bytes: &Vec<u8>| {

@@ -1,13 +1,13 @@
-//! A drawing that goes on at once after it has failed: what comes late of its first end does not end it a second time.
+//! A drawing resumed immediately after it has failed: late messages about its first end do not end it a second time.
 
 use super::client::{Client, Rig, TOKEN};
 use super::page::short_drawing;
 use serde_json::{Value, json};
 
-/// How often the drawing fails and goes on.
+/// How often the drawing fails and is resumed.
 const FAILURES: u64 = 3;
 
-/// Has the short drawing prepared and starts it; gives the number of its job.
+/// Prepares and starts the short drawing; returns the number of its job.
 fn begin(rig: &Rig, viewer: &mut Client) -> Value {
     let head = format!(
         "POST /file HTTP/1.1\r\nHost: {}\r\nx-etherpen-token: {TOKEN}\r\nx-etherpen-viewer: {}\r\nx-etherpen-name: waves.csv",
@@ -40,7 +40,7 @@ fn a_drawing_that_goes_on_at_once_is_not_ended_by_its_first_failure() {
         viewer.send(&json!({"type": "inject", "fault": {"what": "fault", "slave": 2}}));
         viewer.until("status", |status| status["mode"] == "Fault");
         viewer.state("jobs", |jobs| jobs["past"][0]["unfinished"] == true);
-        // Nothing is waited for that is not needed.
+        // Nothing is awaited that is not needed.
         while viewer.sections["status"]["mode"] != "DrivesOff" {
             viewer.command(json!({"do": "acknowledge"}));
             viewer.until("status", |_| true);

@@ -1,9 +1,9 @@
 //! STOP and Esc over everything that the page can show.
 //!
-//! What lies over the page is found, not listed: everything that opens something is pressed, and whatever is then in
-//! sight and was not before is an overlay. Whether the robot was stopped, the drives of the virtual cell say.
+//! Overlays are found, not listed: everything that opens something is pressed, and whatever becomes visible is an
+//! overlay. The drives of the virtual cell show whether the robot was stopped.
 //!
-//! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what lies over the page.
+//! `ETHERPEN_SCREENSHOTS=FOLDER` saves pictures of the overlays.
 
 use super::browser::Browser;
 use super::client::{Client, PATIENCE, Rig};
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 const ESCAPE: u32 = 27;
 const SIZES: [(u32, u32); 3] = [(360, 640), (1024, 768), (1440, 900)];
 
-/// Finds, in the page, what can be pressed and what lies over the page.
+/// Finds, in the page, everything that can be pressed and everything that covers the page.
 const SEARCH: &str = "globalThis.search = (() => {
   const inSight = (it) => it.checkVisibility({ visibilityProperty: true, opacityProperty: true }) && it.getBoundingClientRect().height > 0;
   const name = (it) => it.id ? `#${it.id}` : `${it.parentElement === document.body ? 'body' : name(it.parentElement)} > :nth-child(${[...it.parentElement.children].indexOf(it) + 1})`;
@@ -56,15 +56,15 @@ fn has_power(rig: &Rig) -> bool {
     slaves.iter().all(|slave| slave.drive == DriveState::OperationEnabled)
 }
 
-/// Gives the drives power, whatever stands in the way.
+/// Switches the drives' power on, whatever prevents it.
 fn power(rig: &Rig, helper: &mut Client) {
-    // What the helper has not read yet is older than the last stop.
+    // Messages that the helper has not read yet are older than the last stop.
     while !has_power(rig) {
         helper.recover();
     }
 }
 
-/// Waits until no drive of the cell follows any more and the robot stands.
+/// Waits until no drive of the cell is enabled and the robot is at rest.
 fn until_stopped(rig: &Rig, how: &str) {
     let begun = Instant::now();
     loop {
@@ -81,10 +81,10 @@ fn until_stopped(rig: &Rig, how: &str) {
     }
 }
 
-/// The list of keys opens by a key as well, where its button is not shown.
+/// A key also opens the list of keys where its button is not shown.
 const LIST_OF_KEYS: &str = "key ?";
 
-/// Presses one after the other what leads to an overlay.
+/// Presses the steps of a path to an overlay, one after the other.
 fn follow(browser: &mut Browser, path: &[String]) {
     for step in path {
         match step.strip_prefix("key ") {
@@ -94,7 +94,7 @@ fn follow(browser: &mut Browser, path: &[String]) {
     }
 }
 
-/// Everything that opens something over the page, as presses that lead there; at every step STOP is to be free.
+/// Everything that opens an overlay, as the presses that lead there; STOP must be uncovered at every step.
 fn ways_to_overlays(browser: &mut Browser, rig: &Rig) -> Vec<Vec<String>> {
     let mut ways: Vec<Vec<String>> = Vec::new();
     let mut tried = BTreeSet::new();
@@ -124,7 +124,7 @@ fn ways_to_overlays(browser: &mut Browser, rig: &Rig) -> Vec<Vec<String>> {
     ways
 }
 
-/// Stops by the mouse and by Esc; each time the robot has power before, and the cell's drives have none after.
+/// Stops by mouse and by Esc; each time the robot has power before, and the cell's drives have none after.
 fn stops(browser: &mut Browser, rig: &Rig, helper: &mut Client, what: &str, open: &mut dyn FnMut(&mut Browser)) {
     for by_key in [false, true] {
         power(rig, helper);
@@ -238,7 +238,7 @@ fn stop_stays_in_sight_when_one_zooms_in() {
     browser.call("Emulation.setPageScaleFactor", json!({"pageScaleFactor": 2.0}));
     browser.until("visualViewport.scale === 2 && search.stop() === ''");
     assert!(has_power(&rig));
-    // What a place in the window is on the page, a press beside everything tells.
+    // A press beside everything shows how a place in the window maps to the page.
     browser.value(
         "addEventListener('pointerdown', (event) => (globalThis.pressedAt ??= event.clientX - visualViewport.offsetLeft), true)",
     );
@@ -266,7 +266,7 @@ fn nothing_in_the_pages_sources_can_come_over_stop() {
         let path = entry.unwrap().path();
         let source = std::fs::read_to_string(&path).unwrap();
         files += 1;
-        // What the browser puts over the page, and what makes the rest of the page deaf.
+        // What the browser shows over the page, and what makes the rest of the page inert.
         for forbidden in [
             "showModal",
             "showPicker",

@@ -1,11 +1,11 @@
-//! What the page shows is so: old values are told from live ones, and what matters is in sight.
+//! The page shows the truth: old values are distinguished from live ones, and important ones are visible.
 
 use super::browser::Browser;
 use super::client::Rig;
 use super::page::{DESKTOP, begin, drop_file, enable, mode, press_until, short_drawing};
 use serde_json::json;
 
-/// How visible an element is, 0 to 1, with all that is around it.
+/// Opacity of an element, 0 to 1, including that of its ancestors.
 fn opacity(browser: &mut Browser, selector: &str) -> f64 {
     let product = browser.value(&format!(
         "(() => {{ let product = 1; for (let it = document.querySelector({}); it; it = it.parentElement) \
@@ -52,13 +52,13 @@ fn what_a_slave_that_does_not_answer_told_last_is_shown_as_old() {
     );
     assert!(opacity(browser, "#errors output:nth-of-type(2)") < 0.6);
     assert!(opacity(browser, "#positions td:nth-child(3)") < 0.6);
-    // It comes back.
+    // It returns.
     browser.press("[data-inject='insert-2']");
     press_until(browser, "acknowledge", "DrivesOff");
     browser.until("[1, 2, 3, 4].every((slave) => !document.querySelector(`#slaves tr:nth-child(${slave})`).classList.contains('old'))");
     assert!(opacity(browser, "#slaves tr:nth-child(2) td:nth-child(3)") > 0.9);
     assert!(opacity(browser, "#positions td:nth-child(3)") > 0.9);
-    // Behind a cable that is pulled all are silent, whichever the fault names.
+    // All slaves behind a pulled cable are silent, whichever the fault names.
     browser.value("etherpen.link.send({ type: 'inject', fault: { what: 'cut', slave: 2 } })");
     mode(browser, "Fault");
     let silent = |slaves: &str| {
@@ -85,7 +85,7 @@ fn measurements_that_come_no_more_are_dimmed_with_their_age() {
     for selector in live {
         assert!(opacity(browser, selector) > 0.9, "{selector}");
     }
-    // Poses stand still, as when the firmware has gone.
+    // Poses stop changing, as when the firmware has gone.
     browser.value(
         "{ const take = etherpen.link.take; globalThis.last = null; \
          etherpen.link.take = function (data) { if (!String(data).startsWith('{\"section\":\"pose\"')) return take.call(this, data); \
@@ -175,7 +175,7 @@ fn a_refused_acknowledgement_stands_beside_the_button_and_one_stop_is_one_messag
     assert!(!log.contains("--") && !log.contains("etherpen "), "{log}");
     press_until(browser, "acknowledge", "DrivesOff");
 
-    // An acknowledgement while another one is at work: what the firmware answers stands where the button is.
+    // An acknowledgement while another one is in progress: the firmware's answer is shown at the button.
     for (width, height) in [(360, 640), (1024, 768), DESKTOP] {
         browser.window(width, height);
         browser.press("[data-inject='remove-2']");
@@ -183,7 +183,7 @@ fn a_refused_acknowledgement_stands_beside_the_button_and_one_stop_is_one_messag
         browser.until("!document.getElementById('acknowledge').disabled");
         browser.value("document.getElementById('fault-note').hidden = true");
         browser.value("document.getElementById('log').scrollTop = 0");
-        // Both before the page can know of the first.
+        // Both before the page can know the result of the first.
         browser.value("{ const button = document.getElementById('acknowledge'); button.click(); button.click(); }");
         browser.until(
             "(() => { const it = document.getElementById('fault-note'); const box = it.getBoundingClientRect(); \

@@ -1,6 +1,6 @@
-//! Drawings that end early and go on from the page: the ink on the paper is whole, and little of it is drawn twice.
+//! Drawings that end early and are continued from the page: the ink is complete, and little of it is drawn twice.
 //!
-//! `ETHERPEN_SCREENSHOTS=FOLDER` keeps pictures of what the page shows.
+//! `ETHERPEN_SCREENSHOTS=FOLDER` saves pictures of the page.
 
 use super::browser::Browser;
 use super::client::Rig;
@@ -8,11 +8,11 @@ use super::page::{begin, drop_file, enable, mode, set_override, short_drawing};
 use host_tools::cell::InkStroke;
 use serde_json::json;
 
-/// Farthest that a point of ink may lie from the other run's ink, mm.
+/// Largest distance of a point of ink from the other run's ink, mm.
 const SAME_MM: f64 = 0.1;
-/// Ink drawn twice at most, mm: the overlap of one millimetre, and what was drawn while the last telemetry was on its way.
+/// Most ink drawn twice, mm: the overlap of one millimetre, and what was drawn while the last telemetry was in transit.
 const TWICE_MAX_MM: f64 = 8.0;
-/// Longest way that the drives take to stop beside the line, mm.
+/// Longest distance beside the line that the drives need to stop, mm.
 const STOP_MM: f64 = 8.0;
 
 type Point = [f64; 2];
@@ -27,8 +27,8 @@ fn away_mm(point: &Point, ink: &[InkStroke]) -> f64 {
     lines.fold(f64::INFINITY, f64::min)
 }
 
-/// Adds the drawing to the queue and begins with it. On a computer that is so busy that the page is not heard of for seconds,
-/// or the line falls silent, control is taken again and what was held goes on.
+/// Adds the drawing to the queue and starts it. If a busy computer does not schedule the page for seconds, or the line
+/// falls silent, takes control again and resumes a held drawing.
 fn start(browser: &mut Browser) {
     browser.value(
         "setInterval(() => { const { link } = etherpen; \
@@ -40,7 +40,7 @@ fn start(browser: &mut Browser) {
     browser.press("#queue button.primary");
 }
 
-/// Ink of the drawing without an interruption.
+/// Ink of the uninterrupted drawing.
 fn undisturbed(browser: &mut Browser) -> Vec<InkStroke> {
     let rig = Rig::start();
     begin(browser, &rig);
@@ -94,7 +94,7 @@ fn picture(browser: &mut Browser, name: &str) {
     }
 }
 
-/// Presses *Continue* and waits for the drawing's end.
+/// Presses *Continue* and waits for the end of the drawing.
 fn go_on(browser: &mut Browser) {
     // On a busy computer the browser presses late.
     let stroke = browser.value("etherpen.link.state.jobs.past[0].stroke").as_u64();
@@ -151,7 +151,7 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
     start(browser);
     until_broken(&rig);
     browser.press("#segment [data-inject='restart']");
-    // The job ends and the controller is configured without anybody's help; the words are the reader's.
+    // The job ends and the controller is configured automatically; the texts are worded for the user.
     browser.until("etherpen.link.state.jobs.past.length === 1");
     browser.until("document.getElementById('past').innerText.includes('restarted')");
     let words = browser.value("document.getElementById('past').innerText");
@@ -163,7 +163,7 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
         "etherpen.link.state.status && !['Startup', 'BusConfiguring'].includes(etherpen.link.state.status.mode)",
     );
     picture(browser, "6-restarted.png");
-    // The drives have latched that no telegrams came.
+    // The drives have latched the loss of telegrams.
     browser.until("['Fault', 'DrivesOff'].includes(etherpen.link.state.status?.mode)");
     if browser.value("etherpen.link.state.status.mode") == json!("Fault") {
         super::page::acknowledge(browser);
@@ -177,7 +177,7 @@ fn a_restart_of_the_firmware_in_a_drawing_ends_it_and_it_goes_on_where_the_ink_e
     browser.press("#past button.reference-here");
     browser.until("etherpen.link.state.status.referenced");
     picture(browser, "6-ready.png");
-    // Some drives tell only when they are to be enabled that no telegrams came; the drawing stays unfinished meanwhile.
+    // Some drives report the loss of telegrams only when they are enabled; the drawing stays unfinished meanwhile.
     browser.press("#past button.continue");
     browser.until("['Fault', 'Drawing'].includes(etherpen.link.state.status?.mode)");
     if browser.value("etherpen.link.state.status.mode") == json!("Fault") {

@@ -1,4 +1,4 @@
-//! A page that is shown anew many times a second keeps what a hand is doing: presses, focus, selection, scrolling.
+//! A page updated many times a second keeps what the user is doing: presses, focus, selection, scrolling.
 
 use super::browser::Browser;
 use super::client::{Client, Rig};
@@ -11,7 +11,7 @@ use std::time::Duration;
 const PRESSES: u32 = 50;
 const HELD: Duration = Duration::from_millis(100);
 
-/// Changes the state all the time while something else is done: control and log; the status changes by itself.
+/// Changes the state continuously while `act` runs: control and log; the status changes by itself.
 fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
     let ended = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -20,7 +20,7 @@ fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
             let mut round = 0_u32;
             while !ended.load(Ordering::Relaxed) {
                 round += 1;
-                // Viewers come and go, and the console says how many there are.
+                // Viewers come and go, and the console publishes their number.
                 viewer = match viewer {
                     Some(_) => None,
                     None => Some(rig.viewer(&format!("guest {round}"))),
@@ -29,7 +29,7 @@ fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
                 std::thread::sleep(Duration::from_millis(50));
             }
         });
-        // The viewers end in any case; what went wrong is told afterwards.
+        // The viewers end in any case; a failure is reported afterwards.
         let acted = std::panic::catch_unwind(std::panic::AssertUnwindSafe(act));
         ended.store(true, Ordering::Relaxed);
         if let Err(panic) = acted {
@@ -38,7 +38,7 @@ fn while_news_flow(rig: &Rig, act: impl FnOnce()) {
     });
 }
 
-/// A page with two drawings in the queue and one that is prepared, and the robot's drives.
+/// A page with two drawings in the queue and a prepared one, and the robot's drives.
 fn page_with_lists(browser: &mut Browser, rig: &Rig) {
     begin(browser, rig);
     for name in ["one.csv", "two.csv", "three.csv"] {
@@ -59,7 +59,7 @@ fn no_press_is_lost_while_the_page_is_updated() {
     let browser = &mut browser;
     page_with_lists(browser, &rig);
     let mut random = Lcg::new(20_261_122);
-    // What is pressed is counted and not done: the page is to stay as it is.
+    // Presses are counted but have no effect: the page is to stay as it is.
     browser.value(
         "{ globalThis.pressed = {}; globalThis.total = 0; globalThis.shown = 0; globalThis.without = 0; \
          etherpen.link.on('control', () => (without += Number(!etherpen.link.controls))); \
@@ -79,7 +79,7 @@ fn no_press_is_lost_while_the_page_is_updated() {
         let mut press = 0;
         while press < PRESSES {
             let (selector, name) = targets[press as usize % targets.len()];
-            // A page that was starved by a busy computer has lost control, and its buttons with it.
+            // A page starved by a busy computer has lost control, and its buttons with it.
             browser.until("etherpen.link.controls || (etherpen.link.send({ type: 'take' }), false)");
             browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
             let place = browser.place(selector);
@@ -88,7 +88,7 @@ fn no_press_is_lost_while_the_page_is_updated() {
             browser.mouse(true, place);
             std::thread::sleep(HELD);
             browser.mouse(false, place);
-            // On a busy computer a click comes late; one that is lost never comes.
+            // On a busy computer a click arrives late; a lost one never arrives.
             browser.until(&format!("total > {} || without !== {}", before[1], before[0]));
             let after = browser.value("[without, total]");
             if after[0] != before[0] {
@@ -139,7 +139,7 @@ fn focus_selection_and_scrolling_outlive_updates() {
         "the log's place"
     );
 
-    // The place in a text that is being written.
+    // The cursor position in a text being edited.
     browser.value(
         "{ const size = document.querySelector('#options input'); size.focus(); size.value = '120x90mm'; \
          size.setSelectionRange(4, 6); shown = 0; }",

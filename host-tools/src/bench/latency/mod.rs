@@ -88,7 +88,7 @@ impl std::str::FromStr for Disturbance {
 pub enum Isolation {
     /// Critical sections mask everything but the critical tasks.
     Basepri,
-    /// Critical sections mask everything: nothing.
+    /// Critical sections mask everything, including the critical tasks: no isolation.
     Primask,
 }
 
@@ -101,7 +101,7 @@ pub struct LatencyPlan {
     pub disturbance: Disturbance,
     /// Whether to measure the firmware without load too.
     pub at_rest: bool,
-    /// With `Primask` the loaded run is repeated without isolation.
+    /// With `Primask`, the loaded run is repeated without isolation.
     pub isolation: Isolation,
     /// Highest loop rate to try, kHz: 1, 2, 4 or 8.
     pub rate_khz: u32,

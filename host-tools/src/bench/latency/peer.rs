@@ -25,7 +25,7 @@ const STEP_MAX_MS: u32 = 60_000;
 const PATH_VERTICES: usize = 4_000;
 /// Longest leg of that path, micrometres.
 const LEG_MAX_UM: u64 = 600;
-/// Half the side of the square it fills, micrometres.
+/// Half the side of the square that the path fills, micrometres.
 const HALF_SIDE_UM: i32 = 30_000;
 /// Heights of the pen over the paper and on it, micrometres.
 const UP_UM: i32 = -847_000;

@@ -162,7 +162,7 @@ fn run_rows(plan: &LatencyPlan, measured: &LatencyRun, rows: &mut Vec<BenchRow>)
     }
     execution_rows(readings, shift, asked, &mut row);
     delay_rows(readings, &mut row);
-    // Counted in its lateness: 0 when none was late.
+    // Counted from its lateness: 0 if none was late.
     if let Some(lateness) = readings.of(Quantity::Lateness) {
         row("lateness_max_ns", ns(lateness, lateness.largest.into()), "ns", None);
     }
@@ -214,7 +214,7 @@ fn execution_rows(readings: &Readings, shift: u8, asked: bool, row: &mut AddRow)
     }
 }
 
-/// Delays on the way of a cycle.
+/// Delays within a cycle.
 fn delay_rows(readings: &Readings, row: &mut AddRow) {
     let delays = [
         ("release_delay_max_ns", Quantity::ReleaseDelay),

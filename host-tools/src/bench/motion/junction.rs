@@ -41,7 +41,7 @@ pub(super) enum Rule {
 }
 
 impl Rule {
-    /// Both.
+    /// All rules.
     pub(super) const ALL: [Self; 2] = [Self::Klipper, Self::Grbl];
 
     /// Name of the peer.

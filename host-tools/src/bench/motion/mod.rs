@@ -274,7 +274,7 @@ fn optimum(path: &[Vertex], config: &Config) -> Result<Optimum, BenchError> {
     );
     for vertex in path {
         let [x, y, z] = Vector::from(vertex.position);
-        // A string takes everything.
+        // Writing into a string cannot fail.
         let _ = writeln!(input, "{x} {y} {z} {}", u8::from(vertex.pen == Pen::Down));
     }
     let lines = programs::answer(OPTIMUM, &input)?;

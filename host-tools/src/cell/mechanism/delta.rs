@@ -14,7 +14,7 @@ const GRAVITY_M_S2: f64 = 9.81;
 const ARM_KG: f64 = 1.2;
 const FOREARM_KG: f64 = 0.4;
 const PLATFORM_KG: f64 = 0.6;
-/// Distance of the mechanical end stops behind the ends of the arm range, radians.
+/// Distance of the mechanical end stops beyond the ends of the arm range, radians.
 const END_STOP_RAD: f64 = 0.05;
 /// Steps of the numeric derivatives: radians, seconds.
 const JACOBIAN_STEP_RAD: f64 = 1e-5;

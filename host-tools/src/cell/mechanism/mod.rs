@@ -1,4 +1,4 @@
-//! The robot's mechanism: where its joints hold the tool, where they are stopped, and what they weigh.
+//! The robot's mechanism: position of the tool, end stops of the joints, and their loads.
 //!
 //! [`Mechanism`] is the seam between a kind of robot and the rest of the cell. Every kind is one file here.
 
@@ -35,7 +35,7 @@ impl Mechanism {
         Self::Delta(Delta::new(geometry))
     }
 
-    /// Position of the tool; `None` where the links do not meet.
+    /// Position of the tool; `None` if the links do not meet.
     pub(super) fn tool(&self, joints: &JointAngles) -> Option<Position> {
         match self {
             Self::Delta(delta) => delta.platform(joints),

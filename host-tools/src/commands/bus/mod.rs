@@ -1,4 +1,4 @@
-//! `etherpen bus`: look at the slaves and change them, with this computer's master or a running firmware's.
+//! `etherpen bus`: inspects and changes the slaves, with this computer's master or a running firmware's.
 
 mod objects;
 mod registers;
@@ -21,8 +21,8 @@ use std::path::PathBuf;
 /// Options of `etherpen bus`.
 ///
 /// Slaves count from 1 in chain order. Objects are written INDEX:SUB with a hexadecimal index, for instance 6041:0.
-/// This computer's master gives the slaves addresses and leaves their states alone until it is asked for another; no
-/// other master may be at work on the bus.
+/// This computer's master assigns addresses to the slaves and changes their states only on request. No other master may
+/// use the bus.
 /// --port takes over the connection of a program that is drawing.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
@@ -37,7 +37,7 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-/// How the bus is reached: one of these.
+/// How to reach the bus: one of these.
 #[derive(clap::Args, Debug)]
 struct WayArguments {
     /// Run the master on this computer, with raw frames on this network interface; needs permission for raw sockets.
@@ -88,7 +88,7 @@ enum Action {
         /// First address, hexadecimal.
         #[arg(value_name = "ADDR", value_parser = address)]
         address: Option<u16>,
-        /// Bytes.
+        /// Number of bytes.
         #[arg(value_name = "LEN", default_value_t = 16)]
         length: u16,
     },
@@ -113,7 +113,7 @@ enum SdoAction {
         /// INDEX:SUB, the index hexadecimal.
         #[arg(value_parser = parse_object)]
         object: Object,
-        /// Its type; what the slave tells when it is left out.
+        /// Type of the object. Default: the type that the slave reports.
         #[arg(long = "type", value_name = "T")]
         kind: Option<Type>,
         /// All sub-indices at once, from SUB (0 or 1), as bytes.
@@ -138,12 +138,12 @@ enum SdoAction {
         #[arg(long)]
         complete: bool,
     },
-    /// The object dictionary, as the slave tells it.
+    /// List the object dictionary that the slave reports.
     List {
         /// The slave, from 1.
         #[arg(value_name = "N", value_parser = slave_number)]
         slave: u8,
-        /// The entries of every object as well.
+        /// Also list the entries of every object.
         #[arg(long)]
         entries: bool,
     },
@@ -212,7 +212,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 impl WayArguments {
-    /// An option beside --port that says how the bus is reached.
+    /// The option beside --port that selects the way to the bus, if one is given.
     fn other(&self) -> Option<&'static str> {
         let interface = self.interface.as_ref().map(|_| "--interface");
         interface

@@ -1,4 +1,4 @@
-//! One drawing in a terminal: what is shown, and what the keys do.
+//! One drawing in a terminal: its display and its keys.
 
 use crate::commands::display::Display;
 use crate::commands::operator::{Key, Operator};

@@ -1,4 +1,4 @@
-//! `etherpen jobs`: the drawings of this computer's log.
+//! `etherpen jobs`: the drawings in this computer's job log.
 
 use crate::commands::print_json;
 use crate::error::ProgramError;

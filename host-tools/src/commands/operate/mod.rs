@@ -73,7 +73,7 @@ pub enum Command {
     },
     /// Lift or lower the pen at its present position.
     Pen {
-        /// Where to.
+        /// Up or down.
         to: PenTo,
         /// Which machine.
         #[command(flatten)]
@@ -110,7 +110,7 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-/// Where the pen is to be.
+/// Position of the pen.
 #[derive(clap::ValueEnum, Clone, Copy, Debug)]
 pub enum PenTo {
     /// Off the paper.
@@ -255,16 +255,16 @@ struct Done {
     order: &'static str,
     /// Whether the machine accepted the order.
     done: bool,
-    /// Whether the state was seen that the order leads to.
+    /// Whether the end state of the order was reached.
     reached: bool,
-    /// Where the machine stands now, in words.
+    /// State of the machine in words.
     state: String,
     mode: Option<Mode>,
     fault: Option<String>,
     referenced: Option<bool>,
     override_percent: Option<u8>,
     owner: Option<Owner>,
-    /// Whether a state that was not reached is an error.
+    /// Whether missing the end state is an error.
     #[serde(skip)]
     is_due: bool,
 }
@@ -299,7 +299,7 @@ impl Done {
         }
     }
 
-    /// An error where the end state was due and did not come.
+    /// An error if the end state was due and was not reached.
     fn ended(&self) -> Result<(), ProgramError> {
         if self.reached || !self.is_due {
             return Ok(());

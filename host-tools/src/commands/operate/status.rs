@@ -77,7 +77,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>) -> Answer<'a> {
     let status = snapshot.status.as_ref();
     let referenced = status.is_some_and(|status| status.referenced);
-    // Without a reference the angles are those within some motor turn.
+    // Without a reference the angles are known only within a motor turn.
     let sample = snapshot.sample.as_ref().filter(|_| referenced);
     let joints = sample.map(|sample: &Sample| sample.measured_rad.map(f64::from));
     let position = joints.and_then(|joints| {

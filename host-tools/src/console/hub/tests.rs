@@ -1,4 +1,4 @@
-//! What viewers are told, and how little of it is kept.
+//! What the hub sends to viewers, and the bounds of what it keeps for them.
 
 use super::*;
 use crate::console::capture::Condition;

@@ -15,7 +15,7 @@ pub(super) const WAITING_MAX: usize = 64;
 pub(super) struct Inbox(VecDeque<(Ticket, Request)>);
 
 impl Inbox {
-    /// Takes a request; gives whether there was room for it.
+    /// Takes a request; returns whether there was room for it.
     pub(super) fn push(&mut self, heard: Ticket, request: Request) -> bool {
         let same_kind =
             |(_, other): &(Ticket, Request)| std::mem::discriminant(other) == std::mem::discriminant(&request);
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
     use crate::random::Lcg;
 
-    /// A request made of a number.
+    /// A request that carries this number.
     fn request(number: u64) -> Request {
         match number % 6 {
             0 => Request::Alive,

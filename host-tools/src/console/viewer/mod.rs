@@ -1,9 +1,9 @@
 //! One viewer: carries out its requests, and sends it as much as its connection can carry.
 //!
-//! Three tasks: one reads and finds the stops, in the thread that does nothing else; one does what is asked, one sends.
-//! Invariants: a stop is heard whatever the other two do, and what would move the robot and was heard before it, from
-//! whichever viewer, is not done after it; what waits for a viewer is bounded, the newest replaces what it
-//! could not take; a request of a viewer without the token or without control is refused, a stop with the token is not.
+//! Three tasks: one reads, and finds stops in the thread `stop`; one carries out requests; one sends. Invariants: a
+//! stop is received whatever the other two tasks do, and no motion requested before it, by any viewer, is carried out
+//! after it. Data waiting for a viewer are bounded; the newest replace what it could not take. Requests of a viewer
+//! without the token or without control are refused; a stop with the token is not.
 
 mod inbox;
 mod pictures;
@@ -198,7 +198,7 @@ async fn read(mut stream: SplitStream<WebSocket>, viewer: &Arc<Viewer>) {
     let (mut malformed, mut patience) = (0, Patience::new());
     while let Some(Ok(message)) = stream.next().await {
         let heard = viewer.console.ticket();
-        // One message a turn, so that nobody's flood keeps others from being heard.
+        // One message a turn, so that no viewer's flood keeps others from being heard.
         tokio::task::yield_now().await;
         let pause = patience.pause();
         if !pause.is_zero() && !viewer.may_command() {
@@ -230,7 +230,7 @@ impl Viewer {
         self.commanding.load(Ordering::Relaxed)
     }
 
-    /// Stops at once; everything else is put where it is served from.
+    /// Carries out a stop at once; passes everything else to the task that serves it.
     fn hear(&self, heard: Ticket, request: Request) {
         if let Request::Hello { token, .. } = &request {
             let right = same(token.as_bytes(), self.console.token.as_bytes());
@@ -272,7 +272,7 @@ impl Viewer {
         format!("viewer {}", self.id)
     }
 
-    /// Does what was asked when it was heard.
+    /// Carries out a request that was received at `heard`.
     fn take(&self, heard: Ticket, request: Request) {
         let now_ms = self.console.now_ms();
         self.console.hub().control.heard(self.id, now_ms);
@@ -362,7 +362,7 @@ impl Viewer {
         }
     }
 
-    /// What the viewer with control may ask for.
+    /// Carries out a request of the viewer with control.
     fn operate(&self, heard: Ticket, request: Request, now_ms: u64) {
         let console = &self.console;
         match request {

@@ -15,22 +15,22 @@ use etherpen::motion::Vertex;
 const PLANNED_MAX_S: f64 = 7_200.0;
 const SURE_SHARE: f64 = 0.1;
 
-/// Strokes on the sheet as the path that travels: coordinates as the link carries them, without repetitions.
+/// The path sent for strokes on the sheet: coordinates as the link carries them, without repetitions.
 pub(crate) fn travelling(drawing: &Drawing, config: &Config) -> Vec<Vertex> {
     as_sent(&to_path(drawing, &config.paper))
 }
 
-/// Layers in an order that was chosen, and what the planner says of it.
+/// Layers in the chosen order, and the planned durations.
 pub(crate) struct ChosenOrder {
-    /// The layers' strokes; none where nothing is quicker than what was given.
+    /// The layers' strokes; `None` if no order is quicker than the given one.
     pub(crate) layers: Option<Vec<Drawing>>,
-    /// Planned duration of what was given, s, over two hours about; none where the robot cannot draw it.
+    /// Planned duration of the given order, s, approximate above two hours; `None` if the robot cannot draw it.
     pub(crate) given_s: Option<f64>,
-    /// Planned duration of what was chosen, s; none where the robot cannot draw it.
+    /// Planned duration of the chosen order, s; `None` if the robot cannot draw it.
     pub(crate) chosen_s: Option<f64>,
 }
 
-/// Orders the strokes of each layer: fully, or only joined where that would take longer than what was given, or not at all.
+/// Orders the strokes of each layer. If that would take longer than the given order, only joins them, or keeps them.
 ///
 /// `given` are the strokes of all layers in the given order; the result is never longer than it.
 pub(crate) fn choose_order(
@@ -93,7 +93,7 @@ fn sequence(layers: &[Drawing], sheet_mm: [f64; 2]) -> Drawing {
     }
 }
 
-/// Planned duration of each drawing, s; none where the robot cannot draw it.
+/// Planned duration of each drawing, s; `None` if the robot cannot draw it.
 fn durations_s<const N: usize>(drawings: [&Drawing; N], config: &Config) -> [Option<f64>; N] {
     let duration_s = |drawing: &Drawing| {
         let seconds = planned_s(config, &travelling(drawing, config));
@@ -120,7 +120,7 @@ mod tests {
         }
     }
 
-    /// Strokes of all lengths anywhere, some in clusters, some in order already.
+    /// Strokes of all lengths anywhere, some in clusters, some already in order.
     fn scattered(seed: u64) -> Drawing {
         let mut random = Lcg::new(seed);
         let mut unit = || random.unit();
@@ -159,7 +159,7 @@ mod tests {
                     })
                     .collect(),
             ),
-            // Dots, and gaps of just the width that is joined.
+            // Dots, and gaps exactly as wide as those that are joined.
             drawing(
                 (0..12)
                     .map(rows)

@@ -16,13 +16,13 @@ use std::path::Path;
 
 /// A file as strokes on the sheet, not yet checked.
 pub struct Composed {
-    /// The picture it was made of, and where it lies on the sheet: left, top, width and height, mm.
+    /// The source picture, and its place on the sheet: left, top, width and height, mm.
     pub photograph: Option<(RgbImage, [f64; 4])>,
-    /// Layers and their strokes in the order of drawing; none for a path in the robot's frame.
+    /// Layers and their strokes in the order of drawing; empty for a path in the robot's frame.
     pub parts: Vec<(Layer, Drawing)>,
     /// The path in the robot's frame, coordinates as the link carries them, without repetitions.
     pub path: Vec<Vertex>,
-    /// Duration of the strokes by the firmware's planner, s; none for a path in the robot's frame, or where the robot
+    /// Duration of the strokes by the firmware's planner, s; `None` for a path in the robot's frame, or if the robot
     /// cannot draw them.
     pub planned_s: Option<f64>,
 }
@@ -90,7 +90,7 @@ pub(crate) fn compose_content(
     Ok(Composed {
         photograph,
         parts,
-        // What travels is what is checked.
+        // The checked path is the one that is sent.
         path: as_sent(&path),
         planned_s: known_s,
     })
@@ -117,13 +117,13 @@ pub(crate) fn in_sequence(parts: &[(Layer, Drawing)]) -> Drawing {
 
 /// A photograph's strokes.
 pub(crate) struct FromPhotograph {
-    /// The picture as it was turned.
+    /// The rotated picture.
     pub(crate) picture: RgbImage,
     /// Its place on the sheet: left, top, width and height, mm.
     pub(crate) place_mm: [f64; 4],
     /// The strokes.
     pub(crate) drawing: Drawing,
-    /// Their duration in this order by the firmware's planner, s, where they were made for a time.
+    /// Planned duration of the strokes in this order, s, if a drawing time was requested.
     pub(crate) planned_s: Option<f64>,
 }
 

@@ -5,7 +5,7 @@
 //! is this program with a hidden command. It gets the file's content on standard input and answers on standard output,
 //! so it needs no file permissions except for fonts.
 //!
-//! `order` and `vectorize` read their file without it: nothing else runs in their own process, and they move no robot.
+//! `order` and `vectorize` read their file in their own process: nothing else runs there, and they move no robot.
 
 use super::compose::{Composed, compose_content};
 use super::source::SourceArguments;
@@ -49,7 +49,7 @@ pub(super) fn is_enabled() -> bool {
     IS_ENABLED.load(Ordering::Relaxed)
 }
 
-/// What the process is asked for; the file's content follows.
+/// Request to the process; the file's content follows.
 #[derive(Serialize, Deserialize)]
 struct Request {
     name: String,
@@ -57,7 +57,7 @@ struct Request {
     options: SourceArguments,
 }
 
-/// What it answers; the picture's bytes follow.
+/// Answer of the process; the picture's bytes follow.
 #[derive(Serialize, Deserialize)]
 enum Answer {
     Composed {
@@ -73,7 +73,7 @@ enum Answer {
     },
 }
 
-/// Reads, vectorises and orders a file's content in a process of its own.
+/// Reads, vectorises and orders a file's content in a separate process.
 ///
 /// # Errors
 /// Errors of [`compose_content`], and a failure of the process.
@@ -90,7 +90,7 @@ pub(super) fn compose(
         options: options.clone(),
     };
     let request = framed(&request, content).map_err(|cause| failed(&cause))?;
-    // The program itself, even where its file has been replaced since.
+    // This program itself, even if its file has been replaced since.
     let mut command = Command::new("/proc/self/exe");
     command.arg(COMMAND);
     let (status, answer) = exchange(&mut command, request).map_err(|cause| failed(&cause))?;
@@ -171,7 +171,7 @@ pub fn run() -> Result<(), ProgramError> {
         .map_err(|cause| failed(&cause))
 }
 
-/// A message and bytes behind it: the message's length, the message, the bytes.
+/// A message followed by bytes: the message's length, the message, the bytes.
 fn framed(message: &impl Serialize, mut bytes: Vec<u8>) -> Result<Vec<u8>, postcard::Error> {
     let message = postcard::to_extend(message, Vec::new())?;
     let mut result = (message.len() as u64).to_le_bytes().to_vec();
@@ -186,14 +186,14 @@ fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Option<(T, &[u8])> {
     Some((postcard::from_bytes(message).ok()?, rest))
 }
 
-/// Passes a request to a process and takes its answer.
+/// Passes a request to a process and returns its answer.
 fn exchange(command: &mut Command, request: Vec<u8>) -> io::Result<(ExitStatus, Vec<u8>)> {
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
     let (input, output) = (child.stdin.take(), child.stdout.take());
     let mut answer = Vec::new();
     let read = std::thread::scope(|scope| {
         scope.spawn(|| {
-            // A process that has ended does not take it; its end says why.
+            // A process that has ended does not read the request; its exit status gives the reason.
             let _ = input.map(|mut input| input.write_all(&request));
         });
         output.map_or(Ok(0), |output| output.take(ANSWER_MAX_BYTES).read_to_end(&mut answer))
@@ -201,7 +201,7 @@ fn exchange(command: &mut Command, request: Vec<u8>) -> io::Result<(ExitStatus, 
     Ok((child.wait()?, read.map(|_| answer)?))
 }
 
-/// The cause of a process's end before it answered.
+/// Why a process ended before it answered.
 fn death(status: ExitStatus) -> Option<String> {
     let cause = match status.signal() {
         None if status.success() => return None,

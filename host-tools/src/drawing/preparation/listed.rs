@@ -1,4 +1,4 @@
-//! Paths that a file lists vertex by vertex, planned exactly as they are listed.
+//! Paths that a file lists vertex by vertex, planned exactly as listed.
 
 use super::compose::unusable;
 use super::prepare::prepare_with;
@@ -12,8 +12,9 @@ use etherpen::messages::ConfigRefusal;
 use etherpen::motion::{Admission, RefusalReason, Vertex};
 use std::path::Path;
 
-/// Reads a file: a listed path as it is, anything else as it would be drawn. Returns the path, every vertex of which is
-/// admitted, and how many vertices of a listed path coincided with the previous one and were left out.
+/// Reads a file: a listed path as it is, any other file as it would be drawn. Returns the path, with every vertex
+/// admitted, and the number of vertices of a listed path that were left out because they coincided with the previous
+/// one.
 ///
 /// # Errors
 /// The file or the configuration cannot be used, or a vertex is refused.

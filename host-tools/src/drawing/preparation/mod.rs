@@ -1,9 +1,9 @@
 //! Preparation of a file: from its content to an admitted path, without a machine.
 //!
-//! [`prepare`] reads the file, [`compose`] makes strokes of it, [`choose_order`] selects their order by the firmware's
-//! planner, and `time_budget` fits a photograph into a drawing time. [`confined`] does that in a process of its own. [`listed`] reads paths that are
-//! planned as they are.
-//! [`source`] has the options of all commands that draw or show a file.
+//! [`prepare`] reads the file, [`compose`] converts it into strokes, [`choose_order`] selects their order by the
+//! firmware's planner, and `time_budget` fits a photograph into a drawing time. [`confined`] does that in a separate
+//! process. [`listed`] reads paths that are planned exactly as listed. [`source`] has the options of all commands that
+//! draw or show a file.
 
 pub mod choose_order;
 pub mod compose;

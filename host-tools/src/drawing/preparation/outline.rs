@@ -1,4 +1,4 @@
-//! The border of a drawing, driven with the pen up to check that it is on the paper.
+//! The border of a drawing, traced with the pen up to check that it is on the paper.
 
 use super::wire::as_sent;
 use super::wire::to_wire;
@@ -93,7 +93,7 @@ mod tests {
     use crate::simulation::{self, Host};
     use etherpen::application::Mode;
 
-    /// A cell that notes where the platform is each millisecond.
+    /// A cell that records the platform's position each millisecond.
     struct Watched {
         cell: Cell,
         places: Vec<Position>,
@@ -114,7 +114,7 @@ mod tests {
         }
     }
 
-    /// Notes the milliseconds in which a path is executed.
+    /// Records the milliseconds in which a path is executed.
     struct Watching {
         job: Job,
         executed: Vec<bool>,
@@ -132,7 +132,7 @@ mod tests {
         }
     }
 
-    /// Where the cell's platform went along a border.
+    /// Positions of the cell's platform along a border.
     fn went(border: &[PathVertex], config: &Config) -> (Cell, Vec<Position>) {
         let mut cell = Watched {
             cell: Cell::new(config, CellOptions::default()),
@@ -188,7 +188,7 @@ mod tests {
                 .fold(f64::INFINITY, f64::min);
             assert!(away_mm < 1.0, "{away_mm} mm from the corner {x_mm}, {y_mm}");
         }
-        // Once it has come to the border it stays on it until it has been around.
+        // Once it has reached the border, it stays on it until it has gone around.
         let off_mm = |place: &Position| {
             let inside = (place.x_mm - left)
                 .min(right - place.x_mm)

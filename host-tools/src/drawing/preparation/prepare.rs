@@ -17,7 +17,7 @@ use std::path::Path;
 
 /// A file made ready for drawing.
 pub struct Prepared {
-    /// The picture it was made of, and where it lies on the sheet: left, top, width and height, mm.
+    /// The source picture, and its place on the sheet: left, top, width and height, mm.
     pub photograph: Option<(RgbImage, [f64; 4])>,
     /// The path in the robot's frame, every vertex admitted.
     pub path: Vec<Vertex>,
@@ -25,9 +25,9 @@ pub struct Prepared {
 
 /// A stroke that would not be drawn.
 pub struct RefusedStroke {
-    /// Its number in the order of drawing, the first is 0.
+    /// Number of the stroke in the order of drawing, from 0.
     pub stroke: u32,
-    /// Where, in the robot's frame.
+    /// First position that is refused, in the robot's frame.
     pub position: Position,
     /// Why, and what to try.
     pub reason: String,
@@ -59,8 +59,8 @@ pub fn prepare_with(file: &Path, config: &Config, options: &SourceArguments) -> 
     })
 }
 
-/// Reads, vectorises and orders a file; says on stderr what a person should know about it. The program does it in a
-/// process of its own ([`confined`]).
+/// Reads, vectorises and orders a file; prints warnings on stderr. The program `etherpen` does this in a separate
+/// process ([`confined`]).
 ///
 /// # Errors
 /// The file cannot be used, or it contains nothing to draw.
@@ -72,7 +72,7 @@ pub fn compose(file: &Path, config: &Config, options: &SourceArguments) -> Resul
     compose_content(file, &content, config, options)
 }
 
-/// The strokes that leave the sheet or what the robot may use, each with its first place.
+/// The strokes that leave the sheet or the work area, each with its first refused position.
 ///
 /// # Errors
 /// The configured dimensions do not form a valid robot.

@@ -27,7 +27,7 @@ pub struct Preview {
     pub estimated_s: Option<f64>,
     /// Number of strokes that would be refused.
     pub refused: usize,
-    /// The first of them, in the order of drawing.
+    /// The first refusals, in the order of drawing.
     pub refusals: Vec<PreviewRefusal>,
     /// Layers in the order of drawing; empty for a path in the robot's frame.
     pub layers: Vec<PreviewLayer>,
@@ -38,11 +38,11 @@ pub struct Preview {
 pub struct PreviewRefusal {
     /// Number in the order of drawing, from 1.
     pub stroke: u32,
-    /// Place in the robot's frame.
+    /// X of the refused position in the robot's frame, mm.
     pub x_mm: f64,
-    /// Place in the robot's frame.
+    /// Y of the refused position in the robot's frame, mm.
     pub y_mm: f64,
-    /// Place in the robot's frame.
+    /// Z of the refused position in the robot's frame, mm.
     pub z_mm: f64,
     /// Why, and what to try.
     pub reason: String,

@@ -59,7 +59,7 @@ pub struct SourceArguments {
     seed: Option<u64>,
 }
 
-/// What text in an SVG is drawn with.
+/// Font of text in an SVG.
 #[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TextArguments {
     /// SVG text: draw single-line letters instead of the outlines of a font.
@@ -71,7 +71,7 @@ pub struct TextArguments {
 }
 
 impl TextArguments {
-    /// What text is drawn with.
+    /// The font for text.
     #[must_use]
     pub fn font(&self) -> TextFont {
         match &self.font {
@@ -96,14 +96,14 @@ fn share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A time that limits no drawing, s.
+/// A drawing time that limits no drawing, s.
 const UNBOUNDED_S: f64 = 1e9;
 
 /// Two lengths, mm.
 type Size = [f64; 2];
 
 impl SourceArguments {
-    /// Where vectors go on the sheet.
+    /// Placement of vectors on the sheet.
     #[must_use]
     pub fn placement(&self) -> Placement {
         let plain = Placement::default();
@@ -117,7 +117,7 @@ impl SourceArguments {
         }
     }
 
-    /// Whether anything differs from what a command line without options says.
+    /// Whether any option differs from its default.
     #[must_use]
     pub fn is_given(&self) -> bool {
         #[derive(clap::Parser)]
@@ -130,7 +130,7 @@ impl SourceArguments {
         plain.is_ok_and(|plain| serde_json::to_value(self).ok() != serde_json::to_value(plain).ok())
     }
 
-    /// These options for one layer alone, placed where it lies among the other layers.
+    /// These options for one layer alone.
     #[must_use]
     pub fn only(&self, layer: &str) -> Self {
         Self {
@@ -139,7 +139,7 @@ impl SourceArguments {
         }
     }
 
-    /// How a photograph becomes strokes on the configured sheet.
+    /// Options for converting a photograph into strokes on the configured sheet.
     #[must_use]
     pub fn vectorize_options(&self, config: &Config) -> VectorizeOptions {
         let plain = VectorizeOptions::default();
@@ -151,7 +151,7 @@ impl SourceArguments {
             pen_width_mm: self.pen_width.unwrap_or(plain.pen_width_mm),
             style: Style::from_name(&self.style).unwrap_or_default(),
             detail: self.detail.unwrap_or(plain.detail),
-            // A time that is asked for is met by planning, with all the detail that the pen's width allows.
+            // A requested time is met by planning, with all the detail that the pen's width allows.
             strokes_max: match (self.max_strokes, self.max_time) {
                 (Some(count), _) => count as usize,
                 (None, Some(_)) => usize::MAX,
@@ -162,13 +162,13 @@ impl SourceArguments {
         }
     }
 
-    /// Longest time that a photograph's drawing may take, s, if one is asked for.
+    /// Longest drawing time of a photograph, s, if one is requested.
     #[must_use]
     pub fn time_budget_s(&self) -> Option<f64> {
         self.max_time
     }
 
-    /// Quarters by which a photograph is turned clockwise, 0 to 3; `None` where it is turned by anything else.
+    /// Clockwise quarter turns of a photograph, 0 to 3; `None` if the rotation is not a multiple of 90 degrees.
     #[must_use]
     pub fn quarters(&self) -> Option<u8> {
         let quarters = self.rotate / 90.0;
@@ -181,7 +181,7 @@ impl SourceArguments {
         self.pen_width.unwrap_or(VectorizeOptions::default().pen_width_mm)
     }
 
-    /// What text is drawn with.
+    /// The font for text.
     #[must_use]
     pub fn font(&self) -> TextFont {
         self.text.font()
@@ -193,7 +193,7 @@ impl SourceArguments {
         self.text.inputs(file, config)
     }
 
-    /// Whether the file's order stays.
+    /// Whether the file's order is kept.
     #[must_use]
     pub fn keeps_order(&self) -> bool {
         self.keep_order

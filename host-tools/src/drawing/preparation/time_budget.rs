@@ -39,7 +39,7 @@ pub(super) struct Timed {
     pub(super) planned_s: f64,
 }
 
-/// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one with a pen so many times as wide.
+/// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one for a multiple of the pen's width.
 ///
 /// # Errors
 /// Errors of `draw` with the real pen, and [`DrawingError::TimeTooShort`].
@@ -50,7 +50,7 @@ pub(super) fn within(
     draw: impl Fn(f64) -> Result<Drawing, DrawingError>,
 ) -> Result<Option<Timed>, DrawingError> {
     let whole = timed(draw(1.0)?, config, options);
-    // What the robot cannot draw has no time; it is refused where places are checked.
+    // A drawing that the robot cannot execute has no time; the check of positions refuses it.
     if !whole.planned_s.is_finite() || whole.planned_s <= budget_s {
         return Ok(Some(whole).filter(|whole| whole.planned_s.is_finite()));
     }
@@ -64,7 +64,7 @@ pub(super) fn within(
         }
         width = width.min(WIDEST);
         let Some(tried) = draw(width).ok().map(|drawing| timed(drawing, config, options)) else {
-            // So wide a pen draws nothing.
+            // A pen this wide draws nothing.
             quick = Some((width, 0.0));
             width = (slow.0 * width).sqrt();
             continue;
@@ -112,7 +112,7 @@ fn next_width(slow: (f64, f64), quick: Option<(f64, f64)>, aim_s: f64) -> f64 {
         return middle;
     }
     let width = slow.0 * (slow.1 / aim_s).powf(1.0 / power.clamp(POWER_RANGE[0], POWER_RANGE[1]));
-    // A try that lands on an end again would learn nothing.
+    // A try at an end of the range would add no information.
     let room = (quick.0 / slow.0).powf(0.1);
     width.clamp(slow.0.min(quick.0) * room, (quick.0 / room).max(slow.0 * room))
 }

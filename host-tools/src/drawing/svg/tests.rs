@@ -1,4 +1,4 @@
-//! Vector files as programs write them, and as nobody should.
+//! Vector files as programs write them, and malformed ones.
 
 use super::*;
 
@@ -222,7 +222,7 @@ fn outlines_are_closed_and_a_missing_font_is_told() {
     let font = std::env::temp_dir().join(format!("etherpen-font-{}.ttf", std::process::id()));
     std::fs::write(&font, include_bytes!("../../../assets/hershey/single-stroke.ttf")).expect("a file");
     let file = FontFile::read(&font).expect("a font");
-    // The two strokes of an L, with the way back to where they began.
+    // The two strokes of an L, with the line back to their start.
     let lines = points(&letter("L", "", &TextFont::File(file)));
     assert_eq!(lines.len(), 2, "{lines:?}");
     assert!(
@@ -252,7 +252,7 @@ fn a_shape_with_a_number_that_no_drawing_has_is_refused_and_named() {
         })
     };
     assert_eq!(read_svg(text).err(), far(3));
-    // An arc of so many pieces that a library would be at it for hours; numbers without spaces between them.
+    // An arc with so many pieces that a library would take hours; numbers without spaces between them.
     for arc in ["M1 1A9e25-1e15 1e9 1 0-1e6 1e30", "M1 1a.5.5 0 0 1-1e10.5"] {
         let text = format!("<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 9 9'><path\nd='{arc}'/></svg>");
         assert_eq!(read_svg(&text).err(), far(1), "{arc}");
@@ -292,7 +292,7 @@ fn characters_that_no_font_has_are_named_and_leave_their_place_free() {
         );
         assert_eq!(points(&artwork), points(&letter("T L", "", font)), "{missing}");
     }
-    // Labels and identifiers with such a character are no text.
+    // Labels and identifiers with such a character are not text.
     let text = "<text x='1' y='9' font-size='9'>T\u{6f22}</text><path id='\u{6f22}' d='M0 0h5'/><use xlink:href='#\u{6f22}' y='3'/>";
     let artwork = read_svg_with(&svg("width='50' height='50'", text), font).expect("an SVG");
     assert_eq!(lines(&artwork), 2 + 2, "{:?}", artwork.warnings);

@@ -9,7 +9,7 @@ use etherpen::robots::Kinematics;
 use std::f64::consts::TAU;
 
 const LIMIT_MS: u32 = 120_000;
-/// How far angles may be apart, rad: two of the resolver's increments.
+/// Largest accepted difference between two angles, rad: two of the resolver's increments.
 const SAME_RAD: f64 = 1.2e-6;
 
 const MARKS: Wanted = Wanted {
@@ -26,7 +26,7 @@ fn at(pose: JointAngles, position: Option<Position>) -> Wanted {
     }
 }
 
-/// A robot whose resolvers show something at their marks, with what it truly is.
+/// A configuration with a non-zero resolver position at every mark, and a cell with it.
 fn robot() -> (Config, Cell) {
     let mut config = Config::default();
     for (axis, increments) in config.axes.iter_mut().zip([123_456, 700_000, 5, 1_040_000]) {
@@ -96,7 +96,7 @@ fn a_pose_wrong_by_30_degrees_is_refused_with_its_axis() {
 fn unknown_offsets_are_set_from_a_pose_and_marks_stored_there_give_the_same_angles() {
     let (_, mut cell) = robot();
     let truth = cell.state();
-    // Nobody has ever told this configuration what the resolvers show at the marks.
+    // This configuration does not know what the resolvers show at the marks.
     let unknown = Config::default();
     let refused = take(&mut cell, &unknown, at(truth.joints, None)).unwrap_err();
     assert!(matches!(*refused, JobError::Refused(_, Refusal::PoseResolver { .. })));
@@ -166,7 +166,7 @@ fn a_robot_that_moves_has_no_position_or_has_a_fault_is_not_referenced() {
 fn a_fault_from_before_is_acknowledged_where_that_is_asked_for() {
     let mut rig = Rig::new(1, 0);
     (rig.mode, rig.fault) = (Mode::Fault, Some(Fault::EmergencyStop(StopSource::Link)));
-    // The rig counts no cycles, so that nothing can be read back.
+    // The rig does not count cycles, so nothing can be read back.
     let error = on_bench(&mut rig, true);
     assert!(
         matches!(

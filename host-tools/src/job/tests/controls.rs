@@ -93,7 +93,7 @@ fn a_hold_at_the_next_pen_up_waits_for_it() {
     assert_eq!((job.outcome(), held), (Some(&Ok(())), true));
 }
 
-/// Vertices at random within 0.2 mm, as a digitiser's noise: many legs are near each sample.
+/// Random vertices within 0.2 mm, like a digitiser's noise: many legs are near each sample.
 fn noise(count: usize) -> Vec<PathVertex> {
     let mut random = Random::new(4);
     let mut um = || (random.bits() % 400) as i32 - 200;
@@ -123,7 +123,7 @@ fn a_stop_leaves_at_once_while_a_drawing_that_is_hard_to_verify_runs_and_ends() 
             let now_looks = job.verifier.as_ref().map_or(looks, Verifier::looks);
             most = most.max(now_looks - looks);
             looks = now_looks;
-            // After the drawing's middle, at its end.
+            // In the middle of the drawing, or around its end.
             let at_ms = stop.map(|stop| {
                 if stop < 5_000 {
                     resting_ms.unwrap_or_default() + stop

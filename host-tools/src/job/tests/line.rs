@@ -32,7 +32,7 @@ fn a_configuration_gets_over_a_bad_line_and_where_it_cannot_that_is_told() {
         run(&mut rig, &mut job, 60_000, |_, _, _| {});
         (job.outcome().copied(), rig)
     };
-    // Two bytes in a thousand, of a kilobyte that has to come whole.
+    // Two bytes in a thousand, of a kilobyte that has to arrive intact.
     for seed in 1..=8 {
         let (outcome, rig) = prepared(seed, 500);
         assert_eq!(
@@ -46,7 +46,7 @@ fn a_configuration_gets_over_a_bad_line_and_where_it_cannot_that_is_told() {
             "seed {seed}"
         );
     }
-    // One in a hundred: the greeting and the inquiries get over, the configuration has no chance.
+    // One in a hundred: the greeting and the inquiries get through, the configuration has no chance.
     for seed in 1..=3 {
         let (outcome, rig) = prepared(seed, 2_500);
         let Some(Err(JobError::Timeout { phase, waited_ms })) = outcome else {

@@ -42,7 +42,7 @@ fn with_task(task: Task, session: u32) -> Job {
     Job::new(Config::default(), task, options)
 }
 
-/// A rig that was told to draw by a program that has gone after this many milliseconds, and holds by itself since.
+/// A rig that holds by itself: the program that ordered the drawing disappeared after this many milliseconds.
 fn left_behind(count: usize, gone_ms: u64) -> (Rig, u64) {
     let (mut rig, mut job) = (Rig::new(1, 0), job(count));
     let mut now_ms = 0;
@@ -59,7 +59,7 @@ fn left_behind(count: usize, gone_ms: u64) -> (Rig, u64) {
     (rig, now_ms)
 }
 
-/// Runs a job with a clock of its own on a rig whose time goes on; how long it took, ms.
+/// Runs a job with its own clock on a rig whose time continues; returns how long it took, ms.
 fn go_on(rig: &mut Rig, job: &mut Job, since_ms: u64) -> u64 {
     for ms in 0..20_000 {
         rig.step(since_ms + ms, |arrived, room| {

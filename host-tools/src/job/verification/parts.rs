@@ -1,4 +1,4 @@
-//! Parts of a length, such as those of a drawing that were seen.
+//! Parts of a length, such as the verified parts of a drawing.
 //!
 //! Invariant: parts are in order and do not touch.
 

@@ -5,7 +5,7 @@ use etherpen::motion::Vertex;
 
 const LIFT_MM: f64 = 5.0;
 
-/// Strokes of all kinds: serpentines of dense rows, ways back over the way there, rings, dots.
+/// Strokes of all kinds: serpentines of dense rows, strokes that return along themselves, rings, dots.
 fn drawing(random: &mut Lcg, config: &Config) -> Vec<Vertex> {
     let z_mm = config.paper.pen_down_z_mm;
     let mut path = Vec::new();
@@ -45,7 +45,7 @@ fn wire(path: &[Vertex]) -> Vec<PathVertex> {
     path.iter().map(crate::drawing::preparation::wire::to_wire).collect()
 }
 
-/// Milliseconds at rest behind a drawing.
+/// Milliseconds at rest after a drawing.
 const REST_MS: usize = 40;
 
 /// Telemetry of a robot that follows its references with the configured age, and rests.
@@ -75,7 +75,7 @@ fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
         .collect()
 }
 
-/// What a verifier says of samples that come in messages of a few.
+/// Verdict on samples that arrive a few at a time.
 fn verdict(config: &Config, path: &[Vertex], samples: &[Sample]) -> Verdict {
     let mut verifier = Verifier::new(&wire(path), config, true);
     samples.chunks(9).for_each(|samples| verifier.observe(samples));
@@ -217,7 +217,7 @@ fn two_connections_together_have_seen_the_whole_drawing() {
     assert!(verdict.missing_mm == 0.0 && verdict.unverified_mm < 8.0, "{verdict:?}");
 }
 
-/// A stroke of vertices at random within a square, and a line of 30 mm behind them.
+/// A stroke of random vertices within a square, followed by a line of 30 mm.
 fn noise(random: &mut Lcg, config: &Config, count: usize, half_mm: f64) -> Vec<Vertex> {
     let z_mm = config.paper.pen_down_z_mm;
     let vertex = |x_mm: f64, y_mm: f64, z_mm: f64, pen: Pen| Vertex {
@@ -240,7 +240,7 @@ fn noise(random: &mut Lcg, config: &Config, count: usize, half_mm: f64) -> Vec<V
 
 /// Looks of one call of [`Verifier::work`] in the tests.
 const LOOKS: usize = 10_000;
-/// Looks of one call that may come on top: those of one row, and one for each row of a piece.
+/// Looks by which one call may exceed that: those of one row, and one for each row of a piece.
 const LOOKS_OVER: usize = PARTS_AT_ONCE + SAMPLES_MAX;
 
 #[test]

@@ -1,4 +1,4 @@
-//! A session against a rig, over lines that spoil bytes.
+//! A session against a rig, over lines that damage bytes.
 
 use super::*;
 use crate::link::rig::{CAPACITY, Rig, path};

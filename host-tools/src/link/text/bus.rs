@@ -256,7 +256,7 @@ pub(super) fn bring_up_step(step: u8) -> &'static str {
     known.map_or("an unknown step", |(_, text)| text)
 }
 
-/// Text and hint for the step and the code of a failed bring-up: an AL status code where the step has one, else an SDO
+/// Text and hint for the step and the code of a failed bring-up: an AL status code if the step has one, or else an SDO
 /// abort code.
 pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
     const SUPPLY: &str = "check its supply and cable";

@@ -8,7 +8,7 @@ use super::{CRC, MAGIC, kind};
 use std::fs::File;
 use std::io::{self, BufReader, PipeReader, Read};
 
-/// Longest record read into memory, bytes; a recording has no longer ones.
+/// Longest record read into memory, bytes; all records of a recording are shorter.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
 
 /// Source of a file.
@@ -264,7 +264,7 @@ impl<R: Source> Reader<R> {
                 Some(metadata) => self.metadata.push(metadata),
                 None => self.notices.push(Notice::Malformed { kind }),
             },
-            // A message outside of a chunk counts as a chunk of its own.
+            // A message outside a chunk counts as a chunk.
             _ => {
                 self.chunk = [head, content].concat();
                 self.read = 0;

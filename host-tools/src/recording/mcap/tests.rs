@@ -91,7 +91,7 @@ fn a_changed_bit_costs_its_chunk_and_never_the_program() {
             let place = random.below(damaged.len());
             damaged[place] = random.bits() as u8;
         }
-        // An error or what is left; nothing else.
+        // An error or the rest of the messages; nothing else.
         let _ = numbers(&damaged);
     }
 }

@@ -50,7 +50,7 @@ fn times_ms(bytes: &[u8]) -> Vec<u32> {
     moments.collect()
 }
 
-/// A storage with a limited size, as a disk has it; or one that cannot be cut either.
+/// A storage with a limited size, like a disk; or one that also cannot be cut.
 #[derive(Clone)]
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -150,7 +150,7 @@ fn missing_samples_and_a_new_start_are_stored_where_they_happened() {
 fn a_recording_cut_anywhere_gives_all_but_its_last_second() {
     let config = Config::default();
     let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
-    // Length of the file when a sample had been taken.
+    // Length of the file after each sample was taken.
     let mut lengths = Vec::new();
     for t_ms in 0..6_000 {
         recorder.samples(0, &[sample(t_ms)]).unwrap();
@@ -163,7 +163,7 @@ fn a_recording_cut_anywhere_gives_all_but_its_last_second() {
     for _ in 0..40 {
         let length = head + random.below(bytes.len() - head);
         let times = times_ms(&bytes[..length]);
-        // Whoever is killed when the file is this long has taken at most these samples.
+        // A recorder that is killed at this length of the file has taken at most these samples.
         let taken = lengths.iter().filter(|at| **at <= length).count();
         assert!(
             times.len() + 1_000 >= taken,
@@ -256,10 +256,10 @@ fn a_jump_of_the_position_is_no_speed_and_a_quick_motion_is_one() {
             assert!(low >= -1.0 && high <= 1.0, "{jump} at {at}: {low} to {high}");
         }
     }
-    // At the acceleration that is planned with, up and down again: every speed counts.
+    // At the acceleration used for planning, up and down again: every speed counts.
     let triangle = |t_ms: u32| 0.25 * (100.0 - (t_ms as f32 - 100.0).abs());
     assert_eq!(speeds_rad_s(&moving(&triangle))[1], 25.0);
-    // Against a stop: one neighbour alone is far away.
+    // Against an end stop: the speed differs from one neighbour only.
     let [_, high] = speeds_rad_s(&moving(&|t_ms| if t_ms < 50 { 8.0 } else { 0.0 }));
     assert_eq!(high, 8.0);
 }
@@ -279,7 +279,7 @@ fn samples_lie_on_the_devices_axis_and_what_happens_between_them_by_the_walls_cl
     let wall = |ms: u64| begin_ns + ms * MILLISECOND_NS;
     recorder.set_time(wall(10));
     recorder.event(Severity::Info, "link", "connected").unwrap();
-    // The device runs at half the wall's speed.
+    // The device's clock runs at half the speed of the wall clock.
     recorder.set_time(wall(20));
     recorder.samples(0, &[sample(100)]).unwrap();
     recorder.set_time(wall(220));

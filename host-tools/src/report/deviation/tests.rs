@@ -40,7 +40,7 @@ fn a_position_is_compared_with_its_own_leg_and_not_with_the_neighbour() {
 
 #[test]
 fn a_stroke_whose_way_back_lies_on_the_way_there_has_no_deviation_when_it_is_followed() {
-    // There, back over the same line, and away from it in the middle: a follower that goes back loses its place.
+    // Forth, back over the same line, and away from its middle: a follower that goes back loses its place.
     let stroke = vec![place(0.0, 0.0), place(20.0, 0.0), place(10.0, 0.0), place(10.0, 8.0)];
     let there = (0..=200).map(|k| place(f64::from(k) * 0.1, 0.0));
     let back = (1..=100).map(|k| place(20.0 - f64::from(k) * 0.1, 0.0));
@@ -55,14 +55,14 @@ fn a_stroke_whose_way_back_lies_on_the_way_there_has_no_deviation_when_it_is_fol
 
 #[test]
 fn an_end_that_was_left_out_counts_with_its_distance() {
-    // The last 10 mm there and the first 10 mm back are cut off.
+    // The last 10 mm forth and the first 10 mm back are cut off.
     let cut: Vec<Position> = (0..=100)
         .map(|k| place(f64::from(k) * 0.1, 0.0))
         .chain((0..=10).map(|k| place(10.0, f64::from(k) * 0.1)))
         .chain((0..=100).map(|k| place(10.0 - f64::from(k) * 0.1, 1.0)))
         .collect();
     let (_, measured) = deviation(&moments(&cut, &cut), &[(0, hairpin())], SPEED_MM_S);
-    // Half of it: the positions before and after can stand for the nearer half of what was left out.
+    // Half of it: the positions before and after account for the nearer half of the part left out.
     assert!((5.0..5.2).contains(&measured.max_mm), "{measured:?}");
 }
 
@@ -109,7 +109,7 @@ fn ink_is_missing_where_none_is_near() {
 
 #[test]
 fn ink_that_begins_on_top_of_the_last_stroke_belongs_to_its_own() {
-    // The second stroke begins on the first one, and is drawn a little beside its own beginning.
+    // The second stroke begins on the first one, and is drawn slightly beside its own beginning.
     let strokes = vec![
         (0, vec![place(0.0, 0.0), place(20.0, 0.0)]),
         (1, vec![place(10.0, 0.05), place(10.0, 5.0)]),
@@ -135,7 +135,7 @@ fn ink_is_compared_with_the_strokes_in_their_order() {
     ]
     .concat();
     let second = line(1.3, 0, 20);
-    // 1.3 is nearer to the last leg of the first stroke than 0.2 mm only when the order is not kept.
+    // 1.3 is nearer to the last leg of the first stroke than 0.2 mm only if the order is not kept.
     let found = ink_deviation(&[first.clone(), second.clone()], &strokes);
     assert!((found.max_mm - 0.2).abs() < 1e-3, "{found:?}");
     let (before, after) = first.split_at(10);
@@ -189,7 +189,7 @@ fn a_stroke_without_ink_leaves_the_ink_of_the_others_with_their_own() {
     }
 }
 
-/// Vertices at random within 0.03 mm, as a digitiser's noise, and a line of 30 mm behind them.
+/// Random vertices within 0.03 mm, like a digitiser's noise, followed by a line of 30 mm.
 fn noise(count: usize) -> Vec<Position> {
     let mut random = Lcg::new(5);
     let mut random = || random.between(-0.03, 0.03);
@@ -198,7 +198,7 @@ fn noise(count: usize) -> Vec<Position> {
     points
 }
 
-/// Positions that rest amid the noise and then follow the line.
+/// Positions that rest within the noise and then follow the line.
 fn rest_and_follow(rest: usize) -> Vec<Step> {
     let along = (0..=300).map(|k| place(f64::from(k) * 0.1, 0.0));
     let positions = std::iter::repeat_n(place(0.0, 0.0), rest).chain(along);

@@ -4,11 +4,11 @@ use crate::drawing::preparation::source::SourceArguments;
 use clap::Parser;
 use std::path::PathBuf;
 
-/// Squares of the sheet, a side.
+/// Squares along a side of the sheet.
 const SQUARES: usize = 4;
-/// Least share of the ink that a square has for its share to be compared.
+/// Least share of the ink in a square for its share to be compared.
 const SHARE_OF_INK_MIN: f64 = 0.02;
-/// How a square's share of the ink may change against the drawing of all detail, as factors.
+/// Accepted change of a square's share of the ink, relative to the drawing with all detail.
 const SHARE_CHANGE: [f64; 2] = [0.5, 2.0];
 
 #[derive(Parser)]
@@ -57,7 +57,7 @@ fn shares(drawing: &Drawing) -> Vec<f64> {
     squares.iter().map(|mm| mm / whole).collect()
 }
 
-/// A budget is used to the given share, and the ink is spread over the sheet as in the drawing of all detail.
+/// Checks that a budget is used to the required share, with ink distributed as in the drawing with all detail.
 fn assert_kept(file: &str, style: &str, budgets_s: &[f64]) {
     let (whole, whole_s) = drawn(file, &["--style", style, "--max-time", "24h"]).expect("a photograph");
     let expected = shares(&whole);
