@@ -164,7 +164,7 @@ function studio(link) {
 }
 
 // What an unfinished drawing needs before it can continue, and the buttons for it.
-function goOn(link, drawing) {
+function continueControls(link, drawing) {
   const words = element("small");
   const button = element("button", { type: "button", className: "continue", on: { click: () => link.send({ type: "continue", job: drawing }) } }, "Continue");
   const here = element("button", { type: "button", className: "reference-here", title: "Only if nobody has moved the joints since then", on: { click: () => link.command({ do: "reference_here" }) } }, "The robot has not moved");
@@ -214,7 +214,7 @@ function lists(link) {
   };
   const ended = (job) => {
     const [how, why] = [element("span"), element("small")];
-    const [buttons, showButtons] = goOn(link, job.number);
+    const [buttons, showButtons] = continueControls(link, job.number);
     const node = element("li", {}, element("span", {}, element("b", {}, job.name), how, why), ...buttons);
     const show = (now) => {
       if (!now) return;

@@ -156,7 +156,7 @@ fn a_bypassed_slave_is_lost_and_comes_back_on_recovery() {
 }
 
 #[test]
-fn a_power_cycled_slave_is_configured_anew() {
+fn a_power_cycled_slave_is_configured_again() {
     let mut steps = Vec::new();
     run("", |now| {
         for event in &now.events {

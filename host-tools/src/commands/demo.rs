@@ -8,7 +8,7 @@ use crate::error::ProgramError;
 use crate::firmware_image::image_hash;
 use crate::output_file::make_folder;
 use crate::report::output::refuse_inputs_in;
-use crate::report::output::{Growing, capture, conclude};
+use crate::report::output::{PendingOutput, capture, conclude};
 use crate::report::summary::summarise;
 use crate::run::task;
 use crate::{run, setup};
@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let image = setup::build_firmware("emulated")?;
     eprintln!("Starting the firmware in QEMU (mps2-an500, Cortex-M7)");
     let task = task(&config, &prepared);
-    let (log_file, mut log) = Growing::create(&dir, "firmware.log")?;
+    let (log_file, mut log) = PendingOutput::create(&dir, "firmware.log")?;
     let (capture_file, capture) = capture(&dir)?;
     let log_is_whole = Arc::new(AtomicBool::new(true));
     let is_whole = log_is_whole.clone();

@@ -244,7 +244,7 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, ProgramError>
     match (name.as_str(), &arguments.file) {
         ("", Some(file)) => Ok(Some(Resumption::Last(file.clone()))),
         ("", None) => {
-            let text = "--resume needs the file to go on with, or the name of a job: etherpen jobs lists them";
+            let text = "--resume needs a file, or the name of a job: etherpen jobs lists them";
             Err(ProgramError::new(code::USAGE, text))
         }
         (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),

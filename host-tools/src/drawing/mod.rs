@@ -92,11 +92,11 @@ impl Drawing {
     #[must_use]
     pub fn pen_up_mm(&self) -> f64 {
         // An empty sum is a negative zero.
-        self.ways_mm().sum::<f64>() + 0.0
+        self.travels_mm().sum::<f64>() + 0.0
     }
 
     /// The straight distances from each stroke's end to the next one's start, mm.
-    pub(crate) fn ways_mm(&self) -> impl Iterator<Item = f64> {
+    pub(crate) fn travels_mm(&self) -> impl Iterator<Item = f64> {
         self.strokes
             .windows(2)
             .map(|pair| match (pair[0].points.last(), pair[1].points.first()) {

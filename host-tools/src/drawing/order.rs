@@ -78,7 +78,7 @@ pub fn order_with_effort(drawing: &mut Drawing, options: &OrderOptions, effort: 
         sorted(joined, &options.travel, effort)
     };
     drawing.strokes = sorted.into_iter().map(|points| Stroke { points }).collect();
-    let travel_s = |drawing: &Drawing| drawing.ways_mm().map(|mm| options.travel.seconds(mm)).sum::<f64>();
+    let travel_s = |drawing: &Drawing| drawing.travels_mm().map(|mm| options.travel.seconds(mm)).sum::<f64>();
     if drawing.pen_up_mm() > given.pen_up_mm() || travel_s(drawing) > travel_s(&given) {
         drawing.strokes.clone_from(&given.strokes);
     }

@@ -20,7 +20,7 @@ use super::line::{self, Point};
 use super::plot::PLACE_MAX_MM;
 use super::{DrawingError, FilePlace, Stroke};
 use dashes::cut_into_dashes;
-use head::{Head, farthest_line, senseless_line};
+use head::{Head, farthest_line, out_of_range_line};
 use kurbo::{Affine, BezPath, PathEl};
 use messages::{Collected, Said};
 use std::collections::{HashMap, HashSet};
@@ -74,10 +74,10 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
         return Err(too_many);
     }
     let head = Head::of(&document);
-    if head.has_senseless_size {
+    if head.has_invalid_size {
         return Err(DrawingError::SvgSize);
     }
-    if let Some(line) = senseless_line(&document) {
+    if let Some(line) = out_of_range_line(&document) {
         return Err(DrawingError::FarAway {
             place: FilePlace::Line(line),
         });

@@ -56,26 +56,26 @@ impl Travel {
     pub fn of(config: &Config) -> Self {
         let [width, height] = config.paper.size_mm;
         let room_mm = (1.0 - BORDER) * width.min(height);
-        let asked = ASKED.iter().filter(|&&entry| way_mm(entry) <= room_mm);
+        let asked = ASKED.iter().filter(|&&entry| distance_mm(entry) <= room_mm);
         let known: Vec<(usize, f64)> = asked
-            .map_while(|&entry| Some((entry, planned_s(config, way_mm(entry))?)))
+            .map_while(|&entry| Some((entry, planned_s(config, distance_mm(entry))?)))
             .collect();
         let mut seconds = [0.0; ENTRIES];
         let mut least_s = 0.0;
         for (entry, value) in seconds.iter_mut().enumerate() {
             least_s = between(&known, entry).max(least_s);
-            *value = least_s + LEAST_S_MM * way_mm(entry);
+            *value = least_s + LEAST_S_MM * distance_mm(entry);
         }
         Self::Planned(Times(seconds))
     }
 
     /// Duration of a travel move over a distance, s.
     #[must_use]
-    pub fn seconds(&self, way_mm: f64) -> f64 {
+    pub fn seconds(&self, distance_mm: f64) -> f64 {
         let Self::Planned(Times(seconds)) = self else {
-            return way_mm;
+            return distance_mm;
         };
-        let place = way_mm.max(0.0).sqrt() / STEP;
+        let place = distance_mm.max(0.0).sqrt() / STEP;
         // An entry beyond the table uses the line through the last pair.
         let entry = (place as usize).min(ENTRIES - 2);
         let (Some(&from), Some(&to)) = (seconds.get(entry), seconds.get(entry + 1)) else {
@@ -85,18 +85,18 @@ impl Travel {
     }
 }
 
-fn way_mm(entry: usize) -> f64 {
+fn distance_mm(entry: usize) -> f64 {
     (STEP * entry as f64).powi(2)
 }
 
 /// An entry between known ones: linear in the distance's root; beyond the last one linear in the distance.
 fn between(known: &[(usize, f64)], entry: usize) -> f64 {
-    let plain = LIFT_S + way_mm(entry) / SPEED_MM_S;
+    let plain = LIFT_S + distance_mm(entry) / SPEED_MM_S;
     let Some(after) = known.iter().position(|&(other, _)| other >= entry) else {
         let [.., (first, first_s), (last, last_s)] = known else {
             return plain;
         };
-        let share = (way_mm(entry) - way_mm(*first)) / (way_mm(*last) - way_mm(*first));
+        let share = (distance_mm(entry) - distance_mm(*first)) / (distance_mm(*last) - distance_mm(*first));
         return first_s + share * (last_s - first_s);
     };
     let (Some(&(low, low_s)), Some(&(high, high_s))) = (known.get(after.saturating_sub(1)), known.get(after)) else {
@@ -109,11 +109,11 @@ fn between(known: &[(usize, f64)], entry: usize) -> f64 {
 }
 
 /// Mean duration of travel moves along and across the sheet.
-fn planned_s(config: &Config, way_mm: f64) -> Option<f64> {
+fn planned_s(config: &Config, distance_mm: f64) -> Option<f64> {
     let duration_s = |path: &[Vertex]| Some(planning::plan(config, path, |_, _| ()).ok()?.duration_ms as f64 / 1_000.0);
     let mut sum_s = 0.0;
     for along in [0, 1] {
-        let path = way(&config.paper, along, way_mm);
+        let path = way(&config.paper, along, distance_mm);
         let line_s = duration_s(path.get(..2)?)?;
         sum_s += duration_s(&path)? - 2.0 * line_s;
     }
@@ -139,8 +139,8 @@ fn at(paper: &Paper, along: usize, [along_mm, across_mm]: [f64; 2], lifted_mm: f
 }
 
 /// A line, the travel move, and another line.
-fn way(paper: &Paper, along: usize, way_mm: f64) -> Vec<Vertex> {
-    let (from, to) = (-0.5 * way_mm, 0.5 * way_mm);
+fn way(paper: &Paper, along: usize, distance_mm: f64) -> Vec<Vertex> {
+    let (from, to) = (-0.5 * distance_mm, 0.5 * distance_mm);
     let mut path = vec![
         at(paper, along, [from, -LINE_MM], 0.0, Pen::Up),
         at(paper, along, [from, 0.0], 0.0, Pen::Down),

@@ -170,7 +170,7 @@ impl fmt::Display for JobError {
             ),
             Self::Busy(mode) => write!(
                 f,
-                "the robot is busy: {}; wait for it, go on with a held drawing (draw --resume), or end what it does \
+                "the robot is busy: {}; wait for it, resume a held drawing (draw --resume), or end what it does \
                  (etherpen cancel)",
                 text::mode(*mode)
             ),

@@ -161,7 +161,7 @@ pub fn named(name: &str) -> Result<Record, ProgramError> {
 }
 
 fn complete(what: &str) -> ProgramError {
-    let text = format!("{what} was drawn to its end; there is nothing to go on with");
+    let text = format!("{what} was drawn to its end; nothing is left to draw");
     ProgramError::new(code::INPUT, text)
 }
 
@@ -288,11 +288,11 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
         record.entry.completed = true;
         // If this cannot be written, the next attempt gives the same result.
         let _ = record.save();
-        let text = "all strokes of this drawing were drawn; there is nothing to go on with";
+        let text = "all strokes of this drawing were drawn; nothing is left to draw";
         return Err(ProgramError::new(code::INPUT, text));
     };
     eprintln!(
-        "the firmware does not hold this drawing any more: going on from the log at stroke {} of {}, from the last \
+        "the firmware no longer holds this drawing: continuing from the log at stroke {} of {}, from the last \
          corner that the log knows; what was drawn beyond it, and {:.0} mm before it, are drawn again",
         next.stroke.saturating_add(1),
         record.entry.strokes_total,
@@ -338,7 +338,7 @@ fn chosen(mut candidates: Vec<Record>, machine: &MachineState) -> Result<Record,
     };
     let held = held.and_then(of_job);
     if candidates.is_empty() {
-        return Err(ProgramError::new(code::INPUT, "there is nothing to go on with"));
+        return Err(ProgramError::new(code::INPUT, "nothing is left to draw"));
     }
     let chosen = candidates.swap_remove(held.unwrap_or(0));
     match chosen.entry.completed {
@@ -356,7 +356,7 @@ fn check_board(record: &Record, machine: &MachineState) -> Result<(), ProgramErr
         return Ok(());
     }
     let text = format!(
-        "this drawing was begun on {begun_on}, this machine is {board}; go on with it there, or draw it from the beginning"
+        "this drawing was started on {begun_on}, and this machine is {board}; continue it there, or draw it from the beginning"
     );
     Err(ProgramError::new(code::FAILED, text))
 }
@@ -395,7 +395,7 @@ impl std::fmt::Display for ConfigChanged {
 impl From<ConfigChanged> for ProgramError {
     fn from(changed: ConfigChanged) -> Self {
         let text =
-            format!("{changed}; go on with that one (--config), or end the drawing that is held: etherpen cancel");
+            format!("{changed}; continue with that one (--config), or end the drawing that is held: etherpen cancel");
         Self::new(code::USAGE, text)
     }
 }

@@ -15,7 +15,7 @@ pub(crate) const END_MAX: Duration = Duration::from_secs(15);
 /// Time after which a status is certainly new, even if its content is unchanged: at least two arrive each second.
 const FRESH: Duration = Duration::from_secs(2);
 /// Speed below which an axis counts as at rest, rad/s: above the noise of a resolver at rest.
-const STANDING_RAD_S: f32 = 0.02;
+const REST_RAD_S: f32 = 0.02;
 
 /// Waits for the end state of an order.
 pub(crate) struct Ending {
@@ -79,13 +79,13 @@ impl Ending {
 }
 
 fn stands(sample: &Sample) -> bool {
-    sample.measured_rad_s.iter().all(|speed| speed.abs() < STANDING_RAD_S)
+    sample.measured_rad_s.iter().all(|speed| speed.abs() < REST_RAD_S)
 }
 
 /// State of the machine in words.
 pub(crate) fn state_text(snapshot: &Snapshot) -> String {
     let Some(status) = &snapshot.status else {
-        return "the machine has not said where it stands".to_owned();
+        return "the machine has not reported its state".to_owned();
     };
     match (status.mode, status.fault) {
         (Mode::Fault, Some(fault)) => {

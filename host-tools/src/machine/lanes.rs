@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_waits_for_a_stop_is_told_also_when_nobody_takes_it() {
+    fn a_caller_waiting_for_a_stop_is_released_even_if_the_stop_is_not_taken() {
         let (lanes, lane) = lanes();
         let (told, wait) = mpsc::channel();
         let told_again = told.clone();

@@ -394,10 +394,7 @@ impl Machine {
                 }
             }
             if Instant::now() > until {
-                return Err(Failure::new(
-                    code::CONNECTION,
-                    "the machine does not say where it stands",
-                ));
+                return Err(Failure::new(code::CONNECTION, "the machine does not report its state"));
             }
             std::thread::sleep(LOOK);
         }

@@ -94,11 +94,11 @@ pub struct Search {
     limits: SearchLimits,
     looks: usize,
     /// The largest distance known to be too small, mm.
-    few_mm: f64,
+    too_small_mm: f64,
     /// The smallest distance known to be enough, mm.
-    enough_mm: Option<f64>,
+    sufficient_mm: Option<f64>,
     /// The smallest distance at which too many parts would be kept, mm.
-    costly_mm: f64,
+    too_costly_mm: f64,
     /// The distance being tried, mm.
     reach_mm: f64,
     trial: Reached,
@@ -126,9 +126,9 @@ impl Search {
             first_mm,
             limits,
             looks: 0,
-            few_mm: 0.0,
-            enough_mm: None,
-            costly_mm: f64::INFINITY,
+            too_small_mm: 0.0,
+            sufficient_mm: None,
+            too_costly_mm: f64::INFINITY,
             reach_mm: FIRST_MM,
             trial: Reached::default(),
             found: Reached::default(),
@@ -179,7 +179,7 @@ impl Search {
             self.place_last(line);
         }
         SearchProgress::Found(Match {
-            distance_mm: self.enough_mm.unwrap_or(f64::INFINITY),
+            distance_mm: self.sufficient_mm.unwrap_or(f64::INFINITY),
             places_mm: std::mem::take(&mut self.places_mm),
         })
     }
@@ -195,20 +195,20 @@ impl Search {
     /// Chooses the next distance; returns false if no distance is enough.
     fn conclude(&mut self, is_enough: bool) -> bool {
         if is_enough {
-            self.enough_mm = Some(self.reach_mm);
+            self.sufficient_mm = Some(self.reach_mm);
             std::mem::swap(&mut self.found, &mut self.trial);
         } else {
-            self.few_mm = self.reach_mm;
+            self.too_small_mm = self.reach_mm;
         }
         self.trial.clear();
         self.scan = None;
-        match self.enough_mm {
-            Some(enough_mm) if enough_mm - self.few_mm > PRECISION_MM => {
-                self.reach_mm = 0.5 * (self.few_mm + enough_mm);
+        match self.sufficient_mm {
+            Some(sufficient_mm) if sufficient_mm - self.too_small_mm > PRECISION_MM => {
+                self.reach_mm = 0.5 * (self.too_small_mm + sufficient_mm);
             }
             Some(_) => self.is_placing = true,
             None if self.reach_mm > LARGEST_MM => return false,
-            None if self.costly_mm.is_finite() => self.is_too_much = !self.halve(),
+            None if self.too_costly_mm.is_finite() => self.is_too_much = !self.halve(),
             None => self.reach_mm *= 4.0,
         }
         true
@@ -216,8 +216,8 @@ impl Search {
 
     /// Continues with a smaller distance than one at which too many parts would be kept; returns whether there is one.
     fn try_closer(&mut self) -> bool {
-        self.costly_mm = self.costly_mm.min(self.reach_mm);
-        let may = self.enough_mm.is_none() && self.halve();
+        self.too_costly_mm = self.too_costly_mm.min(self.reach_mm);
+        let may = self.sufficient_mm.is_none() && self.halve();
         if may {
             self.is_too_much = false;
             self.scan = None;
@@ -229,8 +229,8 @@ impl Search {
     /// Chooses a distance between one that is too small and one at which too many parts would be kept; returns whether
     /// they are far enough apart.
     fn halve(&mut self) -> bool {
-        self.reach_mm = 0.5 * (self.few_mm + self.costly_mm);
-        self.costly_mm - self.few_mm > CLOSER_MM
+        self.reach_mm = 0.5 * (self.too_small_mm + self.too_costly_mm);
+        self.too_costly_mm - self.too_small_mm > CLOSER_MM
     }
 
     /// Whether each position reaches a part of the line; `None` if the looks are used up first.

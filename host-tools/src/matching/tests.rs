@@ -162,7 +162,7 @@ fn a_constant_distance_is_found_although_the_neighbour_is_closer() {
 }
 
 #[test]
-fn after_a_break_positions_go_on_where_they_are() {
+fn after_a_break_positions_continue_at_their_own_place() {
     let line = Polyline::new(vec![
         place(0.0, 0.0),
         place(20.0, 0.0),

@@ -191,12 +191,12 @@ impl<'a> Outcome<'a> {
 }
 
 /// A file in the output folder that is written during a drawing, and takes its name together with the results.
-pub struct Growing {
+pub struct PendingOutput {
     path: PathBuf,
     out: OutputFile,
 }
 
-impl Growing {
+impl PendingOutput {
     /// Creates the file; the sink writes into it.
     ///
     /// # Errors
@@ -220,8 +220,8 @@ impl Growing {
 ///
 /// # Errors
 /// The file cannot be created.
-pub fn capture(dir: &Path) -> Result<(Growing, Sink), ProgramError> {
-    Growing::create(dir, "bus.pcapng")
+pub fn capture(dir: &Path) -> Result<(PendingOutput, Sink), ProgramError> {
+    PendingOutput::create(dir, "bus.pcapng")
 }
 
 /// Writes the results of a run, even a failed one, and returns its report. `results` are the folder and the files that
@@ -234,7 +234,7 @@ pub fn conclude(
     prepared: &Prepared,
     drawn: &Drawn,
     image: String,
-    results: Option<(&Path, Vec<Growing>)>,
+    results: Option<(&Path, Vec<PendingOutput>)>,
 ) -> Result<Report, ProgramError> {
     let outcome = Outcome {
         config: &task.config,
@@ -250,7 +250,7 @@ pub fn conclude(
     report.virtual_to_processor_ratio = drawn.cost.map(|cost| cost.virtual_s / cost.processor_s);
     if let Some((dir, growing)) = results {
         outcome.write(dir, &report)?;
-        growing.into_iter().try_for_each(Growing::commit)?;
+        growing.into_iter().try_for_each(PendingOutput::commit)?;
     }
     match &drawn.outcome {
         Some(Ok(())) => Ok(report),

@@ -100,7 +100,7 @@ fn after_a_restart_of_the_firmware_a_drawing_goes_on_from_the_log_with_nothing_m
     rig.ends_with(&["acknowledge"], 0);
     let stderr = rig.ends_with(&["draw", &file, "--resume"], 0);
     println!("{stderr}");
-    assert!(stderr.contains("going on from the log at stroke "), "{stderr}");
+    assert!(stderr.contains("continuing from the log at stroke "), "{stderr}");
     let ink = rig.cell.ink();
     let missing_mm = whole
         .iter()

@@ -131,7 +131,7 @@ fn stopped(rig: &Rig) -> Client {
 }
 
 #[test]
-fn what_was_asked_for_before_a_stop_is_not_done_after_it_and_what_is_asked_for_after_it_is() {
+fn requests_before_a_stop_are_dropped_and_later_ones_are_carried_out() {
     // Messages on two connections are in order only once the first one has been started.
     for (begun, by_socket) in [(false, true), (true, true), (true, false)] {
         let rig = Rig::start();

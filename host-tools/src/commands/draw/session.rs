@@ -26,14 +26,14 @@ pub(super) fn attend(
             Some(DrawingNews::Event(event)) => display.show(&Show::Event(&event)),
             Some(DrawingNews::Progress(progress)) => display.show(&Show::Progress(&progress)),
             Some(DrawingNews::Reconnected) => {
-                display.say("connected again, the drawing is held: Enter goes on with it, Ctrl-C ends it");
+                display.say("connected again, the drawing is held: Enter resumes it, Ctrl-C ends it");
             }
             Some(DrawingNews::Lost(failure)) => {
                 display.say(&format!("CONNECTION LOST: {failure}"));
                 if std::io::stdin().is_terminal() {
                     display.say("the robot holds by itself; trying to connect every second, Ctrl-C gives up");
                 } else {
-                    display.say("the robot holds by itself; `etherpen draw --resume` goes on with this drawing");
+                    display.say("the robot holds by itself; `etherpen draw --resume` continues this drawing");
                     drawing.cancel();
                 }
             }

@@ -317,7 +317,7 @@ impl Viewer {
             Request::Freeze => {
                 let snapshot = console.hub().history().snapshot();
                 if !console.hub().keep(self.id, snapshot) {
-                    self.refuse("too many viewers keep a picture; this one goes on with what comes");
+                    self.refuse("too many viewers keep a captured plot; this one stays live");
                 }
             }
             Request::Thaw => console.hub().forget(self.id),

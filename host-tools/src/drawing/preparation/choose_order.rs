@@ -82,7 +82,7 @@ pub(crate) fn choose_order(
 
 /// Duration of all travel moves, s.
 fn travel_s(drawing: &Drawing, travel: &Travel) -> f64 {
-    drawing.ways_mm().map(|way_mm| travel.seconds(way_mm)).sum()
+    drawing.travels_mm().map(|way_mm| travel.seconds(way_mm)).sum()
 }
 
 /// All layers' strokes, one layer after the other.

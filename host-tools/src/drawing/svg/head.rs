@@ -16,7 +16,7 @@ const NUMBER_MAX: f64 = 1e9;
 /// Data from the file's text that usvg's tree does not contain.
 pub(super) struct Head {
     pub(super) is_sized: bool,
-    pub(super) has_senseless_size: bool,
+    pub(super) has_invalid_size: bool,
     pub(super) user_space: UserSpace,
     pub(super) layers: Vec<Layer>,
     /// Layer by the id of its group.
@@ -28,7 +28,7 @@ pub(super) struct Head {
 
 /// The line of the first element with a number out of range; libraries would approximate an arc of that size with a
 /// great many pieces.
-pub(super) fn senseless_line(document: &Document) -> Option<usize> {
+pub(super) fn out_of_range_line(document: &Document) -> Option<usize> {
     let is_senseless = |node: &XmlNode| {
         let mut largest = 0.0_f64;
         for attribute in GEOMETRY.iter().filter_map(|&name| node.attribute(name)) {
@@ -100,7 +100,7 @@ impl Head {
                 || ["width", "height"]
                     .iter()
                     .all(|&name| absolute_mm(&root, name).is_some()),
-            has_senseless_size: has_senseless_size(&root),
+            has_invalid_size: has_invalid_size(&root),
             user_space: user_space(&root, attributes),
             layers: Vec::new(),
             layer_ids: HashMap::new(),
@@ -185,7 +185,7 @@ fn absolute_mm(root: &XmlNode, name: &str) -> Option<f64> {
 }
 
 /// Whether the root's width or height is present but not a length.
-fn has_senseless_size(root: &XmlNode) -> bool {
+fn has_invalid_size(root: &XmlNode) -> bool {
     let is_length = |text: &str| {
         let text = text.trim();
         let number = text.trim_end_matches(|letter: char| letter.is_ascii_alphabetic() || letter == '%');

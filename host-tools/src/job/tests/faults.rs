@@ -17,7 +17,7 @@ fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
 }
 
 #[test]
-fn a_fault_from_before_is_acknowledged_when_the_person_says_so() {
+fn an_earlier_fault_is_acknowledged_on_request() {
     let options = JobOptions {
         acknowledge: true,
         ..JobOptions::default()

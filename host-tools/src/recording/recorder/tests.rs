@@ -240,7 +240,7 @@ fn speeds_rad_s(samples: &[Sample]) -> [f64; 2] {
 }
 
 #[test]
-fn a_jump_of_the_position_is_no_speed_and_a_quick_motion_is_one() {
+fn a_position_jump_does_not_count_as_speed_but_a_fast_motion_does() {
     let moving = |speed: &dyn Fn(u32) -> f32| -> Vec<Sample> {
         let of = |t_ms| Sample {
             measured_rad_s: [speed(t_ms); 4],
