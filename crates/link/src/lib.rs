@@ -43,7 +43,7 @@ impl<T: Clone + Debug + PartialEq + Serialize + DeserializeOwned> Content for T 
 /// The implementing type is a marker without values; it derives `Clone`, `Debug` and `PartialEq` so that the messages
 /// can. Each encoded message must fit into [`message::MESSAGE_BYTES_MAX`]; a longer one is not sent.
 pub trait Protocol: Clone + Debug + PartialEq {
-    /// Version of the protocol; both ends must agree. Change it with any type below.
+    /// Version of the protocol; both ends must agree. Raise it with every change of a type below.
     const VERSION: u16;
     /// A configuration.
     type Config: Content;
