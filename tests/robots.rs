@@ -1,6 +1,6 @@
 //! The seam between a kind of robot and everything else: only a kind's own files name its parts.
 //!
-//! A second kind of robot then is one file in `motion`, one in the cell and one in the page. The test checks all Rust,
+//! A kind of robot has its own files in `motion`, in the cell and on the page. The test checks all Rust,
 //! JavaScript and HTML files of the repository, names and comments alike.
 
 use std::fs;
@@ -179,7 +179,11 @@ fn findings(path: &str, text: &str) -> Vec<String> {
         before = line;
         let lower = line.to_lowercase();
         // Most lines end here.
-        if !kinds.iter().flat_map(|kind| kind.words).any(|word| lower.contains(word)) {
+        if !kinds
+            .iter()
+            .flat_map(|kind| kind.words)
+            .any(|word| lower.contains(word))
+        {
             continue;
         }
         let words: Vec<String> = parts(&meant(line, is_test)).into_iter().filter(is_named).collect();

@@ -102,7 +102,7 @@ impl std::fmt::Display for NoAnswer {
             Self::Torque => "the axis follows a torque; lead and gain belong to drives that follow a velocity",
             Self::Still => "the axis has hardly moved, its values are kept",
             Self::Samples => "too few samples without a gap",
-            Self::Model => "the drive's answers are not those of a delay and a gain; look at its own controller",
+            Self::Model => "the drive's response is not that of a delay and a gain; check its own controller",
         })
     }
 }

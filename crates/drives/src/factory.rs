@@ -66,14 +66,11 @@ where
         slave: &mut PreOperational<'_, '_, MESSAGE>,
         twin: Option<&ProcessData<Self>>,
     ) -> Result<Option<ProcessData<Self>>, BusError> {
-        let Some(member) = member else {
-            return configuration::unused(device, slave).await;
-        };
-        let settings = settings.get(usize::from(member)).ok_or(BusError::MemberCount {
-            expected: member.saturating_add(1),
-            actual: MEMBERS as u8,
-        })?;
-        configuration::used(device, settings, slave, twin).await.map(Some)
+        // A member beyond the settings is a drive that no axis uses.
+        match member.and_then(|member| settings.get(usize::from(member))) {
+            Some(settings) => configuration::used(device, settings, slave, twin).await.map(Some),
+            None => configuration::unused(device, slave).await,
+        }
     }
 }
 

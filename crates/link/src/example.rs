@@ -3,6 +3,8 @@
 use crate::message::HostMessage;
 use crate::{CommandEffect, Protocol};
 use heapless::Vec;
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use serde::{Deserialize, Serialize};
 
 /// The machine of the tests.
@@ -77,4 +79,18 @@ pub(crate) fn part(first: u32, count: usize) -> Vec<i32, 16> {
 
 pub(crate) fn command(id: u16, command: Command) -> HostMessage<Example> {
     HostMessage::Command { id, command }
+}
+
+/// Checks a property for values of a strategy, the same values in every run.
+pub(crate) fn check<S: Strategy>(cases: u32, strategy: S, property: impl Fn(S::Value) -> Result<(), TestCaseError>) {
+    const SEED: [u8; 32] = *b"etherpen: properties of the link";
+    let config = Config {
+        cases,
+        failure_persistence: None,
+        ..Config::default()
+    };
+    let rng = TestRng::from_seed(RngAlgorithm::ChaCha, &SEED);
+    if let Err(failure) = TestRunner::new_with_rng(config, rng).run(&strategy, property) {
+        panic!("seed {:?}: {failure}", core::str::from_utf8(&SEED));
+    }
 }

@@ -59,7 +59,7 @@ impl PortHold {
     /// Decides how to treat a message with a correct CRC.
     pub fn hear(&mut self, port: LinkPort, now_ms: u64) -> PortDecision {
         let held = |heard_ms: u64| now_ms.saturating_sub(heard_ms) < HELD_MS;
-        let hearing = match self.heard_ms {
+        let decision = match self.heard_ms {
             _ if port == self.port => PortDecision::Held,
             Some(heard_ms) if held(heard_ms) => return PortDecision::Dropped,
             _ => PortDecision::Taken,
@@ -68,7 +68,7 @@ impl PortHold {
             port,
             heard_ms: Some(now_ms),
         };
-        hearing
+        decision
     }
 }
 

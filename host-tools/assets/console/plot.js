@@ -7,7 +7,7 @@ const RIGHT = 12;
 const TOP = 8;
 const BOTTOM = 24;
 const GAP = 10;
-// Most letters of a tick's text that fit beside the plot.
+// Maximum number of letters of a tick's text beside the plot.
 const TICK_LETTERS = 9;
 const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
 

@@ -11,7 +11,7 @@ const PRESETS = [
   ["axis 3", (signal) => signal.axis === 3],
   ["axis 4", (signal) => signal.axis === 4],
   ["following errors", (signal) => signal.name.startsWith("e")],
-  ["reference and actual", (signal) => /^q/.test(signal.name)],
+  ["setpoint and actual", (signal) => /^q/.test(signal.name)],
   ["velocities", (signal) => /^v/.test(signal.name)],
   ["platform", (signal) => signal.axis === 0 && signal.unit === "mm"],
   ["speed of the pen", (signal) => signal.unit === "mm/s"],
@@ -156,7 +156,7 @@ export class Scope {
     if (paused === this.paused) return;
     this.paused = paused;
     $("scope-pause").setAttribute("aria-pressed", String(paused));
-    text($("scope-pause"), paused ? "Resume" : "Pause");
+    text($("scope-pause"), paused ? "Live" : "Pause");
     if (paused) {
       this.link.send({ type: "freeze" });
       this.home = [this.plot.fromMs, this.plot.toMs];
@@ -323,7 +323,7 @@ export class Scope {
     // A capture is already kept: freezing would replace it.
     this.paused = true;
     $("scope-pause").setAttribute("aria-pressed", "true");
-    text($("scope-pause"), "Resume");
+    text($("scope-pause"), "Live");
     this.home = [capture.from_ms, capture.to_ms];
     this.plot.marks.push({ timeMs: capture.event_ms, tone: "accent" });
     this.zoom(capture.from_ms, capture.to_ms);

@@ -201,7 +201,7 @@ fn listen(arguments: &Arguments, config: &Config, port: &PortName) -> Result<(),
             Err(NoNews::Timeout) => {}
             Err(NoNews::Closed) => {
                 end(recording, arguments, arguments.json)?;
-                let text = "the program that had the port has ended; record again to go on in another file";
+                let text = "the program that had the port has ended; record again to continue in another file";
                 return Err(ProgramError::new(code::CONNECTION, text));
             }
         }

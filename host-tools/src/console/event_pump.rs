@@ -28,8 +28,8 @@ const SETTLED: Duration = Duration::from_millis(500);
 /// Time before the bring-up of a bus is retried after a failure.
 const PREPARED_AGAIN: Duration = Duration::from_secs(2);
 /// Text for a drawing whose firmware was restarted.
-const RESTARTED: &str = "the controller restarted while it was drawing, and the robot stopped where it was; it knows \
-                         neither the drawing nor where the robot stands any more";
+const RESTARTED: &str = "the controller restarted during the drawing, and the robot stopped where it was; the \
+                         controller has lost the drawing and the robot's pose";
 /// Most orders with pending answers.
 const EXPECTED_MAX: usize = 256;
 
@@ -253,7 +253,7 @@ impl Console {
     pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
         let unfinished = self.change(|hub| {
             if hub.status().is_none_or(|status| !status.referenced) {
-                return Err("the controller does not know where the robot stands; take the reference, then go on");
+                return Err("the controller does not know the robot's pose; home the robot, then continue");
             }
             let unfinished = hub.jobs.go_on(number, &self.config);
             hub.say_jobs();

@@ -237,7 +237,7 @@ impl Jobs {
         if self.active.is_some() {
             return Err("another drawing is active");
         }
-        let gone = "this drawing is not in the history any more; add it to the queue again";
+        let gone = "this drawing is no longer in the history; add it to the queue again";
         let index = self
             .past
             .iter()

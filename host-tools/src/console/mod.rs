@@ -339,7 +339,7 @@ impl Console {
     /// Adds the prepared drawing to the queue.
     fn enqueue(&self, preparation: u64) -> Result<(), &'static str> {
         let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
-            return Err("this preview is not there any more");
+            return Err("this preview no longer exists");
         };
         let idle = PreparationView {
             state: "idle",

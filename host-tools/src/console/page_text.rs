@@ -71,8 +71,8 @@ mod tests {
                 "the fault is latched",
             ),
             (
-                "look at the pose (it moved) and take the reference (etherpen reference), then draw --resume",
-                "look at the pose (it moved) and take the reference",
+                "check the pose (it moved) and home the robot (etherpen home), then draw --resume",
+                "check the pose (it moved) and home the robot",
             ),
             ("etherpen cancel", "this is not possible now"),
             ("x -- y, 3--4 and a-b", "x -- y, 3--4 and a-b"),

@@ -40,10 +40,10 @@ pub struct PlotSignal {
 pub fn catalogue() -> Vec<PlotSignal> {
     let of_axis = |axis: usize| {
         [
-            (format!("q{axis}_ref_rad"), "reference", "rad"),
+            (format!("q{axis}_ref_rad"), "setpoint", "rad"),
             (format!("q{axis}_rad"), "actual", "rad"),
             (format!("e{axis}_rad"), "following error", "rad"),
-            (format!("v{axis}_ref_rad_s"), "velocity reference", "rad/s"),
+            (format!("v{axis}_ref_rad_s"), "velocity setpoint", "rad/s"),
             (format!("v{axis}_rad_s"), "velocity", "rad/s"),
         ]
         .map(|(name, text, unit)| PlotSignal {

@@ -185,7 +185,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
             ("frames lost", counters.frames_lost),
             ("wrong working counters", counters.working_counter_errors),
             ("frames ignored", counters.frames_ignored),
-            ("reference underruns", counters.setpoint_underruns),
+            ("setpoint underruns", counters.setpoint_underruns),
             ("path starvations", counters.path_starvations),
             ("planner overruns", counters.trajectory_overruns),
             ("telemetry dropped", counters.telemetry_dropped),

@@ -40,12 +40,12 @@ impl fmt::Display for Phase {
         f.write_str(match self {
             Self::Connecting => "connecting",
             Self::Inspecting => "asking for the status",
-            Self::Acknowledging => "acknowledging a fault, or ending what was left behind",
+            Self::Acknowledging => "acknowledging a fault, or ending an abandoned drawing",
             Self::Configuring => "sending the configuration",
             Self::BusUp => "bringing up the bus",
-            Self::Referencing => "taking the reference",
+            Self::Referencing => "homing",
             Self::Enabling => "enabling the drives",
-            Self::Telling => "giving the command",
+            Self::Telling => "sending the command",
             Self::Starting => "starting",
             Self::Moving => "moving",
             Self::Drawing => "drawing",
@@ -158,13 +158,13 @@ impl fmt::Display for JobError {
                 seconds(*silent_ms)
             ),
             Self::Restarted => f.write_str(
-                "the firmware does not know this connection any more: it was reset, or another program has taken the \
-                 port; close the other program, and look for the cause of the reset before drawing again",
+                "the firmware no longer knows this connection: it was reset, or another program took the port; \
+                 close the other program, and look for the cause of the reset before drawing again",
             ),
             Self::Config(refusal) => f.write_str(&text::config_refusal(refusal)),
             Self::ConfigHash { ours, firmware } => write!(
                 f,
-                "the firmware took another configuration than was sent (hash {firmware:016x}, sent {:016x}); program and \
+                "the firmware has a different configuration from the one that was sent (hash {firmware:016x}, sent {:016x}); program and \
                  firmware differ: flash the firmware that belongs to this program",
                 ours.unwrap_or_default()
             ),
@@ -180,13 +180,13 @@ impl fmt::Display for JobError {
             Self::Vertex(refusal) => f.write_str(&text::vertex(refusal)),
             Self::Fault { fault, before } => {
                 let when = if *before {
-                    "a fault is latched from before"
+                    "an earlier fault is latched"
                 } else {
                     "fault"
                 };
                 write!(f, "{when}: {}", text::fault(fault))?;
                 if *before {
-                    f.write_str("; etherpen acknowledge (or draw --acknowledge) clears it once its cause has gone")?;
+                    f.write_str("; etherpen acknowledge (or draw --acknowledge) clears it after its cause is gone")?;
                 }
                 Ok(())
             }
@@ -218,27 +218,25 @@ impl fmt::Display for JobError {
                 }
                 write!(
                     f,
-                    "; the drives did not follow although none reported a fault: look at them, take the reference again, \
-                     then continue the drawing at stroke {first}"
+                    "; the drives did not follow although none reported a fault: check them, home the robot again, then \
+                     continue the drawing at stroke {first}"
                 )
             }
             Self::NotHeld(mode) => write!(
                 f,
-                "the firmware does not hold this drawing (now: {}); draw --resume goes on from the log of jobs",
+                "the firmware does not hold this drawing (now: {}); draw --resume continues from the job log",
                 text::mode(*mode)
             ),
             Self::NotReferenced => f.write_str(
-                "the joint angles are not referenced any more, and the robot may stand anywhere; bring them to a known \
-                 pose and take the reference (etherpen reference), then go on: with draw --resume where a drawing broke \
-                 off",
+                "the robot is no longer homed and may be in any pose; move it to a known pose and home it (etherpen \
+                 home), then continue: with draw --resume for an interrupted drawing",
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
             Self::Abandoned => f.write_str(
-                "the program that ordered the motion fell silent, so the robot was stopped; order it again",
+                "the program that commanded the motion stopped sending, so the robot was stopped; command it again",
             ),
             Self::Forgotten => f.write_str(
-                "the firmware restarted in the middle of the drawing and has forgotten it; draw --resume goes on \
-                 where the ink ends",
+                "the firmware restarted during the drawing and lost it; draw --resume continues where the ink ends",
             ),
         }
     }

@@ -19,7 +19,7 @@ pub fn mode(mode: Mode) -> &'static str {
         Mode::Startup => "waiting for a configuration",
         Mode::BusConfiguring => "bringing up the bus",
         Mode::DrivesOff => "ready, the drives are without power",
-        Mode::Unreferenced => "the drives hold, the joint angles are not referenced",
+        Mode::Unreferenced => "the drives hold, the robot is not homed",
         Mode::Idle => "enabled and at rest",
         Mode::Moving => "moving",
         Mode::Drawing => "drawing",
@@ -40,7 +40,7 @@ pub fn doing(status: &Status) -> &'static str {
 /// A command as a noun.
 pub fn command(command: &Command) -> &'static str {
     match command {
-        Command::Home | Command::HomeAt { .. } => "taking the reference",
+        Command::Home | Command::HomeAt { .. } => "homing",
         Command::Enable => "enabling the drives",
         Command::Disable => "disabling the drives",
         Command::Jog { .. } => "jogging",
@@ -59,21 +59,21 @@ pub fn command(command: &Command) -> &'static str {
 /// Why a command was refused and what to try.
 pub fn refusal(refusal: &Refusal) -> String {
     match refusal {
-        Refusal::NotInMode(now) => format!("not possible now: {}; wait, or end what it does first", mode(*now)),
+        Refusal::NotInMode(now) => format!("not possible now: {}; wait, or end that first", mode(*now)),
         Refusal::NotConfigured => "there is no configuration yet; connect with one (etherpen.toml)".into(),
-        Refusal::NotReferenced => "the joint angles are not referenced; take the reference first".into(),
+        Refusal::NotReferenced => "the robot is not homed; home it first".into(),
         Refusal::Target(target) => vertex(target),
         Refusal::OverrideRange(percent) => format!("an override of {percent} % is outside 10 to 200 %"),
-        Refusal::CauseRemains(cause) => format!("its cause is still there: {}", fault(cause)),
+        Refusal::CauseRemains(cause) => format!("its cause is still present: {}", fault(cause)),
         Refusal::Moving => {
-            "the robot is still moving, changing its power or taking its reference; try again when it stands".into()
+            "the robot is still moving, homing or switching its power; try again when it is at rest".into()
         }
         Refusal::Busy => "too many commands at once; wait a moment".into(),
         Refusal::Recovering => {
-            "the fault was acknowledged already, and the bus and the drives are being brought back; wait".into()
+            "the fault was acknowledged already, and the bus and the drives are recovering; wait".into()
         }
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
-        Refusal::NoPosition { axis } => format!("no position of axis {} arrives; look at its drive", axis + 1),
+        Refusal::NoPosition { axis } => format!("no position arrives from axis {}; check its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(
             "axis {}: the resolver shows an angle {:.2} degrees away from the pose; measure the pose again, or correct the \
              axis' synchronisation values",
@@ -85,7 +85,7 @@ pub fn refusal(refusal: &Refusal) -> String {
             difference_rad,
             distance_mm,
         } => format!(
-            "axis {}: the pose is {:.1} degrees away from what the measured position asks for, forward kinematics {distance_mm:.0} mm; \
+            "axis {}: the pose is {:.1} degrees away from the pose at the measured position, forward kinematics {distance_mm:.0} mm; \
              a multiple of 30 degrees is a wrong motor turn",
             axis + 1,
             difference_rad.to_degrees()
@@ -120,7 +120,7 @@ pub fn vertex(refusal: &etherpen::motion::Refusal) -> String {
             format!(
                 "the path has wound axis 4 up: it would turn to {angle_rad:.1} rad (allowed {low_rad:.1} to {high_rad:.1} rad)"
             ),
-            "draw it in parts and take the reference before each, or set motion.orientation = \"constant\"",
+            "draw it in parts and home before each, or set motion.orientation = \"constant\"",
         ),
     };
     format!("vertex {} of the path was refused: {why}; {hint}", refusal.index)
@@ -159,7 +159,7 @@ pub fn outside(outside: &Outside) -> String {
             low_rad,
             high_rad,
         } => format!(
-            "{noun} {} would stand at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
+            "{noun} {} would be at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
             one(joint)
         ),
         Outside::Flat { .. } => format!("the {} would lie in a plane", words.last_links),
@@ -179,7 +179,7 @@ pub fn config_refusal(refusal: &ConfigRefusal) -> String {
             )
         }
         ConfigRefusal::NotInMode(now) => format!(
-            "another configuration cannot be taken now: {}; disable the drives first",
+            "the configuration cannot be changed now: {}; disable the drives first",
             mode(*now)
         ),
     }
@@ -192,7 +192,7 @@ pub fn config_error(error: &ConfigError) -> String {
         .axis
         .map_or(String::new(), |axis| format!(" of axis {}", one(axis)));
     let why = match error.field.name() {
-        "axes.quick_stop_rad_s2" => "the axis has to stand before its brake closes, from the fastest it may turn; ",
+        "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         _ => "",
     };
     format!(
@@ -210,7 +210,7 @@ pub fn previous_run(previous: &PreviousRun) -> Option<String> {
         RunEnd::PowerOff | RunEnd::Reset if previous.fault.is_none() => return None,
         RunEnd::PowerOff => "the firmware was switched off".into(),
         RunEnd::Reset => "the firmware was reset".into(),
-        RunEnd::Watchdog => "the watchdog ended the firmware's last run: a task that has to run did not".into(),
+        RunEnd::Watchdog => "the watchdog ended the firmware's last run: a task did not run".into(),
         RunEnd::Panic(cause) => format!("the firmware's last run ended by itself: {cause}; please report it"),
     };
     Some(match &previous.fault {
@@ -247,7 +247,7 @@ mod tests {
         config.axes[2].quick_stop_rad_s2 = 1.0;
         let text = config_error(&config.check().unwrap_err());
         assert!(
-            text.starts_with("axes.quick_stop_rad_s2 of axis 3 is 1, allowed is 28.43 to 2000; the axis has to stand"),
+            text.starts_with("axes.quick_stop_rad_s2 of axis 3 is 1, allowed is 28.43 to 2000; the axis must stop"),
             "{text}"
         );
     }
@@ -290,6 +290,6 @@ mod tests {
             low_rad: -0.6,
             high_rad: 1.7,
         };
-        assert!(outside(&margin).contains("arm 1 would stand at -0.700 rad"));
+        assert!(outside(&margin).contains("arm 1 would be at -0.700 rad"));
     }
 }

@@ -170,7 +170,7 @@ fn without_drawing(order: Order) -> Result<Order, ProgramError> {
         Order::Cancel => Order::Settle(Told::Cancel),
         Order::Override(percent) => Order::Settle(Told::Override { percent }),
         Order::Resume => {
-            let text = "no program streams a drawing over this port, so there is nothing that could go on; start it \
+            let text = "no program streams a drawing over this port, so there is nothing to resume; start it \
                         again where it broke off: etherpen draw FILE --resume";
             return Err(ProgramError::new(code::FAILED, text));
         }

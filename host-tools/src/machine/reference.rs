@@ -62,6 +62,6 @@ fn known<T>(client: &mut Client, mut said: impl FnMut(&Snapshot) -> Option<T>) -
         }
         std::thread::sleep(LOOK);
     }
-    let text = "the machine does not tell its resolvers' positions; look at the bus (etherpen bus scan)";
+    let text = "the machine does not report its resolvers' positions; check the bus (etherpen bus scan)";
     Err(ProgramError::new(code::FAILED, text))
 }

@@ -248,9 +248,9 @@ pub fn conclude(
     let mut report = outcome.report();
     report.processor_s = drawn.cost.map(|cost| cost.processor_s);
     report.virtual_to_processor_ratio = drawn.cost.map(|cost| cost.virtual_s / cost.processor_s);
-    if let Some((dir, growing)) = results {
+    if let Some((dir, outputs)) = results {
         outcome.write(dir, &report)?;
-        growing.into_iter().try_for_each(PendingOutput::commit)?;
+        outputs.into_iter().try_for_each(PendingOutput::commit)?;
     }
     match &drawn.outcome {
         Some(Ok(())) => Ok(report),

@@ -1,9 +1,10 @@
 //! Requirements of the firmware's end of the link.
 
 use super::*;
-use crate::example::{Command, Example, Refusal, Status, command, configuration, part};
+use crate::example::{Command, Example, Refusal, Status, check, command, configuration, part};
 use crate::frame::{Decoder, encode};
 use crate::message::Hello;
+use core::cell::Cell;
 use proptest::prelude::*;
 
 type DeviceEndpoint = super::DeviceEndpoint<Example>;
@@ -206,36 +207,67 @@ fn a_frame_once_begun_is_finished_before_a_more_urgent_one() {
     assert_eq!((kinds.next(), kinds.next()), (Some(true), Some(false)));
 }
 
-proptest! {
-    #[test]
-    fn garbage_makes_no_panic_and_no_event(bytes in prop::collection::vec(prop_oneof![4 => any::<u8>(), 1 => Just(0)], 0..4_000)) {
+#[test]
+fn garbage_makes_no_panic_and_no_event() {
+    let bytes = prop::collection::vec(prop_oneof![4 => any::<u8>(), 1 => Just(0)], 2_000..4_000);
+    check(200, bytes, |bytes| {
         let (mut decoder, mut endpoint) = (Decoder::new(), endpoint());
         for (now_ms, byte) in (0..).zip(bytes) {
             prop_assert!(take(&mut decoder, &mut endpoint, LinkPort::Serial, &[byte], now_ms, 10).is_empty());
         }
-    }
-
-    #[test]
-    fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room(
-        payloads in prop::collection::vec((0..8u8, prop::collection::vec(small_or_any(), 0..120)), 1..60),
-        free in 0..20usize,
-    ) {
-        let (mut decoder, mut endpoint) = (Decoder::new(), drawing());
-        for (now_ms, (kind, content)) in (0..).zip(payloads) {
-            let mut frame = [0; FRAME_BYTES_MAX];
-            let length = encode(&Raw(kind, &content), &mut frame).unwrap();
-            for event in take(&mut decoder, &mut endpoint, LinkPort::Serial, &frame[..length], now_ms, free) {
-                match event {
-                    DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
-                    DeviceEvent::Path { vertices, .. } => prop_assert!(vertices.len() <= free),
-                    _ => {}
-                }
-            }
-            let mut out = [0; LINE_BYTES_PER_MS];
-            endpoint.transmit(now_ms, &mut out);
-        }
-    }
+        prop_assert!(decoder.counts().bad > 100, "{:?}", decoder.counts());
+        Ok(())
+    });
 }
+
+#[test]
+fn nonsense_in_good_frames_makes_no_panic_and_never_more_vertices_than_there_is_room() {
+    let content = || prop::collection::vec(small_or_any(), 0..120);
+    let of_the_path = content().prop_map(|content| [&[3, 0][..], &content].concat());
+    let payload = prop_oneof![2 => (0..8u8, content()), 1 => (Just(PATH), of_the_path)];
+    let (events, vertices_taken) = (Cell::new(0), Cell::new(0));
+    check(
+        300,
+        (prop::collection::vec(payload, 1..60), 0..20usize),
+        |(payloads, free)| {
+            let (mut decoder, mut endpoint) = (Decoder::new(), drawing());
+            for (now_ms, (kind, content)) in (0..).zip(payloads) {
+                let mut frame = [0; FRAME_BYTES_MAX];
+                let length = encode(&Raw(kind, &content), &mut frame).unwrap();
+                for event in take(
+                    &mut decoder,
+                    &mut endpoint,
+                    LinkPort::Serial,
+                    &frame[..length],
+                    now_ms,
+                    free,
+                ) {
+                    events.set(events.get() + 1);
+                    match event {
+                        DeviceEvent::Command { id, .. } => endpoint.answer(id, Ok(())),
+                        DeviceEvent::Path { vertices, .. } => {
+                            vertices_taken.set(vertices_taken.get() + vertices.len());
+                            prop_assert!(vertices.len() <= free);
+                        }
+                        _ => {}
+                    }
+                }
+                let mut out = [0; LINE_BYTES_PER_MS];
+                endpoint.transmit(now_ms, &mut out);
+            }
+            Ok(())
+        },
+    );
+    assert!(events.get() > 1_000, "only {} messages were understood", events.get());
+    assert!(
+        vertices_taken.get() > 50,
+        "only {} vertices were taken",
+        vertices_taken.get()
+    );
+}
+
+/// Number of the variant [`HostMessage::Path`]; the job and the first vertex follow.
+const PATH: u8 = 4;
 
 /// Mostly small numbers, which valid messages consist of.
 fn small_or_any() -> impl Strategy<Value = u8> {

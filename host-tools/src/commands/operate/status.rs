@@ -178,6 +178,6 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
         println!("doing: {doing}");
     }
     if snapshot.interrupted {
-        println!("the drawing waits after a broken connection: etherpen resume goes on, etherpen cancel ends it");
+        println!("the drawing is held after a lost connection: etherpen resume continues it, etherpen cancel ends it");
     }
 }

@@ -454,10 +454,10 @@ impl Viewer {
 
     fn command(&self, heard: Ticket, action: Action) {
         let (what, order) = match action {
-            Action::Reference => ("the reference", Order::Tell(Command::Home)),
+            Action::Reference => ("homing", Order::Tell(Command::Home)),
             Action::ReferenceHere => match self.console.reference_here() {
                 Some(command) => ("the reference", Order::Tell(command)),
-                None => return self.refuse("nobody knows where the robot was; take the reference at the marks"),
+                None => return self.refuse("the robot's last pose is unknown; home it at its marks"),
             },
             Action::Enable => ("enabling the drives", Order::Tell(Command::Enable)),
             Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),
@@ -482,7 +482,7 @@ impl Viewer {
 
     fn start(&self, heard: Ticket, job: u64) {
         if !self.console.draw(heard, job) {
-            self.refuse("another drawing is active, or this one is not in the queue any more");
+            self.refuse("another drawing is active, or this one is no longer in the queue");
         }
     }
 

@@ -15,10 +15,10 @@ use etherpen::ethercat::wire::mailbox::error_text;
 /// The bus's Ethernet port in a few words.
 pub fn port_state(port: PortState) -> &'static str {
     match port {
-        PortState::Unknown => "nothing is known of the bus' Ethernet port",
-        PortState::NoPhy => "no PHY answers at the bus' Ethernet port",
-        PortState::Down => "the bus' Ethernet port has no link",
-        PortState::Up => "the bus' Ethernet port has a link",
+        PortState::Unknown => "nothing is known of the bus's Ethernet port",
+        PortState::NoPhy => "no PHY answers at the bus's Ethernet port",
+        PortState::Down => "the bus's Ethernet port has no link",
+        PortState::Up => "the bus's Ethernet port has a link",
     }
 }
 

@@ -8,7 +8,7 @@ use etherpen::ethercat::state::{al_code_hint, al_code_text};
 /// The cause of a fault and what to try.
 pub fn fault(fault: &Fault) -> String {
     match *fault {
-        Fault::EmergencyStop(StopSource::Link) => "stop by command; look at the robot, then acknowledge".into(),
+        Fault::EmergencyStop(StopSource::Link) => "stop by command; check the robot, then acknowledge".into(),
         Fault::EmergencyStop(StopSource::Input) => {
             "emergency stop by the board's input; release the button, then acknowledge".into()
         }
@@ -40,7 +40,7 @@ pub fn fault(fault: &Fault) -> String {
             error_rad,
             limit_rad,
         } => format!(
-            "axis {} was {error_rad:.4} rad from its reference (limit {limit_rad:.4} rad); look for a collision, a closed \
+            "axis {} was {error_rad:.4} rad from its setpoint (limit {limit_rad:.4} rad); look for a collision, a closed \
              brake or gains that are too low",
             one(axis)
         ),
@@ -54,15 +54,15 @@ pub fn fault(fault: &Fault) -> String {
             one(axis)
         ),
         Fault::ReferenceLost { axis } => format!(
-            "positions of axis {} were missing for so long that its motor's turn is no longer known; acknowledge, bring \
-             the robot to the marks and take the reference again",
+            "positions of axis {} were missing for so long that its motor's turn is unknown; acknowledge, move \
+             the robot to its marks and home it again",
             one(axis)
         ),
         Fault::CyclesLate { late, limit } => {
             format!("{late} late cycles within a second (limit {limit}); the board is overloaded or its clock is wrong")
         }
         Fault::SetpointUnderrun => {
-            "the controller ran out of references; this is an error of the firmware, please report it".into()
+            "the controller ran out of setpoints; this is a firmware error, please report it".into()
         }
         Fault::EnableTimeout { waited_ms } => format!(
             "the drives were not enabled within {waited_ms} ms; check their power stage's supply and the enable input"
@@ -75,7 +75,7 @@ pub fn fault(fault: &Fault) -> String {
             missing_cycles,
             limit_cycles,
         } => format!(
-            "the bus clock did not come for {missing_cycles} cycles (limit {limit_cycles}); look whether the first slave \
+            "the bus clock was missing for {missing_cycles} cycles (limit {limit_cycles}); check whether the first slave \
              with a clock still answers (etherpen bus scan)"
         ),
         Fault::ClockJump { error_ns, limit_ns } => format!(
@@ -86,36 +86,36 @@ pub fn fault(fault: &Fault) -> String {
         ),
         Fault::NoLink { port } => format!("{}; {PORT_HINT}, then acknowledge", port_state(port)),
         Fault::ClockFailure => {
-            "the board's 8 MHz from its ST-LINK fail and it runs on a clock that is not exact enough to \
-                                move anything; check the board's USB supply, then reset the board"
+            "the board's 8 MHz from its ST-LINK failed, and its own clock is too inaccurate to move \
+                                anything; check the board's USB supply, then reset the board"
                 .into()
         }
         Fault::OtherProduct { slave, expected, found } if expected == found => format!(
-            "slave {} has the product code of before ({found:#010x}) and otherwise tells another identity: it is of another \
-             vendor or its information memory is damaged; put the right one back, then acknowledge",
+            "slave {} has the same product code ({found:#010x}) but otherwise another identity: it is from another vendor, \
+             or its information memory is damaged; put the right one back, then acknowledge",
             one(slave)
         ),
         Fault::OtherProduct { slave, expected, found } => format!(
-            "slave {} is another product than before (product code {found:#010x}, expected {expected:#010x}); put the right \
+            "slave {} is a different product (product code {found:#010x}, expected {expected:#010x}); put the right \
              one back, then acknowledge",
             one(slave)
         ),
         Fault::RepairTimeout { waited_ms } => format!(
-            "the bus was not brought back within {waited_ms} ms, and why is not known yet; look at the slaves (etherpen bus \
+            "the bus did not recover within {waited_ms} ms, and the cause is not known yet; check the slaves (etherpen bus \
              scan), then acknowledge again"
         ),
         Fault::MotionStalled { vertex, waited_ms } => format!(
-            "the planner made no progress for {waited_ms} ms after vertex {vertex} of the path; this is an error of the \
-             firmware, please report it with the drawing; acknowledge to go on"
+            "the planner made no progress for {waited_ms} ms after vertex {vertex} of the path; this is a firmware \
+             error, please report it with the drawing; acknowledge to continue"
         ),
         Fault::FeedbackDeviation {
             axis,
             deviation_rad,
             limit_rad,
         } => format!(
-            "axis {} measured another motion than was commanded, by {deviation_rad:.4} rad (limit {limit_rad:.4} rad): its \
+            "axis {} measured a motion that differs from the commanded one by {deviation_rad:.4} rad (limit {limit_rad:.4} rad): its \
              resolver is frozen, slips, is reversed or is another axis's, or the drive does not follow; check resolver, \
-             coupling and cables, then acknowledge and take the reference again",
+             coupling and cables, then acknowledge and home the robot again",
             one(axis)
         ),
         Fault::FeedbackNoise {
@@ -123,18 +123,18 @@ pub fn fault(fault: &Fault) -> String {
             acceleration_rad_s2,
             limit_rad_s2,
         } => format!(
-            "the measured position of axis {} jumps about: {acceleration_rad_s2:.0} rad/s2 on average (limit \
-             {limit_rad_s2:.0} rad/s2); check the resolver's cable and its shield, then acknowledge and take the \
-             reference again",
+            "the measured position of axis {} is erratic: {acceleration_rad_s2:.0} rad/s2 on average (limit \
+             {limit_rad_s2:.0} rad/s2); check the resolver's cable and its shield, then acknowledge and home the \
+             robot again",
             one(axis)
         ),
         Fault::ProcessorStopped { slave, expiries } => format!(
-            "the processor of slave {} stood still ({expiries} times since it was brought up) while its controller went \
-             on answering; check its supply and its firmware, then acknowledge",
+            "the processor of slave {} stopped ({expiries} times since the bring-up) while its controller kept \
+             answering; check its supply and its firmware, then acknowledge",
             one(slave)
         ),
         Fault::UnexpectedBus { found, expected } => format!(
-            "{found} drives are on the bus, {expected} are expected; check supply, cables and their order (etherpen bus \
+            "{found} drives are on the bus, {expected} were expected; check supply, cables and their order (etherpen bus \
              scan)"
         ),
     }
