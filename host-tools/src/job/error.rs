@@ -229,7 +229,7 @@ impl fmt::Display for JobError {
             ),
             Self::NotReferenced => f.write_str(
                 "the robot is no longer homed and may be in any pose; move it to a known pose and home it (etherpen \
-                 home), then continue: with draw --resume for an interrupted drawing",
+                 reference), then continue: with draw --resume for an interrupted drawing",
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
             Self::Abandoned => f.write_str(

@@ -216,7 +216,7 @@ impl Work {
     fn begin(&mut self, task: Task, order: Option<DrawOrder>, life: Option<Life>, reply: Sender<Answer>) {
         let Some(job) = &mut self.job else { return };
         if self.active.is_some() {
-            let busy = "the machine is at work for another order; wait for it, or end it (etherpen cancel)";
+            let busy = "the machine is busy with another order; wait for it, or end it (etherpen cancel)";
             let _ = reply.send(Err(Failure::new(code::FAILED, busy)));
             return;
         }
@@ -324,7 +324,7 @@ impl Work {
     fn jog(&mut self, velocity_mm_s: [f32; 3], reply: Sender<Answer>) {
         let Some(job) = &mut self.job else { return };
         if self.active.is_some() {
-            let busy = "the machine is at work for another order; wait for it, or end it (etherpen cancel)";
+            let busy = "the machine is busy with another order; wait for it, or end it (etherpen cancel)";
             let _ = reply.send(Err(Failure::new(code::FAILED, busy)));
         } else if self.jogging.under_way.is_some() {
             self.jogging.next = Some(velocity_mm_s);

@@ -241,12 +241,12 @@ fn a_drawing_is_worked_with_from_another_terminal_and_goes_on_after_its_program_
     let file = strokes().to_string_lossy().into_owned();
     let in_use = format!("draw (process {})", first.id());
     machine.refused(&["draw", &file], code::CONNECTION, &in_use);
-    machine.refused(&["reference", "--port", &port], code::FAILED, "at work");
+    machine.refused(&["reference", "--port", &port], code::FAILED, "busy with another order");
     machine.done(&["bus", "scan", "--port", &port]);
     machine.done(&["hold", "--at-pen-up"]);
     machine.wait_for_mode("Holding");
     machine.refused(&["hold"], code::FAILED, "the drawing is held");
-    machine.refused(&["enable"], code::FAILED, "at work");
+    machine.refused(&["enable"], code::FAILED, "busy with another order");
     machine.done(&["override", "50"]);
     // The drawing's program reports the firmware's last status.
     wait_until("half the speed", || machine.status()["override_percent"] == 50);

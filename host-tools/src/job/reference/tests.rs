@@ -153,7 +153,7 @@ fn a_robot_that_moves_has_no_position_or_has_a_fault_is_not_referenced() {
     rig.increments[2] = None;
     let error = on_bench(&mut rig, false);
     assert_eq!(error, JobError::Refused(Command::Home, Refusal::NoPosition { axis: 2 }));
-    assert!(error.to_string().contains("no position of axis 3"), "{error}");
+    assert!(error.to_string().contains("no position arrives from axis 3"), "{error}");
 
     let mut rig = Rig::new(1, 0);
     let fault = Fault::EmergencyStop(StopSource::Link);
