@@ -14,38 +14,49 @@ const LIMIT_MS: u64 = 120_000;
 
 type Machine = DeviceEndpoint<Example>;
 
-/// A line that damages, drops or repeats one byte of `one_in`, or none for 0; the generator is xorshift32.
+/// A fault of the line: bytes that pass before it, what happens to the next byte, and the bits that change.
+type Fault = (u32, Kind, u8);
+
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Lost,
+    Repeated,
+    Damaged,
+}
+
+/// A line whose faults come in turn, over and over.
 struct Line {
-    random: u32,
-    one_in: u32,
+    faults: Vec<Fault>,
+    next: usize,
+    passed: u32,
 }
 
 impl Line {
-    fn new(seed: u32, one_in: u32) -> Self {
+    fn new(faults: Vec<Fault>) -> Self {
         Self {
-            random: seed.max(1),
-            one_in,
+            faults,
+            next: 0,
+            passed: 0,
         }
-    }
-
-    fn next(&mut self) -> u32 {
-        self.random ^= self.random << 13;
-        self.random ^= self.random >> 17;
-        self.random ^= self.random << 5;
-        self.random
     }
 
     fn carry(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut carried = Vec::new();
         for byte in bytes {
-            if self.one_in == 0 || !self.next().is_multiple_of(self.one_in) {
-                carried.push(*byte);
-                continue;
-            }
-            match self.next() % 3 {
-                0 => {}
-                1 => carried.extend([*byte, *byte]),
-                _ => carried.push(*byte ^ (self.next() as u8).max(1)),
+            match self.faults.get(self.next).copied() {
+                Some((before, kind, bits)) if self.passed >= before => {
+                    self.passed = 0;
+                    self.next = (self.next + 1) % self.faults.len();
+                    match kind {
+                        Kind::Lost => {}
+                        Kind::Repeated => carried.extend([*byte, *byte]),
+                        Kind::Damaged => carried.push(*byte ^ bits),
+                    }
+                }
+                _ => {
+                    self.passed += 1;
+                    carried.push(*byte);
+                }
             }
         }
         carried
@@ -148,13 +159,16 @@ fn draw(line: Line, count: usize) -> (Rig, SessionCounts, u64) {
 
 #[test]
 fn over_any_line_the_path_arrives_complete_and_in_order_and_each_command_once() {
-    let one_in = prop_oneof![1 => Just(0u32), 4 => 60..5_000u32];
-    check(48, (any::<u32>(), one_in, 0..800usize), |(seed, one_in, count)| {
-        let (rig, counts, _) = draw(Line::new(seed, one_in), count);
+    let kind = prop_oneof![Just(Kind::Lost), Just(Kind::Repeated), Just(Kind::Damaged)];
+    let faults = prop::collection::vec((0..4_000u32, kind, 1..=u8::MAX), 12..60);
+    let faults = prop_oneof![1 => Just(Vec::new()), 5 => faults];
+    check(48, (faults, 0..800usize), |(faults, count)| {
+        let is_perfect = faults.is_empty();
+        let (rig, counts, _) = draw(Line::new(faults), count);
         prop_assert!(rig.executed.iter().copied().eq(0..count as i32));
         prop_assert_eq!(rig.commands.len(), 2, "{:?}", rig.commands);
         let repeats = u64::from(counts.path_repeats + counts.requests_repeated);
-        prop_assert!(one_in > 0 || (counts.frames.bad, repeats) == (0, 0), "{:?}", counts);
+        prop_assert!(!is_perfect || (counts.frames.bad, repeats) == (0, 0), "{:?}", counts);
         Ok(())
     });
 }
@@ -174,7 +188,7 @@ fn garbage_makes_no_panic_and_no_event() {
 
 #[test]
 fn a_perfect_line_delivers_a_vertex_every_millisecond_and_every_sample() {
-    let (_, counts, finished_ms) = draw(Line::new(1, 0), 5_000);
+    let (_, counts, finished_ms) = draw(Line::new(Vec::new()), 5_000);
     assert!((5_000..5_060).contains(&finished_ms), "{finished_ms} ms");
     assert_eq!(counts.samples_missing, 0);
     assert!(counts.samples + 40 > finished_ms, "{counts:?}");
@@ -182,7 +196,7 @@ fn a_perfect_line_delivers_a_vertex_every_millisecond_and_every_sample() {
 
 #[test]
 fn a_stop_drops_the_requests_before_it() {
-    let (mut rig, mut session) = (Rig::new(Line::new(1, 0)), Session::new(5));
+    let (mut rig, mut session) = (Rig::new(Line::new(Vec::new())), Session::new(5));
     session.connect();
     for now_ms in 0..5 {
         rig.step(&mut session, now_ms);
@@ -201,7 +215,7 @@ fn a_reset_of_the_firmware_is_noticed() {
     let mut session = Session::new(5);
     session.connect();
     for (start_ms, restarted) in [(0, false), (400, true)] {
-        let mut rig = Rig::new(Line::new(1, 0));
+        let mut rig = Rig::new(Line::new(Vec::new()));
         let events = (start_ms..start_ms + 400).flat_map(|now_ms| rig.step(&mut session, now_ms));
         let events: Vec<_> = events.collect();
         assert_eq!(events.contains(&Event::Restarted), restarted, "{events:?}");
@@ -229,7 +243,7 @@ fn a_firmware_of_another_version_is_refused_with_both_versions_and_hears_nothing
 
 #[test]
 fn a_silent_session_sends_heartbeats_that_the_firmware_hears() {
-    let (mut rig, mut session) = (Rig::new(Line::new(1, 0)), Session::new(3));
+    let (mut rig, mut session) = (Rig::new(Line::new(Vec::new())), Session::new(3));
     session.connect();
     for now_ms in 0..2_000 {
         rig.step(&mut session, now_ms);
